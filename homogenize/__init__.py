@@ -1,0 +1,1 @@
+"""From a strain-load table to a convex, tension-only membrane law."""

@@ -1,0 +1,1 @@
+"""A ring-mesh curtain as a homogenized plane membrane."""
