@@ -1,0 +1,86 @@
+"""Law files: JSON with a schema version, units, provenance and the checksum of the table behind the law."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from homogenize.net import net_from_dict, ring_cell, ring_net
+from homogenize.protocol import CellInfo, InputError, MembraneLaw
+
+SCHEMA = 1
+UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
+READERS: dict[str, Callable[[dict[str, Any], CellInfo | None], MembraneLaw]] = {"net": net_from_dict}
+
+
+def default_law() -> MembraneLaw:
+    """The law for r1/r2 = 10 that ships inside the package."""
+    return ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526))
+
+
+def law_record(law: MembraneLaw, provenance: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What the file of a law holds."""
+    return {
+        "schema": SCHEMA,
+        "kind": law.name,
+        "units": UNITS,
+        "cell": None if law.cell is None else asdict(law.cell),
+        "parameters": law.to_dict(),
+        "provenance": provenance or {},
+    }
+
+
+def save_law(law: MembraneLaw, path: str | Path, provenance: dict[str, Any] | None = None) -> None:
+    """Writes the law to `path` in one piece: a reader never sees half a file."""
+    path = Path(path)
+    text = json.dumps(law_record(law, provenance), indent=1) + "\n"
+    write_text(path, text)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes `text` to a neighbour of `path` and moves it into place; InputError if the folder cannot be written."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    os.chmod(name, 0o644)
+    os.replace(name, path)
+
+
+def load_law(path: str | Path) -> MembraneLaw:
+    """The law in the file `path`; InputError names file, key and value if it is not one that this version reads."""
+    path = Path(path)
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not JSON: {error}") from error
+    return law_from_record(record, str(path))
+
+
+def law_from_record(record: Any, source: str) -> MembraneLaw:
+    """The law of a parsed file; `source` names it in the messages of InputError."""
+    if not isinstance(record, dict):
+        raise InputError(f"{source}: a law file holds one JSON object, this one holds a {type(record).__name__}")
+    if record.get("schema") != SCHEMA:
+        raise InputError(f"{source}: schema = {record.get('schema')!r}, this version reads schema = {SCHEMA}")
+    if record.get("units") != UNITS:
+        raise InputError(f"{source}: units = {record.get('units')!r}, this version reads {UNITS}")
+    kind = record.get("kind")
+    if kind not in READERS:
+        raise InputError(f"{source}: kind = {kind!r}, this version reads {', '.join(sorted(READERS))}")
+    try:
+        cell = None if record["cell"] is None else CellInfo(**{k: float(v) for k, v in record["cell"].items()})
+        return READERS[kind](record["parameters"], cell)
+    except KeyError as error:
+        raise InputError(f"{source}: key {error} is missing") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{source}: {error}") from error

@@ -1,0 +1,94 @@
+"""What a membrane law is: the records it answers with and the protocol it follows.
+
+Symmetric 2 x 2 tensors are triples (11, 12, 22) of tensor components on the last axis, the leading axis is the point:
+S:E = S11 E11 + 2 S12 E12 + S22 E22. Line loads and stiffnesses are in N/mm, strains have no unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class InputError(ValueError):
+    """Something the user gave cannot be used; the message is one sentence that names file, key and value."""
+
+
+@dataclass(frozen=True)
+class CellInfo:
+    """The rings behind a law: what a scene needs to know of them, in mm and kg/m2."""
+
+    r1_mm: float
+    r2_mm: float
+    b_x_mm: float
+    b_y_mm: float
+    areal_mass_kg_per_m2: float
+
+
+@dataclass(frozen=True)
+class HalfSpaces:
+    """Half-spaces S_i:E <= h_i with S_i positive semidefinite and of unit trace.
+
+    S (m, 3); h (m,).
+    """
+
+    S: Array
+    h: Array
+
+
+@dataclass(frozen=True)
+class Cut:
+    """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,)."""
+
+    S: Array
+    h: Array
+    violation: Array
+
+
+@dataclass(frozen=True)
+class Response:
+    """Elastic answer beyond locking: energy (n,), S = dPsi/dE (n, 3), C (n, 3, 3), closest locked strain E_star (n, 3).
+
+    The tangent maps tensor components to tensor components, S = C dE with dE the triple (dE11, dE12, dE22); the factor
+    2 of the shear product is inside C.
+    """
+
+    energy: Array
+    S: Array
+    C: Array
+    E_star: Array
+
+
+class MembraneLaw(Protocol):
+    """A tensile, convex membrane law: the set K+ of admissible strains and the elasticity beyond it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def cell(self) -> CellInfo | None: ...
+
+    def support(self, S: Array) -> Array:
+        """h(S) = max S:E over K+ for S (n, 3) positive semidefinite, (n,)."""
+        ...
+
+    def half_spaces(self) -> HalfSpaces:
+        """A few half-spaces that contain K+ and bound it under tension: where a cutting-plane method starts."""
+        ...
+
+    def cut(self, E: Array) -> Cut:
+        """The half-space each E (n, 3) violates most; violation <= 0 means that E is admissible."""
+        ...
+
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent of the elastic law at E (n, 3)."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """The law as plain numbers, lists and strings: what its file holds."""
+        ...
