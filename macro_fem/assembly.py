@@ -1,8 +1,8 @@
 """From a mesh to arrays: gradients, internal forces and stiffness matrices of a membrane, without a loop over cells.
 
-A mesh and an element are turned into arrays once (`discretize`), the places of the matrix entries once per set of free
-unknowns (`sparsity`). After that every Newton iteration is a handful of array operations. The gradients are taken in the
-coordinates of the reference element, where they are the same numbers for every cell, so that the sums over
+A mesh and an element are turned into arrays once (`discretize`), the places of the matrix entries once per set of
+free unknowns (`sparsity`). After that every Newton iteration is a handful of array operations. The gradients are taken
+in the coordinates of the reference element, where they are the same numbers for every cell, so that the sums over
 quadrature points and nodes are small dense matrix products; entries reach their place in the matrix by one `bincount`.
 
 Shapes: the point p is the leading axis, p = q * n_cells + cell for quadrature point q. The unknown u (n_nodes, d) has
@@ -38,9 +38,9 @@ from scipy import sparse
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Element and order of its quadrature. P1 and CR have constant gradients; the others take the fewest points that integrate
-# the stiffness of an undistorted cell without spurious modes.
-_ELEMENTS: dict[str, tuple[type, type, int]] = {
+# Element and order of its quadrature. P1 and CR have constant gradients; the others take the fewest points that
+# integrate the stiffness of an undistorted cell without spurious modes.
+_ELEMENTS: dict[str, tuple[Any, Any, int]] = {
     "P1": (skfem.MeshTri1, skfem.ElementTriP1, 0),
     "CR": (skfem.MeshTri1, skfem.ElementTriCR, 0),
     "P2": (skfem.MeshTri1, skfem.ElementTriP2, 2),
@@ -113,8 +113,7 @@ class Discretization:
     @cached_property
     def points(self) -> Array:
         """Positions of the points in the reference state, (n_points, 2), mm."""
-        # The geometry is that of the corners. Only Q1, Q2, P1, P2 carry it in their nodes; CR's midpoints do so as well,
-        # because an affine function is reproduced by every element here.
+        # Every element here reproduces the reference position, CR's edge midpoints included.
         return interpolate(self, self.nodes)
 
     @property
@@ -146,7 +145,9 @@ class Pattern:
 
     def scatter(self, packed: Array) -> Array:
         """Data (nnz,) of the lower triangle from the packed entries (n_entries, n_cells) of all cells."""
-        return np.bincount(self.slot.ravel(), weights=packed.ravel(), minlength=self.nnz + 1)[: self.nnz]
+        return np.asarray(
+            np.bincount(self.slot.ravel(), weights=packed.ravel(), minlength=self.nnz + 1)[: self.nnz], dtype=np.float64
+        )
 
     def lower(self, data: Array) -> sparse.csc_matrix:
         """The lower triangle as a sparse matrix that shares `data` (what CHOLMOD reads)."""
@@ -299,7 +300,7 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> Pattern:
 def stiffness(disc: Discretization, pattern: Pattern, A: Array) -> Array:
     """Data (nnz,) of the lower triangle of K = sum_p w_p dphi_a/dx_j A_pijkl dphi_b/dx_l.
 
-    A (n_points, d, 2, d, 2) is d2psi/dF2 with its major symmetry; only its blocks A[:, i, :, k, :] with i >= k are read.
+    A (n_points, d, 2, d, 2) is d2psi/dF2 with its major symmetry; only the blocks A[:, i, :, k, :], i >= k, are read.
     """
     n_local = disc.cell_dofs.shape[1]
     shape = (disc.n_quad, disc.n_cells)
@@ -318,9 +319,9 @@ def stiffness(disc: Discretization, pattern: Pattern, A: Array) -> Array:
 
 
 def pack_blocks(blocks: Array, d: int) -> Array:
-    """Packed entries (n_entries, n_cells) for `Pattern.scatter` from symmetric cell matrices (n_cells, m, m), m = n_local d.
+    """Packed entries (n_entries, n_cells) for `Pattern.scatter` from symmetric cell matrices (n_cells, m, m).
 
-    Row a * d + i of a block belongs to component i of the cell's node a.
+    m = n_local * d; row a * d + i of a block belongs to component i of the cell's node a.
     """
     n_cells, m, _ = blocks.shape
     n = m // d
