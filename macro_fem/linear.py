@@ -81,9 +81,8 @@ class LinearOptions:
         if self.ordering not in ("auto", "amd", "metis"):
             raise ValueError(f"ordering = {self.ordering!r} is not one of auto, amd, metis")
         if not (0.0 < self.rtol < 1.0 and self.max_iterations > 0):
-            raise ValueError(
-                f"rtol = {self.rtol}, max_iterations = {self.max_iterations}: need 0 < rtol < 1 and 1 or more"
-            )
+            asked = f"rtol = {self.rtol}, max_iterations = {self.max_iterations}"
+            raise ValueError(f"{asked}: rtol must lie between 0 and 1, max_iterations must be 1 or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +97,13 @@ class LinearSolution:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A matrix ready to be solved with. method, entries of the factor or of all grids, and seconds spent on it."""
+    """A matrix ready to be solved with.
+
+    method, entries of the factor or of all grids (None where the library does not say), and seconds spent on it.
+    """
 
     method: str
-    entries: int
+    entries: int | None
     seconds: float
     solve: Callable[[Array], LinearSolution]
 
@@ -134,7 +136,7 @@ def analyze(
     method = _choose(pattern.n, options)
     start = time.perf_counter()
     if pattern.n == 0:
-        factorize: Callable[[Array], Factor] = lambda data: Factor("empty", 0, 0.0, _solve_nothing)
+        factorize: Callable[[Array], Factor] = _factorize_nothing
     elif method == "cholmod":
         factorize = _cholmod(pattern, options)
     elif method == "superlu":
@@ -172,6 +174,10 @@ def _choose(n: int, options: LinearOptions) -> str:
     return method
 
 
+def _factorize_nothing(data: Array) -> Factor:
+    return Factor("empty", 0, 0.0, _solve_nothing)
+
+
 def _solve_nothing(b: Array) -> LinearSolution:
     return LinearSolution(np.zeros(0), LinearStatus.SOLVED, 0, 0.0)
 
@@ -207,7 +213,7 @@ def _cholmod(pattern: Pattern, options: LinearOptions) -> Callable[[Array], Fact
         if not np.isfinite(data.sum()):
             raise NotPositiveDefiniteError("the matrix holds an entry that is not finite")
         seconds = time.perf_counter() - start
-        return Factor("cholmod", -1, seconds, _direct(numeric, lambda x: _symmetric_product(matrix, x)))
+        return Factor("cholmod", None, seconds, _direct(numeric, lambda x: _symmetric_product(matrix, x)))
 
     return factorize
 
@@ -290,7 +296,6 @@ def _multigrid(pattern: Pattern, options: LinearOptions, near_kernel: Array | No
     def factorize(data: Array) -> Factor:
         start = time.perf_counter()
         matrix = pattern.full(data).tocsr()
-        # Energy-minimising prolongation would be better and dearer; one Jacobi sweep is what million-node meshes afford.
         grids = pyamg.smoothed_aggregation_solver(matrix, B=kernel, max_coarse=200)
         entries = int(sum(level.A.nnz for level in grids.levels))
         seconds = time.perf_counter() - start
