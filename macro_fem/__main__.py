@@ -1,0 +1,6 @@
+"""python -m macro_fem."""
+
+from macro_fem.cli import main
+
+if __name__ == "__main__":
+    main(prog_name="macro-fem")

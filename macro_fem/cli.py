@@ -1,0 +1,45 @@
+"""The command line: python -m macro_fem run scene.toml [--law law.json] --out DIR."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from homogenize.law import InputError
+
+
+class BadInput(click.ClickException):
+    """Ends the program with one line, "Error: ...", and exit code 2."""
+
+    exit_code = 2
+
+
+@click.group()
+@click.version_option(package_name="ring-mesh")
+def main() -> None:
+    """Curtains of ring mesh: shape, line loads, bounds, pictures."""
+
+
+@main.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
+@click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib).")
+def run(scene: Path, law_path: Path | None, out: Path, picture: bool) -> None:
+    """Solve SCENE and write summary.json, curtain.vtu and curtain.png."""
+    from macro_fem.job import run_scene
+
+    try:
+        summary = run_scene(scene, law_path, out, picture=picture)
+    except InputError as error:
+        raise BadInput(str(error)) from error
+    click.echo(f"{summary['status']}: {summary['message']}")
+    click.echo(
+        f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
+        f"largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
+    )
+    click.echo(
+        f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
+        f"{summary['wall_s']:.2f} s; written to {out}"
+    )

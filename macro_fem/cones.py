@@ -1,0 +1,123 @@
+"""The locking constraints of a curtain: per quadrature point a few half-spaces S:E <= h, each one a second-order cone.
+
+S:E(F) <= h with E = (F^T F - I)/2 and S = L L^T reads ||F L||_F <= sqrt(2 h + tr S): convex in F for every d. The slack
+
+    g = h - S:E(F) = (c^2 - ||F L||_F^2) / 2,   c^2 = 2 h + tr S
+
+is concave in F with gradient -F S. Points carry different numbers of half-spaces, so these are kept as one flat list.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homogenize.law import Array, MembraneLaw
+
+LAW_CHUNK = 20_000
+"""Points per call of `law.cut`: keeps its (points, half-spaces) table inside some 100 MB."""
+
+
+@dataclass(frozen=True)
+class Cones:
+    """Half-spaces of all points: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where each point begins.
+
+    Every point has at least one half-space.
+    """
+
+    point: np.ndarray
+    S: Array
+    h: Array
+    first: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.h)
+
+    @property
+    def size(self) -> Array:
+        """c^2 / 2 = h + tr S / 2 (nc,): the slack at F = 0, the natural unit of a slack."""
+        return self.h + 0.5 * (self.S[:, 0] + self.S[:, 2])
+
+    def slack(self, F: Array) -> Array:
+        """g = c^2/2 - (F S):F/2 (nc,) for F (nq, d, 2)."""
+        C = right_cauchy_green(F)[self.point]
+        S = self.S
+        return self.size - 0.5 * (S[:, 0] * C[:, 0] + 2.0 * S[:, 1] * C[:, 1] + S[:, 2] * C[:, 2])
+
+    def pull(self, F: Array) -> Array:
+        """F S (nc, d, 2): minus the gradient of every slack."""
+        return times_triple(F[self.point], self.S)
+
+    def sum(self, values: Array) -> Array:
+        """Sums over the half-spaces of each point: (nc, ...) to (nq, ...)."""
+        return np.add.reduceat(values, self.first, axis=0)
+
+    def stress(self, lam: Array) -> Array:
+        """S_q = sum of lam_i S_i (nq, 3)."""
+        return self.sum(lam[:, None] * self.S)
+
+
+def right_cauchy_green(F: Array) -> Array:
+    """C = F^T F as triples (n, 3) for F (n, d, 2)."""
+    a, b = F[:, :, 0], F[:, :, 1]
+    return np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1)
+
+
+def green_strain(F: Array) -> Array:
+    """E = (F^T F - I)/2 as triples (n, 3) for F (n, d, 2)."""
+    return 0.5 * (right_cauchy_green(F) - np.array([1.0, 0.0, 1.0]))
+
+
+def times_triple(F: Array, S: Array) -> Array:
+    """F S (n, d, 2) for F (n, d, 2) and triples S (n, 3)."""
+    out = np.empty_like(F)
+    out[:, :, 0] = F[:, :, 0] * S[:, :1] + F[:, :, 1] * S[:, 1:2]
+    out[:, :, 1] = F[:, :, 0] * S[:, 1:2] + F[:, :, 1] * S[:, 2:]
+    return out
+
+
+def ddot(A: Array, B: Array) -> Array:
+    """A:B (n,) for A, B (n, d, 2)."""
+    return np.einsum("nij,nij->n", A, B)
+
+
+def first_cones(law: MembraneLaw, n_points: int) -> Cones:
+    """The half-spaces the law starts with, at each of `n_points` points."""
+    start = law.half_spaces()
+    m = len(start.h)
+    return Cones(
+        np.repeat(np.arange(n_points), m),
+        np.tile(start.S, (n_points, 1)),
+        np.tile(start.h, n_points),
+        np.arange(n_points) * m,
+    )
+
+
+def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cones, np.ndarray]:
+    """`cones` and the half-spaces S (k, 3), h (k,) at `point` (k,); and where the old and new ones (nc + k,) come from.
+
+    The second array orders per-half-space data of old ones followed by new ones.
+    """
+    all_points = np.concatenate([cones.point, point])
+    order = np.argsort(all_points, kind="stable")
+    all_points = all_points[order]
+    n = len(cones.first)
+    return (
+        Cones(
+            all_points,
+            np.concatenate([cones.S, S])[order],
+            np.concatenate([cones.h, h])[order],
+            np.searchsorted(all_points, np.arange(n)),
+        ),
+        order,
+    )
+
+
+def law_cut(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
+    """The half-space of the law nearest to (or most violated by) each F (n, d, 2): S (n, 3), h (n,), slack g (n,)."""
+    E = green_strain(F)
+    parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
+    S = np.concatenate([part.S for part in parts])
+    h = np.concatenate([part.h for part in parts])
+    return S, h, -np.concatenate([part.violation for part in parts])

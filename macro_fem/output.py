@@ -1,0 +1,197 @@
+"""Files of a solved curtain: summary.json and curtain.vtu, each written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homogenize.law import Array, InputError
+from macro_fem.assembly import cell_mean
+from macro_fem.solution import CurtainSolution
+
+VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
+
+
+def prepare_folder(folder: Path) -> None:
+    """Makes the folder; InputError if it cannot be made or written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be made: {error.strerror}") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"--out {folder}: cannot be written")
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Lets `write` fill a temporary file beside `path` and moves it into place when it is complete."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """summary.json in `folder`; a number that is not finite is written as null."""
+    content = json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n"
+    write_whole(folder / "summary.json", lambda path: _write_text(path, content))
+
+
+def _write_text(path: Path, content: str) -> None:
+    path.write_text(content, encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return value if not isinstance(value, float) or np.isfinite(value) else None
+
+
+def summarize(solution: CurtainSolution) -> dict[str, Any]:
+    """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
+
+    Heights are y coordinates. Potentials are -sum force . displacement in N mm; their gap is an error bound of the
+    discrete problem.
+    """
+    problem = solution.problem
+    disc = problem.disc
+    principal, _ = solution.principal()
+    state = solution.state()
+    area = cell_area(solution)
+    return {
+        "status": solution.status,
+        "message": solution.message,
+        "mean_height_mm": solution.mean_height(),
+        "lowest_point_mm": float(solution.x[:, 1].min()),
+        "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
+        "max_principal_line_load_N_per_mm": float(principal.max(initial=0.0)),
+        "total_load_N": problem.force.sum(axis=0).tolist(),
+        "support_forces": support_forces(solution),
+        "potential_primal_N_mm": solution.primal,
+        "potential_dual_N_mm": solution.dual,
+        "relative_gap": relative_gap(solution),
+        "residual": solution.residual,
+        "iterations": solution.iterations,
+        "relaxed": solution.relaxed,
+        "cells": disc.n_cells,
+        "dofs": int(problem.fem.n),
+        "element": disc.element,
+        "pattern": problem.mesh.pattern,
+        "law": problem.law.name,
+        "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
+        "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
+        "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
+        "wall_s": solution.wall_s,
+        "versions": versions(),
+    }
+
+
+def relative_gap(solution: CurtainSolution) -> float:
+    """(primal - dual) / (total load times size): the error of the potential on the scale of the curtain."""
+    problem = solution.problem
+    scale = float(np.abs(problem.force).sum()) * problem.mesh.size
+    return (solution.primal - solution.dual) / scale if scale > 0.0 else 0.0
+
+
+def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
+    """Force of each support on the curtain in N; components held by two supports count for the first."""
+    reactions = solution.reactions
+    taken = np.zeros(reactions.shape, bool)
+    forces = []
+    for held in solution.problem.supports.held:
+        own = np.zeros_like(taken)
+        own[held.nodes] = held.mask
+        own &= ~taken
+        taken |= own
+        part = np.where(own, reactions, 0.0)
+        forces.append(
+            {
+                "support": held.name,
+                "force_N": part.sum(axis=0).tolist(),
+                "largest_nodal_force_N": float(np.linalg.norm(part, axis=1).max()),
+            }
+        )
+    return forces
+
+
+def cell_area(solution: CurtainSolution) -> Array:
+    """Reference area of each cell (n_cells,), mm2."""
+    disc = solution.problem.disc
+    return disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computed the answer."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {"python": platform.python_version()}
+    for package in ("ring-mesh", "numpy", "scipy", "scikit-fem", "scikit-sparse", "clarabel"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def corner_positions(solution: CurtainSolution) -> Array:
+    """Deformed corners of the mesh (n_corners, 2): nodal values, or for CR the mean over the cells at a corner."""
+    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
+    if disc.element != "CR":
+        return solution.x[: mesh.p.shape[1]]
+    middle = solution.x[disc.cell_dofs].mean(axis=1)
+    X = mesh.p.T[mesh.t.T]
+    F = cell_mean(disc, solution.F)
+    at_corners = middle[:, None] + np.einsum("cij,ckj->cki", F, X - X.mean(axis=1, keepdims=True))
+    sums = np.zeros((mesh.p.shape[1], 2))
+    np.add.at(sums, mesh.t.T, at_corners)
+    return sums / np.bincount(mesh.t.ravel(), minlength=len(sums))[:, None]
+
+
+def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
+    """The deformed curtain as VTU: displacement, strain, stress, principal line loads and taut or slack per cell.
+
+    `extra` holds more cell data (n_cells, ...), such as an error map.
+    """
+    import meshio
+
+    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
+    corners = corner_positions(solution)
+    values, direction = solution.principal()
+    F = cell_mean(disc, solution.F)
+    in_space = np.einsum("cij,cj->ci", F, direction)
+    cell_data: dict[str, Sequence[Array]] = {
+        "E_11_12_22": [cell_mean(disc, solution.E)],
+        "S_11_12_22_N_per_mm": [cell_mean(disc, solution.S)],
+        "line_load_1_N_per_mm": [values[:, 0]],
+        "line_load_2_N_per_mm": [values[:, 1]],
+        "direction_1": [_in_space(in_space)],
+        "state_0_slack_1_wrinkled_2_taut": [solution.state().astype(float)],
+        **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
+    }
+    document = meshio.Mesh(
+        _in_space(corners),
+        [(VTU_CELLS[disc.element], mesh.t.T)],
+        point_data={"displacement_mm": _in_space(corners - mesh.p.T), "reference_mm": _in_space(mesh.p.T)},
+        cell_data=cell_data,
+    )
+    write_whole(path, lambda temporary: document.write(temporary, file_format="vtu"))
+
+
+def _in_space(plane: Array) -> Array:
+    """Vectors (n, 2) with a third component 0."""
+    return np.column_stack([plane, np.zeros(len(plane))])

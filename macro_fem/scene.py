@@ -1,0 +1,287 @@
+"""A scene: what hangs where, under which load, and how it is to be solved. Read from TOML and checked at the door.
+
+Lengths are mm, forces N, line loads N/mm, masses kg and kg/m2, angles degrees. x points right, y up; a rectangle spans
+from (0, 0) to (width, height), a disk is centred at (0, 0).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from homogenize.law import InputError
+from macro_fem.records import choice, custom, flag, number, polygon, polygons, read_record, text, vector, whole
+
+HANG_ANGLES = {"y": 0.0, "x": 90.0}
+ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
+MAX_CELLS = 20_000
+
+
+def _hang(value: Any) -> float:
+    if isinstance(value, str) and value in HANG_ANGLES:
+        return HANG_ANGLES[value]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -360.0 <= value <= 360.0:
+        raise ValueError('is neither "x", "y" nor an angle from -360 to 360 degrees')
+    return float(value)
+
+
+@dataclass(frozen=True)
+class Curtain:
+    """The sheet. `hang` is read as the angle from the vertical to the weave's y axis: "y" is 0, "x" is 90 degrees."""
+
+    shape: str = choice("rectangle", "disk", "outline", "file", default="rectangle")
+    width: float | None = number(None, above=0.0)
+    height: float | None = number(None, above=0.0)
+    radius: float | None = number(None, above=0.0)
+    outline: tuple[tuple[float, float], ...] | None = polygon(None)
+    holes: tuple[tuple[tuple[float, float], ...], ...] = polygons(())
+    file: str | None = text(None)
+    hang: float = custom(_hang, 0.0)
+    areal_mass: float | None = number(None, least=0.0)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """`cells` along the width. `pattern`: "aligned" has edges along both diagonal families of the weave."""
+
+    cells: int = whole(32, least=1, most=MAX_CELLS)
+    element: str = choice(*ELEMENTS, default="P1")
+    pattern: str = choice("aligned", "crossed", "diagonal", default="aligned")
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Both top corners held; `gather` narrows their distance."""
+
+    gather: float = number(1.0, above=0.0)
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Top:
+    """The whole top edge held; `gather` narrows it."""
+
+    gather: float = number(1.0, above=0.0)
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Rail:
+    """The top edge held in height, free to slide sideways."""
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Points of the top edge every `pitch` mm, held or sliding along a rail."""
+
+    pitch: float = number(above=0.0)
+    gather: float = number(1.0, above=0.0)
+    sliding: bool = flag(False)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A named edge held, by default in both directions, and moved by `move` mm."""
+
+    edge: str = text()
+    held: str = choice("both", "x", "y", default="both")
+    gather: float = number(1.0, above=0.0)
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Point:
+    """The material point nearest to `at` held and moved by `move` mm."""
+
+    at: tuple[float, float] = vector()
+    held: str = choice("both", "x", "y", default="both")
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+Support = Corners | Top | Rail | Hooks | Edge | Point
+SUPPORTS: dict[str, type[Support]] = {
+    "corners": Corners,
+    "top": Top,
+    "rail": Rail,
+    "hooks": Hooks,
+    "edge": Edge,
+    "point": Point,
+}
+
+
+@dataclass(frozen=True)
+class EdgeLoad:
+    """Force per reference length of a named edge, N/mm."""
+
+    edge: str = text()
+    force: tuple[float, float] = vector()
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """Force in N on the material point nearest to `at`."""
+
+    at: tuple[float, float] = vector()
+    force: tuple[float, float] = vector()
+
+
+@dataclass(frozen=True)
+class PatchLoad:
+    """Force in N spread evenly over the reference disk of `radius` around `at`: a hand that pulls."""
+
+    at: tuple[float, float] = vector()
+    radius: float = number(above=0.0)
+    force: tuple[float, float] = vector()
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
+
+    mass: float = number(least=0.0)
+    edge: str = text("bottom")
+    straight: bool = flag(True)
+
+
+@dataclass(frozen=True)
+class Load:
+    """Weight by `gravity` (m/s2) and the live loads; `steps` applies live loads and moves in equal steps."""
+
+    gravity: float = number(9.81)
+    steps: int = whole(1, least=1, most=1000)
+    edge: tuple[EdgeLoad, ...] = ()
+    point: tuple[PointLoad, ...] = ()
+    patch: tuple[PatchLoad, ...] = ()
+    bar: tuple[Bar, ...] = ()
+
+
+LIVE_LOADS: dict[str, type[Any]] = {"edge": EdgeLoad, "point": PointLoad, "patch": PatchLoad, "bar": Bar}
+
+
+@dataclass(frozen=True)
+class Solver:
+    """`rigid`: ideal locking, `conic`: the same by a cone program (clarabel), `newton`: the elastic law.
+
+    `tolerance` is relative to the problem's energy scale, total load times size.
+    """
+
+    kind: str = choice("rigid", "conic", "newton", default="rigid")
+    tolerance: float = number(1e-9, least=1e-12, most=1e-2)
+    max_iterations: int = whole(150, least=1, most=10_000)
+    bounds: bool = flag(False)
+    adapt: int = whole(0, least=0, most=12)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A checked scene; `source` names its file in messages and is where relative mesh files are looked for."""
+
+    curtain: Curtain
+    mesh: Mesh
+    support: tuple[Support, ...]
+    load: Load
+    solver: Solver
+    source: Path
+
+
+def load_scene(path: str | Path) -> Scene:
+    """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not TOML: {error}") from error
+    return read_scene(data, path)
+
+
+def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
+    """The scene of parsed TOML tables.
+
+    >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
+    (Top(gather=1.0, move=(0.0, 0.0)),)
+    """
+    tables = ("curtain", "mesh", "support", "load", "solver")
+    for key in data:
+        if key not in tables:
+            raise InputError(f"{source}: {key}: unknown table; known are {', '.join(tables)}")
+    if "curtain" not in data:
+        raise InputError(f"{source}: [curtain]: is missing")
+    scene = Scene(
+        curtain=read_record(Curtain, data["curtain"], f"{source}: [curtain]"),
+        mesh=read_record(Mesh, data.get("mesh", {}), f"{source}: [mesh]"),
+        support=_read_supports(data.get("support", []), source),
+        load=_read_load(data.get("load", {}), source),
+        solver=read_record(Solver, data.get("solver", {}), f"{source}: [solver]"),
+        source=Path(source),
+    )
+    _check_shape(scene.curtain, source)
+    _check_solver(scene, source)
+    return scene
+
+
+def _read_supports(tables: Any, source: str | Path) -> tuple[Support, ...]:
+    if isinstance(tables, dict):
+        tables = [tables]
+    if not isinstance(tables, list):
+        raise InputError(f"{source}: [support] is not a table")
+    if not tables:
+        raise InputError(f"{source}: [support]: is missing, so nothing holds the curtain")
+    supports = []
+    for table in tables:
+        if not isinstance(table, dict):
+            raise InputError(f"{source}: [support] = {table!r}: is not a table")
+        kind = table.get("kind")
+        if not isinstance(kind, str) or kind not in SUPPORTS:
+            raise InputError(f"{source}: [support] kind = {kind!r}: is not one of {', '.join(SUPPORTS)}")
+        rest = {key: value for key, value in table.items() if key != "kind"}
+        supports.append(read_record(SUPPORTS[kind], rest, f"{source}: [support] ({kind})"))
+    return tuple(supports)
+
+
+def _read_load(table: Any, source: str | Path) -> Load:
+    if not isinstance(table, dict):
+        raise InputError(f"{source}: [load] is not a table")
+    live: dict[str, tuple[Any, ...]] = {}
+    for name, cls in LIVE_LOADS.items():
+        items = table.get(name, [])
+        items = [items] if isinstance(items, dict) else items
+        if not isinstance(items, list):
+            raise InputError(f"{source}: [load] {name} = {items!r}: is not a table")
+        live[name] = tuple(read_record(cls, item, f"{source}: [load.{name}]") for item in items)
+    plain = {key: value for key, value in table.items() if key not in LIVE_LOADS}
+    known = ("gravity", "steps", *LIVE_LOADS)
+    for key, value in plain.items():
+        if key not in known:
+            raise InputError(f"{source}: [load] {key} = {value!r}: unknown key; known are {', '.join(known)}")
+    base = read_record(Load, plain, f"{source}: [load]")
+    return Load(base.gravity, base.steps, **live)
+
+
+_NEEDS = {"rectangle": ("width", "height"), "disk": ("radius",), "outline": ("outline",), "file": ("file",)}
+
+
+def _check_shape(curtain: Curtain, source: str | Path) -> None:
+    """Exactly the keys that describe the shape are given."""
+    needs = _NEEDS[curtain.shape]
+    for key in ("width", "height", "radius", "outline", "file"):
+        value = getattr(curtain, key)
+        if key in needs and value is None:
+            raise InputError(f'{source}: [curtain] {key}: is missing, shape = "{curtain.shape}" needs it')
+        if key not in needs and value is not None:
+            raise InputError(f'{source}: [curtain] {key} = {value!r}: is not used by shape = "{curtain.shape}"')
+    if curtain.holes and curtain.shape == "file":
+        raise InputError(f'{source}: [curtain] holes: are not used by shape = "file"')
+
+
+def _check_solver(scene: Scene, source: str | Path) -> None:
+    element, shape, solver = scene.mesh.element, scene.curtain.shape, scene.solver
+    if element in ("Q1", "Q2") and (shape not in ("rectangle", "file") or scene.curtain.holes):
+        raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
+    if solver.kind == "newton" and (solver.bounds or solver.adapt):
+        raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'newton'")
+    if (solver.bounds or solver.adapt) and element != "P1":
+        raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")
