@@ -1,0 +1,121 @@
+"""The equilibrium equations of the periodic cell and their exact derivatives, batched over load cases.
+
+Unknown are the 9 reduced coordinates (4-in-1) and one force per contact:
+
+    r = f(q) + G(q)^T lam = 0,    gap(q) >= 0,    lam >= 0,    lam gap = 0.
+
+f is a constant Cauchy line load s on the *current* cell: s.(a2y, -a2x) on a1 and s.(-a1y, a1x) on a2. It follows the
+deformation, so its derivative is unsymmetric. J = dr/dq holds load stiffness, contact curvature and the curvature of
+the lattice coordinates. Lengths are in units of r1 and forces in units of s r1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.cell import Contacts, Pose, pair_maps, reduction
+from rve.contact import distance_gradient, distance_hessian
+from rve.weave import Weave
+
+Array = NDArray[np.float64]
+
+_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class System:
+    """Equations of a batch of n poses with m coordinates and c contact slots.
+
+    r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of
+    the rings for unit density, which weighs the residual (eq. 9).
+    """
+
+    r: Array
+    f: Array
+    J: Array
+    G: Array
+    M: Array
+
+    @property
+    def weighted_residual(self) -> Array:
+        """R of eq. (9) on the static system, (n,), without unit."""
+        top = np.einsum("ni,ni->n", self.r, np.linalg.solve(self.M, self.r[..., None])[..., 0])
+        base = np.einsum("ni,ni->n", self.f, np.linalg.solve(self.M, self.f[..., None])[..., 0])
+        return np.sqrt(np.maximum(top, 0.0) / base)
+
+
+def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
+    """Generalised force (n, 4) on (a1, a2) of the Cauchy line load s (n, 3), and its derivative (n, 4, 4)."""
+    full = np.stack([s[:, [0, 1]], s[:, [1, 2]]], axis=1)
+    K = np.zeros((len(s), 4, 4))
+    K[:, :2, 2:] = full @ _TURN
+    K[:, 2:, :2] = -(full @ _TURN)
+    return np.einsum("nij,nj->ni", K, np.concatenate([pose.a1, pose.a2], axis=1)), K
+
+
+def mass_matrix(weave: Weave, wire: float) -> Array:
+    """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1."""
+    k = weave.classes
+    size = 4 + 2 * (k - 1) + 3 * k
+    M = np.zeros((size, size))
+    inertia = 0.5 + 0.625 * wire**2  # of a torus about a diameter; the axial one weighs no coordinate
+    for ring, i, j in weave.rings:
+        for x in range(2):
+            v = np.zeros(size)
+            v[x], v[2 + x] = i, j
+            if ring > 0:
+                v[2 + 2 * ring + x] = 1.0
+            M += np.outer(v, v)
+        rows = slice(2 + 2 * k + 3 * ring, 5 + 2 * k + 3 * ring)
+        M[rows, rows] += inertia * np.eye(3)
+    return M
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What does not change during a solve: weave, wire = r2/r1, pair maps and mass matrix."""
+
+    weave: Weave
+    wire: float
+    maps: Array
+    mass: Array
+
+    @staticmethod
+    def of(weave: Weave, wire: float) -> Equations:
+        """Equations of a weave with wire radius r2/r1."""
+        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire))
+
+    def assemble(self, pose: Pose, contacts: Contacts, lam: Array, s: Array) -> System:
+        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, 3)."""
+        n, pairs = len(s), len(self.weave.pairs)
+        T = reduction(pose)
+        m = T.shape[2]
+        case, pair = np.divmod(contacts.minima.pair, pairs)
+        g = distance_gradient(contacts.minima)
+        LT = np.matmul(self.maps[pair], T[case])
+        G_rows = np.matmul(g[:, None, :], LT)[:, 0]
+        force = lam[contacts.present]
+
+        f4, K4 = lattice_load(pose, s)
+        Ta = T[:, :4]
+        f = np.einsum("ni,nij->nj", f4, Ta)
+        r = f.copy()
+        np.add.at(r, case, force[:, None] * G_rows)
+
+        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K4), Ta)
+        H = distance_hessian(contacts.minima, contacts.normal_a, contacts.normal_b, 1.0)
+        np.add.at(J, case, force[:, None, None] * np.matmul(np.matmul(LT.transpose(0, 2, 1), H), LT))
+        # a1y = t x2 and a2x = t y3 are bilinear in the reduced coordinates.
+        on_lattice = f4.copy()
+        np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
+        for row, component in ((0, 1), (1, 2)):
+            J[:, row, 2] += on_lattice[:, component]
+            J[:, 2, row] += on_lattice[:, component]
+
+        G = np.zeros((n, *contacts.present.shape[1:], m))
+        G[contacts.present] = G_rows
+        M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
+        return System(r, f, J, G.reshape(n, -1, m), M)
