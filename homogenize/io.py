@@ -6,16 +6,20 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from homogenize.net import net_from_dict, ring_cell, ring_net
+from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
-READERS: dict[str, Callable[[dict[str, Any], CellInfo | None], MembraneLaw]] = {"net": net_from_dict}
+READERS: dict[str, Callable[[dict[str, Any], CellInfo | None], MembraneLaw]] = {
+    "net": net_from_dict,
+    "polyhedral": polyhedral_from_dict,
+}
 
 
 def default_law() -> MembraneLaw:
@@ -54,8 +58,21 @@ def write_text(path: Path, text: str) -> None:
     os.replace(name, path)
 
 
+@dataclass(frozen=True, eq=False)
+class LawFile:
+    """A law and where it comes from: table, checksum, error report, sampled loads."""
+
+    law: MembraneLaw
+    provenance: dict[str, Any]
+
+
 def load_law(path: str | Path) -> MembraneLaw:
     """The law in the file `path`; InputError names file, key and value if it is not one that this version reads."""
+    return read_law_file(path).law
+
+
+def read_law_file(path: str | Path) -> LawFile:
+    """The law in the file `path` with its provenance; InputError as in `load_law`."""
     path = Path(path)
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -63,7 +80,11 @@ def load_law(path: str | Path) -> MembraneLaw:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise InputError(f"{path}: is not JSON: {error}") from error
-    return law_from_record(record, str(path))
+    law = law_from_record(record, str(path))
+    provenance = record.get("provenance", {})
+    if not isinstance(provenance, dict):
+        raise InputError(f"{path}: provenance = {provenance!r} is not an object")
+    return LawFile(law, provenance)
 
 
 def law_from_record(record: Any, source: str) -> MembraneLaw:

@@ -73,6 +73,11 @@ class MembraneLaw(Protocol):
     @property
     def cell(self) -> CellInfo | None: ...
 
+    @property
+    def compliance(self) -> Array:
+        """The metric of the response, E - E_star = compliance S: (3, 3) in tensor components, mm/N."""
+        ...
+
     def support(self, S: Array) -> Array:
         """h(S) = max S:E over K+ for S (n, 3) positive semidefinite, (n,)."""
         ...

@@ -1,0 +1,96 @@
+"""The command line: fit, strain, support, report, plot, export. Bad input ends in one sentence and exit code 2."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from homogenize.protocol import InputError
+
+Command = Callable[..., None]
+
+
+class InputFailure(click.ClickException):
+    """One line on stderr, exit code 2."""
+
+    exit_code = 2
+
+
+def plain_errors(command: Command) -> Command:
+    """Turns the sentences of InputError and of table errors into one line on stderr and exit code 2."""
+
+    @wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        from rve.table import TableError
+
+        try:
+            command(*args, **kwargs)
+        except (InputError, TableError) as error:
+            raise InputFailure(" ".join(str(error).split())) from error
+
+    return run
+
+
+@click.group()
+def main() -> None:
+    """From a strain-load table to a convex, tension-only membrane law."""
+
+
+@main.command()
+@click.argument("table", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
+@click.option("--kind", default=None, help="smooth, outer, inner, interpolated or net; default: see docs/homogenize.md")
+@click.option("--noise", default=None, type=float, help="strain error to allow in the normality test (default 1e-8)")
+@plain_errors
+def fit(table: Path, out: Path, kind: str | None, noise: float | None) -> None:
+    """Fits a law to TABLE, writes it and prints how wrong it can be."""
+    from homogenize.fit import FitOptions, fit_table
+
+    options = FitOptions()
+    if kind is not None or noise is not None:
+        options = FitOptions(kind or options.kind, options.normality if noise is None else noise)
+    result = fit_table(table, options)
+    result.save(out)
+    click.echo(result.report.text())
+    click.echo(f"law written to {out}")
+
+
+@main.command()
+@click.argument("law", type=click.Path(path_type=Path))
+@click.option("--alpha", required=True, type=float, help="principal angle of the Cauchy load, degrees")
+@click.option("--beta", required=True, type=float, help="ratio angle of the Cauchy load, degrees")
+@plain_errors
+def strain(law: Path, alpha: float, beta: float) -> None:
+    """Prints the locked strain under a Cauchy load direction, in the paper's rotation rule, as one JSON object."""
+    from homogenize.query import strain_answer
+
+    click.echo(json.dumps(strain_answer(law, alpha, beta)))
+
+
+@main.command()
+@click.argument("law", type=click.Path(path_type=Path))
+@click.option("--S", "load", required=True, help="S11,S12,S22: a tensile second Piola-Kirchhoff line load")
+@plain_errors
+def support(law: Path, load: str) -> None:
+    """Prints h = max S:E of the law as one JSON object."""
+    from homogenize.query import support_answer
+
+    click.echo(json.dumps(support_answer(law, parse_load(load))))
+
+
+def parse_load(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Three numbers from `S11,S12,S22`; InputError says which text is none."""
+    parts = text.split(",")
+    try:
+        S = np.array([float(part) for part in parts])
+    except ValueError as error:
+        raise InputError(f"--S {text}: expected three numbers S11,S12,S22") from error
+    if len(parts) != 3 or not np.isfinite(S).all():
+        raise InputError(f"--S {text}: expected three finite numbers S11,S12,S22")
+    return S

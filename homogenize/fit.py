@@ -1,0 +1,114 @@
+"""From a table file to a law with its error report: test the rows, build the law, measure it, write it."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from homogenize.io import save_law
+from homogenize.net import STATED_STIFFNESS, ring_cell, ring_net
+from homogenize.polyhedral import inner_law, outer_law, polyhedral_law
+from homogenize.protocol import Array, CellInfo, InputError, MembraneLaw
+from homogenize.refine import refined_half_spaces
+from homogenize.report import ErrorReport, error_report, sampled_cone
+from homogenize.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table
+
+if TYPE_CHECKING:
+    from rve.table import StrainTable
+
+DEFAULT_KIND = "refined"
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """`kind` of law; `normality`: what S_i:(E_i - E_j) may fall below zero, the strain error of the table if noisy."""
+
+    kind: str = DEFAULT_KIND
+    normality: float = NORMALITY_TOLERANCE
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """The law, what is known of its error, and where it comes from."""
+
+    law: MembraneLaw
+    report: ErrorReport
+    provenance: dict[str, Any]
+
+    def save(self, path: str | Path) -> None:
+        """Writes the law file."""
+        save_law(self.law, path, self.provenance)
+
+
+def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
+    """Fits a law to the table file `path`; InputError (or the reader's TableError) says what is wrong with it."""
+    from rve.table import read_table
+
+    path = Path(path)
+    table = read_table(path)
+    try:
+        result = fit(table, options)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    result.provenance["table"] = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return result
+
+
+def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
+    """Fits a law to a table in memory; InputError if the rows contradict each other or do not bound the strain."""
+    options = options or FitOptions()
+    rows = rows_from_table(table)
+    found = normality(rows, options.normality)
+    if not found.holds:
+        raise InputError(found.sentence())
+    cell, stiffness = cell_of(table), STATED_STIFFNESS * np.eye(3)
+    build = builder(options.kind, cell, stiffness, table)
+    law = build(rows)
+    refit = None if options.kind in ("net", "interpolated") else build
+    provenance = {
+        "kind": options.kind,
+        "rows": len(rows),
+        "sampled_loads": sampled_cone(rows).tolist(),
+        "table_provenance": dict(table.provenance),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+    report = error_report(law, rows, found, refit)
+    return FitResult(law, report, provenance | {"report": report.to_dict()})
+
+
+def builder(
+    kind: str, cell: CellInfo, stiffness: Array, table: StrainTable | None = None
+) -> Callable[[Rows], MembraneLaw]:
+    """The function that makes a law of this kind from rows; InputError for a kind that does not exist."""
+    from homogenize.interpolated import interpolated_law
+
+    def interpolated(rows: Rows) -> MembraneLaw:
+        if table is None:
+            raise InputError("the interpolated law needs a table")
+        return interpolated_law(table, "linear", stiffness, cell)
+
+    kinds: dict[str, Callable[[Rows], MembraneLaw]] = {
+        "refined": lambda rows: polyhedral_law(*refined_half_spaces(rows), stiffness, cell),
+        "outer": lambda rows: outer_law(rows, stiffness, cell),
+        "inner": lambda rows: inner_law(rows, stiffness, cell),
+        "net": lambda rows: ring_net(cell),
+        "interpolated": interpolated,
+    }
+    if kind not in kinds:
+        raise InputError(f"kind = {kind}: this version fits {', '.join(sorted(kinds))}")
+    return kinds[kind]
+
+
+def cell_of(table: StrainTable) -> CellInfo:
+    """Radii and reference cell of a table; InputError names a missing entry of its sidecar file."""
+    try:
+        return ring_cell(*(float(table.provenance[key]) for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")))
+    except KeyError as error:
+        raise InputError(f"the sidecar file of the table has no {error}") from error

@@ -1,0 +1,109 @@
+"""The polyhedral law: the rows' own half-spaces, from outside or from inside, no fit at all.
+
+Outer form: {E : S_i:E <= h_i}, all that the rows allow. Inner form: the hull of the rows' strains minus the tensile
+cone, all that the rows reach; its half-spaces are the hull's tensile facets and `RIM` loads of rank one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from homogenize.bounds import highest, outer_vertices
+from homogenize.net import STATED_STIFFNESS
+from homogenize.projection import metric_of, planes_of, respond
+from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response
+from homogenize.rows import Rows, with_mirror
+from homogenize.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
+
+RIM = 720
+BLOCK = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class PolyhedralLaw:
+    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
+
+    S: Array
+    h: Array
+    vertices: Array
+    stiffness: Array
+    cell: CellInfo | None = None
+    name: str = "polyhedral"
+
+    @property
+    def compliance(self) -> Array:
+        """Inverse of the stiffness, mm/N."""
+        return np.asarray(np.linalg.inv(self.stiffness))
+
+    def support(self, S: Array) -> Array:
+        """h(S) = max over the vertices of S:E, (n,)."""
+        return highest(S, self.vertices)
+
+    def half_spaces(self) -> HalfSpaces:
+        """All of them."""
+        return HalfSpaces(self.S, self.h)
+
+    def cut(self, E: Array) -> Cut:
+        """The most violated of the law's own half-spaces; no load between them is violated more."""
+        weighted = np.ascontiguousarray((self.S * WEIGHT).T)
+        blocks = np.array_split(E, len(E) // BLOCK + 1)
+        worst = np.concatenate([(block @ weighted - self.h).argmax(axis=1) for block in blocks])
+        S, h = self.S[worst], self.h[worst]
+        return Cut(S, h, double_dot(S, E) - h)
+
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent beyond locking, by exact active sets."""
+        metric = metric_of(self.stiffness)
+        return respond(E, planes_of(self.S, self.h, metric), metric)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Half-spaces and stiffness; the vertices follow from them."""
+        return {"S": self.S.tolist(), "h": self.h.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
+
+
+def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+    """The law of half-spaces S (m, 3) positive semidefinite, h (m,); InputError if they are not tensile or contradict.
+
+    >>> law = polyhedral_law(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.5, 0.2]))
+    >>> law.support(np.array([[0.5, 0.0, 0.5]])).round(9)
+    array([0.35])
+    """
+    S, h = np.asarray(S, float), np.asarray(h, float)
+    if S.ndim != 2 or S.shape[1] != 3 or h.shape != (len(S),) or not np.isfinite(S).all() or not np.isfinite(h).all():
+        raise InputError("half-spaces are finite triples S with one finite h each")
+    size = trace(S)
+    if not (size > 0.0).all() or (eigenvalues(S)[0] < -1e-9 * size).any():
+        raise InputError("a half-space of the law is not tensile")
+    S, h = S / size[:, None], h / size
+    stiffness = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
+    return PolyhedralLaw(S, h, outer_vertices(S, h), stiffness, cell)
+
+
+def outer_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+    """The rows' half-spaces and their mirror images."""
+    both = with_mirror(rows)
+    return polyhedral_law(both.S, both.h, stiffness, cell)
+
+
+def inner_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+    """The hull of the rows' strains minus the tensile cone; between two rim loads it is passed by less than 1e-5."""
+    from scipy.spatial import ConvexHull
+
+    E = with_mirror(rows).E
+    angle = np.pi * np.arange(RIM) / RIM
+    rim = dyad(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    facets = ConvexHull(E, qhull_options="QJ").equations[:, :3] / WEIGHT
+    facets = facets[trace(facets) > 0.0]
+    facets = facets[eigenvalues(facets)[0] >= 0.0]
+    S = np.vstack([facets / trace(facets)[:, None], rim])
+    return polyhedral_law(S, highest(S, E), stiffness, cell)
+
+
+def polyhedral_from_dict(data: dict[str, Any], cell: CellInfo | None) -> PolyhedralLaw:
+    """The law that `PolyhedralLaw.to_dict` wrote."""
+    return polyhedral_law(
+        np.array(data["S"], float), np.array(data["h"], float), np.array(data["stiffness_N_per_mm"], float), cell
+    )

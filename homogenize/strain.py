@@ -1,0 +1,154 @@
+"""The locked strain under a Cauchy load direction: what a law says where the table has a row, or none.
+
+The load follows the deformation: S = J F^-1 s F^-T with F from E by the rotation rule, so S and E are found together.
+The pair (E, S), E on the surface and S normal to it, is parametrised by the strain X = E + A S outside (Minty): X moves
+smoothly through vertices, where E stands still, and through flat faces, where S does. Newton solves S(X) = load(E(X)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from homogenize.protocol import Array, MembraneLaw
+from homogenize.tensor import trace
+
+
+@dataclass(frozen=True)
+class StrainOptions:
+    """`offset`: length of X - E as a strain; `tolerance` on the load direction (unit trace); iteration limits.
+
+    A small offset resolves sharp edges better, a large one makes the surface smoother for Newton.
+    """
+
+    offset: float = 0.05
+    tolerance: float = 1e-9
+    newton_steps: int = 60
+    path_steps: int = 18
+    singular: float = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class LockedStrain:
+    """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status`, `iterations` (n,).
+
+    status is "converged" or "no_convergence" (the residual says by how much: try a larger offset or more steps);
+    unique is false where another strain carries the same load.
+    """
+
+    E: Array
+    S: Array
+    residual: Array
+    unique: NDArray[np.bool_]
+    status: NDArray[np.str_]
+    iterations: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """One evaluation at X (n, 3): surface strain, residual (n, 3) and its Jacobian (n, 3, 3)."""
+
+    X: Array
+    E: Array
+    S: Array
+    r: Array
+    J: Array
+
+    def size(self) -> Array:
+        return np.abs(self.r).max(axis=1)
+
+
+def locked_strain(
+    law: MembraneLaw, alpha_deg: Array, beta_deg: Array, options: StrainOptions | None = None
+) -> LockedStrain:
+    """Locked strain and load under the principal angle alpha and the ratio angle beta, in degrees, arrays (n,).
+
+    Cold start from the undeformed state; points that fail walk from the equibiaxial load (beta = 45 degrees) to theirs.
+    """
+    options = options or StrainOptions()
+    alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
+    beta = np.asarray(beta, float)
+    scale = _scale(law, options)
+    state, steps = _newton(law, alpha, beta, np.zeros((len(alpha), 3)), scale, options)
+    failed = np.flatnonzero(state.size() > options.tolerance)
+    if failed.size:
+        X = np.zeros((len(failed), 3))
+        for part in np.linspace(0.0, 1.0, options.path_steps + 1):
+            on_path = 45.0 + part * (beta[failed] - 45.0)
+            walked, more = _newton(law, alpha[failed], on_path, X, scale, options)
+            X, steps[failed] = walked.X, steps[failed] + more
+        better = walked.size() < state.size()[failed]
+        state = _merge(state, failed[better], walked, better)
+    good = state.size() <= options.tolerance
+    spectrum = np.linalg.svd(state.J, compute_uv=False)
+    unique = spectrum[:, -1] > options.singular * spectrum[:, 0]
+    S = state.S / trace(state.S)[:, None]
+    return LockedStrain(state.E, S, state.size(), unique, np.where(good, "converged", "no_convergence"), steps)
+
+
+def _scale(law: MembraneLaw, options: StrainOptions) -> float:
+    """Trace of S (N/mm) that puts X about `offset` away from the surface."""
+    return options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())
+
+
+def _evaluate(law: MembraneLaw, s: Array, X: Array, scale: float) -> _State:
+    """Residual S/scale - load(E) of unit trace and its derivative with respect to X."""
+    answer = law.response(X)
+    E, S = answer.E_star, answer.S
+    load = _load(E, s)
+    step = 1e-6
+    d_load = np.stack([(_load(E + step * e, s) - _load(E - step * e, s)) / (2.0 * step) for e in np.eye(3)], axis=-1)
+    dE = np.eye(3) - law.compliance @ answer.C
+    return _State(X, E, S, S / scale - load, answer.C / scale - d_load @ dE)
+
+
+def _load(E: Array, s: Array) -> Array:
+    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3)."""
+    from rve.table import deformation_gradient, second_pk
+
+    S = second_pk(deformation_gradient(E), s)
+    return S / trace(S)[:, None]
+
+
+def _newton(
+    law: MembraneLaw, alpha: Array, beta: Array, X: Array, scale: float, options: StrainOptions
+) -> tuple[_State, NDArray[np.int64]]:
+    """Damped Newton from X (n, 3), least-norm steps where the strain is not unique; last state and steps taken."""
+    from rve.table import cauchy_line_load
+
+    s = cauchy_line_load(alpha, beta)
+    state = _evaluate(law, s, X, scale)
+    steps = np.zeros(len(X), np.int64)
+    for _ in range(options.newton_steps):
+        todo = np.flatnonzero(state.size() > options.tolerance)
+        if not todo.size:
+            break
+        steps[todo] += 1
+        dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=options.singular), state.r[todo])
+        dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
+        state = _search(law, s, state, todo, dX, scale)
+    return state, steps
+
+
+def _search(law: MembraneLaw, s: Array, state: _State, todo: NDArray[np.int64], dX: Array, scale: float) -> _State:
+    """Halves the step until the residual falls; after six halvings takes the last one, to leave a corner."""
+    length, waiting = 1.0, np.arange(len(todo))
+    before = state.size()[todo]
+    for half in range(7):
+        trial = _evaluate(law, s[todo[waiting]], state.X[todo[waiting]] + length * dX[waiting], scale)
+        ok = (trial.size() < (1.0 - 1e-4 * length) * before[waiting]) | (half == 6)
+        state = _merge(state, todo[waiting[ok]], trial, ok)
+        waiting, length = waiting[~ok], 0.5 * length
+        if not waiting.size:
+            break
+    return state
+
+
+def _merge(state: _State, where: NDArray[np.int64], other: _State, pick: NDArray[np.bool_]) -> _State:
+    """`state` with the points `where` replaced by the points `pick` of `other`."""
+    new = {name: getattr(state, name).copy() for name in ("X", "E", "S", "r", "J")}
+    for name, array in new.items():
+        array[where] = getattr(other, name)[pick]
+    return _State(**new)
