@@ -135,6 +135,46 @@ class Contacts:
     normal_b: Array
     links_intact: NDArray[np.bool_]
 
+    def take(self, rows: NDArray[np.intp]) -> Contacts:
+        """The contacts of these cases (rows in ascending order)."""
+        n, p = self.gap.shape[:2]
+        place = np.full(n, -1)
+        place[rows] = np.arange(len(rows))
+        case, pair = np.divmod(self.minima.pair, p)
+        keep = place[case] >= 0
+        minima = self.minima.take(keep)
+        minima = replace(minima, pair=place[case[keep]] * p + pair[keep])
+        return Contacts(
+            self.present[rows],
+            self.gap[rows],
+            self.rho[rows],
+            minima,
+            self.normal_a[keep],
+            self.normal_b[keep],
+            self.links_intact[rows],
+        )
+
+    def put(self, rows: NDArray[np.intp], other: Contacts) -> Contacts:
+        """A copy in which the cases `rows` (ascending) have the contacts of `other`."""
+        n, p = self.gap.shape[:2]
+        replaced = np.zeros(n, dtype=bool)
+        replaced[rows] = True
+        keep = ~replaced[self.minima.pair // p]
+        case, pair = np.divmod(other.minima.pair, p)
+        moved_minima = replace(other.minima, pair=np.asarray(rows)[case] * p + pair)
+        minima = self.minima.take(keep).joined(moved_minima)
+        order = np.argsort(minima.pair, kind="stable")
+        normals = [
+            np.concatenate([mine[keep], theirs])[order]
+            for mine, theirs in ((self.normal_a, other.normal_a), (self.normal_b, other.normal_b))
+        ]
+        fields = []
+        for name in ("present", "gap", "rho", "links_intact"):
+            array = getattr(self, name).copy()
+            array[rows] = getattr(other, name)
+            fields.append(array)
+        return Contacts(fields[0], fields[1], fields[2], minima.take(order), normals[0], normals[1], fields[3])
+
     @property
     def min_gap(self) -> Array:
         """Smallest gap of each case, (n,)."""

@@ -43,6 +43,11 @@ class Minima:
         """The minima of these rows."""
         return Minima(*(column[rows] for column in vars(self).values()))
 
+    def joined(self, *others: Minima) -> Minima:
+        """These minima and the others, one after the other."""
+        columns = zip(*(vars(part).values() for part in (self, *others)), strict=True)
+        return Minima(*(np.concatenate(column) for column in columns))
+
 
 def dot(a: Array, b: Array) -> Array:
     """Scalar product over the last axis of length 3, written out: ten times faster than einsum on short axes."""
@@ -232,7 +237,7 @@ def _at_angle(pair: Index, angle: Array, d: Array, n_a: Array, n_b: Array, r1: f
 
 def _joined(parts: list[Minima], r1: float) -> Minima:
     """All parts, each point once, sorted by pair, minima before shoulders, and distance."""
-    both = Minima(*(np.concatenate(column) for column in zip(*(vars(p).values() for p in parts), strict=True)))
+    both = parts[0].joined(*parts[1:])
     order = np.lexsort((both.distance, both.curvature == 0.0, both.pair))
     both = both.take(order)
     first = np.ones(len(order), dtype=bool)

@@ -39,6 +39,10 @@ class System:
     G: Array
     M: Array
 
+    def take(self, rows: NDArray[np.bool_]) -> System:
+        """The equations of these cases."""
+        return System(self.r[rows], self.f[rows], self.J[rows], self.G[rows], self.M[rows])
+
     @property
     def weighted_residual(self) -> Array:
         """R of eq. (9) on the static system, (n,), without unit."""

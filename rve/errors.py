@@ -1,0 +1,19 @@
+"""What can go wrong, each with a name and a sentence that says what happened and what to try."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Bad input; the message is one sentence that names the file, key and value."""
+
+
+class NotConverged(RuntimeError):
+    """A single solve did not reach its tolerance; the message holds the status and its sentence."""
+
+
+SENTENCES = {
+    "converged": "equilibrium found: residual, gaps and links are within tolerance",
+    "stalled": "no equilibrium after all attempts; allow more iterations or attempts, or move the load by 0.01 degrees",
+    "compressive": "a principal line load is negative and rings cannot push; keep beta between 0 and 90 degrees",
+    "step-limit": "the step limit was reached before the residual; allow more steps or a larger time step",
+}

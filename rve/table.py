@@ -1,0 +1,207 @@
+"""The door to `homogenize`: the strain-load table, its file, and the kinematics that give its columns a meaning.
+
+One row is one load case. Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a unit
+Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the limit from
+inside the tensile cone). The file is a CSV with one header line, its provenance a JSON of the same name.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.errors import InputError
+from rve.files import atomic_path, write_text
+from rve.load import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
+
+__all__ = [
+    "COLUMNS",
+    "COMPLIANCE_COLUMNS",
+    "InputError",
+    "StrainTable",
+    "atomic_path",
+    "cauchy_line_load",
+    "deformation_gradient",
+    "green_lagrange",
+    "provenance_path",
+    "read_table",
+    "second_pk",
+    "write_table",
+    "write_text",
+]
+
+Array = NDArray[np.float64]
+
+COLUMNS = (
+    "alpha_deg,beta_deg,E11,E12,E22,S11,S12,S22,x2_x_mm,x2_y_mm,x3_x_mm,x3_y_mm,R,min_gap_mm,contacts,unique,status,"
+    "iterations"
+).split(",")
+_REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
+COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
+
+
+@dataclass(frozen=True)
+class StrainTable:
+    """A strain-load table of n rows.
+
+    alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
+    unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
+    method, tolerances, versions, wall time.
+    """
+
+    alpha_deg: Array
+    beta_deg: Array
+    E: Array
+    S: Array
+    x2_mm: Array
+    x3_mm: Array
+    R: Array
+    min_gap_mm: Array
+    contacts: NDArray[np.intp]
+    unique: NDArray[np.bool_]
+    status: NDArray[np.str_]
+    iterations: NDArray[np.intp]
+    compliance: Array | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.alpha_deg)
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Rows to rely on, (n,)."""
+        return self.status == "converged"
+
+
+def provenance_path(path: str | os.PathLike[str]) -> Path:
+    """The sidecar JSON of a table file."""
+    return Path(path).with_suffix(".json")
+
+
+def _cells(table: StrainTable) -> list[list[str]]:
+    def real(x: float) -> str:
+        return repr(float(x)) if np.isfinite(x) else ""
+
+    numbers = np.column_stack(
+        [table.alpha_deg, table.beta_deg, table.E, table.S, table.x2_mm, table.x3_mm, table.R, table.min_gap_mm]
+    )
+    rows = []
+    for i, row in enumerate(numbers):
+        cells = [real(x) for x in row]
+        cells += [str(int(table.contacts[i])), str(int(table.unique[i])), str(table.status[i])]
+        cells.append(str(int(table.iterations[i])))
+        if table.compliance is not None:
+            cells += [real(x) for x in table.compliance[i].ravel()]
+        rows.append(cells)
+    return rows
+
+
+def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
+    """Write the CSV and its sidecar JSON, each whole or not at all; an unknown number is an empty cell."""
+    header = COLUMNS + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
+    lines = [",".join(header)] + [",".join(cells) for cells in _cells(table)]
+    write_text(provenance_path(path), json.dumps(table.provenance, indent=2) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: is not a CSV text file: {error}") from error
+    if not rows:
+        raise InputError(f"{path}: is empty; a table needs a header line and at least one row")
+    header = [name.strip() for name in rows[0]]
+    if len(set(header)) < len(header):
+        raise InputError(f"{path}: a column name occurs twice in the header")
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(header):
+            raise InputError(f"{path}: line {number} has {len(row)} cells, but the header has {len(header)} columns")
+    return header, rows[1:]
+
+
+def _number(path: Path, line: int, name: str, text: str) -> float:
+    try:
+        return float(text) if text.strip() else np.nan
+    except ValueError:
+        raise InputError(f"{path}: line {line}, column {name}: {text!r} is not a number") from None
+
+
+def read_columns(path: str | os.PathLike[str], required: tuple[str, ...]) -> dict[str, list[str]]:
+    """Columns of a CSV file as text, by name; raises InputError for a missing column or an empty table."""
+    path = Path(path)
+    header, rows = _read_rows(path)
+    for name in required:
+        if name not in header:
+            raise InputError(f"{path}: column {name} is missing; it has {', '.join(header)}")
+    if not rows:
+        raise InputError(f"{path}: has no rows")
+    return {name: [row[i] for row in rows] for i, name in enumerate(header)}
+
+
+def numeric_column(path: str | os.PathLike[str], columns: dict[str, list[str]], name: str) -> Array:
+    """One column as numbers, nan for empty cells and where the column is absent."""
+    size = len(next(iter(columns.values())))
+    if name not in columns:
+        return np.full(size, np.nan)
+    return np.array([_number(Path(path), line, name, text) for line, text in enumerate(columns[name], 2)])
+
+
+def read_table(path: str | os.PathLike[str]) -> StrainTable:
+    """Read a table and, where it is there, its sidecar JSON.
+
+    A converged row must have finite angles, E and S. Raises InputError naming file, line, column and value.
+    """
+    columns = read_columns(path, _REQUIRED)
+
+    def column(name: str) -> Array:
+        return numeric_column(path, columns, name)
+
+    status = np.array([text.strip() for text in columns["status"]])
+    for name in _REQUIRED[:-1]:
+        bad = np.flatnonzero((status == "converged") & ~np.isfinite(column(name)))
+        if len(bad):
+            text = columns[name][bad[0]]
+            raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {text!r} in a converged row is not finite")
+    unique = column("unique")
+    compliance = None
+    if all(name in columns for name in COMPLIANCE_COLUMNS):
+        compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
+    return StrainTable(
+        column("alpha_deg"),
+        column("beta_deg"),
+        np.stack([column(n) for n in ("E11", "E12", "E22")], axis=1),
+        np.stack([column(n) for n in ("S11", "S12", "S22")], axis=1),
+        np.stack([column(n) for n in ("x2_x_mm", "x2_y_mm")], axis=1),
+        np.stack([column(n) for n in ("x3_x_mm", "x3_y_mm")], axis=1),
+        column("R"),
+        column("min_gap_mm"),
+        np.nan_to_num(column("contacts")).astype(int),
+        np.where(np.isfinite(unique), unique, 1.0) > 0.5,
+        status,
+        np.nan_to_num(column("iterations")).astype(int),
+        compliance,
+        _read_provenance(provenance_path(path)),
+    )
+
+
+def _read_provenance(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: is not a readable JSON file: {error}") from error
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: must hold one JSON object, not a {type(found).__name__}")
+    return found
