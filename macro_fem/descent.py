@@ -1,0 +1,246 @@
+"""Newton steps down one potential: tangent, regularised factor, line search, record; the path is `newton`'s."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from macro_fem.assembly import Array, Pattern, gradient, sparsity, stiffness
+from macro_fem.linear import Factor, LinearSolver, NotPositiveDefiniteError, analyze, rigid_motions
+from macro_fem.membrane import Membrane, State, evaluate, tangent
+from macro_fem.newton_records import LoadStep, NewtonOptions, NewtonRecord, NewtonStatus
+
+
+@dataclass(eq=False)
+class Work:
+    """What one call of `solve` builds once and counts on the way; never leaves this module."""
+
+    membrane: Membrane
+    options: NewtonOptions
+    pattern: Pattern
+    solver: LinearSolver
+    spring: Array  # data of L, the unit spring in every displacement gradient
+    share: Array  # sum_p w_p |grad phi_a| per node (n_nodes,), the reach of a unit stress
+    stiffest: float = 0.0  # largest trace of the law's tangent seen so far, N/mm
+    is_convex: bool = True  # until a tangent was found that is not
+    history: list[NewtonRecord] = field(default_factory=list)
+    factorizations: int = 0
+    evaluations: int = 0
+    assembly_s: float = 0.0
+    linear_s: float = 0.0
+
+    @staticmethod
+    def of(membrane: Membrane, options: NewtonOptions) -> Work:
+        begin = time.perf_counter()
+        disc = membrane.disc
+        pattern = sparsity(disc, membrane.d, ~membrane.fixed)
+        solver = analyze(pattern, options.linear, rigid_motions(pattern, disc.nodes))
+        unit = np.zeros((membrane.d, 2, membrane.d, 2, disc.n_points))
+        for i, j in np.ndindex(membrane.d, 2):
+            unit[i, j, i, j] = 1.0
+        spring = stiffness(disc, pattern, np.moveaxis(unit, -1, 0))
+        size = np.sqrt(np.bincount(disc.cell_dofs.ravel(), np.repeat(_cell_area(membrane), disc.cell_dofs.shape[1])))
+        work = Work(membrane, options, pattern, solver, spring, size)
+        work.assembly_s = time.perf_counter() - begin
+        return work
+
+    def line_load(self, load: LoadStep, state: State | None = None) -> float:
+        """The size of line loads to compare eps with, N/mm: what the dead force needs, or what the state bears if more.
+
+        A sheet without either gets 1: any value serves when there is nothing to carry.
+        """
+        disc = self.membrane.disc
+        area = float(disc.weight.sum())
+        size = float(np.linalg.norm(disc.nodes.max(axis=0) - disc.nodes.min(axis=0)))
+        needed = abs(load.force) * float(np.abs(self.membrane.force).sum()) * size / area
+        S = None if state is None else state.response.S
+        borne = 0.0 if S is None else float(disc.weight @ (np.abs(S[:, 0]) + np.abs(S[:, 2]))) / area
+        return max(needed, borne) or 1.0
+
+    def evaluate(self, u: Array) -> State:
+        begin = time.perf_counter()
+        with np.errstate(all="ignore"):  # a trial step may leave the law's domain; `is_finite` tells
+            state = evaluate(self.membrane, u)
+        self.evaluations += 1
+        self.assembly_s += time.perf_counter() - begin
+        return state
+
+    def tangent(self, state: State) -> tuple[Array, Array]:
+        """The tangent at the points and the data of its matrix."""
+        begin = time.perf_counter()
+        response = state.response
+        trace = response.C[:, 0, 0] + response.C[:, 1, 1] + response.C[:, 2, 2]
+        self.stiffest = max(self.stiffest, float(trace.max()))
+        A = tangent(state.F, response.S, response.C)
+        data = stiffness(self.membrane.disc, self.pattern, A)
+        self.assembly_s += time.perf_counter() - begin
+        return A, data
+
+    def factorize(self, data: Array, eps: float) -> tuple[Factor, float] | None:
+        """A factor of K + eps L and the eps that made it definite; None if none did."""
+        begin = time.perf_counter()
+        try:
+            for _ in range(14):
+                self.factorizations += 1
+                try:
+                    return self.solver.factorize(data + eps * self.spring), eps
+                except NotPositiveDefiniteError:
+                    self.is_convex = False
+                    eps = max(10.0 * eps, 1e-9 * (self.stiffest or 1.0))
+            return None
+        finally:
+            self.linear_s += time.perf_counter() - begin
+
+    def solve(self, factor: Factor, force: Array) -> Array:
+        """The displacement (n_nodes, d), zero at the supports, of the nodal forces on the free components."""
+        begin = time.perf_counter()
+        p = np.zeros(self.membrane.fixed.size)
+        p[self.pattern.free] = factor.solve(force.ravel()[self.pattern.free]).x
+        self.linear_s += time.perf_counter() - begin
+        return p.reshape(self.membrane.fixed.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """A state under a load: residual (n_nodes, d), zero at supports; potential; relative norm and its tolerance."""
+
+    residual: Array
+    potential: float
+    relative: float
+    tolerance: float
+    noise: float
+
+
+def balance_of(work: Work, state: State, load: LoadStep) -> Balance:
+    force = load.force * work.membrane.force
+    r = state.internal - force
+    r[work.membrane.fixed] = 0.0
+    work_done = force * state.u
+    scale = max(float(np.linalg.norm(force)), float(np.linalg.norm(state.internal))) or 1.0
+    # Strains are known to a few units of round-off, stresses to that times the stiffness of the law.
+    floor = 8.0 * np.finfo(float).eps * work.stiffest * float(np.linalg.norm(work.share))
+    return Balance(
+        residual=r,
+        potential=state.stored - float(work_done.sum()),
+        relative=float(np.linalg.norm(r)) / scale,
+        tolerance=work.options.rtol + floor / scale,
+        noise=1e-13 * (abs(state.stored) + float(np.abs(work_done).sum())),
+    )
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A load step under `overload` times its dead force, to be balanced to `rtol`."""
+
+    number: int
+    load: LoadStep
+    overload: float
+    rtol: float
+
+    @property
+    def raised(self) -> LoadStep:
+        return LoadStep(self.overload * self.load.force, self.load.displacement)
+
+
+def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> tuple[NewtonStatus, State, int]:
+    """Newton steps until the forces of a stage balance, or the count of the load step's iterations hits the limit."""
+    if not state.is_finite:
+        return NewtonStatus.NOT_FINITE, state, count
+    balance = balance_of(work, state, stage.raised)
+    while balance.relative > balance.tolerance - work.options.rtol + stage.rtol:
+        if count >= limit:
+            return NewtonStatus.ITERATION_LIMIT, state, count
+        outcome = _iterate(work, stage, count, state, balance)
+        if isinstance(outcome, NewtonStatus):
+            return outcome, state, count
+        state, balance = outcome
+        count += 1
+    return NewtonStatus.CONVERGED, state, count
+
+
+def _iterate(
+    work: Work, stage: Stage, count: int, state: State, balance: Balance
+) -> tuple[State, Balance] | NewtonStatus:
+    """One Newton step with its record, or why there is none."""
+    before = (work.assembly_s, work.linear_s, work.evaluations)
+    _, data = work.tangent(state)
+    eps = work.options.regularisation * min(balance.relative, 1.0) * work.line_load(stage.raised, state)
+    factored = work.factorize(data, max(eps, 1e-13 * work.stiffest))
+    if factored is None:
+        return NewtonStatus.NOT_CONVEX
+    factor, eps = factored
+    p = work.solve(factor, -balance.residual)
+    slope = float((balance.residual * p).sum())
+    if not slope < 0.0:
+        return NewtonStatus.STALLED if balance.relative < 1e-6 else NewtonStatus.NOT_CONVEX
+    found = _line_search(work, stage.raised, state, balance, p)
+    if found is None:
+        return NewtonStatus.STALLED
+    length, state_next, balance_next = found
+    work.history.append(
+        NewtonRecord(
+            load_step=stage.number,
+            iteration=count,
+            overload=stage.overload,
+            potential=balance.potential,
+            residual=balance.relative,
+            length=length,
+            evaluations=work.evaluations - before[2],
+            eps=eps,
+            slack=_slack_share(work.membrane, state),
+            assembly_s=work.assembly_s - before[0],
+            linear_s=work.linear_s - before[1],
+        )
+    )
+    return state_next, balance_next
+
+
+def _line_search(
+    work: Work, load: LoadStep, state: State, balance: Balance, p: Array
+) -> tuple[float, State, Balance] | None:
+    """A step length at which the potential has fallen and its slope has at most half its size; None if none is found.
+
+    The slope is bracketed and interpolated linearly, kept away from the ends of the bracket (convex potentials have one
+    root). The best fall found counts if the slope does not get that small.
+    """
+    slope_0 = float((balance.residual * p).sum())
+    largest = float(np.sqrt((gradient(work.membrane.disc, p) ** 2).sum(axis=(1, 2)).max()))
+    cap = work.options.max_gradient_step / largest if largest > 0.0 else 1.0
+    low, slope_low = 0.0, slope_0
+    high, slope_high = np.inf, np.inf
+    t = min(1.0, cap)
+    best: tuple[float, State, Balance] | None = None
+    for _ in range(40):
+        trial = work.evaluate(state.u + t * p)
+        there = balance_of(work, trial, load)
+        slope = float((there.residual * p).sum())
+        is_lower = trial.is_finite and there.potential <= balance.potential + 1e-4 * t * slope_0 + balance.noise
+        if is_lower and (best is None or there.potential < best[2].potential):
+            best = (t, trial, there)
+        if is_lower and (abs(slope) <= 0.5 * abs(slope_0) or (slope < 0.0 and t >= min(cap, 64.0))):
+            return t, trial, there
+        if is_lower and slope < 0.0:
+            low, slope_low = t, slope
+        else:
+            high, slope_high = t, slope if trial.is_finite else np.inf
+        if np.isinf(high):
+            t = min(2.0 * t, cap)
+            continue
+        share = 0.5
+        if np.isfinite(slope_high) and slope_high > 0.0:
+            share = float(np.clip(slope_low / (slope_low - slope_high), 0.1, 0.9))
+        t = low + share * (high - low)
+        if high - low <= 1e-12 * high:
+            break
+    return best
+
+
+def _cell_area(membrane: Membrane) -> Array:
+    return np.asarray(membrane.disc.weight.reshape(membrane.disc.n_quad, -1).sum(axis=0))
+
+
+def _slack_share(membrane: Membrane, state: State) -> float:
+    weight = membrane.disc.weight
+    return float(weight[state.response.energy <= 0.0].sum() / weight.sum())
