@@ -87,7 +87,6 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "relative_gap": relative_gap(solution),
         "residual": solution.residual,
         "iterations": solution.iterations,
-        "relaxed": solution.relaxed,
         "cells": disc.n_cells,
         "dofs": int(problem.fem.n),
         "element": disc.element,

@@ -164,12 +164,15 @@ LIVE_LOADS: dict[str, type[Any]] = {"edge": EdgeLoad, "point": PointLoad, "patch
 class Solver:
     """`rigid`: ideal locking, `conic`: the same by a cone program (clarabel), `newton`: the elastic law.
 
-    `tolerance` is relative to the problem's energy scale, total load times size.
+    `tolerance` is relative to the problem's energy scale, total load times size. `spread` adds an even tension of this
+    part of (total load / size) everywhere, which opens out what hangs slack and has no shape of its own; the bounds in
+    the summary allow for it, 0 switches it off.
     """
 
     kind: str = choice("rigid", "conic", "newton", default="rigid")
     tolerance: float = number(1e-9, least=1e-12, most=1e-2)
-    max_iterations: int = whole(150, least=1, most=10_000)
+    max_iterations: int = whole(400, least=1, most=10_000)
+    spread: float = number(1e-6, least=0.0, most=1e-2)
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
 

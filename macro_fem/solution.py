@@ -9,11 +9,12 @@ import numpy as np
 
 from homogenize.law import Array, InputError, MembraneLaw
 from macro_fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
-from macro_fem.cones import green_strain, times_triple
+from macro_fem.cones import green_strain
 from macro_fem.fem import SupportedFem
+from macro_fem.interior import Iteration
 from macro_fem.loads import nodal_forces
 from macro_fem.mesh import CurtainMesh, build_mesh
-from macro_fem.rigid import Iteration, RigidOptions, RigidResult, solve_rigid
+from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
 from macro_fem.scene import Scene
 from macro_fem.supports import Supports, build_supports, pin_sliding
 from macro_fem.turned import turned
@@ -39,8 +40,9 @@ class Problem:
 class CurtainSolution:
     """The curtain at one load step.
 
-    x (n_nodes, d) positions, mm; F, S and E at the points; primal and dual values of the potential
-    -sum force . (x - X), N mm; residual: unbalanced force relative to the load; reactions (n_nodes, d), N.
+    x (n_nodes, d) positions, mm; at the points F, E, P = F S (nq, d, 2) in N per mm of reference length, and S; primal
+    and dual values of the potential -sum force . (x - X), N mm; residual: unbalanced force relative to the load;
+    reactions (n_nodes, d), N.
     """
 
     problem: Problem
@@ -48,24 +50,19 @@ class CurtainSolution:
     message: str
     x: Array
     F: Array
+    P: Array
     S: Array
     primal: float
     dual: float
     residual: float
     iterations: int
     wall_s: float
-    relaxed: float = 0.0
     history: tuple[Iteration, ...] = field(default=(), repr=False)
 
     @property
     def E(self) -> Array:
         """Green strain (nq, 3)."""
         return green_strain(self.F)
-
-    @property
-    def P(self) -> Array:
-        """First Piola-Kirchhoff line load F S (nq, d, 2), N per mm of reference length."""
-        return times_triple(self.F, self.S)
 
     @property
     def displacement(self) -> Array:
@@ -87,7 +84,7 @@ class CurtainSolution:
     def principal(self) -> tuple[Array, Array]:
         """Principal line loads (n_cells, 2), larger first, and the reference direction of the larger (n_cells, 2).
 
-        These are the singular values of F S, forces per reference length: what the rings of a pitch carry, finite even
+        These are the singular values of P, forces per reference length: what the rings of a pitch carry, finite even
         where the mesh is drawn together to a line.
         """
         _, values, Vt = np.linalg.svd(cell_mean(self.problem.disc, self.P))
@@ -131,12 +128,33 @@ def solve_problem(problem: Problem) -> CurtainSolution:
     """The rigid curtain of a discrete problem."""
     begin = time.perf_counter()
     spec = problem.scene.solver
-    options = RigidOptions(gap=spec.tolerance, residual=10.0 * spec.tolerance, max_iterations=spec.max_iterations)
+    options = RigidOptions(gap=spec.tolerance, max_iterations=spec.max_iterations)
     fem = problem.fem
-    result = solve_rigid(
-        fem, problem.law, fem.gather(problem.force), fem.unknowns(gathered_start(problem)), problem.mesh.size, options
-    )
-    return _solution(problem, result, time.perf_counter() - begin)
+    tension = spread_tension(problem)
+    load = fem.gather(problem.force) + fem.force(tension * _unit(problem))
+    result = solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
+    return _solution(problem, result, tension, time.perf_counter() - begin)
+
+
+def spread_tension(problem: Problem) -> float:
+    """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
+    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
+
+
+def spread_allowance(problem: Problem, tension: float) -> float:
+    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
+
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
+    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    """
+    half = np.array([[0.5, 0.0, 0.5]])
+    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
+    return tension * largest * float(problem.disc.weight.sum())
+
+
+def _unit(problem: Problem) -> Array:
+    """The unit tensor at every point (nq, d, 2)."""
+    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
 
 
 def gathered_start(problem: Problem) -> Array:
@@ -153,21 +171,29 @@ def gathered_start(problem: Problem) -> Array:
     return start
 
 
-def _solution(problem: Problem, result: RigidResult, wall_s: float) -> CurtainSolution:
-    x = problem.fem.positions(result.z)
-    shift = -float((problem.force * (x - problem.disc.nodes)).sum()) - result.primal
+def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: float) -> CurtainSolution:
+    """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
+    fem = problem.fem
+    x = fem.positions(result.z)
+    primal = -float((problem.force * (x - problem.disc.nodes)).sum())
+    own_load = fem.gather(problem.force)
+    shift = primal + float(own_load @ result.z)  # what supports and the choice of origin add to -l.z
+    held_part = float(
+        (fem.weight[:, None, None] * tension * _unit(problem) * fem.gradient(np.zeros_like(result.z))).sum()
+    )
+    allowance = spread_allowance(problem, tension) + held_part
     return CurtainSolution(
         problem=problem,
         status=result.status,
         message=result.message,
         x=x,
         F=problem.fem.gradient(result.z),
+        P=result.P,
         S=result.S,
-        primal=result.primal + shift,
-        dual=result.dual + shift,
+        primal=primal,
+        dual=result.dual + shift - allowance,
         residual=result.residual,
         iterations=result.iterations,
         wall_s=wall_s,
-        relaxed=result.relaxed,
         history=result.history,
     )

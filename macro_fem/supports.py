@@ -78,7 +78,8 @@ def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor
             x, y = disc.nodes[node]
             raise InputError(
                 f"{scene.source}: [support]: {held[owner[node, axis]].name} and {one.name} hold the point "
-                f"({x:g}, {y:g}) at different places, {'xy'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
+                f"({x:g}, {y:g}) at different places, "
+                f"{'xy'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
             )
         positions = np.where(here, target, positions)
         mask |= here

@@ -33,6 +33,11 @@ class TurnedLaw:
         return self.law.cell
 
     @property
+    def compliance(self) -> Array:
+        """The metric of the response in the frame of the curtain, see MembraneLaw."""
+        return self.to_curtain @ self.law.compliance @ self.to_weave
+
+    @property
     def to_curtain(self) -> Array:
         """Triples of the weave to triples of the curtain (3, 3)."""
         return turn_matrix(self.angle_deg)
@@ -83,4 +88,6 @@ def turn_matrix(angle_deg: float) -> Array:
 
 def turned(law: MembraneLaw, angle_deg: float) -> MembraneLaw:
     """`law` with its weave turned; the law itself if there is nothing to turn."""
-    return law if angle_deg % 180.0 == 0.0 else TurnedLaw(law, angle_deg)
+    if angle_deg % 180.0 == 0.0:
+        return law
+    return TurnedLaw(law, angle_deg)

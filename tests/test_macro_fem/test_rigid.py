@@ -1,0 +1,183 @@
+"""The rigid solver against exact curtains, against clarabel and against its own certificate."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from homogenize.law import CellInfo, diagonal_net, ring_net
+from macro_fem.cones import law_cut, times_triple
+from macro_fem.conic import solve_conic
+from macro_fem.mesh import build_mesh
+from macro_fem.rigid import RigidOptions, solve_rigid
+from macro_fem.scene import read_scene
+from macro_fem.solution import gathered_start, make_problem, solve_scene
+from macro_fem.turned import turned
+
+RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
+STRETCH_X, SHRINK_Y = 17.42005 / 11.0, 4.25798 / 12.646069623526
+
+
+def solve(tables, law):
+    return solve_scene(read_scene(tables), law)
+
+
+def assert_certified(solution, law, size=100.0):
+    """Admissible for the whole law, in equilibrium, and the gap closed: all recomputed from the record."""
+    assert solution.status == "converged", solution.message
+    assert law_cut(solution.problem.law, solution.F)[2].min() > -1e-9
+    fem, force = solution.problem.fem, solution.problem.force
+    unbalanced = fem.gather(force) - fem.force(solution.P)
+    spread = solution.problem.scene.solver.spread
+    assert np.abs(unbalanced).sum() < (1e-8 + 100.0 * spread) * np.abs(force).sum()
+    assert np.abs(times_triple(solution.F, solution.S) - solution.P).max() < 1e-3 * np.abs(solution.P).max()
+    S = solution.S
+    assert np.all(S[:, 0] * S[:, 2] - S[:, 1] ** 2 > -1e-12 * S.max() ** 2)
+    scale = np.abs(force).sum() * size
+    gap = (solution.primal - solution.dual) / scale
+    assert -1e-12 < gap < 2e-8 + 6.0 * spread
+
+
+@pytest.mark.parametrize("gather", [1.0, 0.8])
+@pytest.mark.parametrize(
+    ("element", "pattern"), [("P1", "aligned"), ("P1", "diagonal"), ("P2", "crossed"), ("Q2", "crossed")]
+)
+def test_hung_along_y_keeps_its_height(ring_like, scene_tables, element, pattern, gather):
+    mesh = {"cells": 4, "element": element, "pattern": pattern}
+    solution = solve(scene_tables(mesh=mesh, support={"kind": "top", "gather": gather}), ring_like)
+    assert_certified(solution, ring_like)
+    assert solution.mean_height() == pytest.approx(50.0, abs=1e-8 * 100.0)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+def test_hung_along_x_from_a_rail_reaches_the_uniaxial_state(ring_like, scene_tables, element):
+    tables = scene_tables(hang="x", mesh={"cells": 4, "element": element}, support={"kind": "rail"})
+    solution = solve(tables, ring_like)
+    assert_certified(solution, ring_like)
+    X = solution.problem.disc.nodes
+    assert solution.mean_height() == pytest.approx(100.0 - 50.0 * STRETCH_X, abs=1e-6)
+    assert 100.0 - solution.x[:, 1] == pytest.approx((100.0 - X[:, 1]) * STRETCH_X, abs=1e-4)
+    assert np.ptp(solution.x[:, 0]) == pytest.approx(100.0 * SHRINK_Y, rel=0.02)  # only `spread` decides the width
+
+
+@pytest.mark.parametrize(("hang", "kind", "exact"), [("y", "top", 50.0), ("x", "rail", 100.0 - 50.0 * STRETCH_X)])
+def test_crouzeix_raviart_hangs_lower_and_converges(ring_like, scene_tables, hang, kind, exact):
+    sag = []
+    for cells in (3, 6, 12):
+        mesh = {"cells": cells, "element": "CR"}
+        sag.append(exact - solve(scene_tables(hang=hang, mesh=mesh, support={"kind": kind}), ring_like).mean_height())
+    assert sag[2] > 0.0
+    assert sag[0] > 1.8 * sag[1] > 3.2 * sag[2]
+
+
+def test_net_square_with_gathered_top_is_exact_on_aligned_meshes():
+    tables = {
+        "curtain": {"width": 40.0, "height": 40.0, "areal_mass": 1.0},
+        "mesh": {"cells": 8},
+        "support": {"kind": "top", "gather": 0.7},
+    }
+    solution = solve(tables, diagonal_net())
+    assert_certified(solution, diagonal_net(), 40.0)
+    assert solution.mean_height() == pytest.approx(14.187635, abs=5e-7)
+
+
+def test_strip_carries_the_weight_below(ring_like, scene_tables):
+    tables = scene_tables(hang="x", width=20.0, mesh={"cells": 2}, support={"kind": "rail"}, solver={"spread": 0.0})
+    solution = solve(tables, ring_like)
+    disc = solution.problem.disc
+    weight = -solution.problem.force[:, 1].sum() / (20.0 * 100.0)
+    corners = np.unique(np.round(disc.nodes[np.isclose(disc.nodes[:, 0], 0.0), 1], 9))
+    for low, high in pairwise(corners):
+        row = (disc.points[:, 1] > low) & (disc.points[:, 1] < high)
+        mean = float((disc.weight * solution.P[:, 1, 1])[row].sum() / disc.weight[row].sum())
+        assert mean == pytest.approx(weight * 0.5 * (low + high), rel=1e-5)
+    top = float(solution.reactions[:, 1].sum())
+    assert top == pytest.approx(weight * 20.0 * 100.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("hang", "support"), [("y", {"kind": "corners"}), ("x", {"kind": "top", "gather": 0.9}), (30.0, {"kind": "top"})]
+)
+def test_clarabel_finds_the_same_potential(ring_like, scene_tables, hang, support):
+    solution = solve(scene_tables(hang=hang, support=support), ring_like)
+    assert_certified(solution, ring_like)
+    problem = solution.problem
+    oracle = solve_conic(problem.fem, problem.law, problem.fem.gather(problem.force), problem.mesh.size)
+    assert oracle.converged
+    z = problem.fem.unknowns(solution.x)
+    ours = -float(problem.fem.gather(problem.force) @ z)
+    scale = np.abs(problem.force).sum() * 100.0
+    assert abs(ours - oracle.primal) < 2e-7 * scale
+    assert oracle.dual <= ours + 1e-9 * scale
+
+
+def test_the_duality_gap_is_a_bound_at_every_tolerance(ring_like, scene_tables):
+    fine = solve(scene_tables(support={"kind": "corners"}), ring_like)
+    for tolerance in (1e-2, 1e-4, 1e-6):
+        tables = scene_tables(support={"kind": "corners"}, solver={"tolerance": tolerance})
+        loose = solve(tables, ring_like)
+        assert loose.dual <= fine.primal
+        assert loose.primal >= fine.dual
+        assert loose.primal - loose.dual > fine.primal - fine.dual
+
+
+@pytest.mark.parametrize("gather", [1.65, 2.0])
+def test_supports_too_far_apart_are_proved_impossible(gather, scene_tables):
+    law = ring_net(RINGS)  # its chains stretch to 18/11 = 1.6364 along x
+    problem = problem_of(scene_tables(support={"kind": "top", "gather": gather}), law)
+    load = problem.fem.gather(problem.force)
+    result = solve_rigid(problem.fem, problem.law, load, problem.fem.unknowns(gathered_start(problem)), 140.0)
+    assert result.status == "infeasible"
+    # Farkas: P does no work on free unknowns, so the work P:F is that of the supports, whatever the curtain does; and
+    # it is more than the cones allow, sum w c |y1|.
+    y1L, w = result.P, problem.disc.weight
+    work = (w[:, None, None] * y1L * problem.fem.gradient(np.zeros_like(result.z))).sum()
+    allowed = work_allowed(problem, result)
+    assert work > allowed
+    assert np.abs(problem.fem.force(y1L)).sum() * 300.0 < work - allowed
+    assert "%" in result.message
+
+
+def work_allowed(problem, result):
+    """The most work that the stress can do in any admissible state: sum of w c |y1| <= sum of w lam c^2."""
+    return (problem.disc.weight[result.cones.point] * result.lam * 2.0 * result.cones.size).sum()
+
+
+def test_supports_just_within_reach_are_solved(scene_tables):
+    solution = solve(scene_tables(support={"kind": "top", "gather": 1.62}), ring_net(RINGS))
+    assert_certified(solution, ring_net(RINGS))
+
+
+def test_options_are_heeded(ring_like, scene_tables):
+    problem = problem_of(scene_tables(support={"kind": "corners"}), ring_like)
+    load, z = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
+    long = solve_rigid(problem.fem, problem.law, load, z, 140.0)
+    assert long.iterations > 3
+    short = solve_rigid(problem.fem, problem.law, load, z, 140.0, RigidOptions(max_iterations=3))
+    assert short.status == "iterations"
+    assert "max_iterations" in short.message
+    assert short.iterations == 3
+
+
+def test_a_rigid_turn_of_weave_and_supports_turns_the_answer(ring_like):
+    """A square with its left edge held under a load to the right is the curtain under gravity, turned."""
+    hung = {
+        "curtain": {"width": 60.0, "height": 60.0, "hang": "y", "areal_mass": 1.0},
+        "mesh": {"cells": 4, "pattern": "crossed"},
+        "support": {"kind": "edge", "edge": "top", "gather": 0.9},
+        "load": {"gravity": 0.0, "edge": {"edge": "bottom", "force": [0.0, -0.1]}},
+    }
+    lying = {
+        **hung,
+        "curtain": {**hung["curtain"], "hang": 90.0},
+        "support": {"kind": "edge", "edge": "left", "gather": 0.9},
+        "load": {"gravity": 0.0, "edge": {"edge": "right", "force": [0.1, 0.0]}},
+    }
+    one, two = solve(hung, ring_like), solve(lying, ring_like)
+    assert one.primal == pytest.approx(two.primal, rel=1e-7)
+    assert turned(ring_like, 180.0) is ring_like
+
+
+def problem_of(tables, law):
+    scene = read_scene(tables)
+    return make_problem(scene, law, build_mesh(scene, law.cell))
