@@ -27,7 +27,7 @@ def plain_errors(command: Command) -> Command:
 
     @wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
-        from rve.table import TableError
+        from rve.table import InputError as TableError
 
         try:
             command(*args, **kwargs)
@@ -82,6 +82,16 @@ def support(law: Path, load: str) -> None:
     from homogenize.query import support_answer
 
     click.echo(json.dumps(support_answer(law, parse_load(load))))
+
+
+@main.command()
+@click.argument("table", type=click.Path(path_type=Path))
+@plain_errors
+def ship(table: Path) -> None:
+    """Makes the law inside the package anew from TABLE, the 190 rows of the paper's grid for r1/r2 = 10."""
+    from homogenize.ship import ship as write_shipped
+
+    click.echo(f"law written to {write_shipped(table)}")
 
 
 def parse_load(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:

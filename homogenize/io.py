@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from homogenize.net import net_from_dict, ring_cell, ring_net
+from homogenize.net import net_from_dict
 from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
 
@@ -23,8 +23,12 @@ READERS: dict[str, Callable[[dict[str, Any], CellInfo | None], MembraneLaw]] = {
 
 
 def default_law() -> MembraneLaw:
-    """The law for r1/r2 = 10 that ships inside the package."""
-    return ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526))
+    """The law for r1/r2 = 10 that ships inside the package, made by `homogenize.ship`.
+
+    >>> default_law().name
+    'polyhedral'
+    """
+    return load_law(Path(__file__).parent / "data" / "rings_10.json")
 
 
 def law_record(law: MembraneLaw, provenance: dict[str, Any] | None = None) -> dict[str, Any]:

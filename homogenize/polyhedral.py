@@ -16,7 +16,7 @@ from homogenize.net import STATED_STIFFNESS
 from homogenize.projection import metric_of, planes_of, respond
 from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response
 from homogenize.rows import Rows, with_mirror
-from homogenize.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
+from homogenize.tensor import WEIGHT, double_dot, dyad, eigenvalues, from_disc, trace
 
 RIM = 720
 BLOCK = 2048
@@ -43,8 +43,11 @@ class PolyhedralLaw:
         return highest(S, self.vertices)
 
     def half_spaces(self) -> HalfSpaces:
-        """All of them."""
-        return HalfSpaces(self.S, self.h)
+        """Seventeen tight ones: the equibiaxial load, eight half-way to the rim of the tensile cone, eight on it."""
+        angle = 0.25 * np.pi * np.arange(8)
+        ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        S = from_disc(np.vstack([np.zeros((1, 2)), 0.5 * ring, ring]))
+        return HalfSpaces(S, self.support(S))
 
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""

@@ -1,90 +1,127 @@
 """More half-spaces than rows: the support function predicted between the rows from their values and gradients.
 
-A row gives h_i and E_i = dh/dS, so along the line from S_i to S_j the support function is known with its slope at both
+A row gives h_i and E_i = dh/dS, so along the way from S_i to S_j the support function is known with its slope at both
 ends: Hermite's cubic is wrong by the fourth power of the distance, while the rows' own bounds, inside and outside, are
 wrong by the second. Predictions are clipped to these bounds, so the refined set contains every row's strain and obeys
-every row's half-space, whatever the prediction. Rim loads, of rank one, are refined along the rim.
+every row's half-space, whatever the prediction. Loads of rank one are refined along the rim of the disc, closely,
+because a polyhedron carries no load outside the hull of its normals.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.bounds import Bounds, bounds_of
+from homogenize.bounds import bounds_of
 from homogenize.protocol import Array
 from homogenize.rows import ROUNDING, Rows, with_mirror
-from homogenize.tensor import double_dot, mirror
+from homogenize.tensor import disc, double_dot, from_disc, mirror
 
-Index = NDArray[np.int64]
+Index = NDArray[np.intp]
 RIM_TOLERANCE = 1e-7
+RIM_STEP = np.radians(2.5)
+"""Largest angle in the disc between rim loads: the hull of the normals then misses the rim by 2.4e-4 of the load."""
+NEWS = 3e-5
+"""A prediction less than this strain below the rows' outer bound tells nothing new: the rows meet in a vertex there."""
 
 
-def disc(S: Array) -> Array:
-    """The load S (n, 3) of unit trace as a point of the unit disc, (n, 2): (S11 - S22, 2 S12); the rim is rank one."""
-    return np.stack([S[:, 0] - S[:, 2], 2.0 * S[:, 1]], axis=1)
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Distinct loads x (k, 2) in the disc with h (k,); E (n, 3) of all rows and the node `of_row` (n,) of each.
+
+    A load on a flat face of the set has several strains: the slope of h there depends on the way that is taken.
+    """
+
+    x: Array
+    h: Array
+    E: Array
+    of_row: Index
+
+    def on_rim(self) -> NDArray[np.bool_]:
+        """Loads of rank one, (k,)."""
+        return np.asarray(1.0 - np.hypot(self.x[:, 0], self.x[:, 1]) < RIM_TOLERANCE)
+
+    def slope(self, node: Index, way: Array, last: bool) -> Array:
+        """Slope of h at nodes (m,) along load changes `way` (m, 3): the largest on leaving, the least on arriving."""
+        sign = -1.0 if last else 1.0
+        order = np.argsort(self.of_row, kind="stable")
+        first = np.searchsorted(self.of_row[order], np.arange(len(self.x) + 1))
+        best = double_dot(way, self.E[order[first[node]]])
+        for extra in range(1, int(np.diff(first).max())):
+            more = first[node] + extra < first[node + 1]
+            other = double_dot(way[more], self.E[order[first[node[more]] + extra]])
+            best[more] = sign * np.maximum(sign * best[more], sign * other)
+        return best
 
 
-def from_disc(x: Array) -> Array:
-    """Loads S (n, 3) of unit trace from points (n, 2) of the unit disc."""
-    return np.stack([0.5 * (1.0 + x[:, 0]), 0.5 * x[:, 1], 0.5 * (1.0 - x[:, 0])], axis=1)
-
-
-def refined_half_spaces(rows: Rows, rounds: int = 1) -> tuple[Array, Array]:
-    """Half-spaces S (m, 3), h (m,): those of the rows, their mirror images, and predictions between neighbours."""
-    bounds = bounds_of(rows)
+def nodes_of(rows: Rows) -> Nodes:
+    """The distinct loads of the rows and their mirror images."""
     both = with_mirror(rows)
-    S, E = both.S, both.E
-    for _ in range(rounds):
-        pairs = neighbours(S, double_dot(S, E))
-        new_S, new_E = between(S, E, pairs, bounds)
-        S, E = np.vstack([S, new_S, mirror(new_S)]), np.vstack([E, new_E, mirror(new_E)])
-    return S, double_dot(S, E)
+    key = np.round(both.S / ROUNDING).astype(np.int64)
+    _, first, of_row = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return Nodes(disc(both.S[first]), both.h[first], both.E, of_row.ravel())
 
 
-def neighbours(S: Array, h: Array) -> Index:
-    """Pairs (k, 2) of loads that share an edge of the lower hull of h over the disc, and neighbours on the rim."""
+def refined_half_spaces(rows: Rows, news: float = NEWS) -> tuple[Array, Array]:
+    """Half-spaces S (m, 3), h (m,): those of the rows, their mirror images, and predictions between neighbours.
+
+    Predictions that are not `news` below the outer bound of the rows are left out, except on the rim.
+    """
+    bounds, nodes = bounds_of(rows), nodes_of(rows)
+    x_inner, h_inner = on_chords(nodes, neighbours(nodes))
+    x_rim, h_rim = on_arcs(nodes)
+    S = from_disc(np.vstack([x_inner, x_rim]))
+    upper = bounds.upper(S)
+    h = np.clip(np.concatenate([h_inner, h_rim]), bounds.lower(S), upper)
+    keep = (upper - h > news) | (np.arange(len(h)) >= len(h_inner))
+    S, h = S[keep], h[keep]
+    return np.vstack([from_disc(nodes.x), S, mirror(S)]), np.concatenate([nodes.h, h, h])
+
+
+def neighbours(nodes: Nodes) -> Index:
+    """Pairs (k, 2) of loads that share an edge of the lower hull of h over the disc, not both on the rim."""
     from scipy.spatial import ConvexHull
 
-    x = disc(S)
-    hull = ConvexHull(np.column_stack([x, h]), qhull_options="QJ Pp")
+    hull = ConvexHull(np.column_stack([nodes.x, nodes.h]), qhull_options="QJ Pp")
     lower = hull.simplices[hull.equations[:, 2] < -1e-9]
     edges = np.vstack([lower[:, [0, 1]], lower[:, [1, 2]], lower[:, [2, 0]]])
-    rim = np.flatnonzero(1.0 - np.hypot(x[:, 0], x[:, 1]) < RIM_TOLERANCE)
-    rim = rim[np.argsort(np.arctan2(x[rim, 1], x[rim, 0]))]
-    edges = np.sort(np.vstack([edges, np.column_stack([rim, np.roll(rim, -1)])]), axis=1)
-    edges = np.unique(edges, axis=0)
-    length = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1)
-    return edges[length > 10.0 * ROUNDING]
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    return np.asarray(edges[~nodes.on_rim()[edges].all(axis=1)], np.intp)
 
 
-def between(S: Array, E: Array, pairs: Index, bounds: Bounds) -> tuple[Array, Array]:
-    """Loads half-way between the pairs, (k, 3), and predicted strains (k, 3) whose S:E is the predicted support."""
+def on_chords(nodes: Nodes, pairs: Index) -> tuple[Array, Array]:
+    """Loads half-way between the pairs as points of the disc (k, 2), and their predicted support (k,)."""
     i, j = pairs.T
-    x = disc(S)
-    on_rim = (1.0 - np.hypot(x[:, 0], x[:, 1]) < RIM_TOLERANCE)[pairs].all(axis=1)
-    middle = 0.5 * (x[i] + x[j])
-    size = np.hypot(middle[:, 0], middle[:, 1])
-    arc = on_rim & (size > 0.5)
-    middle[arc] /= size[arc, None]
-    new_S = from_disc(middle)
-    slope_i, slope_j = _end_slopes(x, S, E, pairs, arc)
-    h_i, h_j = double_dot(S[i], E[i]), double_dot(S[j], E[j])
-    h = 0.5 * (h_i + h_j) + 0.125 * (slope_i - slope_j)
-    h = np.clip(h, bounds.lower(new_S), bounds.upper(new_S))
-    guess = 0.5 * (E[i] + E[j])
-    shift = h - double_dot(new_S, guess)
-    return new_S, guess + shift[:, None] * np.array([1.0, 0.0, 1.0])
+    way = from_disc(nodes.x[j]) - from_disc(nodes.x[i])
+    ends = nodes.slope(i, way, last=False), nodes.slope(j, way, last=True)
+    return 0.5 * (nodes.x[i] + nodes.x[j]), hermite(0.5, nodes.h[i], nodes.h[j], *ends)
 
 
-def _end_slopes(x: Array, S: Array, E: Array, pairs: Index, arc: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Derivative of h along the way from i to j, per whole way, at both ends; along the arc where `arc`."""
-    i, j = pairs.T
-    turn = x[i, 0] * x[j, 1] - x[i, 1] * x[j, 0]
-    angle = np.arctan2(turn, (x[i] * x[j]).sum(axis=1))
-    straight = S[j] - S[i]
-    slopes = []
-    for k in (i, j):
-        round_way = angle[:, None] * np.stack([-0.5 * x[k, 1], 0.5 * x[k, 0], 0.5 * x[k, 1]], axis=1)
-        slopes.append(double_dot(np.where(arc[:, None], round_way, straight), E[k]))
-    return slopes[0], slopes[1]
+def on_arcs(nodes: Nodes) -> tuple[Array, Array]:
+    """Loads between neighbours on the rim, at most `RIM_STEP` apart, (k, 2), and their predicted support (k,)."""
+    rim = np.flatnonzero(nodes.on_rim())
+    if len(rim) < 3:
+        return np.zeros((0, 2)), np.zeros(0)
+    angle = np.arctan2(nodes.x[rim, 1], nodes.x[rim, 0])
+    rim, angle = rim[np.argsort(angle)], np.sort(angle)
+    step = np.mod(np.roll(angle, -1) - angle, 2.0 * np.pi)
+    parts = np.ceil(step / RIM_STEP).astype(int)
+    arc = np.repeat(np.arange(len(rim)), parts - 1)
+    part = np.concatenate([np.arange(1, n) for n in parts]) / parts[arc]
+    i, j = rim[arc], np.roll(rim, -1)[arc]
+
+    def along(node: Index) -> Array:
+        x = nodes.x[node]
+        return 0.5 * step[arc, None] * np.stack([-x[:, 1], x[:, 0], x[:, 1]], axis=1)
+
+    h = hermite(part, nodes.h[i], nodes.h[j], nodes.slope(i, along(i), last=False), nodes.slope(j, along(j), last=True))
+    theta = angle[arc] + part * step[arc]
+    return np.stack([np.cos(theta), np.sin(theta)], axis=1), h
+
+
+def hermite(t: float | Array, first: Array, last: Array, slope_first: Array, slope_last: Array) -> Array:
+    """The cubic with these values and slopes (per whole way) at t = 0 and t = 1."""
+    bend = (1.0 - t) * (slope_first - (last - first)) + t * ((last - first) - slope_last)
+    return np.asarray((1.0 - t) * first + t * last + t * (1.0 - t) * bend)

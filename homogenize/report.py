@@ -10,9 +10,8 @@ import numpy as np
 
 from homogenize.bounds import Bounds, bounds_of
 from homogenize.protocol import Array, InputError, MembraneLaw
-from homogenize.refine import disc, from_disc
 from homogenize.rows import Normality, Rows, subset, with_mirror
-from homogenize.tensor import double_dot
+from homogenize.tensor import disc, double_dot, from_disc
 
 DIRECTIONS = 1000
 SEED = 2026

@@ -13,7 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from homogenize.protocol import Array, MembraneLaw
-from homogenize.tensor import trace
+from homogenize.tensor import IDENTITY, disc, from_disc, trace
+
+FLAT = 1e-6
+"""C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
+
+
+INWARD = 5e-4
+"""A polyhedral law misses the rim of the tensile cone by 2.4e-4: a load of rank one is approached from inside, as the
+limit of beta, which is also how the table answers where the strain under such a load is not unique."""
+
+RETRIES = (1.0, 3.0, 10.0)
+"""Multiples of the offset with which a failed point is walked to from beta = 45 degrees: larger is smoother."""
+
+WIDTH = 0.05
+"""Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
+
+FAR = 1e3
+"""Multiple of the offset from which the closest strain is the one that locks under the normal."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +40,11 @@ class StrainOptions:
     A small offset resolves sharp edges better, a large one makes the surface smoother for Newton.
     """
 
-    offset: float = 0.05
+    offset: float = 0.1
     tolerance: float = 1e-9
     newton_steps: int = 60
     path_steps: int = 18
-    singular: float = 1e-7
+    singular: float = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,32 +82,60 @@ def locked_strain(
 ) -> LockedStrain:
     """Locked strain and load under the principal angle alpha and the ratio angle beta, in degrees, arrays (n,).
 
-    Cold start from the undeformed state; points that fail walk from the equibiaxial load (beta = 45 degrees) to theirs.
+    Starts where the load on the undeformed cell would lock; points that fail walk from beta = 45 degrees to theirs.
     """
     options = options or StrainOptions()
     alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
     beta = np.asarray(beta, float)
     scale = _scale(law, options)
-    state, steps = _newton(law, alpha, beta, np.zeros((len(alpha), 3)), scale, options)
-    failed = np.flatnonzero(state.size() > options.tolerance)
-    if failed.size:
-        X = np.zeros((len(failed), 3))
-        for part in np.linspace(0.0, 1.0, options.path_steps + 1):
-            on_path = 45.0 + part * (beta[failed] - 45.0)
-            walked, more = _newton(law, alpha[failed], on_path, X, scale, options)
-            X, steps[failed] = walked.X, steps[failed] + more
-        better = walked.size() < state.size()[failed]
-        state = _merge(state, failed[better], walked, better)
+    state, steps = _newton(law, alpha, beta, _start(law, alpha, beta, scale), scale, options)
+    for factor in RETRIES:
+        failed = np.flatnonzero(state.size() > options.tolerance)
+        if not failed.size:
+            break
+        start = _start(law, alpha[failed], np.full(len(failed), 45.0), factor * scale)
+        again, more = _walk(law, alpha[failed], beta[failed], start, factor * scale, options)
+        steps[failed] += more
+        better = again.size() < state.size()[failed]
+        state = _merge(state, failed[better], again, better)
     good = state.size() <= options.tolerance
-    spectrum = np.linalg.svd(state.J, compute_uv=False)
-    unique = spectrum[:, -1] > options.singular * spectrum[:, 0]
-    S = state.S / trace(state.S)[:, None]
+    S = state.S / np.where(good, trace(state.S), 1.0)[:, None]
+    unique = face_width(law, S) < WIDTH
     return LockedStrain(state.E, S, state.size(), unique, np.where(good, "converged", "no_convergence"), steps)
 
 
 def _scale(law: MembraneLaw, options: StrainOptions) -> float:
     """Trace of S (N/mm) that puts X about `offset` away from the surface."""
     return options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())
+
+
+def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
+    """Width of the set of strains that lock under loads within `step` of S (n, 3), (n,): second difference of h.
+
+    The loads turn about S at constant size, and grow or shrink in their ratio where S is far enough from rank one.
+    """
+    x = disc(S)
+    radius = np.maximum(np.hypot(x[:, 0], x[:, 1]), 1e-12)[:, None]
+    turn = np.stack([-x[:, 1], x[:, 0]], axis=1) / radius
+    x = x / np.maximum(radius / (1.0 - 1e-9), 1.0)
+    h = law.support(from_disc(x))
+    width = np.zeros(len(S))
+    for way in (turn, x / radius):
+        ahead, behind = x + step * way, x - step * way
+        inside = np.hypot(ahead[:, 0], ahead[:, 1]) <= (1.0 if way is not turn else 1.1)
+        ends = [y / np.maximum(np.hypot(y[:, 0], y[:, 1]), 1.0)[:, None] for y in (ahead, behind)]
+        bend = (law.support(from_disc(ends[0])) + law.support(from_disc(ends[1])) - 2.0 * h) / step
+        width = np.maximum(width, np.where(inside, bend, 0.0))
+    return width
+
+
+def _start(law: MembraneLaw, alpha: Array, beta: Array, scale: float) -> Array:
+    """X (n, 3) of the strain that locks under the load at the undeformed cell, seen from far along its normal."""
+    from rve.table import cauchy_line_load
+
+    S = scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta))
+    away = S @ law.compliance.T
+    return law.response(FAR * away).E_star + away
 
 
 def _evaluate(law: MembraneLaw, s: Array, X: Array, scale: float) -> _State:
@@ -105,11 +150,25 @@ def _evaluate(law: MembraneLaw, s: Array, X: Array, scale: float) -> _State:
 
 
 def _load(E: Array, s: Array) -> Array:
-    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3)."""
+    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `INWARD` from the rim of the cone."""
     from rve.table import deformation_gradient, second_pk
 
-    S = second_pk(deformation_gradient(E), s)
-    return S / trace(S)[:, None]
+    S = second_pk(deformation_gradient(_possible(E)), s)
+    x = disc(S / trace(S)[:, None])
+    radius = np.hypot(x[:, 0], x[:, 1])
+    return from_disc(x * ((1.0 - INWARD) / np.maximum(radius, 1.0 - INWARD))[:, None])
+
+
+def _possible(E: Array) -> Array:
+    """E (n, 3), drawn towards zero where I + 2E is not positive definite: only trial steps of Newton get there."""
+    scale = np.ones(len(E))
+    for _ in range(60):
+        C = 2.0 * scale[:, None] * E + IDENTITY
+        bad = (C[:, 0] <= FLAT) | (C[:, 2] <= FLAT) | (C[:, 0] * C[:, 2] - C[:, 1] ** 2 <= FLAT)
+        if not bad.any():
+            break
+        scale[bad] *= 0.8
+    return scale[:, None] * E
 
 
 def _newton(
@@ -129,6 +188,17 @@ def _newton(
         dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=options.singular), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
         state = _search(law, s, state, todo, dX, scale)
+    return state, steps
+
+
+def _walk(
+    law: MembraneLaw, alpha: Array, beta: Array, X: Array, scale: float, options: StrainOptions
+) -> tuple[_State, NDArray[np.int64]]:
+    """Newton along a path of loads from beta = 45 degrees, where it starts at X (n, 3), to beta."""
+    steps = np.zeros(len(X), np.int64)
+    for part in np.linspace(0.0, 1.0, options.path_steps + 1):
+        state, more = _newton(law, alpha, 45.0 + part * (beta - 45.0), X, scale, options)
+        X, steps = state.X, steps + more
     return state, steps
 
 

@@ -37,3 +37,13 @@ def eigenvalues(A: Array) -> tuple[Array, Array]:
 def mirror(A: Array) -> Array:
     """The weave's mirror image of triples (..., 3): the shear component changes its sign."""
     return A * np.array([1.0, -1.0, 1.0])
+
+
+def disc(S: Array) -> Array:
+    """The load S (n, 3) of unit trace as a point of the unit disc, (n, 2): (S11 - S22, 2 S12); the rim is rank one."""
+    return np.stack([S[:, 0] - S[:, 2], 2.0 * S[:, 1]], axis=1)
+
+
+def from_disc(x: Array) -> Array:
+    """Loads S (n, 3) of unit trace from points (n, 2) of the unit disc."""
+    return np.stack([0.5 * (1.0 + x[:, 0]), 0.5 * x[:, 1], 0.5 * (1.0 - x[:, 0])], axis=1)

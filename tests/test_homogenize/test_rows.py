@@ -1,0 +1,83 @@
+"""Rows of sound, spoilt, noisy and doubled tables: what is kept, what is dropped, and who is blamed."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from homogenize.protocol import InputError
+from homogenize.rows import Rows, normality, rows_from_table, subset, with_mirror
+from homogenize.tensor import double_dot, mirror
+
+from .conftest import Ellipsoid, disc_grid, rows_of, table_of
+
+
+@pytest.fixture
+def rows(ellipsoid):
+    return rows_of(ellipsoid, disc_grid(4, 12))
+
+
+def test_a_convex_set_passes(rows):
+    found = normality(rows)
+    assert found.holds
+    assert found.slack > -1e-15
+    assert found.blamed == ()
+    assert "holds" in found.sentence()
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 27), st.floats(0.05, 0.3))
+def test_one_outlier_is_named(row, size):
+    S = disc_grid(4, 12)
+    rows = rows_of(Ellipsoid(), S[S[:, 1] >= -1e-12])  # one half: a row and its twin contradict each other equally
+    E = rows.E.copy()
+    E[row] += size * np.array([1.0, 0.0, 1.0])  # beyond the surface along every tensile load
+    found = normality(Rows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source))
+    assert not found.holds
+    assert found.blamed == (row,)
+    assert f"without rows {row} " in found.sentence()
+    assert row in found.worst
+
+
+def test_noise_fails_the_tight_test_and_passes_its_own_level(rows):
+    rng = np.random.default_rng(4)
+    E = rows.E + rng.uniform(-1e-3, 1e-3, rows.E.shape)
+    noisy = Rows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
+    assert not normality(noisy).holds
+    assert normality(noisy, 4e-3).holds
+
+
+def test_the_slack_is_the_plain_double_loop(rows):
+    rng = np.random.default_rng(5)
+    E = rows.E + rng.normal(scale=0.01, size=rows.E.shape)
+    noisy = Rows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
+    S2, E2 = np.vstack([rows.S, mirror(rows.S)]), np.vstack([E, mirror(E)])
+    worst = min(double_dot(S2[i], E2[i] - E2[j]) for i in range(len(S2)) for j in range(len(S2)))
+    assert normality(noisy).slack == pytest.approx(worst, abs=1e-15)
+
+
+def test_failed_doubled_and_compressive_rows_are_dropped_by_name(ellipsoid):
+    S = disc_grid(2, 6)
+    E = ellipsoid.strain(S)
+    S, E = np.vstack([S, S[3:4], [[1.0, 0.0, -0.1]]]), np.vstack([E, E[3:4], [[0.1, 0.0, 0.0]]])
+    status = np.full(len(S), "converged", dtype=object)
+    status[1] = "stalled"
+    E[1] = np.nan
+    rows = rows_from_table(table_of(S, E, status=status.astype(str)))
+    assert len(rows) == len(S) - 3
+    assert set(rows.source) == set(range(len(S))) - {1, 13, 14}
+    assert [text.split(":")[0] for text in rows.dropped] == ["row 1", "row 14", "row 13"]
+    assert np.allclose(rows.S[:, 0] + rows.S[:, 2], 1.0)
+
+
+def test_nothing_left_is_refused(ellipsoid):
+    S = disc_grid(1, 3)
+    with pytest.raises(InputError, match="no converged tensile row"):
+        rows_from_table(table_of(S, ellipsoid.strain(S), status=np.full(len(S), "stalled")))
+
+
+def test_mirror_rows_appear_once(rows):
+    both = with_mirror(rows)
+    assert len(both) == 2 * len(rows) - int(((np.abs(rows.S[:, 1]) < 1e-9) & (np.abs(rows.E[:, 1]) < 1e-9)).sum())
+    assert np.allclose(double_dot(both.S, both.E), both.h)
+    assert len(subset(rows, np.arange(3))) == 3
