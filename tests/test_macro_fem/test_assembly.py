@@ -1,0 +1,172 @@
+"""Arrays of a mesh against scikit-fem's own forms and against plain sums over points."""
+
+import numpy as np
+import pytest
+import skfem
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skfem.helpers import dot, grad
+
+from macro_fem.assembly import (
+    ELEMENTS,
+    cell_mean,
+    deformation_gradient,
+    discretize,
+    gradient,
+    internal_force,
+    interpolate,
+    load_vector,
+    pack_blocks,
+    sparsity,
+    stiffness,
+)
+
+MESHES = {"P1": skfem.MeshTri, "P2": skfem.MeshTri, "CR": skfem.MeshTri, "Q1": skfem.MeshQuad, "Q2": skfem.MeshQuad}
+SKFEM = {
+    "P1": skfem.ElementTriP1,
+    "P2": skfem.ElementTriP2,
+    "CR": skfem.ElementTriCR,
+    "Q1": skfem.ElementQuad1,
+    "Q2": skfem.ElementQuad2,
+}
+
+
+def distorted(element, n=4, amount=0.03, seed=0):
+    mesh = MESHES[element].init_tensor(np.linspace(0, 2, n + 1), np.linspace(0, 1, n))
+    shift = amount * np.random.default_rng(seed).standard_normal(mesh.p.shape)
+    return type(mesh)(mesh.p + shift, mesh.t)
+
+
+def symmetric_tangents(rng, n, d):
+    R = rng.standard_normal((n, 2 * d, 2 * d))
+    return (R + R.swapaxes(1, 2)).reshape(n, d, 2, d, 2)
+
+
+def plain_stiffness(disc, A):
+    """sum_p w B^T A B as a dense matrix, point by point: slow and without any of the module's tricks."""
+    d = A.shape[1]
+    K = np.zeros((disc.n_nodes * d,) * 2)
+    for p in range(disc.n_points):
+        g, nodes = disc.grad[p], disc.dofs[p]
+        block = disc.weight[p] * np.einsum("aj,ijkl,bl->aibk", g, A[p], g).reshape(len(nodes) * d, -1)
+        rows = (nodes[:, None] * d + np.arange(d)).ravel()
+        K[np.ix_(rows, rows)] += block
+    return K
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_gradients_are_those_of_scikit_fem(element):
+    mesh = distorted(element)
+    disc = discretize(mesh, element)
+    basis = skfem.Basis(mesh, SKFEM[element](), intorder=4)
+    v = np.random.default_rng(1).standard_normal(disc.n_nodes)
+    # Same degrees of freedom: the mass and gradient integrals agree at the order that is exact for both.
+    fine = discretize(mesh, element, order=4)
+    energy = float(fine.weight @ (gradient(fine, v[:, None]) ** 2).sum(axis=(1, 2)))
+    K = skfem.BilinearForm(lambda u, w, _: dot(grad(u), grad(w))).assemble(basis)
+    assert energy == pytest.approx(float(v @ (K @ v)), rel=1e-12)
+    f = skfem.LinearForm(lambda w, _: w).assemble(basis)
+    np.testing.assert_allclose(load_vector(fine, np.ones(1))[:, 0], f, atol=1e-14)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("d", [2, 3])
+def test_forces_and_stiffness_are_plain_sums(element, d):
+    rng = np.random.default_rng(2)
+    disc = discretize(distorted(element), element)
+    P = rng.standard_normal((disc.n_points, d, 2))
+    f = np.zeros((disc.n_nodes, d))
+    np.add.at(f, disc.dofs, np.einsum("p,pij,paj->pai", disc.weight, P, disc.grad))
+    np.testing.assert_allclose(internal_force(disc, P), f, atol=1e-13)
+    A = symmetric_tangents(rng, disc.n_points, d)
+    K = plain_stiffness(disc, A)
+    free = rng.random((disc.n_nodes, d)) < 0.7
+    pattern = sparsity(disc, d, free)
+    data = stiffness(disc, pattern, A)
+    np.testing.assert_allclose(pattern.full(data).toarray(), K[np.ix_(free.ravel(), free.ravel())], atol=1e-12)
+    np.testing.assert_array_equal(pattern.lower(data).toarray(), np.tril(pattern.full(data).toarray()))
+    np.testing.assert_array_equal(data[pattern.diagonal], pattern.full(data).diagonal())
+    np.testing.assert_array_equal(pattern.free, np.flatnonzero(free))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_cell_blocks_land_where_the_plain_sum_puts_them(d):
+    rng = np.random.default_rng(3)
+    disc = discretize(distorted("P2"), "P2")
+    m = disc.cell_dofs.shape[1] * d
+    B = rng.standard_normal((disc.n_cells, m, m))
+    B = B + B.swapaxes(1, 2)
+    K = np.zeros((disc.n_nodes * d,) * 2)
+    for cell, nodes in enumerate(disc.cell_dofs):
+        rows = (nodes[:, None] * d + np.arange(d)).ravel()
+        K[np.ix_(rows, rows)] += B[cell]
+    pattern = sparsity(disc, d, np.ones(disc.n_nodes, dtype=bool))
+    np.testing.assert_allclose(pattern.full(pattern.scatter(pack_blocks(B, d))).toarray(), K, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    element=st.sampled_from(ELEMENTS),
+    d=st.sampled_from([2, 3]),
+    seed=st.integers(0, 10**6),
+    share=st.floats(0.0, 1.0),
+)
+def test_stiffness_of_any_mesh_and_any_supports(element, d, seed, share):
+    rng = np.random.default_rng(seed)
+    disc = discretize(distorted(element, n=3, seed=seed), element)
+    A = symmetric_tangents(rng, disc.n_points, d)
+    free = rng.random(disc.n_nodes * d) < share
+    pattern = sparsity(disc, d, free)
+    K = plain_stiffness(disc, A)[np.ix_(free, free)]
+    np.testing.assert_allclose(pattern.full(stiffness(disc, pattern, A)).toarray(), K, atol=1e-11)
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_affine_fields_are_exact_on_distorted_cells(element):
+    disc = discretize(distorted(element), element)
+    H = np.array([[0.3, -0.2], [0.1, 0.4], [0.7, -0.5]])
+    u = disc.nodes @ H.T + np.array([1.0, -2.0, 3.0])
+    np.testing.assert_allclose(gradient(disc, u), np.broadcast_to(H, (disc.n_points, 3, 2)), atol=1e-12)
+    np.testing.assert_allclose(interpolate(disc, u), disc.points @ H.T + [1.0, -2.0, 3.0], atol=1e-12)
+    np.testing.assert_allclose(
+        deformation_gradient(disc, u)[:, :2] - H[:2], np.broadcast_to(np.eye(2), (disc.n_points, 2, 2)), atol=1e-12
+    )
+    np.testing.assert_allclose(cell_mean(disc, gradient(disc, u)), np.broadcast_to(H, (disc.n_cells, 3, 2)), atol=1e-12)
+
+
+@pytest.mark.parametrize(("element", "order"), [("P1", 2), ("P2", 3), ("CR", 2), ("Q1", 2), ("Q2", 3)])
+def test_interpolation_converges_at_the_order_of_the_element(element, order):
+    """L2 error of the nodal interpolant (CR: midpoint values) of sin(x) cos(y): order k + 1, gradients order k."""
+    errors, slopes = [], []
+    for n in (8, 16, 32):
+        ticks = np.linspace(0.0, 1.0, n + 1)
+        disc = discretize(MESHES[element].init_tensor(ticks, ticks), element, order=6)
+        f = lambda x: np.sin(3 * x[:, 0]) * np.cos(2 * x[:, 1])  # noqa: E731
+        v = f(disc.nodes)[:, None]
+        x, y = disc.points.T
+        exact = np.stack([3 * np.cos(3 * x) * np.cos(2 * y), -2 * np.sin(3 * x) * np.sin(2 * y)], axis=-1)
+        errors.append(np.sqrt(disc.weight @ (interpolate(disc, v)[:, 0] - f(disc.points)) ** 2))
+        slopes.append(np.sqrt(disc.weight @ ((gradient(disc, v)[:, 0] - exact) ** 2).sum(axis=1)))
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(order, abs=0.1)
+    assert np.log2(slopes[1] / slopes[2]) == pytest.approx(order - 1, abs=0.1)
+
+
+def test_load_of_a_weight_adds_up():
+    disc = discretize(distorted("Q2"), "Q2")
+    f = load_vector(disc, np.array([0.0, -2.0]))
+    np.testing.assert_allclose(f.sum(axis=0), [0.0, -2.0 * disc.weight.sum()], atol=1e-13)
+    by_point = np.stack([np.zeros(disc.n_points), -disc.points[:, 0]], axis=-1)
+    assert load_vector(disc, by_point).sum() == pytest.approx(-disc.weight @ disc.points[:, 0])
+
+
+def test_bad_input_is_refused_in_words():
+    triangles, squares = skfem.MeshTri(), skfem.MeshQuad()
+    with pytest.raises(ValueError, match="'P7' is not one of P1, CR, P2, Q1, Q2"):
+        discretize(triangles, "P7")
+    with pytest.raises(ValueError, match="Q1 needs a MeshQuad1, not a MeshTri1"):
+        discretize(triangles, "Q1")
+    with pytest.raises(ValueError, match="3 entries, the mesh has 4 nodes"):
+        sparsity(discretize(squares, "Q1"), 2, np.ones(3, dtype=bool))
+    flat = skfem.MeshTri(np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]]), np.array([[0], [1], [2]]))
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="cell 0 of the mesh has no area"):
+        discretize(flat, "P1")
