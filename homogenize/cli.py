@@ -85,6 +85,19 @@ def support(law: Path, load: str) -> None:
 
 
 @main.command()
+@click.argument("law", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source to write, *.f")
+@plain_errors
+def export(law: Path, out: Path) -> None:
+    """Writes LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
+    from homogenize.io import load_law
+    from homogenize.umat import write_umat
+
+    write_umat(load_law(law), out, f"law file {law.name}")
+    click.echo(f"user material written to {out}")
+
+
+@main.command()
 @click.argument("table", type=click.Path(path_type=Path))
 @plain_errors
 def ship(table: Path) -> None:
