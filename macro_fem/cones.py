@@ -114,6 +114,12 @@ def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cone
     )
 
 
+def only(cones: Cones, keep: np.ndarray) -> Cones:
+    """The half-spaces marked by `keep` (nc,); every point must retain one."""
+    point = cones.point[keep]
+    return Cones(point, cones.S[keep], cones.h[keep], np.searchsorted(point, np.arange(len(cones.first))))
+
+
 def law_cut(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
     """The half-space of the law nearest to (or most violated by) each F (n, d, 2): S (n, 3), h (n,), slack g (n,)."""
     E = green_strain(F)

@@ -93,7 +93,7 @@ class State:
 
 @dataclass(frozen=True)
 class Program:
-    """The problem with its cones: load (n,), roots L (nc, 2, 2) of the half-spaces, radii c, the scale in N mm."""
+    """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm."""
 
     fem: Fem
     load: Array
@@ -110,13 +110,12 @@ class Program:
 
     def tails(self, F: Array) -> Array:
         """F L of every cone, flat (nc, 2 d)."""
-        FL = np.matmul(F[self.cones.point], self.L)
-        return FL.reshape(len(FL), -1)
+        return times_root(F[self.cones.point], self.L)
 
     def stress(self, tail: Array) -> Array:
         """sum of y1 L over the cones of each point (nq, d, 2); minus the stress P."""
-        parts = np.matmul(tail.reshape(len(tail), -1, 2), self.L)
-        return self.cones.sum(parts)
+        parts = self.cones.sum(times_root(tail.reshape(len(tail), -1, 2), self.L))
+        return parts.reshape(len(parts), -1, 2)
 
     def slack(self, z: Array) -> Vectors:
         """(c, F L): the primal cone vectors that z asks for."""
@@ -128,14 +127,33 @@ def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float
     return Program(fem, load, cones, symmetric_roots(cones.S), np.sqrt(2.0 * cones.size), scale, total)
 
 
+def times_root(F: Array, L: Array) -> Array:
+    """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
+    out = np.empty(F.shape)
+    for a in range(F.shape[1]):
+        np.multiply(F[:, a, 0], L[:, 0], out=out[:, a, 0])
+        out[:, a, 0] += F[:, a, 1] * L[:, 1]
+        np.multiply(F[:, a, 0], L[:, 1], out=out[:, a, 1])
+        out[:, a, 1] += F[:, a, 1] * L[:, 2]
+    return out.reshape(len(F), -1)
+
+
+def _sum_of_squares(cones: Cones, v: Array, weight: Array) -> Array:
+    """Sum over the cones of each point of weight v v^T, (nq, m, m) for v (nc, m); the lower half is computed once."""
+    m = v.shape[1]
+    out = np.empty((len(cones.first), m, m))
+    for i in range(m):
+        scaled = weight * v[:, i]
+        for j in range(i + 1):
+            out[:, i, j] = out[:, j, i] = cones.sum(scaled * v[:, j])
+    return out
+
+
 def symmetric_roots(S: Array) -> Array:
-    """L (n, 2, 2) symmetric with L L = S, for positive semidefinite triples S (n, 3), also of rank one."""
+    """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
     det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))
     size = np.sqrt(S[:, 0] + S[:, 2] + 2.0 * det)
-    L = np.empty((len(S), 2, 2))
-    L[:, 0, 0], L[:, 1, 1] = (S[:, 0] + det) / size, (S[:, 2] + det) / size
-    L[:, 0, 1] = L[:, 1, 0] = S[:, 1] / size
-    return L
+    return np.stack([S[:, 0] + det, S[:, 1], S[:, 2] + det], axis=-1) / size[:, None]
 
 
 @dataclass(frozen=True)
@@ -189,8 +207,8 @@ class _Newton:
         cones = program.cones
         d = state.s.tail.shape[1] // 2
         inv2 = 1.0 / self.W.eta**2
-        w1L = np.matmul(self.W.w.tail.reshape(-1, d, 2), program.L).reshape(-1, 2 * d)
-        A = cones.sum((2.0 * inv2[:, None] * w1L)[:, :, None] * w1L[:, None, :]).reshape(-1, d, 2, d, 2)
+        w1L = times_root(self.W.w.tail.reshape(-1, d, 2), program.L)
+        A = _sum_of_squares(cones, w1L, 2.0 * inv2).reshape(-1, d, 2, d, 2)
         S = cones.stress(inv2)
         for a in range(d):
             A[:, a, 0, a, 0] += S[:, 0]

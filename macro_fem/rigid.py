@@ -16,7 +16,7 @@ import numpy as np
 
 from homogenize.law import Array, MembraneLaw
 from macro_fem import soc
-from macro_fem.cones import Cones, first_cones, law_cut, with_cuts
+from macro_fem.cones import Cones, first_cones, law_cut, only, with_cuts
 from macro_fem.interior import (
     Fem,
     InteriorOptions,
@@ -36,7 +36,13 @@ ROUNDING = 1e-6
 """An iteration that rounding stops is accepted below this relative error, which is reported."""
 NO_LOAD = 1e-6
 """N/mm2: sets the energy scale of a curtain without load."""
-LEAST_SHARE = 1e-3
+LOOSE = 0.2
+"""A round is solved to this part of the violation that the one before left: more would be thrown away."""
+PRUNED_ROUNDS = 4
+"""After these first rounds idle half-spaces are dropped; not later, lest rounds go in circles."""
+IDLE = 0.03
+"""A half-space is idle below this part of a point's load and above this relative distance."""
+LEAST_SHARE = 1e-5
 """A new round begins at least this part of the way back to the start: closer to the boundary steps get stuck."""
 INSIDE = 1e-3
 """Relative slack from which a state counts as well inside the law, so that rounds may start from it."""
@@ -50,7 +56,7 @@ class RigidOptions:
     """
 
     gap: float = 1e-9
-    violation: float = 1e-9
+    violation: float = 1e-8
     max_iterations: int = 400
     max_rounds: int = 40
 
@@ -110,10 +116,9 @@ def solve_rigid(
     history: list[Iteration] = []
     for number in range(1, options.max_rounds + 1):
         left = options.max_iterations - len(history)
-        tolerance = max(options.gap, tolerance)
         state, now, status, lines = follow(program, state, InteriorOptions(tolerance, tolerance, left))
         history += lines
-        if status == "stalled" and now.error > tolerance and number > 1:
+        if status == "stalled" and now.error > max(tolerance, ROUNDING) and number > 1:
             cold = first_state(program, start, 1.0)
             left = max(0, options.max_iterations - len(history))
             state, now, status, lines = follow(program, cold, InteriorOptions(tolerance, tolerance, left))
@@ -124,7 +129,9 @@ def solve_rigid(
         if violation.max() < options.violation and (tolerance <= options.gap or status == "stalled"):
             break
         new = np.flatnonzero(violation > 0.3 * options.violation)
-        tolerance = 0.1 * min(tolerance, float(violation.max()) + options.gap)
+        tolerance = float(np.clip(LOOSE * violation.max(), options.gap, tolerance))
+        if number <= PRUNED_ROUNDS:
+            program, state = _pruned(program, state)
         if len(new):
             program, state = _extended(program, state, new, S, h, inner, float(violation.max()))
     else:
@@ -132,6 +139,25 @@ def solve_rigid(
     if status == "stalled" and now.error < ROUNDING:
         status = "converged"
     return _result(program, law, state, now, status, inner, number, history)
+
+
+def _pruned(program: Program, state: State) -> tuple[Program, State]:
+    """The program without half-spaces that are far away and carry next to nothing: the law tells if they are missed.
+
+    The least slack of every point stays; at 20 half-spaces per point this makes later rounds three times as fast.
+    """
+    distance = state.s.margin() / program.c
+    load = state.y.head * program.c
+    first = program.cones.first
+    keep = (load > IDLE * np.add.reduceat(load, first)[program.cones.point]) | (distance < IDLE)
+    keep |= distance <= np.minimum.reduceat(distance, first)[program.cones.point]
+    cones = only(program.cones, keep)
+    few = make_program(program.fem, program.load, cones, program.scale, program.total)
+    return few, State(state.z, _chosen(state.s, keep), _chosen(state.y, keep))
+
+
+def _chosen(v: Vectors, keep: np.ndarray) -> Vectors:
+    return Vectors(v.head[keep], v.tail[keep])
 
 
 def _violated(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
@@ -157,7 +183,7 @@ def _extended(
     wider = make_program(program.fem, program.load, cones, program.scale, program.total)
     if inner is None:
         return wider, first_state(wider, state.z, 1.0)
-    share = float(np.clip(30.0 * violation, LEAST_SHARE, 0.5))
+    share = float(np.clip(5.0 * violation, LEAST_SHARE, 0.5))
     z = state.z + share * (inner - state.z)
     s = wider.slack(z)
     while s.margin().min() <= 0.0 and share < 1.0:
