@@ -186,12 +186,18 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, shoulders
 
     wire = r2/r1. Pairs whose centres are farther apart than two circles can reach are not looked at.
     """
-    n, p = len(pose.lattice), len(weave.pairs)
-    d, na, nb = (x.reshape(n * p, 3) for x in pair_geometry(pose, weave))
+    d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     limit = 2.0 * wire + reach
     near = np.flatnonzero(dot(d, d) < (2.0 + limit) ** 2)
     found = local_minima(d[near], na[near], nb[near], 1.0, reach=limit, shoulders=shoulders)
-    found = replace(found, pair=near[found.pair])
+    return contacts_of(replace(found, pair=near[found.pair]), (d, na, nb), weave, wire)
+
+
+def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weave, wire: float) -> Contacts:
+    """Minima put in their slots; `geometry` is offset and normals of every pair of every case, each (n * p, 3)."""
+    d, na, nb = geometry
+    p = len(weave.pairs)
+    n = len(d) // p
     rank = np.zeros(len(found.pair), dtype=int)
     for back in range(1, SLOTS + 1):
         rank[back:] += found.pair[back:] == found.pair[:-back]
