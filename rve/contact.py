@@ -132,7 +132,7 @@ def _slope_and_curvature(
 
 
 def _polish(
-    pair: Index, angle: Array, width: float, d: Array, n_a: Array, n_b: Array, r1: float
+    pair: Index, angle: Array, width: float | Array, d: Array, n_a: Array, n_b: Array, r1: float
 ) -> tuple[Array, Minima]:
     """Newton on the slope, kept inside the bracket angle +- width by bisection; angles and minima."""
     d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
@@ -157,14 +157,14 @@ def _polish(
 
 
 def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
-    """Squared distance less r1^2 between circle B and the points of A at angles start (n,) + offset (k,), (n, k).
+    """Squared distance less r1^2 between circle B and the points of A at angles start (n,) + offset (k,) or (n, k): (n, k).
 
     Squared distance = z^2 + (|q| - r1)^2 with p = rho_a - d, height z = p.n_b and in-plane part q; both p.p and z are
     linear in (cos, sin), so that no vector is formed.
     """
     e1, e2 = tangent_frame(n_a)
     c, s = np.cos(start)[:, None], np.sin(start)[:, None]
-    co, so = np.cos(offset)[None], np.sin(offset)[None]
+    co, so = np.cos(offset), np.sin(offset)
     cosine, sine = r1 * (c * co - s * so), r1 * (s * co + c * so)
     z = dot(e1, n_b)[:, None] * cosine + dot(e2, n_b)[:, None] * sine - dot(d, n_b)[:, None]
     pp = r1**2 + dot(d, d)[:, None] - 2.0 * (dot(e1, d)[:, None] * cosine + dot(e2, d)[:, None] * sine)
@@ -212,20 +212,36 @@ def _with_twins(
 ) -> Minima:
     """The near minima, the twins that the coarse sampling has missed, and the shoulders beside soft minima."""
     pair = found.pair[soft]
-    offset = np.linspace(-0.8, 0.8, 65)
-    h = offset[1] - offset[0]
+    # Twins of a pitchfork may be 0.001 rad apart, shoulders 0.5 rad: samples crowd towards the minimum.
+    offset = 0.8 * np.sinh(np.linspace(-6.0, 6.0, 193)) / np.sinh(6.0)
+    width = np.diff(offset)
     f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
-    slope = np.diff(f, axis=1)
+    slope = np.diff(f, axis=1) / width
     row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
-    _, twins = _polish(pair[row], angle[row] + offset[column + 1], h, d, n_a, n_b, r1)
+    bracket = np.maximum(width[column], width[column + 1])
+    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, d, n_a, n_b, r1)
     parts = [found.take(near & ~soft), found.take(soft), twins]
     if shoulders:
         s = slope[:, 1:-1]
         right = (s > 0.0) & (s <= slope[:, :-2]) & (s < slope[:, 2:])
         left = (s < 0.0) & (s >= slope[:, :-2]) & (s > slope[:, 2:])
         row, column = np.nonzero(right | left)
-        parts.append(_at_angle(pair[row], angle[row] + offset[column + 1] + 0.5 * h, d, n_a, n_b, r1))
+        h = width[column + 1]
+        place = angle[row] + offset[column + 1] + 0.5 * h
+        for fine in (h, 0.1 * h):
+            place = place + fine * _inflection(place, fine, pair[row], d, n_a, n_b, r1)
+        parts.append(_at_angle(pair[row], place, d, n_a, n_b, r1))
     return _joined(parts, r1)
+
+
+def _inflection(angle: Array, h: Array, pair: Index, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
+    """Where the slope has its extremum, in units of h from `angle` (n,), within -1 and 1: the vertex of the parabola
+    through three slopes. It moves smoothly with the pose, which a sample of a grid would not.
+    """
+    f = _samples(angle, h[:, None] * np.array([-1.5, -0.5, 0.5, 1.5]), d[pair], n_a[pair], n_b[pair], r1)
+    before, at, after = np.diff(f, axis=1).T
+    bend = before - 2.0 * at + after
+    return np.clip(0.5 * (before - after) / np.where(bend == 0.0, np.inf, bend), -1.0, 1.0)
 
 
 def _at_angle(pair: Index, angle: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Minima:

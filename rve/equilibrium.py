@@ -23,7 +23,6 @@ from rve.cell import Contacts, Pose, find_contacts, moved, start_pose
 from rve.system import Equations, System
 
 Array = NDArray[np.float64]
-STUCK=8;SLOW=1000;RESET=0.01
 Flags = NDArray[np.bool_]
 
 
@@ -40,11 +39,13 @@ class DirectOptions:
     tolerance: float = 1e-11
     mu_start: float = 0.03
     mu_end: float = 1e-13
-    reach: float = 0.4
+    reach: float = 0.6
     step: float = 0.15
     max_iterations: int = 150
     attempts: int = 8
     shoulders: bool = True
+    patience: int = 20
+    rejection: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,10 @@ class _State:
     lam: Array
     mu: Array
     best: Array
+    last: Array
     stall: NDArray[np.intp]
     radius: Array
+    moved: Array
 
     def take(self, keep: Flags) -> _State:
         rows = np.flatnonzero(keep)
@@ -89,9 +92,19 @@ class _State:
             self.lam[keep],
             self.mu[keep],
             self.best[keep],
+            self.last[keep],
             self.stall[keep],
             self.radius[keep],
+            self.moved[keep],
         )
+
+    def put(self, rows: NDArray[np.intp], other: _State) -> _State:
+        fields = {}
+        for name in ("row", "s", "lam", "mu", "best", "last", "stall", "radius", "moved"):
+            array = getattr(self, name).copy()
+            array[rows] = getattr(other, name)
+            fields[name] = array
+        return _State(pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields)
 
 
 def contact_weights(contacts: Contacts) -> Array:
@@ -158,10 +171,10 @@ def newton_direction(
 
 
 def _accepted_step(
-    state: _State, dq: Array, radius: Array, equations: Equations, options: DirectOptions
+    state: _State, dq: Array, equations: Equations, options: DirectOptions
 ) -> tuple[Pose, Contacts, Array]:
     """The pose after the longest of the steps 1, 1/2, 1/4 ... that keeps gaps positive and links intact."""
-    length = np.minimum(1.0, radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
+    length = np.minimum(1.0, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
     floor = 0.01 * state.contacts.min_gap
 
     def look(rows: NDArray[np.intp]) -> tuple[Pose, Contacts]:
@@ -179,15 +192,45 @@ def _accepted_step(
         still = ~found.links_intact | ~(found.min_gap >= floor[bad])
         contacts = contacts.put(bad, found)
         bad = bad[still]
-    moved_at_all = np.ones(len(dq), dtype=bool)
     if len(bad):
-        moved_at_all[bad] = False
+        length[bad] = 0.0
         pose = pose.put(bad, state.pose.take(bad))
         contacts = contacts.put(bad, state.contacts.take(bad))
-    return pose, contacts, moved_at_all
+    return pose, contacts, length
 
 
-def _iterate(state: _State, equations: Equations, options: DirectOptions, system: System) -> _State:
+def _measure(state: _State, system: System) -> tuple[Array, Array, Array]:
+    """Weighted residual R, largest distance from the central path, and the merit that joins both, each (n,)."""
+    product = state.lam * np.where(state.contacts.present, state.contacts.gap, 0.0) / contact_weights(state.contacts)
+    off = np.where(state.contacts.present, np.abs(product - state.mu[:, None, None]), 0.0).reshape(len(state.row), -1)
+    R = system.weighted_residual
+    return R, off.max(axis=1), np.sqrt(R**2 + (off**2).sum(axis=1))
+
+
+def _followed(state: _State, R: Array, off: Array, merit: Array, options: DirectOptions) -> _State:
+    """The state with its path parameter, trust radius and progress counters brought up to date."""
+    better = merit < state.last
+    improved = merit < 0.9 * state.best
+    stall = np.where(improved, 0, state.stall + 1)
+    on_path = (10.0 * state.mu > R) & (off < 0.9 * state.mu)
+    # A barrier centre may not exist right where contacts merge: go on to the next mu after `patience` idle iterations.
+    stuck = stall >= options.patience
+    mu = np.where(on_path, np.minimum(0.1 * state.mu, state.mu**1.5), np.where(stuck, 0.2 * state.mu, state.mu))
+    mu = np.maximum(mu, options.mu_end)
+    fresh = on_path | stuck
+    radius = np.where(better, 2.0 * state.radius, np.where(stall >= 3, 0.4 * state.radius, state.radius))
+    radius = np.where(fresh, options.step, radius)
+    return replace(
+        state,
+        mu=mu,
+        best=np.where(fresh, np.inf, np.where(improved, merit, state.best)),
+        last=np.where(fresh, np.inf, merit),
+        stall=np.where(fresh, 0, stall),
+        radius=np.clip(radius, 1e-7, options.step),
+    )
+
+
+def _advanced(state: _State, equations: Equations, options: DirectOptions, system: System) -> _State:
     """One interior-point iteration for every case of the batch."""
     n = len(state.row)
     con = state.contacts
@@ -195,48 +238,43 @@ def _iterate(state: _State, equations: Equations, options: DirectOptions, system
     gap = np.where(present, con.gap.reshape(n, -1), 1.0)
     lam = state.lam.reshape(n, -1)
     weight = contact_weights(con).reshape(n, -1)
-    off_path = np.where(present, np.abs(lam * gap / weight - state.mu[:, None]), 0.0)
-    R = system.weighted_residual
-    merit = np.sqrt(R**2 + (off_path**2).sum(axis=1))
-    improved = merit < 0.9 * state.best
-    stall = np.where(improved, 0, state.stall + 1)
-    on_path = (R < 10.0 * state.mu) & (off_path.max(axis=1) < 0.9 * state.mu)
-    # A barrier centre may not exist right where contacts merge: go on to the next mu after eight idle iterations.
-    stuck = stall >= STUCK
-    radius = np.where(improved, 2.0 * state.radius, np.where(stall >= SLOW, 0.4 * state.radius, state.radius))
-    radius = np.clip(radius, 1e-6, options.step)
-    mu = np.where(on_path, np.minimum(0.1 * state.mu, state.mu**1.5), np.where(stuck, 0.2 * state.mu, state.mu))
-    mu = np.maximum(mu, options.mu_end)
-    fresh = on_path | stuck
-    best = np.where(fresh, np.inf, np.where(improved, merit, state.best))
-
-    dq, dlam = newton_direction(system, gap, lam, weight, mu, present, radius)
-    pose, contacts, _ = _accepted_step(state, dq, radius, equations, options)
+    dq, dlam = newton_direction(system, gap, lam, weight, state.mu, present, state.radius)
+    pose, contacts, length = _accepted_step(state, dq, equations, options)
     with np.errstate(divide="ignore", invalid="ignore"):
         longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(axis=1)
     lam = (lam + np.minimum(longest, 1.0)[:, None] * dlam).reshape(state.lam.shape)
-    lam = carry_forces(con, lam, contacts, mu)
-    centre = mu[:, None, None] / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
+    lam = carry_forces(con, lam, contacts, state.mu)
+    centre = state.mu[:, None, None] / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
     lam = np.where(contacts.present, np.clip(lam, 1e-8 * centre, 1e8 * centre), 0.0)
-    return replace(
-        state, pose=pose, contacts=contacts, lam=lam, mu=mu, best=best, stall=np.where(fresh, 0, stall), radius=np.where(fresh, np.maximum(radius, RESET), radius)
-    )
+    moved = length * np.abs(dq).max(axis=1)
+    return replace(state, pose=pose, contacts=contacts, lam=lam, moved=moved)
 
 
 def _run(state: _State, equations: Equations, options: DirectOptions, out: Equilibrium) -> _State:
     """Iterate until every case has converged or the iterations are used up; converged cases are written to `out`."""
+    anchor, anchor_system = state, None
     for _ in range(options.max_iterations + 1):
         system = equations.assemble(state.pose, state.contacts, state.lam, state.s)
-        R = system.weighted_residual
-        product = np.where(state.contacts.present, state.lam * np.where(state.contacts.present, state.contacts.gap, 0.0), 0.0).reshape(len(R), -1).max(axis=1)
-        done = (options.tolerance > R) & (state.mu <= options.mu_end) & (product < 10.0 * options.mu_end)
-        finished = state.take(done)
-        _record(out, finished, R[done])
-        state = state.take(~done)
+        R, off, merit = _measure(state, system)
+        if anchor_system is not None:
+            worse = merit > options.rejection * state.last
+            rows = np.flatnonzero(worse)
+            if len(rows):
+                shrunk = 0.3 * np.minimum(state.radius, state.moved)[rows]
+                state = state.put(rows, replace(anchor.take(worse), radius=np.maximum(shrunk, 1e-7)))
+                system = system.put(rows, anchor_system.take(worse))
+                R, off, merit = _measure(state, system)
+                state.last[rows] = merit[rows]
+        done = (options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end)
+        _record(out, state.take(done), R[done])
+        go = ~done
+        state, system, R, off, merit = state.take(go), system.take(go), R[go], off[go], merit[go]
         if not len(state.row):
             break
         out.iterations[state.row] += 1
-        state = _iterate(state, equations, options, system.take(~done))
+        state = _followed(state, R, off, merit, options)
+        anchor, anchor_system = state, system
+        state = _advanced(state, equations, options, system)
     return state
 
 
@@ -248,6 +286,17 @@ def _record(out: Equilibrium, state: _State, R: Array) -> None:
     out.lam[rows] = state.lam
     out.R[rows] = R
     out.status[rows] = "converged"
+
+
+def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
+    """Options of an attempt: every other one takes all steps that keep rings apart, later ones take shorter steps."""
+    bold = attempt % 2 == 1
+    return replace(
+        options,
+        step=options.step * 0.4 ** (attempt // 2),
+        patience=12 if bold else options.patience,
+        rejection=np.inf if bold else options.rejection,
+    )
 
 
 def _turned(pose: Pose, seed: int, amount: float) -> Pose:
@@ -288,14 +337,16 @@ def solve_equilibrium(
     )
     left = np.arange(n)
     for attempt in range(options.attempts):
-        tuned = replace(options, step=options.step * (0.5 ** (attempt % 4)))
+        tuned = _attempt(options, attempt)
         pose = first.take(left)
         if attempt > 0:
             pose = _turned(pose, attempt, 0.03)
         found = find_contacts(pose, weave, wire, options.reach, options.shoulders)
         mu = np.full(len(left), options.mu_start)
         lam = np.where(found.present, mu[:, None, None] / np.maximum(found.gap, 1e-3), 0.0)
-        state = _State(left, s[left], pose, found, lam, mu, np.full(len(left), np.inf), np.zeros(len(left), dtype=int), np.full(len(left), tuned.step))
+        inf, none = np.full(len(left), np.inf), np.zeros(len(left))
+        radius = np.full(len(left), tuned.step)
+        state = _State(left, s[left], pose, found, lam, mu, inf, inf, none.astype(int), radius, none)
         left = _run(state, equations, tuned, out).row
         if not len(left):
             break

@@ -43,6 +43,15 @@ class System:
         """The equations of these cases."""
         return System(self.r[rows], self.f[rows], self.J[rows], self.G[rows], self.M[rows])
 
+    def put(self, rows: NDArray[np.intp], other: System) -> System:
+        """A copy in which the equations of `rows` are replaced by those of `other`."""
+        columns = []
+        for name, part in vars(other).items():
+            array = getattr(self, name).copy()
+            array[rows] = part
+            columns.append(array)
+        return System(*columns)
+
     @property
     def weighted_residual(self) -> Array:
         """R of eq. (9) on the static system, (n,), without unit."""

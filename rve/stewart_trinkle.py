@@ -1,0 +1,341 @@
+"""The paper's scheme: a damped rigid-body motion into the locked state, eqs. (6)-(10), batched over load cases.
+
+Each step solves the linear implicit equations of Stewart and Trinkle (doi 10.1002/(SICI)1097-0207(19960815)39:15) for
+the velocity at its end: inertia, damping, the line load at its beginning and compliant unilateral contacts linearised
+there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
+numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
+in M (T u - v). Gyroscopic torques w x I w vanish: frictionless contacts never spin a torus about its own axis, and about
+its diameters all moments of inertia are equal. `ten_rings` is the reference form with every constraint written out.
+
+Scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time stays in seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.cell import Contacts, Pose, find_contacts, moved, reduction, start_pose
+from rve.contact import distance_gradient
+from rve.lcp import solve_contact_step
+from rve.load import green_lagrange
+from rve.projection import find_contacts_by_projection
+from rve.system import Equations, lattice_load
+from rve.weave import Weave
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Finder = Callable[[Pose, Weave, float, float], Contacts]
+
+
+@dataclass(frozen=True)
+class StewartTrinkleOptions:
+    """Parameters of the paper's section 3.1, in mm, kg, s; calibrated ones are marked and derived in the docs.
+
+    r1_mm: centre-circle radius; density in kg/mm3; damping in kg/s and rotational_damping in kg mm2/s (calibrated: the
+    paper prints 0.1 kgm/s) act on each ring; stiffness k of one contact in kg/s2; load: size of the Cauchy line load
+    s_hat in kg/s2, 1 kg/s2 = 1e-3 N/mm (calibrated: 2 N/m, the paper states none); h_max, h_min: largest time step and
+    the one at which the solver gives up, s; tolerance: R of eq. (9) at which a case has converged; max_steps: accepted
+    steps per case; restore: growth of the step after an accepted one; reach: gap in r1 from which contacts are seen;
+    largest_move: largest coordinate change per step (r1 or rad), so that rings do not tunnel; contacts: "newton" finds
+    all local minima, "projection" those that two alternating projections per pair of rings end in.
+    """
+
+    r1_mm: float = 5.0
+    density: float = 7.85e-6
+    damping: float = 1.0
+    rotational_damping: float = 100.0
+    stiffness: float = 1e6
+    load: float = 2.0
+    h_max: float = 1.0
+    h_min: float = 1e-9
+    tolerance: float = 1e-9
+    max_steps: int = 20000
+    restore: float = 2.0
+    reach: float = 0.2
+    largest_move: float = 0.2
+    contacts: str = "newton"
+
+    def validate(self) -> None:
+        """Raise ValueError with one sentence naming the first option that makes no sense."""
+        for name in ("r1_mm", "density", "damping", "rotational_damping", "stiffness", "load", "h_max", "h_min"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"option {name} = {value} must be a positive number")
+        if self.contacts not in ("newton", "projection"):
+            raise ValueError(f'option contacts = {self.contacts!r} must be "newton" or "projection"')
+        if not self.restore >= 1.0:
+            raise ValueError(f"option restore = {self.restore} must be at least 1")
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Matrices of the motion in scaled units.
+
+    mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity, 1/s;
+    ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit.
+    """
+
+    mass: Array
+    damping: Array
+    decay: Array
+    ring_mass: float
+    stiffness: Array
+
+    @staticmethod
+    def of(equations: Equations, options: StewartTrinkleOptions) -> Dynamics:
+        """The matrices of a cell with these options."""
+        size, k = len(equations.mass), equations.weave.classes
+        wire, r1 = equations.wire, options.r1_mm
+        ring_mass = options.density * 2.0 * np.pi**2 * r1**3 * wire**2 / options.load
+        turns = np.arange(size) >= 2 + 2 * k
+        inertia = 0.5 + 0.625 * wire**2
+        turning = options.rotational_damping / (options.load * r1**2 * ring_mass * inertia)
+        decay = np.where(turns, turning, options.damping / (options.load * ring_mass))
+        mass = ring_mass * equations.mass
+        stiffness = options.stiffness / options.load * np.maximum(copies(equations.weave), 1)
+        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness)
+
+
+def copies(weave: Weave) -> Index:
+    """How many times each pair of `weave.pairs` occurs among the rings that carry mass, (p,): in parallel, their
+    contact stiffnesses add.
+    """
+    rings = {tuple(ring) for ring in weave.rings.tolist()}
+    return np.array(
+        [sum(c == a and (b, x + i, y + j) in rings for c, x, y in rings) for a, b, i, j in weave.pairs.tolist()]
+    )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts, ring velocities v (n, m_full)
+    in r1/s and rad/s, next time step h, time, accepted and rejected steps, R of the last step.
+    """
+
+    row: Index
+    s: Array
+    pose: Pose
+    contacts: Contacts
+    v: Array
+    h: Array
+    time: Array
+    steps: Index
+    rejected: Index
+    R: Array
+
+    def take(self, keep: NDArray[np.bool_]) -> Motion:
+        """The cases where `keep` is true."""
+        rows = np.flatnonzero(keep)
+        rest = {name: value[rows] for name, value in vars(self).items() if name not in ("pose", "contacts")}
+        return Motion(pose=self.pose.take(rows), contacts=self.contacts.take(rows), **rest)
+
+
+@dataclass(frozen=True)
+class History:
+    """Accepted steps in long form, one row each: case, time (s) and h (s), reference-free stretches.
+
+    lattice (m, 3) = x2, y3, t in r1; R; kinetic energy in kg mm2/s2 = 1e-6 J; rise: change of the total energy in
+    scaled units, never above round-off.
+    """
+
+    case: Index
+    time: Array
+    h: Array
+    lattice: Array
+    R: Array
+    kinetic: Array
+    rise: Array
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Where the rings came to rest.
+
+    pose: n poses in r1; contacts and lam (n, p, SLOTS) in s_hat r1, summed over the copies of a pair in the ten rings;
+    R (n,); steps, rejected (n,): accepted steps and those tried with too large h; time (n,): sum of h in s; status (n,):
+    "converged", "step-limit" or "time-step"; history: only when asked for.
+    """
+
+    pose: Pose
+    contacts: Contacts
+    lam: Array
+    R: Array
+    steps: Index
+    rejected: Index
+    time: Array
+    status: NDArray[np.str_]
+    history: History | None = None
+
+
+def finder_of(options: StewartTrinkleOptions) -> Finder:
+    """The contact search that the options name."""
+    return find_contacts if options.contacts == "newton" else find_contacts_by_projection
+
+
+def contact_energy(contacts: Contacts, stiffness: Array) -> Array:
+    """Elastic energy of the penetrating contacts, (n,)."""
+    pressed = np.where(contacts.present, np.minimum(contacts.gap, 0.0), 0.0)
+    return 0.5 * (stiffness[:, None] * pressed**2).sum(axis=(1, 2))
+
+
+def gap_gradients(pose: Pose, contacts: Contacts, equations: Equations) -> Array:
+    """Derivative of every gap with respect to the reduced coordinates, (n, p * SLOTS, m); 0 in empty slots."""
+    case, pair = np.divmod(contacts.minima.pair, len(equations.weave.pairs))
+    T = reduction(pose)
+    rows = np.matmul(distance_gradient(contacts.minima)[:, None, :], np.matmul(equations.maps[pair], T[case]))[:, 0]
+    G = np.zeros((*contacts.present.shape, T.shape[2]))
+    G[contacts.present] = rows
+    return G.reshape(len(G), -1, T.shape[2])
+
+
+@dataclass(frozen=True)
+class _Frozen:
+    """What a step keeps from its beginning: T, G, line load on (a1, a2), gaps and stiffnesses of the slots, energy."""
+
+    T: Array
+    G: Array
+    load: Array
+    gap: Array
+    k: Array
+    energy: Array
+
+    def take(self, rows: Index) -> _Frozen:
+        return _Frozen(*(value[rows] for value in vars(self).values()))
+
+
+def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics) -> _Frozen:
+    con = motion.contacts
+    n = len(con.gap)
+    slots = con.present.reshape(n, -1)
+    k = np.where(con.present, dynamics.stiffness[:, None], 0.0).reshape(n, -1)
+    gap = np.where(slots, con.gap.reshape(n, -1), 0.0)
+    load, _ = lattice_load(motion.pose, motion.s)
+    total = contact_energy(con, dynamics.stiffness) + kinetic_energy(motion.v, dynamics)
+    return _Frozen(reduction(motion.pose), gap_gradients(motion.pose, con, equations), load, gap, k, total)
+
+
+def kinetic_energy(v: Array, dynamics: Dynamics) -> Array:
+    """Kinetic energy of all rings, (n,)."""
+    return 0.5 * (v * np.matmul(v[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
+
+
+def _trial(motion: Motion, frozen: _Frozen, h: Array, equations: Equations, dynamics: Dynamics) -> tuple[Array, ...]:
+    """Reduced displacement w, ring velocities at the end, contact forces, and whether the programme was solved."""
+    T, Tt = frozen.T, frozen.T.transpose(0, 2, 1)
+    hh = h[:, None, None]
+    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T))
+    force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
+    force[:, :4] += frozen.load
+    b = np.matmul(Tt, force[..., None])[..., 0]
+    step = solve_contact_step(A, b, frozen.G, frozen.gap, frozen.k)
+    return step.w, np.matmul(T, step.w[..., None])[..., 0] / h[:, None], step.lam, step.converged
+
+
+def weighted_load(v_new: Array, v: Array, h: Array, load: Array, dynamics: Dynamics) -> Array:
+    """R of eq. (9) over all rings, (n,), with the contact and constraint forces of the step.
+
+    By (6) their sum with the load is M (v+ - v)/h + D v+; the load on the corners 1-4 is +-(f1 + f2)/2, +-(f1 - f2)/2.
+    """
+    y = (v_new - v) / h[:, None] + dynamics.decay * v_new
+    top = (y * np.matmul(y[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
+    return np.sqrt(top * dynamics.ring_mass / (load**2).sum(axis=1))
+
+
+def advanced(
+    motion: Motion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
+) -> tuple[Motion, Array, Array, Array]:
+    """One accepted step of every case: the motion, the step lengths, contact forces, and the rise of the energy.
+
+    The step is halved until contact and kinetic energy, less the work of the load of the step on the way that the
+    corners really go, do not rise above round-off; links stay intact and no coordinate moves too far. A case whose step
+    falls below h_min keeps its place with h = 0.
+    """
+    n = len(motion.row)
+    frozen = _freeze(motion, equations, dynamics)
+    finder = finder_of(options)
+    h, rise = motion.h.copy(), np.zeros(n)
+    v, R, lam = motion.v.copy(), motion.R.copy(), np.zeros(motion.contacts.gap.shape)
+    rejected = motion.rejected.copy()
+    pose, contacts = motion.pose, motion.contacts
+    todo = np.arange(n)
+    while len(todo):
+        part, start = motion.take(_mask(todo, n)), frozen.take(todo)
+        w, v_new, force, solved = _trial(part, start, h[todo], equations, dynamics)
+        new = moved(part.pose, w)
+        found = finder(new, equations.weave, equations.wire, options.reach)
+        way = np.concatenate([new.a1 - part.pose.a1, new.a2 - part.pose.a2], axis=1)
+        work = (start.load * way).sum(axis=1)
+        total = contact_energy(found, dynamics.stiffness) + kinetic_energy(v_new, dynamics)
+        change = total - start.energy - work
+        # Gaps carry a round-off of 1e-16, forces are of order 1.
+        good = solved & found.links_intact & (change <= 1e-14) & (np.abs(w).max(axis=1) <= options.largest_move)
+        yes = np.flatnonzero(good)
+        rows = todo[yes]
+        pose, contacts = pose.put(rows, new.take(yes)), contacts.put(rows, found.take(yes))
+        R[rows] = weighted_load(v_new, part.v, h[todo], start.load, dynamics)[yes]
+        v[rows], rise[rows], lam[rows] = v_new[yes], change[yes], force[yes].reshape(len(yes), *lam.shape[1:])
+        todo = todo[~good]
+        rejected[todo] += 1
+        h[todo] *= 0.5
+        gone = h[todo] < options.h_min
+        h[todo[gone]] = 0.0
+        todo = todo[~gone]
+    after = replace(
+        motion,
+        pose=pose,
+        contacts=contacts,
+        v=v,
+        h=np.minimum(options.h_max, options.restore * h),
+        time=motion.time + h,
+        steps=motion.steps + (h > 0.0),
+        rejected=rejected,
+        R=R,
+    )
+    return after, h, lam, rise
+
+
+def _mask(rows: Index, n: int) -> NDArray[np.bool_]:
+    out = np.zeros(n, dtype=bool)
+    out[rows] = True
+    return out
+
+
+def _start(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Motion:
+    n = len(s)
+    pose = start_pose(equations.weave, n)
+    contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
+    zero, none = np.zeros(n), np.zeros(n, dtype=int)
+    v = np.zeros((n, len(equations.mass)))
+    size = np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
+    h = np.full(n, options.h_max)
+    return Motion(np.arange(n), s / size, pose, contacts, v, h, zero, none, none, np.full(n, np.inf))
+
+
+def solve(
+    s: Array, equations: Equations, options: StewartTrinkleOptions = StewartTrinkleOptions(), *, history: bool = False
+) -> Settled:
+    """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
+
+    Starts at rest from the slack pose of the weave. Nothing is raised for a case that does not converge; its status is
+    "step-limit" or "time-step" and its pose the last one.
+    """
+    options.validate()
+    dynamics = Dynamics.of(equations, options)
+    motion = _start(s, equations, options)
+    parts: list[Motion] = []
+    forces: list[Array] = []
+    log: list[tuple[Array, ...]] = []
+    while len(motion.row):
+        motion, h, lam, rise = advanced(motion, equations, options, dynamics)
+        if history:
+            kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
+            log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise))
+        out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (h == 0.0)
+        parts.append(motion.take(out))
+        forces.append(lam[out])
+        motion = motion.take(~out)
+    return _settled(parts, forces, log, options)
