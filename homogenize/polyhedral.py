@@ -7,19 +7,21 @@ cone, all that the rows reach; its half-spaces are the hull's tensile facets and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from homogenize.bounds import highest, outer_vertices
 from homogenize.net import STATED_STIFFNESS
-from homogenize.projection import metric_of, planes_of, respond
+from homogenize.projection import Polyhedron, polyhedron_of, respond
 from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response
 from homogenize.rows import Rows, with_mirror
-from homogenize.tensor import WEIGHT, double_dot, dyad, eigenvalues, from_disc, trace
+from homogenize.tensor import IDENTITY, WEIGHT, double_dot, dyad, eigenvalues, from_disc, trace
 
 RIM = 720
-BLOCK = 2048
+COLLAPSED = 0.05
+"""Vertices with an eigenvalue of C = I + 2E below this are cells drawn to a line: they stay off the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +53,23 @@ class PolyhedralLaw:
 
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
-        weighted = np.ascontiguousarray((self.S * WEIGHT).T)
-        blocks = np.array_split(E, len(E) // BLOCK + 1)
-        worst = np.concatenate([(block @ weighted - self.h).argmax(axis=1) for block in blocks])
+        worst, _ = self._body.worst(np.ascontiguousarray(E.T))
         S, h = self.S[worst], self.h[worst]
         return Cut(S, h, double_dot(S, E) - h)
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent beyond locking, by exact active sets."""
-        metric = metric_of(self.stiffness)
-        return respond(E, planes_of(self.S, self.h, metric), metric)
+        return respond(E, self._body)
+
+    @cached_property
+    def _body(self) -> Polyhedron:
+        """The half-spaces prepared for projection, once: the law never changes."""
+        open_cells = self.vertices[eigenvalues(2.0 * self.vertices + IDENTITY)[0] > COLLAPSED]
+        if not len(open_cells):
+            return polyhedron_of(self.S, self.h, self.stiffness)
+        x = np.stack([0.5 * (open_cells[:, 0] - open_cells[:, 2]), open_cells[:, 1]], axis=1)
+        margin = 0.02 + 0.02 * np.ptp(x, axis=0)
+        return polyhedron_of(self.S, self.h, self.stiffness, np.array([x.min(axis=0) - margin, x.max(axis=0) + margin]))
 
     def to_dict(self) -> dict[str, Any]:
         """Half-spaces and stiffness; the vertices follow from them."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from homogenize.lookup import Envelope, envelope_of
 from homogenize.protocol import Array, Response
 from homogenize.tensor import WEIGHT
 
@@ -26,8 +27,9 @@ TOLERANCE = 1e-13
 DEGENERATE = 1e-9
 """Normals that span less than this share of the volume of orthogonal ones count as dependent."""
 MAX_ROUNDS = 300
-BLOCK = 1024
-STARTS = ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2))
+BLOCK = 2048
+FEW = 60
+"""Up to this many half-spaces are all looked at; more get a map (see `lookup`)."""
 UPDATES = ((3,), (0, 3), (1, 3), (2, 3), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 
@@ -50,19 +52,38 @@ def metric_of(stiffness: Array) -> Metric:
 
 
 @dataclass(frozen=True, eq=False)
-class Planes:
-    """Half-spaces n_i.y <= h_i in metric coordinates: `rows` (4, m) holds n and -h, one column each."""
+class Polyhedron:
+    """Half-spaces S (m, 3), h (m,) prepared for projection in a metric.
 
+    `rows` (4, m) holds n and -h of n.y <= h; `size` (m,) = n.n; `one` (m, 3, 3) the tangent where a half-space acts
+    alone; `envelope` finds the most violated half-space without looking at all of them, None where there are few.
+    """
+
+    S: Array
+    h: Array
+    metric: Metric
     rows: Array
+    size: Array
+    one: Array
+    envelope: Envelope | None
 
-    def excess(self, y: Array) -> Array:
-        """n_i.y - h_i for y (3, n), (n, m)."""
-        return y.T @ self.rows[:3] + self.rows[3]
+    def worst(self, E: Array) -> tuple[Index, Array]:
+        """Most violated half-space and its S:E - h at E (3, n), each (n,)."""
+        if self.envelope is not None:
+            return self.envelope.highest(E)
+        excess = E.T @ (self.S * WEIGHT).T - self.h
+        index = excess.argmax(axis=1)
+        return index, excess[np.arange(len(index)), index]
 
 
-def planes_of(S: Array, h: Array, metric: Metric) -> Planes:
-    """The half-spaces S (m, 3), h (m,) in metric coordinates."""
-    return Planes(np.ascontiguousarray(np.vstack([metric.inverse.T @ (S * WEIGHT).T, -h])))
+def polyhedron_of(S: Array, h: Array, stiffness: Array, box: Array | None = None) -> Polyhedron:
+    """Half-spaces S (m, 3), h (m,) in the metric of a stiffness (3, 3); `box` as in `lookup.envelope_of`."""
+    metric = metric_of(stiffness)
+    rows = np.ascontiguousarray(np.vstack([metric.inverse.T @ (S * WEIGHT).T, -h]))
+    size = _dot(rows, rows)
+    one = S[:, :, None] * (S * WEIGHT)[:, None, :] / size[:, None, None]
+    envelope = envelope_of(S, h, box) if box is not None and len(h) > FEW else None
+    return Polyhedron(S, h, metric, rows, size, one, envelope)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,25 +102,27 @@ class Active:
         return 0.5 * _dot(self.shift, self.shift)
 
 
-def project(y: Array, planes: Planes, guess: Index | None = None) -> Active:
-    """Active half-spaces, multipliers and shift of the closest points to y (3, n); `guess` (3, n) starts the search.
+def project(E: Array, body: Polyhedron) -> Active:
+    """Active half-spaces, multipliers and shift of the closest points to E (3, n).
 
     ProjectionError if the iteration does not end.
     """
-    n = y.shape[1]
-    active = Active(np.zeros((3, n), np.intp), np.zeros((3, n)), np.zeros((3, n)))
-    if guess is not None:
-        active = _choose(y, planes, guess, STARTS)
+    y = body.metric.R @ E
+    worst, excess = body.worst(E)
+    factor = np.maximum(excess, 0.0) / body.size.take(worst)
+    shift = factor * body.rows[:3].take(worst, axis=1)
+    none = np.zeros_like(factor)
+    active = Active(np.stack([worst] * 3), np.stack([factor, none, none]), shift)
     best = active.energy()
-    todo, point = np.arange(n), y - active.shift
+    todo = np.flatnonzero(excess > TOLERANCE)
     for _ in range(MAX_ROUNDS):
-        excess = planes.excess(point)
-        worst = excess.argmax(axis=1)
-        out = np.flatnonzero(excess[np.arange(len(worst)), worst] > TOLERANCE)
-        todo, worst = todo[out], worst[out]
+        last = active.index[:, todo]
+        worst, excess = body.worst(E[:, todo] - body.metric.inverse @ active.shift[:, todo])
+        out = np.flatnonzero((excess > TOLERANCE) & ((worst != last[0]) | (active.factor[0, todo] == 0.0)))
+        todo = todo[out]
         if not todo.size:
             return active
-        trial = _choose(y[:, todo], planes, np.vstack([active.index[:, todo], worst[None]]), UPDATES)
+        trial = _choose(y[:, todo], body, np.vstack([active.index[:, todo], worst[None, out]]), active.factor[:, todo])
         energy = trial.energy()
         grows = np.flatnonzero(energy > best[todo])  # no growth: the excess is rounding
         todo = todo[grows]
@@ -107,7 +130,6 @@ def project(y: Array, planes: Planes, guess: Index | None = None) -> Active:
         active.index[:, todo] = trial.index[:, grows]
         active.factor[:, todo] = trial.factor[:, grows]
         active.shift[:, todo] = trial.shift[:, grows]
-        point = y[:, todo] - active.shift[:, todo]
     raise ProjectionError(f"{len(todo)} closest points not found in {MAX_ROUNDS} rounds: use fewer, more distinct rows")
 
 
@@ -119,25 +141,31 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _choose(y: Array, planes: Planes, index: Index, subsets: tuple[tuple[int, ...], ...]) -> Active:
-    """The best of the subsets of the half-spaces index (k, n): largest dual energy with multipliers >= 0."""
-    slots, n = index.shape
-    N = [planes.rows[:3, column] for column in index]
-    v = [_dot(N[k], y) + planes.rows[3, index[k]] for k in range(slots)]
+def _choose(y: Array, body: Polyhedron, index: Index, old: Array) -> Active:
+    """The best of the subsets of index (4, n) that hold the last one: largest dual energy with multipliers >= 0.
+
+    `old` (3, n) are the multipliers of the first three; idle ones take no part.
+    """
+    n = index.shape[1]
+    N = [body.rows[:3].take(column, axis=1) for column in index]
+    v = [_dot(N[k], y) + body.rows[3].take(index[k]) for k in range(4)]
+    idle = [old[k] == 0.0 for k in range(3)]
     best, chosen = np.zeros(n), np.zeros(n, np.intp)
-    factor, shift = np.zeros((slots, n)), np.zeros((3, n))
-    for number, subset in enumerate(subsets):
+    factor, shift = np.zeros((4, n)), np.zeros((3, n))
+    for number, subset in enumerate(UPDATES):
         dual, s, solvable = _dual_basis([N[a] for a in subset], [v[a] for a in subset])
         trial = [_dot(vector, s) for vector in dual]
-        for x in trial:
+        for a, x in zip(subset, trial, strict=True):
             solvable &= x >= 0.0
+            if a < 3:
+                solvable &= ~idle[a]
         energy = 0.5 * _dot(s, s)
         better = np.flatnonzero(solvable & (energy > best))
         best[better], chosen[better], shift[:, better] = energy[better], number, s[:, better]
         factor[:, better] = 0.0
         for a, x in zip(subset, trial, strict=True):
             factor[a, better] = x[better]
-    picks = np.array([(*subset, *[a for a in range(slots) if a not in subset])[:3] for subset in subsets])
+    picks = np.array([(*subset, *[a for a in range(4) if a not in subset])[:3] for subset in UPDATES])
     pick, points = picks[chosen].T, np.arange(n)
     return Active(index[pick, points], factor[pick, points], shift)
 
@@ -170,37 +198,37 @@ def _dual_basis(N: list[Array], v: list[Array]) -> tuple[list[Array], Array, NDA
     return dual, s, solvable
 
 
-def respond(E: Array, planes: Planes, metric: Metric, guess: Index | None = None) -> Response:
-    """Elastic answer at E (n, 3) beyond the half-spaces, block by block; `guess` (3, n) as in `project`."""
+def respond(E: Array, body: Polyhedron) -> Response:
+    """Elastic answer at E (n, 3) beyond the half-spaces, block by block."""
     n = len(E)
     energy, S, C, E_star = np.empty(n), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
     for start in range(0, n, BLOCK):
         part = slice(start, start + BLOCK)
-        y = metric.R @ E[part].T
-        active = project(y, planes, None if guess is None else guess[:, part])
-        shift = active.shift
+        columns = np.ascontiguousarray(E[part].T)
+        active = project(columns, body)
         energy[part] = active.energy()
-        S[part] = ((metric.R.T @ shift) / WEIGHT[:, None]).T
-        E_star[part] = (metric.inverse @ (y - shift)).T
-        C[part] = _tangent(active, planes, metric)
+        S[part] = (body.metric.R.T @ active.shift / WEIGHT[:, None]).T
+        E_star[part] = (columns - body.metric.inverse @ active.shift).T
+        C[part] = body.one.take(active.index[0], axis=0)
+        C[start + np.flatnonzero(active.factor[0] == 0.0)] = 0.0
+        several = np.flatnonzero(active.factor[1] + active.factor[2] > 0.0)
+        C[start + several] = _tangent(active.index[:, several], active.factor[:, several], body)
     return Response(energy, S, C, E_star)
 
 
-def _tangent(active: Active, planes: Planes, metric: Metric) -> Array:
+def _tangent(index: Index, factor: Array, body: Polyhedron) -> Array:
     """dS/dE (n, 3, 3): the stiffness seen through the span of the active normals, by Gram-Schmidt."""
-    n = active.index.shape[1]
-    P = np.zeros((3, 3, n))
+    P = np.zeros((3, 3, index.shape[1]))
     basis: list[Array] = []
     for k in range(3):
-        u = planes.rows[:3, active.index[k]] * (active.factor[k] > 0.0)
+        u = body.rows[:3].take(index[k], axis=1) * (factor[k] > 0.0)
         for _ in range(2 if k else 0):  # twice is enough
             for b in basis:
-                u = u - (b[0] * u[0] + b[1] * u[1] + b[2] * u[2]) * b
-        length = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+                u = u - _dot(b, u) * b
+        length = np.sqrt(_dot(u, u))
         u = u / np.where(length > 0.0, length, 1.0)
         basis.append(u)
-        for i in range(3):
-            for j in range(3):
-                P[i, j] += u[i] * u[j]
-    Q = np.einsum("ki,lj,kln->nij", metric.R, metric.R, P, optimize=True)
-    return Q / WEIGHT[:, None]
+        P += u[:, None] * u[None, :]
+    R = body.metric.R
+    Q = np.tensordot(R.T, np.tensordot(R.T, P, axes=(1, 0)), axes=(1, 1))
+    return np.asarray(Q.transpose(2, 0, 1) / WEIGHT[:, None])

@@ -14,7 +14,7 @@ import numpy as np
 
 from homogenize.io import write_text
 from homogenize.polyhedral import PolyhedralLaw
-from homogenize.projection import DEGENERATE, MAX_ROUNDS, metric_of, planes_of
+from homogenize.projection import DEGENERATE, MAX_ROUNDS, polyhedron_of
 from homogenize.protocol import Array, InputError, MembraneLaw
 
 PER_STATEMENT = 40
@@ -301,12 +301,11 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
         raise InputError(
             f"kind = {law.name}: only polyhedral laws are exported, fit one of kind refined, outer or inner"
         )
-    metric = metric_of(law.stiffness)
-    planes = planes_of(law.S, law.h, metric)
-    blocks = data_statements("P", planes.rows.T.ravel()) + data_statements("R", metric.R.T.ravel())
+    body = polyhedron_of(law.S, law.h, law.stiffness)
+    blocks = data_statements("P", body.rows.T.ravel()) + data_statements("R", body.metric.R.T.ravel())
     fields = {
         "TITLE": title[:60],
-        "M": str(len(law.h)),
+        "M": str(len(body.h)),
         "ROUNDS": str(MAX_ROUNDS),
         "TOLERANCE": "1.0D-13",
         "SMALL": f"{DEGENERATE**2:.3E}".replace("E", "D"),
