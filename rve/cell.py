@@ -181,6 +181,29 @@ class Contacts:
         return self.gap.reshape(len(self.gap), -1).min(axis=1)
 
 
+def joined_contacts(parts: list[Contacts], order: NDArray[np.intp]) -> Contacts:
+    """The cases of all parts, one after the other, then in this order: case i of the result is case order[i]."""
+    offsets = np.cumsum([0, *(len(part.gap) for part in parts)])
+    p = parts[0].gap.shape[1]
+    place = np.argsort(order)
+    minima, normal_a, normal_b = [], [], []
+    for part, offset in zip(parts, offsets, strict=False):
+        case, pair = np.divmod(part.minima.pair, p)
+        minima.append(replace(part.minima, pair=place[case + offset] * p + pair))
+        normal_a.append(part.normal_a)
+        normal_b.append(part.normal_b)
+    all_minima = minima[0].joined(*minima[1:])
+    rows = np.argsort(all_minima.pair, kind="stable")
+    fields = [np.concatenate([getattr(part, name) for part in parts])[order] for name in ("present", "gap", "rho")]
+    return Contacts(
+        *fields,
+        all_minima.take(rows),
+        np.concatenate(normal_a)[rows],
+        np.concatenate(normal_b)[rows],
+        np.concatenate([part.links_intact for part in parts])[order],
+    )
+
+
 def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, shoulders: bool = False) -> Contacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact.
 

@@ -138,6 +138,8 @@ def _polish(
     d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
     e1, e2 = tangent_frame(n_a)
     low, high = angle - width, angle + width
+    # A row at rest stays there, so that it does not depend on the company it is polished in.
+    under_way = np.ones(len(angle), dtype=bool)
     for _ in range(40):
         distance, slope, curvature, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, e1, e2, n_b, r1)
         low = np.where(slope < 0.0, angle, low)
@@ -147,9 +149,10 @@ def _polish(
         good = (curvature > 0.0) & (newton > low) & (newton < high)
         trial = np.where(good, newton, 0.5 * (low + high))
         # A stationary point to round-off moves no further; slope is in mm per radian.
-        step = np.where(np.abs(slope) <= 1e-15 * r1, 0.0, trial - angle)
+        step = np.where(under_way & (np.abs(slope) > 1e-15 * r1), trial - angle, 0.0)
         angle = angle + step
-        if np.all(np.abs(step) <= 1e-9):
+        under_way &= np.abs(step) > 1e-9
+        if not under_way.any():
             break
     distance, slope, curvature, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, e1, e2, n_b, r1)
     normal = (d + rho_b - rho_a) / distance[:, None]

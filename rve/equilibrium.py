@@ -65,6 +65,20 @@ class Equilibrium:
     status: NDArray[np.str_]
     attempts: NDArray[np.intp]
 
+    def take(self, rows: NDArray[np.intp]) -> Equilibrium:
+        """The equilibria of these cases (rows in ascending order)."""
+        arrays = (self.R[rows], self.iterations[rows], self.status[rows], self.attempts[rows])
+        return Equilibrium(self.pose.take(rows), self.lam[rows], self.contacts.take(rows), *arrays)
+
+    def put(self, rows: NDArray[np.intp], other: Equilibrium) -> Equilibrium:
+        """A copy in which `rows` (ascending) are replaced by `other`."""
+        fields = {}
+        for name in ("lam", "R", "iterations", "status", "attempts"):
+            array = getattr(self, name).copy()
+            array[rows] = getattr(other, name)
+            fields[name] = array
+        return Equilibrium(pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields)
+
 
 @dataclass(frozen=True)
 class _State:

@@ -18,10 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.cell import Contacts, Pose, find_contacts, moved, reduction, start_pose
-from rve.contact import distance_gradient
+from rve.cell import Contacts, Pose, find_contacts, joined_contacts, moved, reduction, start_pose
+from rve.contact import distance_gradient, distance_hessian
 from rve.lcp import solve_contact_step
-from rve.load import green_lagrange
 from rve.projection import find_contacts_by_projection
 from rve.system import Equations, lattice_load
 from rve.weave import Weave
@@ -58,6 +57,7 @@ class StewartTrinkleOptions:
     reach: float = 0.2
     largest_move: float = 0.2
     contacts: str = "newton"
+    curvature: bool = True
 
     def validate(self) -> None:
         """Raise ValueError with one sentence naming the first option that makes no sense."""
@@ -202,12 +202,32 @@ class _Frozen:
     gap: Array
     k: Array
     energy: Array
+    bend: Array
 
     def take(self, rows: Index) -> _Frozen:
         return _Frozen(*(value[rows] for value in vars(self).values()))
 
 
-def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics) -> _Frozen:
+def geometric_stiffness(pose: Pose, contacts: Contacts, equations: Equations, stiffness: Array) -> Array:
+    """Positive part of the contact curvature -sum lam d2gap/dq2 with the elastic forces of the pose, (n, m, m).
+
+    It grows without bound where two minima merge: there the contact point runs along the ring and the linearised gap
+    holds for a tiny step only. Part of the Hessian of the contact energy, so an implicit step may have it.
+    """
+    case, pair = np.divmod(contacts.minima.pair, len(equations.weave.pairs))
+    lam = np.maximum(-stiffness[pair] * contacts.gap[contacts.present], 0.0)
+    work = np.flatnonzero(lam > 0.0)
+    minima = contacts.minima.take(work)
+    T = reduction(pose)
+    H = distance_hessian(minima, contacts.normal_a[work], contacts.normal_b[work], 1.0)
+    LT = np.matmul(equations.maps[pair[work]], T[case[work]])
+    bend = np.zeros((len(T), T.shape[2], T.shape[2]))
+    np.add.at(bend, case[work], -lam[work, None, None] * np.matmul(np.matmul(LT.transpose(0, 2, 1), H), LT))
+    value, vector = np.linalg.eigh(bend)
+    return np.matmul(vector * np.maximum(value, 0.0)[:, None, :], vector.transpose(0, 2, 1))
+
+
+def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics, curvature: bool) -> _Frozen:
     con = motion.contacts
     n = len(con.gap)
     slots = con.present.reshape(n, -1)
@@ -215,7 +235,11 @@ def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics) -> _Frozen
     gap = np.where(slots, con.gap.reshape(n, -1), 0.0)
     load, _ = lattice_load(motion.pose, motion.s)
     total = contact_energy(con, dynamics.stiffness) + kinetic_energy(motion.v, dynamics)
-    return _Frozen(reduction(motion.pose), gap_gradients(motion.pose, con, equations), load, gap, k, total)
+    T = reduction(motion.pose)
+    bend = np.zeros((n, T.shape[2], T.shape[2]))
+    if curvature:
+        bend = geometric_stiffness(motion.pose, con, equations, dynamics.stiffness)
+    return _Frozen(T, gap_gradients(motion.pose, con, equations), load, gap, k, total, bend)
 
 
 def kinetic_energy(v: Array, dynamics: Dynamics) -> Array:
@@ -227,7 +251,7 @@ def _trial(motion: Motion, frozen: _Frozen, h: Array, equations: Equations, dyna
     """Reduced displacement w, ring velocities at the end, contact forces, and whether the programme was solved."""
     T, Tt = frozen.T, frozen.T.transpose(0, 2, 1)
     hh = h[:, None, None]
-    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T))
+    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T)) + frozen.bend
     force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
     force[:, :4] += frozen.load
     b = np.matmul(Tt, force[..., None])[..., 0]
@@ -255,7 +279,7 @@ def advanced(
     falls below h_min keeps its place with h = 0.
     """
     n = len(motion.row)
-    frozen = _freeze(motion, equations, dynamics)
+    frozen = _freeze(motion, equations, dynamics, options.curvature)
     finder = finder_of(options)
     h, rise = motion.h.copy(), np.zeros(n)
     v, R, lam = motion.v.copy(), motion.R.copy(), np.zeros(motion.contacts.gap.shape)
@@ -339,3 +363,28 @@ def solve(
         forces.append(lam[out])
         motion = motion.take(~out)
     return _settled(parts, forces, log, options)
+
+
+def _settled(
+    parts: list[Motion], forces: list[Array], log: list[tuple[Array, ...]], options: StewartTrinkleOptions
+) -> Settled:
+    """The result in the order of the loads from the cases in the order in which they left."""
+    order = np.argsort(np.concatenate([part.row for part in parts]))
+
+    def joined(columns: list[Array]) -> Array:
+        return np.concatenate(columns)[order]
+
+    pose = Pose(*(joined([getattr(part.pose, name) for part in parts]) for name in ("lattice", "centres", "normals")))
+    R, h = joined([part.R for part in parts]), joined([part.h for part in parts])
+    status = np.where(options.tolerance > R, "converged", np.where(h == 0.0, "time-step", "step-limit"))
+    return Settled(
+        pose=pose,
+        contacts=joined_contacts([part.contacts for part in parts], order),
+        lam=joined(forces),
+        R=R,
+        steps=joined([part.steps for part in parts]),
+        rejected=joined([part.rejected for part in parts]),
+        time=joined([part.time for part in parts]),
+        status=status,
+        history=History(*(np.concatenate(column) for column in zip(*log, strict=True))) if log else None,
+    )

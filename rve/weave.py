@@ -69,9 +69,15 @@ def _two_class_weave(
     )
 
 
-# The pose of largest clearance; its clearance is the jamming limit (tests/test_rve/test_weave.py finds it again).
+# The pose of largest clearance. Its clearance is the jamming limit: with thicker wire no pose is free of overlap
+# (tests/test_rve/test_weave.py finds pose and limit again by sequential linear programming).
 FOUR_IN_ONE = _two_class_weave(
-    "4-in-1", {(0, 0), (-1, 0), (0, -1), (-1, -1)}, (2.5, 1.3), (0.5, 0.5), 32.0, 4.06
+    "4-in-1",
+    {(0, 0), (-1, 0), (0, -1), (-1, -1)},
+    (2.502395550, 1.246968277),
+    (0.5, 0.5),
+    34.114592859,
+    3.980926980,
 )
 
 WEAVES = {w.name: w for w in (FOUR_IN_ONE,)}
