@@ -27,6 +27,9 @@ from rve.weave import Weave
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+# Of an energy in s_hat r1^2: some twenty forces of order 1 times a few round-offs of a gap.
+ROUND_OFF = 1e-13
+
 Finder = Callable[[Pose, Weave, float, float], Contacts]
 
 
@@ -36,11 +39,13 @@ class StewartTrinkleOptions:
 
     r1_mm: centre-circle radius; density in kg/mm3; damping in kg/s and rotational_damping in kg mm2/s (calibrated: the
     paper prints 0.1 kgm/s) act on each ring; stiffness k of one contact in kg/s2; load: size of the Cauchy line load
-    s_hat in kg/s2, 1 kg/s2 = 1e-3 N/mm (calibrated: 2 N/m, the paper states none); h_max, h_min: largest time step and
+    s_hat in kg/s2, 1 kg/s2 = 1 N/m (calibrated: the paper states none); h_max, h_min: largest time step and
     the one at which the solver gives up, s; tolerance: R of eq. (9) at which a case has converged; max_steps: accepted
     steps per case; restore: growth of the step after an accepted one; reach: gap in r1 from which contacts are seen;
     largest_move: largest coordinate change per step (r1 or rad), so that rings do not tunnel; contacts: "newton" finds
-    all local minima, "projection" those that two alternating projections per pair of rings end in.
+    all local minima, "projection" those that two alternating projections per pair of rings end in; curvature: whether
+    the step sees the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps. Without it, as
+    eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
     """
 
     r1_mm: float = 5.0
@@ -48,7 +53,7 @@ class StewartTrinkleOptions:
     damping: float = 1.0
     rotational_damping: float = 100.0
     stiffness: float = 1e6
-    load: float = 2.0
+    load: float = 2.5
     h_max: float = 1.0
     h_min: float = 1e-9
     tolerance: float = 1e-9
@@ -223,8 +228,12 @@ def geometric_stiffness(pose: Pose, contacts: Contacts, equations: Equations, st
     LT = np.matmul(equations.maps[pair[work]], T[case[work]])
     bend = np.zeros((len(T), T.shape[2], T.shape[2]))
     np.add.at(bend, case[work], -lam[work, None, None] * np.matmul(np.matmul(LT.transpose(0, 2, 1), H), LT))
-    value, vector = np.linalg.eigh(bend)
-    return np.matmul(vector * np.maximum(value, 0.0)[:, None, :], vector.transpose(0, 2, 1))
+    # The positive part depends on what is orthogonal: the kinetic energy decides, it knows no coordinates.
+    L = np.linalg.cholesky(np.matmul(T.transpose(0, 2, 1), np.matmul(equations.mass, T)))
+    half = np.linalg.solve(L, np.linalg.solve(L, bend).transpose(0, 2, 1))
+    value, vector = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
+    root = np.matmul(L, vector * np.sqrt(np.maximum(value, 0.0))[:, None, :])
+    return np.matmul(root, root.transpose(0, 2, 1))
 
 
 def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics, curvature: bool) -> _Frozen:
@@ -295,8 +304,7 @@ def advanced(
         work = (start.load * way).sum(axis=1)
         total = contact_energy(found, dynamics.stiffness) + kinetic_energy(v_new, dynamics)
         change = total - start.energy - work
-        # Gaps carry a round-off of 1e-16, forces are of order 1.
-        good = solved & found.links_intact & (change <= 1e-14) & (np.abs(w).max(axis=1) <= options.largest_move)
+        good = solved & found.links_intact & (change <= ROUND_OFF) & (np.abs(w).max(axis=1) <= options.largest_move)
         yes = np.flatnonzero(good)
         rows = todo[yes]
         pose, contacts = pose.put(rows, new.take(yes)), contacts.put(rows, found.take(yes))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from typing import Any
@@ -16,13 +17,15 @@ from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.errors import SENTENCES, InputError, NotConverged
 from rve.load import cauchy_line_load, green_lagrange, second_pk
 from rve.system import Equations
-from rve.table import StrainTable
+from rve.table import StrainTable, joined_tables
 from rve.uniqueness import with_limits
 from rve.weave import FOUR_IN_ONE, Weave
 
 Array = NDArray[np.float64]
 
 STEEL_KG_PER_MM3 = 7.85e-6
+# Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache.
+BLOCK = 256
 
 
 @dataclass(frozen=True)
@@ -62,38 +65,23 @@ class Cell:
         return float(self.density * 2.0 * np.pi**2 * self.r1 * self.r2**2)
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """A table with the poses behind it; the last row of `equilibrium` is the reference (0, 90 degrees)."""
-
-    cell: Cell
-    table: StrainTable
-    equilibrium: Equilibrium
-    s: Array
-
-
-def _swapped(triple: Array) -> Array:
-    """Tensor components after x and y are exchanged."""
-    return triple[:, ::-1]
-
-
-def locked(alpha_deg: ArrayLike, beta_deg: ArrayLike, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Array, Array]:
-    """Equilibria of the loads and, last, of the reference; loads s (n + 1, 3) in weave axes; flags unique (n + 1,).
+def locked(
+    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
+) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
+    """Equilibria of the loads (n,) of one block; loads s (n, 3) in weave axes; flags unique (n,).
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
-    alpha = np.append(np.asarray(alpha_deg, dtype=float).ravel(), 90.0 if cell.grain == "x" else 0.0)
-    beta = np.append(np.asarray(beta_deg, dtype=float).ravel(), 90.0)
-    s = cauchy_line_load(alpha, beta)
+    s = cauchy_line_load(alpha_deg, beta_deg)
     if cell.grain == "x":
-        s = _swapped(s)
-    principal = cauchy_line_load(np.zeros_like(beta), beta)
+        s = s[:, ::-1]
+    principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = (principal[:, 0] >= 0.0) & (principal[:, 2] >= 0.0)
     equations = Equations.of(cell.weave, cell.wire)
-    solved = np.where(tensile[:, None], s, s[-1])
+    solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
     found = solve_equilibrium(solved, equations, options)
     found, unique = with_limits(solved, equations, found, options)
-    return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique
+    return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique | ~tensile
 
 
 def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
@@ -103,49 +91,76 @@ def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
     return (a2[:, ::-1], a1[:, ::-1]) if cell.grain == "x" else (a1, a2)
 
 
-def solve_table(
-    alpha_deg: ArrayLike, beta_deg: ArrayLike, cell: Cell | None = None, options: DirectOptions | None = None
-) -> Sweep:
-    """The strain-load table of the load directions (alpha, beta) in degrees, each (n,), by the direct solver.
-
-    The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
-    it fails. Other rows that fail keep their status and have nan elsewhere.
-
-    >>> solve_table([0.0], [45.0]).table.x2_mm.round(4)
-    array([[13.1163,  0.    ]])
-    """
-    cell, options = cell or Cell(), options or DirectOptions()
-    began = time.perf_counter()
+def _checked(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Array]:
     alpha = np.asarray(alpha_deg, dtype=float).ravel()
     beta = np.asarray(beta_deg, dtype=float).ravel()
     if alpha.shape != beta.shape or not len(alpha):
         raise InputError(f"alpha has {len(alpha)} and beta {len(beta)} values; give as many of both, and at least one")
     if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
         raise InputError("alpha and beta must be finite numbers of degrees")
-    found, s, unique = locked(alpha, beta, cell, options)
-    if found.status[-1] != "converged":
-        raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[-1])]}")
+    return alpha, beta
+
+
+def solve_table(
+    alpha_deg: ArrayLike,
+    beta_deg: ArrayLike,
+    cell: Cell | None = None,
+    options: DirectOptions | None = None,
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> StrainTable:
+    """The strain-load table of the load directions (alpha, beta) in degrees, each (n,), by the direct solver.
+
+    The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
+    it fails. Other rows that fail keep their status and have nan elsewhere. `progress` is called with the number of
+    rows done since the last call.
+
+    >>> solve_table([0.0], [45.0]).x2_mm.round(4)
+    array([[13.1163,  0.    ]])
+    """
+    cell, options = cell or Cell(), options or DirectOptions()
+    began = time.perf_counter()
+    alpha, beta = _checked(alpha_deg, beta_deg)
+    along_grain = 90.0 if cell.grain == "x" else 0.0
+    reference, _, _ = locked(np.array([along_grain]), np.array([90.0]), cell, options)
+    if reference.status[0] != "converged":
+        raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(reference.status[0])]}")
+    x2, x3 = lattice_mm(reference.pose, cell)
+    b_x, b_y = float(x2[0, 0]), float(x3[0, 1])
+    blocks = []
+    for first in range(0, len(alpha), BLOCK):
+        rows = slice(first, first + BLOCK)
+        found, s, unique = locked(alpha[rows], beta[rows], cell, options)
+        blocks.append(_block(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
+        if progress is not None:
+            progress(len(s))
+    table = joined_tables(blocks)
+    provenance = _provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
+    return replace(table, provenance=provenance)
+
+
+def _block(
+    alpha: Array, beta: Array, cell: Cell, found: Equilibrium, unique: NDArray[np.bool_], sides: tuple[float, float]
+) -> StrainTable:
+    """Rows of a table from equilibria, for a reference cell with these sides in mm."""
     x2, x3 = lattice_mm(found.pose, cell)
-    b_x, b_y = float(x2[-1, 0]), float(x3[-1, 1])
-    F = np.stack([x2 / b_x, x3 / b_y], axis=2)
+    F = np.stack([x2 / sides[0], x3 / sides[1]], axis=2)
+    E, S = green_lagrange(F), second_pk(F, cauchy_line_load(alpha, beta))
     bad = found.status != "converged"
-    E = green_lagrange(F)
-    S = second_pk(F, cauchy_line_load(np.append(alpha, 0.0), np.append(beta, 90.0)))
     for array in (E, S, x2, x3):
         array[bad] = np.nan
+    R = np.where(bad, np.nan, found.R)
     gap = np.where(bad, np.nan, found.contacts.min_gap * cell.r1)
-    contacts = ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2))
-    provenance = _provenance(cell, options, b_x, b_y, found, time.perf_counter() - began)
-    columns = (alpha, beta, E, S, x2, x3, found.R, gap, contacts, unique, found.status, found.iterations)
-    n = len(alpha)
-    return Sweep(cell, StrainTable(*(np.asarray(c)[:n] for c in columns), None, provenance), found, s)
+    contacts = np.where(bad, 0, ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2)))
+    return StrainTable(alpha, beta, E, S, x2, x3, R, gap, contacts, unique, found.status, found.iterations)
 
 
 def _provenance(
-    cell: Cell, options: DirectOptions, b_x: float, b_y: float, found: Equilibrium, wall: float
+    cell: Cell, options: DirectOptions, sides: tuple[float, float], status: NDArray[np.str_], wall: float
 ) -> dict[str, Any]:
-    statuses, counts = np.unique(found.status[:-1], return_counts=True)
-    rings = 2 if cell.weave.classes == 2 else cell.weave.classes
+    statuses, counts = np.unique(status, return_counts=True)
+    b_x, b_y = sides
+    rings_per_area = cell.weave.classes / (b_x * b_y * cell.weave.repeat[0] * cell.weave.repeat[1])
     return {
         "format": "ring-mesh strain-load table",
         "format_version": 1,
@@ -156,7 +171,7 @@ def _provenance(
         "b_x_mm": b_x,
         "b_y_mm": b_y,
         "density_kg_per_mm3": cell.density,
-        "areal_mass_kg_per_m2": 1e6 * rings * cell.ring_mass / (b_x * b_y * np.prod(cell.weave.repeat)),
+        "areal_mass_kg_per_m2": 1e6 * rings_per_area * cell.ring_mass,
         "method": "direct",
         "options": asdict(options),
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},

@@ -30,6 +30,7 @@ __all__ = [
     "cauchy_line_load",
     "deformation_gradient",
     "green_lagrange",
+    "joined_tables",
     "provenance_path",
     "read_table",
     "second_pk",
@@ -78,6 +79,16 @@ class StrainTable:
     def converged(self) -> NDArray[np.bool_]:
         """Rows to rely on, (n,)."""
         return self.status == "converged"
+
+
+def joined_tables(tables: list[StrainTable]) -> StrainTable:
+    """One table with the rows of all, in order; compliance only if all have it; no provenance."""
+    columns = {}
+    for name, value in vars(tables[0]).items():
+        parts = [getattr(table, name) for table in tables]
+        if isinstance(value, np.ndarray) and all(part is not None for part in parts):
+            columns[name] = np.concatenate(parts)
+    return StrainTable(**columns)
 
 
 def provenance_path(path: str | os.PathLike[str]) -> Path:

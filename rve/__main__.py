@@ -1,0 +1,3 @@
+from rve.cli import main
+
+main(prog_name="python -m rve")

@@ -1,0 +1,118 @@
+"""Command line: `python -m rve table`, `case`, `study`. `--help` of each says what it takes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rve.errors import SENTENCES, InputError, NotConverged
+
+
+METHODS = ("direct",)
+
+
+def _one_sentence(command: Callable[..., None]) -> Callable[..., None]:
+    """Turn bad input into one line and exit code 2, a failed solve into one line and exit code 1."""
+
+    @wraps(command)
+    def run(**options: Any) -> None:
+        try:
+            command(**options)
+        except (InputError, NotConverged) as error:
+            click.echo(f"Error: {error}", err=True)
+            sys.exit(2 if isinstance(error, InputError) else 1)
+
+    return run
+
+
+def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
+    for decorate in (
+        click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
+        click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
+        click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
+        click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
+    ):
+        command = decorate(command)
+    return command
+
+
+def _cell(r1: float, r2: float, grain: str, weave: str) -> Any:
+    from rve.sweep import Cell
+    from rve.weave import WEAVES
+
+    if weave not in WEAVES:
+        raise InputError(f"--weave = {weave!r}: known are {', '.join(WEAVES)}")
+    return Cell(r1, r2, WEAVES[weave], grain)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+def main() -> None:
+    """Where a periodic cell of rigid interlinked rings locks under each line load."""
+
+
+@main.command()
+@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write.")
+@click.option("--alpha", default="0:45:5", show_default=True, help="Principal angles in degrees.")
+@click.option("--beta", default="0:90:5", show_default=True, help="Ratio angles in degrees.")
+@click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
+@click.option("--method", default="direct", show_default=True, help="direct or stewart-trinkle.")
+@_cell_options
+@_one_sentence
+def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **cell: Any) -> None:
+    """Write the strain-load table of a grid or a list of load directions."""
+    from rve.ranges import grid, parse_angles, read_loads
+    from rve.sweep import solve_table
+    from rve.table import write_table
+
+    if method not in METHODS:
+        raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
+    mesh = _cell(**cell)
+    directions = (
+        read_loads(loads) if loads else grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
+    )
+    if not out.parent.is_dir():
+        raise InputError(f"--out = {out}: the folder {out.parent} does not exist")
+    with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=not sys.stderr.isatty()) as bar:
+        found = solve_table(*directions, mesh, progress=bar.update)
+    write_table(found, out)
+    good = int(found.converged.sum())
+    free = int((~found.unique & found.converged).sum())
+    click.echo(f"{out}: {good} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
+    if free:
+        click.echo(f"{free} rows leave the strain free (unique = 0); their E is the limit from inside the tensile cone")
+    for status in sorted(set(found.status) - {"converged"}):
+        click.echo(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
+
+
+@main.command()
+@click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
+@click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write.")
+@_cell_options
+@_one_sentence
+def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
+    """Solve one load direction and print its locked state as JSON."""
+    from rve.sweep import solve_table
+    from rve.table import COLUMNS
+
+    if plot is not None and not plot.parent.is_dir():
+        raise InputError(f"--plot = {plot}: the folder {plot.parent} does not exist")
+    mesh = _cell(**cell)
+    found = solve_table([alpha], [beta], mesh)
+    status = str(found.status[0])
+    if status != "converged":
+        raise NotConverged(f"alpha = {alpha}, beta = {beta}: {status}: {SENTENCES[status]}")
+    values = [*found.E[0], *found.S[0], *found.x2_mm[0], *found.x3_mm[0], found.R[0], found.min_gap_mm[0]]
+    out = {"alpha_deg": alpha, "beta_deg": beta} | dict(zip(COLUMNS[2:14], map(float, values), strict=True))
+    out |= {"contacts": int(found.contacts[0]), "unique": int(found.unique[0]), "status": status}
+    click.echo(json.dumps(out | {"iterations": int(found.iterations[0])}, indent=2))
+    if plot is not None:
+        from rve.plots import draw_case, save
+
+        save(draw_case(alpha, beta, mesh), plot)

@@ -1,0 +1,60 @@
+"""Angles and load files as a user types them."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.errors import InputError
+from rve.table import numeric_column, read_columns
+
+Array = NDArray[np.float64]
+
+MOST_VALUES = 100_000
+
+
+def parse_angles(text: str, name: str) -> Array:
+    """Angles in degrees from "first:last:step" (both ends included) or a list "7.5,12.5"; raises InputError.
+
+    >>> parse_angles("0:45:15", "--alpha")
+    array([ 0., 15., 30., 45.])
+    """
+    try:
+        if ":" not in text:
+            values = np.array([float(part) for part in text.split(",")])
+        else:
+            first, last, step = (float(part) for part in text.split(":"))
+            if not (np.isfinite([first, last, step]).all() and step != 0.0 and (last - first) / step >= 0.0):
+                raise InputError(f"{name} = {text!r}: the step must lead from the first to the last value")
+            count = np.floor((last - first) / step + 1e-9) + 1
+            if count > MOST_VALUES:
+                raise InputError(f"{name} = {text!r}: {count:.3g} values are more than {MOST_VALUES}")
+            values = first + step * np.arange(int(count))
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(f"{name} = {text!r}: write first:last:step or a list such as 7.5,12.5") from None
+    if not np.isfinite(values).all():
+        raise InputError(f"{name} = {text!r}: angles must be finite numbers of degrees")
+    return values
+
+
+def grid(alpha: Array, beta: Array) -> tuple[Array, Array]:
+    """All combinations, beta running fastest: two arrays of alpha.size * beta.size values."""
+    a, b = np.meshgrid(alpha, beta, indexing="ij")
+    return a.ravel(), b.ravel()
+
+
+def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+    """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
+    columns = read_columns(path, ("alpha_deg", "beta_deg"))
+    out = []
+    for name in ("alpha_deg", "beta_deg"):
+        values = numeric_column(path, columns, name)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {columns[name][bad[0]]!r} is not a finite number")
+        out.append(values)
+    return out[0], out[1]
