@@ -223,7 +223,8 @@ def _with_twins(
     row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
     bracket = np.maximum(width[column], width[column + 1])
     _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, d, n_a, n_b, r1)
-    parts = [found.take(near & ~soft), found.take(soft), twins]
+    # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
+    parts = [found.take(near & ~soft), found.take(soft & (found.curvature > 0.0)), twins.take(twins.curvature > 0.0)]
     if shoulders:
         s = slope[:, 1:-1]
         right = (s > 0.0) & (s <= slope[:, :-2]) & (s < slope[:, 2:])

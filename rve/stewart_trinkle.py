@@ -42,7 +42,7 @@ class StewartTrinkleOptions:
     s_hat in kg/s2, 1 kg/s2 = 1 N/m (calibrated: the paper states none); h_max, h_min: largest time step and
     the one at which the solver gives up, s; tolerance: R of eq. (9) at which a case has converged; max_steps: accepted
     steps per case; restore: growth of the step after an accepted one; reach: gap in r1 from which contacts are seen;
-    largest_move: largest coordinate change per step (r1 or rad), so that rings do not tunnel; contacts: "newton" finds
+    largest_move: largest displacement (r1) and rotation (rad) of a ring per step, so that rings do not tunnel; contacts: "newton" finds
     all local minima, "projection" those that two alternating projections per pair of rings end in; curvature: whether
     the step sees the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps. Without it, as
     eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
@@ -60,7 +60,7 @@ class StewartTrinkleOptions:
     max_steps: int = 20000
     restore: float = 2.0
     reach: float = 0.2
-    largest_move: float = 0.2
+    largest_move: float = 0.4
     contacts: str = "newton"
     curvature: bool = True
 
@@ -81,7 +81,8 @@ class Dynamics:
     """Matrices of the motion in scaled units.
 
     mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity, 1/s;
-    ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit.
+    ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2, m_full): from
+    the velocities to those of every ring's centre.
     """
 
     mass: Array
@@ -89,6 +90,7 @@ class Dynamics:
     decay: Array
     ring_mass: float
     stiffness: Array
+    ring_maps: Array
 
     @staticmethod
     def of(equations: Equations, options: StewartTrinkleOptions) -> Dynamics:
@@ -102,7 +104,24 @@ class Dynamics:
         decay = np.where(turns, turning, options.damping / (options.load * ring_mass))
         mass = ring_mass * equations.mass
         stiffness = options.stiffness / options.load * np.maximum(copies(equations.weave), 1)
-        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness)
+        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, _ring_maps(equations.weave, size))
+
+
+def _ring_maps(weave: Weave, size: int) -> Array:
+    maps = np.zeros((len(weave.rings), 2, size))
+    for ring, (kind, i, j) in enumerate(weave.rings.tolist()):
+        for x in range(2):
+            maps[ring, x, x], maps[ring, x, 2 + x] = i, j
+            if kind > 0:
+                maps[ring, x, 2 + 2 * kind + x] = 1.0
+    return maps
+
+
+def largest_motion(v: Array, weave: Weave, dynamics: Dynamics) -> Array:
+    """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""
+    speed = np.einsum("rxm,nm->nrx", dynamics.ring_maps, v)
+    spin = v[:, 2 + 2 * weave.classes :].reshape(len(v), weave.classes, 3)
+    return np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1)))
 
 
 def copies(weave: Weave) -> Index:
@@ -141,10 +160,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class History:
-    """Accepted steps in long form, one row each: case, time (s) and h (s), reference-free stretches.
+    """Accepted steps in long form, one row each: case, time (s) at the end of the step, h (s).
 
-    lattice (m, 3) = x2, y3, t in r1; R; kinetic energy in kg mm2/s2 = 1e-6 J; rise: change of the total energy in
-    scaled units, never above round-off.
+    lattice (m, 3) = x2, y3, t in r1; R; kinetic energy in kg mm2/s2 = 1e-6 J; rise: change of the total energy over the
+    step in s_hat r1^2, never above ROUND_OFF.
     """
 
     case: Index
@@ -304,7 +323,8 @@ def advanced(
         work = (start.load * way).sum(axis=1)
         total = contact_energy(found, dynamics.stiffness) + kinetic_energy(v_new, dynamics)
         change = total - start.energy - work
-        good = solved & found.links_intact & (change <= ROUND_OFF) & (np.abs(w).max(axis=1) <= options.largest_move)
+        near = h[todo] * largest_motion(v_new, equations.weave, dynamics) <= options.largest_move
+        good = solved & found.links_intact & (change <= ROUND_OFF) & near
         yes = np.flatnonzero(good)
         rows = todo[yes]
         pose, contacts = pose.put(rows, new.take(yes)), contacts.put(rows, found.take(yes))
@@ -336,7 +356,18 @@ def _mask(rows: Index, n: int) -> NDArray[np.bool_]:
     return out
 
 
-def _start(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Motion:
+@dataclass(frozen=True)
+class Progress:
+    """Where a solve stands: cases under way, and cases that have left with their last contact forces."""
+
+    going: Motion
+    gone: tuple[Motion, ...] = ()
+    forces: tuple[Array, ...] = ()
+
+
+def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Progress:
+    """All cases at rest in the slack pose of the weave, under line loads s (n, 3) of any size."""
+    options.validate()
     n = len(s)
     pose = start_pose(equations.weave, n)
     contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
@@ -344,7 +375,32 @@ def _start(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Mo
     v = np.zeros((n, len(equations.mass)))
     size = np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
     h = np.full(n, options.h_max)
-    return Motion(np.arange(n), s / size, pose, contacts, v, h, zero, none, none, np.full(n, np.inf))
+    return Progress(Motion(np.arange(n), s / size, pose, contacts, v, h, zero, none, none, np.full(n, np.inf)))
+
+
+def continued(
+    progress: Progress,
+    equations: Equations,
+    options: StewartTrinkleOptions,
+    batch_steps: int,
+    log: list[tuple[Array, ...]] | None = None,
+) -> Progress:
+    """The same solve after at most this many batch steps; accepted steps are appended to `log`."""
+    dynamics = Dynamics.of(equations, options)
+    motion, gone, forces = progress.going, list(progress.gone), list(progress.forces)
+    for _ in range(batch_steps):
+        if not len(motion.row):
+            break
+        motion, h, lam, rise = advanced(motion, equations, options, dynamics)
+        if log is not None:
+            kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
+            log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise))
+        out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (h == 0.0)
+        if out.any():
+            gone.append(motion.take(out))
+            forces.append(lam[out])
+            motion = motion.take(~out)
+    return Progress(motion, tuple(gone), tuple(forces))
 
 
 def solve(
@@ -353,30 +409,24 @@ def solve(
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
 
     Starts at rest from the slack pose of the weave. Nothing is raised for a case that does not converge; its status is
-    "step-limit" or "time-step" and its pose the last one.
+    "step-limit" or "time-step" and its pose the last one. Raises ValueError for options that make no sense.
+
+    >>> from rve.load import cauchy_line_load
+    >>> from rve.weave import FOUR_IN_ONE
+    >>> rest = solve(cauchy_line_load([0.0], [90.0]), Equations.of(FOUR_IN_ONE, 0.1))
+    >>> (5 * rest.pose.lattice[0, :2]).round(3), str(rest.status[0])
+    (array([11.   , 12.646]), 'converged')
     """
-    options.validate()
-    dynamics = Dynamics.of(equations, options)
-    motion = _start(s, equations, options)
-    parts: list[Motion] = []
-    forces: list[Array] = []
     log: list[tuple[Array, ...]] = []
-    while len(motion.row):
-        motion, h, lam, rise = advanced(motion, equations, options, dynamics)
-        if history:
-            kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
-            log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise))
-        out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (h == 0.0)
-        parts.append(motion.take(out))
-        forces.append(lam[out])
-        motion = motion.take(~out)
-    return _settled(parts, forces, log, options)
+    progress = begin(s, equations, options)
+    while len(progress.going.row):
+        progress = continued(progress, equations, options, 1000, log if history else None)
+    return settled(progress, options, log)
 
 
-def _settled(
-    parts: list[Motion], forces: list[Array], log: list[tuple[Array, ...]], options: StewartTrinkleOptions
-) -> Settled:
-    """The result in the order of the loads from the cases in the order in which they left."""
+def settled(progress: Progress, options: StewartTrinkleOptions, log: list[tuple[Array, ...]] | None = None) -> Settled:
+    """The result, in the order of the loads, of a solve that has come to its end."""
+    parts = progress.gone
     order = np.argsort(np.concatenate([part.row for part in parts]))
 
     def joined(columns: list[Array]) -> Array:
@@ -388,7 +438,7 @@ def _settled(
     return Settled(
         pose=pose,
         contacts=joined_contacts([part.contacts for part in parts], order),
-        lam=joined(forces),
+        lam=joined(list(progress.forces)),
         R=R,
         steps=joined([part.steps for part in parts]),
         rejected=joined([part.rejected for part in parts]),

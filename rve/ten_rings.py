@@ -150,7 +150,7 @@ def find(rings: TenRings, wire: float, options: StewartTrinkleOptions) -> PairCo
     N[line, pair[:, 0], :3], N[line, pair[:, 1], :3] = -gradient[:, :3], gradient[:, :3]
     N[line, pair[:, 0], 3:], N[line, pair[:, 1], 3:] = gradient[:, 3:6], gradient[:, 6:]
     links = are_linked(d, rings.normals[a], rings.normals[b], r1)
-    return PairContacts(pair, found.distance - 2.0 * wire * r1, N.reshape(len(pair), -1), found, links)
+    return PairContacts(pair, found.distance - 2.0 * wire * r1, N.reshape(len(pair), 6 * n), found, links)
 
 
 def _turned(normals: Array, omega: Array) -> Array:
@@ -257,7 +257,8 @@ def advanced(
         after = find(new, wire, options)
         work = f @ np.column_stack([new.centres - rings.centres, np.zeros((n, 3))]).ravel()
         rise = _energy(new, after, mass_matrix(new, wire, options), options) - energy - work
-        near = np.abs(w.reshape(n, 6) / np.array([options.r1_mm] * 3 + [1.0] * 3)).max() <= options.largest_move
+        way = np.linalg.norm(w.reshape(n, 2, 3), axis=2) / np.array([options.r1_mm, 1.0])
+        near = way.max() <= options.largest_move
         if near and rise <= ROUND_OFF * options.load * options.r1_mm**2 and (after.links == found.links).all():
             r = M @ (v - v0) / h + D @ v
             R = float(np.sqrt((r @ np.linalg.solve(M, r)) / (f @ np.linalg.solve(M, f))))
