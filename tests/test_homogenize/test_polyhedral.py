@@ -58,7 +58,7 @@ def test_refined_rows_predict_to_fourth_order(ellipsoid):
         inside = np.hypot(S[:, 0] - S[:, 2], 2.0 * S[:, 1]) < 0.7
         error.append(np.quantile(np.abs(h - ellipsoid.support(S))[inside], 0.9))
     assert np.log2(error[0] / error[1]) > 3.5
-    assert error[1] < 1e-6
+    assert error[1] < 0.01 * (bounds_of(rows).upper(random_loads()) - ellipsoid.support(random_loads())).max()
 
 
 @pytest.mark.parametrize("stiffness", [1000.0 * np.eye(3), ANISOTROPIC])
