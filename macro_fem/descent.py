@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,12 +11,20 @@ from macro_fem.assembly import Array, Pattern, gradient, sparsity, stiffness
 from macro_fem.linear import Factor, LinearSolver, NotPositiveDefiniteError, analyze, rigid_motions
 from macro_fem.membrane import Membrane, State, evaluate, tangent
 from macro_fem.newton_records import LoadStep, NewtonOptions, NewtonRecord, NewtonStatus
+from macro_fem.softened import CompliantLaw, SoftenedLaw
+
+IDLE_STEPS = 5
+"""Steps in a row without a fall of the potential beyond round-off or of the residual by half: nothing more comes."""
 
 
 @dataclass(eq=False)
 class Work:
-    """What one call of `solve` builds once and counts on the way; never leaves this module."""
+    """What one call of `solve` builds once and counts on the way; never leaves the solver.
 
+    `membrane` has the law of the present stage: the true one, or a softened one between `soften` and `harden`.
+    """
+
+    true: Membrane
     membrane: Membrane
     options: NewtonOptions
     pattern: Pattern
@@ -42,9 +50,19 @@ class Work:
             unit[i, j, i, j] = 1.0
         spring = stiffness(disc, pattern, np.moveaxis(unit, -1, 0))
         size = np.sqrt(np.bincount(disc.cell_dofs.ravel(), np.repeat(_cell_area(membrane), disc.cell_dofs.shape[1])))
-        work = Work(membrane, options, pattern, solver, spring, size)
+        work = Work(membrane, membrane, options, pattern, solver, spring, size)
         work.assembly_s = time.perf_counter() - begin
         return work
+
+    def soften(self, law: CompliantLaw, softness: float, S0: Array) -> None:
+        """Go on with the true law's compliance times `softness`, remembering the stress S0."""
+        self.membrane = replace(self.true, law=SoftenedLaw(law, softness, S0))
+        self.stiffest = 0.0
+
+    def harden(self) -> None:
+        """Go on with the true law."""
+        self.membrane = self.true
+        self.stiffest = 0.0
 
     def line_load(self, load: LoadStep, state: State | None = None) -> float:
         """The size of line loads to compare eps with, N/mm: what the dead force needs, or what the state bears if more.
@@ -132,32 +150,38 @@ def balance_of(work: Work, state: State, load: LoadStep) -> Balance:
 
 @dataclass(frozen=True)
 class Stage:
-    """A load step under `overload` times its dead force, to be balanced to `rtol`."""
+    """A load step with `softness` times the law's compliance, to be balanced to `rtol`."""
 
     number: int
     load: LoadStep
-    overload: float
+    softness: float
     rtol: float
-
-    @property
-    def raised(self) -> LoadStep:
-        return LoadStep(self.overload * self.load.force, self.load.displacement)
 
 
 def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> tuple[NewtonStatus, State, int]:
     """Newton steps until the forces of a stage balance, or the count of the load step's iterations hits the limit."""
     if not state.is_finite:
         return NewtonStatus.NOT_FINITE, state, count
-    balance = balance_of(work, state, stage.raised)
+    balance = balance_of(work, state, stage.load)
+    idle = 0
     while balance.relative > balance.tolerance - work.options.rtol + stage.rtol:
+        if idle == IDLE_STEPS:
+            return _stalled(balance), state, count
         if count >= limit:
             return NewtonStatus.ITERATION_LIMIT, state, count
         outcome = _iterate(work, stage, count, state, balance)
         if isinstance(outcome, NewtonStatus):
             return outcome, state, count
-        state, balance = outcome
+        state, after = outcome
+        is_idle = balance.potential - after.potential <= balance.noise and after.relative > 0.5 * balance.relative
+        idle = idle + 1 if is_idle else 0
+        balance = after
         count += 1
     return NewtonStatus.CONVERGED, state, count
+
+
+def _stalled(balance: Balance) -> NewtonStatus:
+    return NewtonStatus.ROUND_OFF if balance.relative < 1e-5 else NewtonStatus.STALLED
 
 
 def _iterate(
@@ -166,7 +190,7 @@ def _iterate(
     """One Newton step with its record, or why there is none."""
     before = (work.assembly_s, work.linear_s, work.evaluations)
     _, data = work.tangent(state)
-    eps = work.options.regularisation * min(balance.relative, 1.0) * work.line_load(stage.raised, state)
+    eps = work.options.regularisation * min(balance.relative, 1.0) * work.line_load(stage.load, state)
     factored = work.factorize(data, max(eps, 1e-13 * work.stiffest))
     if factored is None:
         return NewtonStatus.NOT_CONVEX
@@ -174,16 +198,16 @@ def _iterate(
     p = work.solve(factor, -balance.residual)
     slope = float((balance.residual * p).sum())
     if not slope < 0.0:
-        return NewtonStatus.STALLED if balance.relative < 1e-6 else NewtonStatus.NOT_CONVEX
-    found = _line_search(work, stage.raised, state, balance, p)
+        return _stalled(balance) if balance.relative < 1e-5 else NewtonStatus.NOT_CONVEX
+    found = _line_search(work, stage.load, state, balance, p)
     if found is None:
-        return NewtonStatus.STALLED
+        return _stalled(balance)
     length, state_next, balance_next = found
     work.history.append(
         NewtonRecord(
             load_step=stage.number,
             iteration=count,
-            overload=stage.overload,
+            softness=stage.softness,
             potential=balance.potential,
             residual=balance.relative,
             length=length,

@@ -83,6 +83,16 @@ class TensionFieldSheet:
     young: float
     poisson: float
 
+    @property
+    def compliance(self) -> Array:
+        """(3, 3) in tensor components, mm/N: E - E* = compliance S with the wrinkle strain E* <= 0."""
+        return np.asarray(np.linalg.inv(self._plane()))
+
+    def _plane(self) -> Array:
+        nu = self.poisson
+        stiffness = np.array([[1.0, 0.0, nu], [0.0, 1.0 - nu, 0.0], [nu, 0.0, 1.0]])
+        return self.young / (1.0 - nu**2) * stiffness
+
     def response(self, E: Array) -> Response:
         """State by state: plane stress if e2 + poisson e1 > 0, uniaxial tension if only e1 > 0, nothing otherwise."""
         mean, half, shear = 0.5 * (E[:, 0] + E[:, 2]), 0.5 * (E[:, 0] - E[:, 2]), E[:, 1]
@@ -90,11 +100,7 @@ class TensionFieldSheet:
         e1, e2 = mean + radius, mean - radius
         is_taut = e2 + self.poisson * e1 > 0.0
         is_wrinkled = ~is_taut & (e1 > 0.0)
-        plane = (
-            self.young
-            / (1.0 - self.poisson**2)
-            * np.array([[1.0, 0.0, self.poisson], [0.0, 1.0 - self.poisson, 0.0], [self.poisson, 0.0, 1.0]])
-        )
+        plane = self._plane()
         # N = n n^T of the larger principal strain, T = sym(n m^T) with m across; a sheet with e1 = e2 is taut or slack,
         # so that the radius is not zero where it divides.
         safe = np.where(radius > 0.0, radius, 1.0)
@@ -108,4 +114,4 @@ class TensionFieldSheet:
         C += np.where(is_taut, 1.0, 0.0) * plane[:, :, None]
         S = np.where(is_taut[:, None], E @ plane.T, 0.0) + (self.young * np.where(is_wrinkled, e1, 0.0) * N).T
         energy = 0.5 * (S[:, 0] * E[:, 0] + 2.0 * S[:, 1] * E[:, 1] + S[:, 2] * E[:, 2])
-        return Response(energy, S, np.moveaxis(C, -1, 0), E)
+        return Response(energy, S, np.moveaxis(C, -1, 0), E - S @ self.compliance.T)

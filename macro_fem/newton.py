@@ -4,18 +4,19 @@ For a tensile, convex law the potential is convex in the displacement (docs/newt
 it leads to the one minimum, whatever the start. Three things stand in the way, and each has its rule.
 
 Slack. Where the law is slack its tangent is zero. The matrix that is factorized is K + eps L, L the stiffness of a unit
-spring in every displacement gradient, with eps proportional to the residual (regularised Newton for singular convex
-problems, doi 10.1023/B:COAP.0000026881.96694.32). Energy and residual never contain eps: it bends the path, not the
-answer. What remains at the end is the residual r, and convexity bounds its effect:
+spring in every displacement gradient, with eps proportional to the residual (regularised Newton of Li,
+Fukushima, Qi and Yamashita, Comput. Optim. Appl. 28, 2004). Energy and residual never contain eps: it bends the path,
+not the answer. What remains at the end is the residual r, and convexity bounds its effect:
 Pi(u) - min Pi <= sum |r_i| |u_i - u*_i|, reported as `energy_bound` with the diagonal of the box around the reference
 and the deformed sheet for |u_i - u*_i|.
 
 Kinks. The tangent jumps between taut, wrinkled and slack. The line search accepts a step only if the potential falls
 and its slope along the step has lost half of its size, so that a jump behind the first half of the step is seen.
 
-Stiffness. A sheet that hardly stretches under its load has a potential with steep walls, along which Newton creeps. As
-only the ratio of load to stiffness matters, the sheet is first solved under a load so large that it does stretch, and
-the excess is taken away by equal ratios (`overload_*` in `NewtonOptions`); this happens if the plain attempt fails.
+Stiffness. A sheet that hardly stretches under its load has a potential with steep walls, along which Newton creeps. If
+the plain attempt fails and the law has one compliance, the sheet is first made so soft that it does stretch, then
+hardened by equal ratios while it remembers the stress (`macro_fem.softened`, `soften_*` in `NewtonOptions`). The stress
+of ideal locking, from the rigid solver, saves most of that way: see `stress` in `solve`.
 
 Example: a strip hung by its top edge, 2 mm high, pulled by its weight.
     >>> import numpy as np, skfem
@@ -50,6 +51,7 @@ from macro_fem.newton_records import (
     NewtonStatus,
     StepResult,
 )
+from macro_fem.softened import CompliantLaw, softnesses
 
 __all__ = [
     "LoadStep",
@@ -69,11 +71,13 @@ def solve(
     options: NewtonOptions | None = None,
     start: Array | None = None,
     steps: Sequence[LoadStep] = (LoadStep(),),
+    stress: Array | None = None,
 ) -> NewtonSolution:
     """Equilibria of a membrane along load steps; stops at the first step that fails.
 
-    start (n_nodes, d): a displacement to begin with, None for the reference state. Raises ValueError for a sheet that
-    is not held (a part of the mesh free to move along some axis) and for no load step.
+    start (n_nodes, d): a displacement to begin with, None for the reference state. stress (n_points, 3): line loads S
+    that nearly balance the first load step, such as those of the rigid solver; it needs a law with a compliance. Raises
+    ValueError for a sheet that is not held (a part of the mesh free to move along some axis) and for no load step.
     """
     begin = time.perf_counter()
     options = options or NewtonOptions()
@@ -84,10 +88,10 @@ def solve(
     u = np.zeros(membrane.fixed.shape) if start is None else np.array(start, dtype=float)
     results: list[StepResult] = []
     for number, load in enumerate(steps):
-        result = _solve_step(work, number, load, u, results)
+        result = _solve_step(work, number, load, u, results, stress if number == 0 else None)
         results.append(result)
         u = result.u
-        if result.status is not NewtonStatus.CONVERGED:
+        if not result.status.is_solution:
             break
     statistics = NewtonStatistics(
         iterations=len(work.history),
@@ -103,16 +107,17 @@ def solve(
     return NewtonSolution(tuple(results), tuple(work.history), statistics)
 
 
-def _solve_step(work: Work, number: int, load: LoadStep, u: Array, past: Sequence[StepResult]) -> StepResult:
-    state = _start_of_step(work, load, u, past)
+def _solve_step(
+    work: Work, number: int, load: LoadStep, u: Array, past: Sequence[StepResult], stress: Array | None
+) -> StepResult:
     options = work.options
+    state = _start_of_step(work, load, u, past)
     plain = Stage(number, load, 1.0, options.rtol)
-    status, state, count = descend(work, plain, state, 0, min(options.overload_after, options.max_iterations))
+    status, count = NewtonStatus.ITERATION_LIMIT, 0
+    if stress is None:
+        status, state, count = descend(work, plain, state, 0, min(options.soften_after, options.max_iterations))
     if status is NewtonStatus.ITERATION_LIMIT:
-        for overload in _overloads(work, load):
-            # A stage that stalls is no failure: the next one has another load.
-            stage = Stage(number, load, overload, options.overload_rtol)
-            _, state, count = descend(work, stage, state, count, options.max_iterations)
+        state, count = _from_soft_to_hard(work, plain, state, count, stress)
         status, state, count = descend(work, plain, state, count, options.max_iterations)
     balance = balance_of(work, state, load)
     reach = _bounding_diagonal(work.membrane.disc.nodes, state.u)
@@ -130,16 +135,22 @@ def _solve_step(work: Work, number: int, load: LoadStep, u: Array, past: Sequenc
     )
 
 
-def _overloads(work: Work, load: LoadStep) -> list[float]:
-    """Falling factors > 1 on the dead force; the first one stretches the sheet by about as much as its size.
-
-    Empty for a sheet without dead force and for one whose potential was seen not to be convex: it may not carry more.
-    """
-    if not (work.is_convex and load.force != 0.0 and np.any(work.membrane.force)):
-        return []
-    ratio = work.options.overload_ratio
-    count = int(np.ceil(np.log(max(work.stiffest / work.line_load(load), 1.0)) / np.log(ratio)))
-    return [ratio**k for k in range(count, 0, -1)]
+def _from_soft_to_hard(work: Work, plain: Stage, state: State, count: int, stress: Array | None) -> tuple[State, int]:
+    """The state after all softened stages, ready for the true law; unchanged if the law has no compliance."""
+    law, options = work.true.law, work.options
+    if not isinstance(law, CompliantLaw):
+        return state, count
+    warm = None if stress is None else options.soften_warm
+    S = np.zeros_like(state.response.S) if stress is None else stress
+    for softness in softnesses(law, work.line_load(plain.load), options.soften_ratio, warm):
+        work.soften(law, softness, S)
+        stage = Stage(plain.number, plain.load, softness, options.soften_rtol)
+        # A stage that stalls or runs out of iterations is no failure: the next one has another law.
+        limit = min(count + options.soften_iterations, options.max_iterations)
+        _, state, count = descend(work, stage, work.evaluate(state.u), count, limit)
+        S = state.response.S
+    work.harden()
+    return work.evaluate(state.u), count
 
 
 def _start_of_step(work: Work, load: LoadStep, u: Array, past: Sequence[StepResult]) -> State:

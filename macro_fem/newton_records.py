@@ -14,14 +14,23 @@ class NewtonStatus(Enum):
 
     CONVERGED = "the forces balance to the tolerance"
     ITERATION_LIMIT = "max_iterations was reached before the forces balanced; allow more, or take smaller load steps"
+    ROUND_OFF = (
+        "the potential is at its minimum to round-off and the forces balance to better than 1e-5, but not to rtol: "
+        "the answer is as good as the law's stress allows"
+    )
     STALLED = (
-        "the potential no longer falls along the step although the forces do not balance to the tolerance: "
-        "round-off is reached; ask for less accuracy"
+        "the potential no longer falls along the step although the forces do not balance; "
+        "the tangent of the law does not fit its stress, or max_gradient_step is too small"
     )
     NOT_CONVEX = "no regularisation made the tangent definite: the state is unstable; take smaller load steps"
     NOT_FINITE = (
         "the law has no finite energy at the start of a load step: a cell is turned inside out; take smaller steps"
     )
+
+    @property
+    def is_solution(self) -> bool:
+        """Whether the displacement is an equilibrium: CONVERGED or ROUND_OFF."""
+        return self in (NewtonStatus.CONVERGED, NewtonStatus.ROUND_OFF)
 
 
 @dataclass(frozen=True)
@@ -41,8 +50,9 @@ class NewtonOptions:
     change of F at any point in one Newton step; keeps the first steps from a slack start inside the curtain's size.
     regularisation: eps over the typical line load of the sheet at a relative residual of 1. Between 0.1 and 1 the
     iterations hardly change; compared with the stiffness of the law instead, stiff sheets took twice as many.
-    overload_after: iterations of the plain attempt before the load is raised and lowered again by `overload_ratio`,
-    each stage to `overload_rtol`. 10^(1/4) and 0.01 took the fewest iterations on gathered nets; above 2 they stall.
+    soften_after: iterations of the plain attempt before the law is softened and hardened again by `soften_ratio`, each
+    stage to `soften_rtol`, in at most `soften_iterations`. Larger ratios or tolerances take more iterations in the end.
+    soften_warm: largest softness when a stress to remember is given to `solve`.
     predictor_order: highest order of extrapolation over past load steps (0: the tangent is used each time).
     """
 
@@ -51,9 +61,11 @@ class NewtonOptions:
     max_gradient_step: float = 1.0
     regularisation: float = 0.3
     predictor_order: int = 3
-    overload_after: int = 20
-    overload_ratio: float = 10.0**0.25
-    overload_rtol: float = 1e-2
+    soften_after: int = 20
+    soften_ratio: float = 1.5
+    soften_rtol: float = 1e-3
+    soften_iterations: int = 150
+    soften_warm: float = 30.0
     linear: LinearOptions = field(default_factory=LinearOptions)
 
     def __post_init__(self) -> None:
@@ -62,13 +74,13 @@ class NewtonOptions:
             "rtol": 0.0,
             "max_gradient_step": 0.0,
             "regularisation": 0.0,
-            "overload_ratio": 1.0,
-            "overload_rtol": 0.0,
+            "soften_ratio": 1.0,
+            "soften_rtol": 0.0,
         }
         for name, bound in least.items():
             if not getattr(self, name) > bound:
                 raise ValueError(f"{name} = {getattr(self, name)} must be greater than {bound:g}")
-        for name in ("max_iterations", "predictor_order", "overload_after"):
+        for name in ("max_iterations", "predictor_order", "soften_after"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must not be negative")
 
@@ -77,14 +89,14 @@ class NewtonOptions:
 class NewtonRecord:
     """One iteration: the state it started from and the step it took.
 
-    overload: factor on the dead force; potential N mm; residual relative (see `NewtonOptions.rtol`); length of the step
+    softness: factor on the compliance; potential N mm; residual relative (see `NewtonOptions.rtol`); length of the step
     that the line search took and evaluations of the law in it; eps N/mm; slack: share of the area without energy;
     seconds of assembly and of the factor with its solve.
     """
 
     load_step: int
     iteration: int
-    overload: float
+    softness: float
     potential: float
     residual: float
     length: float
