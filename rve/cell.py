@@ -196,7 +196,9 @@ def joined_contacts(parts: list[Contacts], order: NDArray[np.intp]) -> Contacts:
     rows = np.argsort(all_minima.pair, kind="stable")
     fields = [np.concatenate([getattr(part, name) for part in parts])[order] for name in ("present", "gap", "rho")]
     return Contacts(
-        *fields,
+        fields[0],
+        fields[1],
+        fields[2],
         all_minima.take(rows),
         np.concatenate(normal_a)[rows],
         np.concatenate(normal_b)[rows],

@@ -21,6 +21,8 @@ Index = NDArray[np.intp]
 # Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature r1^2/D a minimum may have a
 # twin between two samples, so its neighbourhood is sampled again.
 _SOFT = 0.5
+# Coaxial and coincident rings have curvature 0 to round-off, and a distance all the same.
+_ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def _polish(
         high = np.where(slope > 0.0, angle, high)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = angle - slope / curvature
-        good = (curvature > 0.0) & (newton > low) & (newton < high)
+        good = (curvature > 0.0) & (newton >= low) & (newton <= high)
         trial = np.where(good, newton, 0.5 * (low + high))
         # A stationary point to round-off moves no further; slope is in mm per radian.
         step = np.where(under_way & (np.abs(slope) > 1e-15 * r1), trial - angle, 0.0)
@@ -224,7 +226,8 @@ def _with_twins(
     bracket = np.maximum(width[column], width[column + 1])
     _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, d, n_a, n_b, r1)
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
-    parts = [found.take(near & ~soft), found.take(soft & (found.curvature > 0.0)), twins.take(twins.curvature > 0.0)]
+    stable = found.curvature > -_ROUND_OFF
+    parts = [found.take(near & ~soft), found.take(soft & stable), twins.take(twins.curvature > -_ROUND_OFF)]
     if shoulders:
         s = slope[:, 1:-1]
         right = (s > 0.0) & (s <= slope[:, :-2]) & (s < slope[:, 2:])

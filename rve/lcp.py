@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ContactStep:
-    """Displacements w (n, m), contact forces lam (n, c) >= 0, Newton iterations (n,), and whether each has converged."""
+    """Displacements w (n, m), contact forces lam (n, c) >= 0, Newton iterations (n,); whether converged (n,)."""
 
     w: Array
     lam: Array
@@ -40,9 +40,7 @@ def energy(A: Array, b: Array, G: Array, gap: Array, k: Array, w: Array) -> Arra
     return 0.5 * (w * _times(A, w)).sum(axis=1) - (b * w).sum(axis=1) + 0.5 * (k * pressed**2).sum(axis=1)
 
 
-def solve_contact_step(
-    A: Array, b: Array, G: Array, gap: Array, k: Array, *, max_iterations: int = 60
-) -> ContactStep:
+def solve_contact_step(A: Array, b: Array, G: Array, gap: Array, k: Array, *, max_iterations: int = 60) -> ContactStep:
     """Solution of the contact step for A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and k (n, c).
 
     A case that has not converged after `max_iterations` says so in the result.

@@ -1,9 +1,9 @@
 """Contact points by alternating projection, as in the paper (Fig. 7): an option, kept to show what it misses.
 
-A point of circle A is projected on circle B, that one back on A, and so on until both rest. The pair converges linearly to
-*one* local minimum of the distance, whichever the start leads to; the contraction factor tends to 1 where two minima
-merge. Two starts per pair, the paper's largest number of contact points, find both minima only if the starts lie on
-both sides of the ridge between them.
+A point of circle A is projected on circle B, that one back on A, and so on until both rest. The pair converges
+linearly to *one* local minimum of the distance, whichever the start leads to; the contraction factor tends to 1 where
+two minima merge. Two starts per pair, the paper's largest number of contact points, find both minima only if the
+starts lie on both sides of the ridge between them.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +36,22 @@ _POSE = ("lattice", "centres", "normals")
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """block: load cases per file; workers: processes side by side; save_every: batch steps between two savings."""
+    """folder: where the files go, none without; block: load cases per file; workers: processes side by side;
+    save_every: batch steps between two savings.
+    """
 
+    folder: str | os.PathLike[str] | None = None
     block: int = 48
     workers: int = 1
     save_every: int = 50
 
 
-def _columns(motions: tuple[Motion, ...]) -> dict[str, Array]:
+def _columns(motions: tuple[Motion, ...]) -> dict[str, Any]:
     out = {name: np.concatenate([getattr(motion, name) for motion in motions]) for name in _PLAIN}
     return out | {name: np.concatenate([getattr(motion.pose, name) for motion in motions]) for name in _POSE}
 
 
-def _motion(columns: dict[str, Array], equations: Equations, options: StewartTrinkleOptions) -> Motion:
+def _motion(columns: dict[str, Any], equations: Equations, options: StewartTrinkleOptions) -> Motion:
     pose = Pose(*(columns[name] for name in _POSE))
     contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
     plain = {name: columns[name] for name in _PLAIN}
@@ -78,7 +82,7 @@ def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: 
         raise InputError(f"{path}: is not a checkpoint of a sweep: {error}; delete it to start anew") from error
     if str(arrays.get("key")) != key:
         raise InputError(f"{path}: belongs to other loads, radii or options; delete it or choose another folder")
-    groups: dict[str, dict[str, Array]] = {"going": {}, "gone": {}}
+    groups: dict[str, dict[str, Any]] = {"going": {}, "gone": {}}
     for name, value in arrays.items():
         group, _, column = name.partition("_")
         if group in groups:
@@ -112,19 +116,24 @@ def sweep(
     s: Array,
     weave: Weave,
     wire: float,
-    options: StewartTrinkleOptions = StewartTrinkleOptions(),
-    how: SweepOptions = SweepOptions(),
-    folder: str | os.PathLike[str] | None = None,
+    options: StewartTrinkleOptions | None = None,
+    how: SweepOptions | None = None,
 ) -> Settled:
-    """Like `stewart_trinkle.solve` for loads s (n, 3), in blocks, with files in `folder` from which it can be resumed.
+    """Like `stewart_trinkle.solve` for loads s (n, 3), in blocks, with files from which it can be resumed.
 
-    Raises InputError when a file in the folder belongs to another sweep.
+    wire = r2/r1. Raises InputError when the folder cannot be made or one of its files belongs to another sweep.
     """
+    options, how = options or StewartTrinkleOptions(), how or SweepOptions()
     options.validate()
     blocks = [s[i : i + how.block] for i in range(0, len(s), how.block)]
-    if folder is not None:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    paths = [None if folder is None else Path(folder) / f"block-{i:04d}.npz" for i in range(len(blocks))]
+    paths: list[Path | None] = [None] * len(blocks)
+    if how.folder is not None:
+        folder = Path(how.folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
+        paths = [folder / f"block-{i:04d}.npz" for i in range(len(blocks))]
     jobs = [(block, weave, wire, options, path, how.save_every) for block, path in zip(blocks, paths, strict=True)]
     if how.workers > 1:
         with ProcessPoolExecutor(how.workers, mp_context=get_context("spawn")) as pool:
@@ -135,7 +144,7 @@ def sweep(
 
 
 def _joined(parts: list[Settled]) -> Settled:
-    def column(name: str) -> Array:
+    def column(name: str) -> Any:
         return np.concatenate([getattr(part, name) for part in parts])
 
     pose = Pose(*(np.concatenate([getattr(part.pose, name) for part in parts]) for name in _POSE))

@@ -4,8 +4,9 @@ Each step solves the linear implicit equations of Stewart and Trinkle (doi 10.10
 the velocity at its end: inertia, damping, the line load at its beginning and compliant unilateral contacts linearised
 there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
 numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
-in M (T u - v). Gyroscopic torques w x I w vanish: frictionless contacts never spin a torus about its own axis, and about
-its diameters all moments of inertia are equal. `ten_rings` is the reference form with every constraint written out.
+in M (T u - v). Gyroscopic torques w x I w vanish: frictionless contacts never spin a torus about its own axis, and
+about its diameters all moments of inertia are equal. `ten_rings` is the reference form with every constraint written
+out.
 
 Scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time stays in seconds.
 """
@@ -14,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.cell import Contacts, Pose, find_contacts, joined_contacts, moved, reduction, start_pose
 from rve.contact import distance_gradient, distance_hessian
-from rve.lcp import solve_contact_step
+from rve.lcp import ContactStep, solve_contact_step
 from rve.projection import find_contacts_by_projection
 from rve.system import Equations, lattice_load
 from rve.weave import Weave
@@ -42,10 +44,11 @@ class StewartTrinkleOptions:
     s_hat in kg/s2, 1 kg/s2 = 1 N/m (calibrated: the paper states none); h_max, h_min: largest time step and
     the one at which the solver gives up, s; tolerance: R of eq. (9) at which a case has converged; max_steps: accepted
     steps per case; restore: growth of the step after an accepted one; reach: gap in r1 from which contacts are seen;
-    largest_move: largest displacement (r1) and rotation (rad) of a ring per step, so that rings do not tunnel; contacts: "newton" finds
-    all local minima, "projection" those that two alternating projections per pair of rings end in; curvature: whether
-    the step sees the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps. Without it, as
-    eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
+    largest_move: largest displacement (r1) and rotation (rad) of a ring per step, so that rings do not tunnel;
+    contacts: "newton" finds all local minima, "projection" those that two alternating projections per pair of rings end
+    in; curvature: whether the step sees the curvature of its contacts (`geometric_stiffness`) beside their linearised
+    gaps. Without it, as eq. (6) is printed, some cases chatter between merging minima and end with the status
+    "time-step".
     """
 
     r1_mm: float = 5.0
@@ -80,9 +83,9 @@ class StewartTrinkleOptions:
 class Dynamics:
     """Matrices of the motion in scaled units.
 
-    mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity, 1/s;
-    ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2, m_full): from
-    the velocities to those of every ring's centre.
+    mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity in
+    1/s; ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2,
+    m_full): from the velocities to those of every ring's centre.
     """
 
     mass: Array
@@ -136,8 +139,8 @@ def copies(weave: Weave) -> Index:
 
 @dataclass(frozen=True)
 class Motion:
-    """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts, ring velocities v (n, m_full)
-    in r1/s and rad/s, next time step h, time, accepted and rejected steps, R of the last step.
+    """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts, ring velocities v
+    (n, m_full) in r1/s and rad/s, next time step h, time, accepted and rejected steps, R of the last step.
     """
 
     row: Index
@@ -180,8 +183,8 @@ class Settled:
     """Where the rings came to rest.
 
     pose: n poses in r1; contacts and lam (n, p, SLOTS) in s_hat r1, summed over the copies of a pair in the ten rings;
-    R (n,); steps, rejected (n,): accepted steps and those tried with too large h; time (n,): sum of h in s; status (n,):
-    "converged", "step-limit" or "time-step"; history: only when asked for.
+    R (n,); steps, rejected (n,): accepted steps and those tried with too large h; time (n,): sum of h in s; status
+    (n,): "converged", "step-limit" or "time-step"; history: only when asked for.
     """
 
     pose: Pose
@@ -275,8 +278,8 @@ def kinetic_energy(v: Array, dynamics: Dynamics) -> Array:
     return 0.5 * (v * np.matmul(v[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
 
 
-def _trial(motion: Motion, frozen: _Frozen, h: Array, equations: Equations, dynamics: Dynamics) -> tuple[Array, ...]:
-    """Reduced displacement w, ring velocities at the end, contact forces, and whether the programme was solved."""
+def _trial(motion: Motion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tuple[ContactStep, Array]:
+    """The solved quadratic programme of a step of length h (n,), and the ring velocities at its end."""
     T, Tt = frozen.T, frozen.T.transpose(0, 2, 1)
     hh = h[:, None, None]
     A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T)) + frozen.bend
@@ -284,7 +287,7 @@ def _trial(motion: Motion, frozen: _Frozen, h: Array, equations: Equations, dyna
     force[:, :4] += frozen.load
     b = np.matmul(Tt, force[..., None])[..., 0]
     step = solve_contact_step(A, b, frozen.G, frozen.gap, frozen.k)
-    return step.w, np.matmul(T, step.w[..., None])[..., 0] / h[:, None], step.lam, step.converged
+    return step, np.matmul(T, step.w[..., None])[..., 0] / h[:, None]
 
 
 def weighted_load(v_new: Array, v: Array, h: Array, load: Array, dynamics: Dynamics) -> Array:
@@ -316,20 +319,20 @@ def advanced(
     todo = np.arange(n)
     while len(todo):
         part, start = motion.take(_mask(todo, n)), frozen.take(todo)
-        w, v_new, force, solved = _trial(part, start, h[todo], equations, dynamics)
-        new = moved(part.pose, w)
+        step, v_new = _trial(part, start, h[todo], dynamics)
+        new = moved(part.pose, step.w)
         found = finder(new, equations.weave, equations.wire, options.reach)
         way = np.concatenate([new.a1 - part.pose.a1, new.a2 - part.pose.a2], axis=1)
         work = (start.load * way).sum(axis=1)
         total = contact_energy(found, dynamics.stiffness) + kinetic_energy(v_new, dynamics)
         change = total - start.energy - work
         near = h[todo] * largest_motion(v_new, equations.weave, dynamics) <= options.largest_move
-        good = solved & found.links_intact & (change <= ROUND_OFF) & near
+        good = step.converged & found.links_intact & (change <= ROUND_OFF) & near
         yes = np.flatnonzero(good)
         rows = todo[yes]
         pose, contacts = pose.put(rows, new.take(yes)), contacts.put(rows, found.take(yes))
         R[rows] = weighted_load(v_new, part.v, h[todo], start.load, dynamics)[yes]
-        v[rows], rise[rows], lam[rows] = v_new[yes], change[yes], force[yes].reshape(len(yes), *lam.shape[1:])
+        v[rows], rise[rows], lam[rows] = v_new[yes], change[yes], step.lam[yes].reshape(len(yes), *lam.shape[1:])
         todo = todo[~good]
         rejected[todo] += 1
         h[todo] *= 0.5
@@ -383,7 +386,7 @@ def continued(
     equations: Equations,
     options: StewartTrinkleOptions,
     batch_steps: int,
-    log: list[tuple[Array, ...]] | None = None,
+    log: list[tuple[Any, ...]] | None = None,
 ) -> Progress:
     """The same solve after at most this many batch steps; accepted steps are appended to `log`."""
     dynamics = Dynamics.of(equations, options)
@@ -417,19 +420,19 @@ def solve(
     >>> (5 * rest.pose.lattice[0, :2]).round(3), str(rest.status[0])
     (array([11.   , 12.646]), 'converged')
     """
-    log: list[tuple[Array, ...]] = []
+    log: list[tuple[Any, ...]] = []
     progress = begin(s, equations, options)
     while len(progress.going.row):
         progress = continued(progress, equations, options, 1000, log if history else None)
     return settled(progress, options, log)
 
 
-def settled(progress: Progress, options: StewartTrinkleOptions, log: list[tuple[Array, ...]] | None = None) -> Settled:
+def settled(progress: Progress, options: StewartTrinkleOptions, log: list[tuple[Any, ...]] | None = None) -> Settled:
     """The result, in the order of the loads, of a solve that has come to its end."""
     parts = progress.gone
     order = np.argsort(np.concatenate([part.row for part in parts]))
 
-    def joined(columns: list[Array]) -> Array:
+    def joined(columns: list[Any]) -> Any:
         return np.concatenate(columns)[order]
 
     pose = Pose(*(joined([getattr(part.pose, name) for part in parts]) for name in ("lattice", "centres", "normals")))

@@ -2,8 +2,9 @@
 
 Each ring has six velocities. Constraints: all centres stay in the plane, ring 1 in its place, rings of one class on
 parallelograms and with equal rotation (4), and the rotation rule (5). One case at a time, dense matrices, the
-complementarity problem by non-negative least squares (Lawson and Hanson, scipy.optimize.nnls). It shares the distance of
-two circles with the periodic form, and nothing else: neither pair lists, reduction, mass matrices nor contact solver.
+complementarity problem by non-negative least squares (Lawson and Hanson, scipy.optimize.nnls). It shares the distance
+of two circles with the periodic form, and nothing else: neither pair lists, reduction, mass matrices nor contact
+solver.
 
 Units: mm, kg, s.
 """
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TenRings:
-    """Centres (n, 3) in mm, normals (n, 3) and velocities (n, 6) of every ring; h: next time step; time; R of eq. (9)."""
+    """Centres (n, 3) in mm, normals (n, 3), velocities (n, 6) of every ring; next time step h; time; R of eq. (9)."""
 
     centres: Array
     normals: Array
@@ -114,7 +115,8 @@ def gyroscopic(rings: TenRings, M: Array) -> Array:
 
 
 def corner_forces(rings: TenRings, weave: Weave, s: Array) -> Array:
-    """Forces (6 n,) of the line load s (3,) in kg/s2 on the rings 1-4, Fig. 4: half of each side goes to its two ends."""
+    """Forces (6 n,) of the line load s (3,) in kg/s2 on the rings 1-4: half of each side goes to its two ends (Fig.
+    4)."""
     one, two, three, four = corners(rings, weave)
     a1, a2 = rings.centres[two] - rings.centres[one], rings.centres[three] - rings.centres[one]
     load = np.array([[s[0], s[1]], [s[1], s[2]]])
@@ -165,7 +167,7 @@ def _moved(rings: TenRings, weave: Weave, v: Array, h: float) -> TenRings:
     """Positions after h v. The linearised rule (5) leaves an error of order h^2, which is put right at once: x2, y3 and
     t = tan(gamma) move with their velocities, and every ring keeps its place in the lattice.
     """
-    kind, shift = shifts(weave)
+    shift = weave.rings[:, 1:]
     one, two, three, _ = corners(rings, weave)
     a1, a2 = rings.centres[two] - rings.centres[one], rings.centres[three] - rings.centres[one]
     t = a1[1] / a1[0]
@@ -211,17 +213,17 @@ def _free_velocities(rings: TenRings, weave: Weave) -> tuple[Array, int]:
 
 
 def _complementarity(A: Array, b: Array, N: Array, gap: Array, k: float) -> Array:
-    """Displacement w of the step: A w = b + N^T lam, 0 <= lam _|_ gap + N w + lam/k >= 0, by non-negative least squares.
+    """Displacement w of the step: A w = b + N^T lam, 0 <= lam _|_ gap + N w + lam/k >= 0.
 
-    With Q = 1/k + N A^-1 N^T = L L^T the forces minimise |L^T lam + L^-1 (gap + N A^-1 b)|.
+    Non-negative least squares: with Q = 1/k + N A^-1 N^T = L L^T the forces minimise |L^T lam + L^-1 (gap + N A^-1 b)|.
     """
-    free = np.linalg.solve(A, b)
+    free = np.asarray(np.linalg.solve(A, b))
     if not len(gap):
         return free
     AN = np.linalg.solve(A, N.T)
     L = np.linalg.cholesky(np.eye(len(gap)) / k + N @ AN)
     lam, _ = nnls(L.T, -solve_triangular(L, gap + N @ free, lower=True))
-    return free + AN @ lam
+    return np.asarray(free + AN @ lam)
 
 
 def _energy(rings: TenRings, found: PairContacts, M: Array, options: StewartTrinkleOptions) -> float:

@@ -1,0 +1,161 @@
+"""Contact of two tori against dense sampling, closed forms and differences."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from rve.contact import are_linked, distance_gradient, distance_hessian, local_minima, tangent_frame
+
+
+def unit(x):
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+def random_pairs(rng, n, low=0.3, high=2.2):
+    d = unit(rng.normal(size=(n, 3))) * rng.uniform(low, high, (n, 1))
+    return d, unit(rng.normal(size=(n, 3))), unit(rng.normal(size=(n, 3)))
+
+
+def sampled_distance(d, n_a, n_b, angles):
+    """Distance from each point of circle A to circle B, by the plain formula, pair by pair."""
+    e1, e2 = tangent_frame(n_a)
+    point = np.cos(angles)[:, None] * e1 + np.sin(angles)[:, None] * e2 - d
+    height = point @ n_b
+    return np.hypot(height, np.linalg.norm(point - height[:, None] * n_b, axis=1) - 1.0)
+
+
+def brute_minima(d, n_a, n_b, count=20000):
+    f = sampled_distance(d, n_a, n_b, 2 * np.pi * np.arange(count) / count)
+    return np.sort(f[(f <= np.roll(f, 1)) & (f < np.roll(f, -1))])
+
+
+def test_every_close_minimum_is_found():
+    rng = np.random.default_rng(1)
+    d, n_a, n_b = random_pairs(rng, 400)
+    found = local_minima(d, n_a, n_b, 1.0)
+    compared = 0
+    for i in range(len(d)):
+        brute = brute_minima(d[i], n_a[i], n_b[i])
+        mine = np.sort(found.distance[found.pair == i])
+        # Contacts are looked for below 1; farther ones may sit on the axis of the other ring, where f has a kink.
+        brute, mine = brute[(brute > 0.02) & (brute < 1.0)], mine[(mine > 0.02) & (mine < 1.0)]
+        assert len(brute) == len(mine)
+        np.testing.assert_allclose(mine, brute, atol=2e-5)
+        compared += len(mine)
+    assert compared > 300
+
+
+def test_twins_closer_than_the_samples_are_both_found():
+    # Two taut rings in planes at the angle chi: one contact for |cos chi| < 1 - d', two beyond; here just beyond.
+    wire = 0.1
+    d = np.array([[2.0 - 2.0 * wire, 0.0, 0.0]])
+    for excess, count in ((-1e-3, 1), (1e-3, 2), (1e-2, 2)):
+        half = 0.5 * np.arccos(1.0 - 2.0 * wire + excess)
+        n_a = np.array([[0.0, np.sin(half), np.cos(half)]])
+        n_b = np.array([[0.0, -np.sin(half), np.cos(half)]])
+        found = local_minima(d, n_a, n_b, 1.0, reach=0.5)
+        assert len(found.pair) == count, excess
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gradient_and_hessian_are_derivatives(seed):
+    rng = np.random.default_rng(seed)
+    d, n_a, n_b = random_pairs(rng, 60)
+    found = local_minima(d, n_a, n_b, 1.0)
+    found = found.take((found.curvature > 0.05) & (found.distance > 0.05))
+    gradient, hessian = distance_gradient(found), distance_hessian(found, n_a[found.pair], n_b[found.pair], 1.0)
+
+    def moved(row, q):
+        i = found.pair[row]
+        turned = [Rotation.from_rotvec(q[3:6]).apply(n_a[i]), Rotation.from_rotvec(q[6:]).apply(n_b[i])]
+        near = local_minima((d[i] + q[:3])[None], turned[0][None], turned[1][None], 1.0)
+        same = np.argmin(np.linalg.norm(near.rho_a - found.rho_a[row], axis=1))
+        return near.distance[same], distance_gradient(near)[same]
+
+    h = 1e-5
+    for row in range(0, len(found.pair), 7):
+        plus, minus = zip(*(((moved(row, h * e)), moved(row, -h * e)) for e in np.eye(9)), strict=True)
+        g = np.array([(p[0] - m[0]) / (2 * h) for p, m in zip(plus, minus, strict=True)])
+        H = np.array([(p[1] - m[1]) / (2 * h) for p, m in zip(plus, minus, strict=True)])
+        np.testing.assert_allclose(gradient[row], g, atol=1e-8)
+        scale = max(1.0, np.abs(hessian[row]).max())
+        # The gradient in turned coordinates differs from the Hessian by a skew part that is no second derivative.
+        np.testing.assert_allclose(hessian[row], 0.5 * (H + H.T), atol=1e-5 * scale**2)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3), st.integers(0, 2**31))
+def test_distance_does_not_care_about_the_frame_or_the_order(x, y, z, seed):
+    rng = np.random.default_rng(seed)
+    d, n_a, n_b = random_pairs(rng, 1)
+    R = Rotation.from_rotvec([x, y, z])
+    plain = np.sort(local_minima(d, n_a, n_b, 1.0, reach=0.9).distance)
+    turned = np.sort(local_minima(R.apply(d), R.apply(n_a), R.apply(n_b), 1.0, reach=0.9).distance)
+    swapped = np.sort(local_minima(-d, n_b, n_a, 1.0, reach=0.9).distance)
+    np.testing.assert_allclose(turned, plain, atol=1e-12)
+    np.testing.assert_allclose(swapped, plain, atol=1e-12)
+    larger = np.sort(local_minima(7.0 * d, n_a, n_b, 7.0, reach=6.3).distance)
+    np.testing.assert_allclose(larger, 7.0 * plain, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("name", "d", "n_b", "expected"),
+    [
+        ("coaxial", [0.0, 0.0, 0.7], [0.0, 0.0, 1.0], [0.7]),
+        ("concentric, perpendicular", [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0]),
+        ("coplanar, apart", [2.5, 0.0, 0.0], [0.0, 0.0, 1.0], [0.5]),
+        ("parallel planes, crossing projections", [1.0, 0.0, 0.3], [0.0, 0.0, 1.0], [0.3, 0.3]),
+        ("taut in perpendicular planes", [1.8, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2]),
+        ("identical", [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0]),
+    ],
+)
+def test_degenerate_pairs_by_name(name, d, n_b, expected):
+    found = local_minima(np.array([d]), np.array([[0.0, 0.0, 1.0]]), np.array([n_b]), 1.0, reach=0.8)
+    np.testing.assert_allclose(np.sort(found.distance), expected, atol=1e-9, err_msg=name)
+    assert np.isfinite(found.normal).all()
+
+
+def gauss_linking(d, n_a, n_b, count=400):
+    t = 2 * np.pi * np.arange(count) / count
+    e1, e2 = tangent_frame(np.stack([n_a, n_b]))
+    a = np.cos(t)[:, None] * e1[0] + np.sin(t)[:, None] * e2[0]
+    b = d + np.cos(t)[:, None] * e1[1] + np.sin(t)[:, None] * e2[1]
+    da, db = np.cross(n_a, a), np.cross(n_b, b - d)
+    x = a[:, None] - b[None]
+    triple = np.einsum("ijk,ijk->ij", x, np.cross(da[:, None], db[None]))
+    return (triple / np.linalg.norm(x, axis=2) ** 3).sum() * (t[1]) ** 2 / (4 * np.pi)
+
+
+def test_linking_agrees_with_the_gauss_integral():
+    rng = np.random.default_rng(3)
+    d, n_a, n_b = random_pairs(rng, 300)
+    closest = np.array([brute_minima(d[i], n_a[i], n_b[i], 2000).min() for i in range(len(d))])
+    linked = are_linked(d, n_a, n_b, 1.0)
+    clear = np.flatnonzero(closest > 0.15)
+    number = np.array([gauss_linking(d[i], n_a[i], n_b[i]) for i in clear])
+    np.testing.assert_allclose(np.abs(number), linked[clear].astype(float), atol=0.05)
+    assert 10 < linked[clear].sum() < len(clear) - 10
+
+
+def test_shoulders_are_inflections_of_the_distance():
+    rng = np.random.default_rng(5)
+    chi = rng.uniform(0.5, 1.0, 400)
+    tilt = 0.03 * rng.normal(size=400)
+    n_a = unit(np.stack([tilt, np.sin(chi / 2), np.cos(chi / 2)], axis=1))
+    n_b = unit(np.stack([0 * tilt, -np.sin(chi / 2), np.cos(chi / 2)], axis=1))
+    d = np.stack([rng.uniform(1.75, 1.85, 400), 0 * chi, 0 * chi], axis=1)
+    found = local_minima(d, n_a, n_b, 1.0, reach=0.6, shoulders=True)
+    rows = np.flatnonzero(found.curvature == 0.0)
+    assert len(rows) > 20
+    for row in rows:
+        i = found.pair[row]
+        e1, e2 = tangent_frame(n_a[i])
+        angle = np.arctan2(found.rho_a[row] @ e2, found.rho_a[row] @ e1)
+        h = 1e-3
+        f = sampled_distance(d[i], n_a[i], n_b[i], angle + h * np.arange(-2, 3)) ** 2
+        bend = (f[0] - 2 * f[2] + f[4]) / (2 * h) ** 2
+        assert abs(bend) < 0.02
+        # A shoulder is never lower than the lowest minimum of its pair.
+        assert found.distance[row] >= found.distance[found.pair == i].min()
