@@ -196,8 +196,10 @@ def _walk(
 ) -> tuple[_State, NDArray[np.int64]]:
     """Newton along a path of loads from beta = 45 degrees, where it starts at X (n, 3), to beta."""
     steps = np.zeros(len(X), np.int64)
-    for part in np.linspace(0.0, 1.0, options.path_steps + 1):
-        state, more = _newton(law, alpha, 45.0 + part * (beta - 45.0), X, scale, options)
+    for left in (
+        np.linspace(1.0, 0.0, options.path_steps + 1) ** 3
+    ):  # ever shorter steps: strains change fast at beta = 0
+        state, more = _newton(law, alpha, beta + left * (45.0 - beta), X, scale, options)
         X, steps = state.X, steps + more
     return state, steps
 

@@ -1,0 +1,143 @@
+"""The command line: answers on real input, and one sentence with exit code 2 on bad input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize.cli import main
+from homogenize.io import load_law
+from homogenize.law import default_law
+from homogenize.ship import SHIPPED
+
+TABLE = Path(__file__).parent / "data" / "table190.csv"
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def refused(result, *words):
+    assert result.exit_code == 2, result.output
+    assert result.stderr.startswith(("Error: ", "Usage: "))
+    assert "Traceback" not in result.output
+    for word in words:
+        assert str(word) in result.stderr
+    if result.stderr.startswith("Error: "):
+        assert result.stderr.count("\n") == 1
+    return True
+
+
+def test_fit_writes_a_law_and_prints_its_error(tmp_path):
+    result = run("fit", TABLE, "--out", tmp_path / "law.json")
+    assert result.exit_code == 0, result.output
+    for words in ("normality holds", "rows left out", "outer minus inner bound", "no unique strain"):
+        assert words in result.output
+    S = np.array([[0.6, 0.1, 0.4]])
+    assert load_law(tmp_path / "law.json").support(S) == pytest.approx(default_law().support(S), abs=1e-12)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["law.json"]
+    record = json.loads((tmp_path / "law.json").read_text())
+    assert len(record["provenance"]["table"]["sha256"]) == 64
+
+
+def test_strain_prints_one_object():
+    result = run("strain", SHIPPED, "--alpha", "20", "--beta", "30")
+    answer = json.loads(result.output)
+    expected = {"E11": 0.33028, "E12": 0.00624, "E22": -0.17511}  # rve, 20 degrees, 30 degrees
+    assert result.exit_code == 0
+    assert {key: answer[key] for key in expected} == pytest.approx(expected, abs=5e-3)
+    assert answer["unique"] is True
+    assert answer["extrapolated"] is False
+    mirrored = json.loads(run("strain", SHIPPED, "--alpha", "-20", "--beta", "30").output)
+    assert mirrored["E12"] == pytest.approx(-answer["E12"], abs=1e-6)
+
+
+def test_a_load_along_the_chain_is_marked():
+    assert json.loads(run("strain", SHIPPED, "--alpha", "25", "--beta", "0").output)["unique"] is False
+
+
+def test_support_is_homogeneous():
+    small = json.loads(run("support", SHIPPED, "--S", "0.3,-0.05,0.2").output)
+    large = json.loads(run("support", SHIPPED, "--S", "3,-0.5,2").output)
+    assert large["h"] == pytest.approx(10.0 * small["h"], rel=1e-12)
+    assert small["extrapolated"] is False
+
+
+def test_loads_outside_the_sampled_cone_are_marked(tmp_path):
+    lines = TABLE.read_text().splitlines()
+    kept = [line for line in lines[1:] if 15.0 <= float(line.split(",")[1]) <= 75.0]
+    (tmp_path / "part.csv").write_text("\n".join([lines[0], *kept]) + "\n")
+    (tmp_path / "part.json").write_text(TABLE.with_suffix(".json").read_text())
+    assert run("fit", tmp_path / "part.csv", "--out", tmp_path / "law.json").exit_code == 0
+    assert json.loads(run("support", tmp_path / "law.json", "--S", "1,0,0").output)["extrapolated"] is True
+    assert json.loads(run("support", tmp_path / "law.json", "--S", "0.36,0,0.64").output)["extrapolated"] is False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("strain", SHIPPED, "--alpha", "nan", "--beta", "3"), ("--alpha nan", "finite")),
+        (("strain", SHIPPED, "--alpha", "10", "--beta", "-5"), ("--beta -5", "push")),
+        (("strain", SHIPPED, "--alpha", "10"), ("--beta",)),
+        (("support", SHIPPED, "--S", "1,2"), ("--S 1,2", "three")),
+        (("support", SHIPPED, "--S", "1,x,0"), ("1,x,0",)),
+        (("support", SHIPPED, "--S", "-0.1,0,1"), ("not tensile",)),
+        (("support", SHIPPED, "--S", "0,0,0"), ("all are zero",)),
+        (("support", "nowhere.json", "--S", "1,0,0"), ("nowhere.json", "cannot be read")),
+        (("fit", "nowhere.csv", "--out", "law.json"), ("nowhere.csv",)),
+        (("fit", TABLE, "--out", "law.json", "--kind", "spline"), ("kind = spline", "refined")),
+        (("fit", TABLE, "--out", "nowhere/law.json"), ("nowhere", "cannot be written")),
+        (("export", "nowhere.json", "--out", "umat.f"), ("nowhere.json",)),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert refused(run(*arguments), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda record: record | {"schema": 99}, ("schema = 99",)),
+        (lambda record: record | {"units": {"strain": "%"}}, ("units",)),
+        (lambda record: record | {"kind": "magic"}, ("kind = 'magic'",)),
+        (lambda record: {k: v for k, v in record.items() if k != "cell"}, ("'cell' is missing",)),
+        (lambda record: record | {"parameters": {"S": [[1, 0, 0]], "h": [1]}}, ("stiffness_N_per_mm",)),
+        (
+            lambda record: record | {"parameters": record["parameters"] | {"h": [float("nan")] * 3}},
+            ("half-spaces are finite",),
+        ),
+        (lambda record: [1, 2], ("one JSON object",)),
+    ],
+)
+def test_a_law_file_that_is_not_understood_is_refused(change, words, tmp_path):
+    path = tmp_path / "law.json"
+    path.write_text(json.dumps(change(json.loads(SHIPPED.read_text()))))
+    assert refused(run("support", path, "--S", "1,0,0"), path, *words)
+    path.write_text("{")
+    assert refused(run("support", path, "--S", "1,0,0"), path, "not JSON")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: "", ()),
+        (lambda text: text.splitlines()[0] + "\n", ()),
+        (lambda text: text.replace("E12", "Q12", 1), ("E12",)),
+        (lambda text: text.replace("converged", "stalled"), ("no converged",)),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_refused(change, words, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(change(TABLE.read_text()))
+    path.with_suffix(".json").write_text(TABLE.with_suffix(".json").read_text())
+    assert refused(run("fit", path, "--out", tmp_path / "law.json"), "table.csv", *words)
+    assert not (tmp_path / "law.json").exists()
+
+
+def test_export_writes_fortran(tmp_path):
+    assert run("export", SHIPPED, "--out", tmp_path / "umat.f").exit_code == 0
+    assert "SUBROUTINE UMAT" in (tmp_path / "umat.f").read_text()
