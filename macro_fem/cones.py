@@ -114,6 +114,18 @@ def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cone
     )
 
 
+def repeated(cones: Cones, times: int) -> Cones:
+    """The half-spaces of n points for `times` copies of these points, one copy after the other."""
+    n, nc = len(cones.first), len(cones)
+    copies = np.arange(times)[:, None]
+    return Cones(
+        (cones.point + n * copies).ravel(),
+        np.tile(cones.S, (times, 1)),
+        np.tile(cones.h, times),
+        (cones.first + nc * copies).ravel(),
+    )
+
+
 def only(cones: Cones, keep: np.ndarray) -> Cones:
     """The half-spaces marked by `keep` (nc,); every point must retain one."""
     point = cones.point[keep]

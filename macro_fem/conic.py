@@ -162,6 +162,7 @@ def _record(
         else "the supports are farther apart than the mesh can stretch (clarabel found a certificate)",
         z=z,
         lam=lam,
+        y_tail=np.zeros((len(lam), 2 * fem.d)),
         cones=cones,
         P=times_triple(fem.gradient(z), S),
         S=S,

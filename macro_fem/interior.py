@@ -265,10 +265,13 @@ def advance(program: Program, state: State, options: InteriorOptions) -> tuple[S
 
 def first_state(program: Program, z: Array, gap: float) -> State:
     """A state at z on the central path of relative gap `gap`; cone vectors of violated cones are lifted inside."""
-    wanted = program.slack(z)
-    size = np.sqrt(soc.row_dot(wanted.tail, wanted.tail))
-    s = Vectors(np.maximum(wanted.head, size + LIFT * program.c), wanted.tail)
+    s = lifted(program.slack(z), LIFT * program.c)
     return State(z, s, soc.inverse(s, gap * program.scale / float(program.w.sum())))
+
+
+def lifted(s: Vectors, least: Array) -> Vectors:
+    """s with heads raised where they are less than `least` (n,) inside their cones."""
+    return Vectors(np.maximum(s.head, np.sqrt(soc.row_dot(s.tail, s.tail)) + least), s.tail)
 
 
 def follow(program: Program, state: State, options: InteriorOptions) -> tuple[State, Measure, str, list[Iteration]]:

@@ -26,6 +26,7 @@ from macro_fem.interior import (
     State,
     first_state,
     follow,
+    lifted,
     make_program,
 )
 from macro_fem.soc import Vectors
@@ -42,6 +43,10 @@ PRUNED_ROUNDS = 4
 """After these first rounds idle half-spaces are dropped; not later, lest rounds go in circles."""
 IDLE = 0.03
 """A half-space is idle below this part of a point's load and above this relative distance."""
+FLAT = 0.05
+"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
+KEPT_LIFT = 0.1
+"""Part of the central path's dual vector that is added to one that is kept from the round before."""
 LEAST_SHARE = 1e-5
 """A new round begins at least this part of the way back to the start: closer to the boundary steps get stuck."""
 INSIDE = 1e-3
@@ -52,13 +57,15 @@ INSIDE = 1e-3
 class RigidOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
-    `violation` (relative to h + tr S/2) is what the last round may leave before the answer is drawn back inside.
+    `violation` (relative to h + tr S/2) is what the last round may leave before the answer is drawn back inside. `cones`
+    are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles.
     """
 
     gap: float = 1e-9
     violation: float = 1e-8
     max_iterations: int = 400
     max_rounds: int = 40
+    cones: Cones | None = None
 
 
 @dataclass(frozen=True)
@@ -67,13 +74,14 @@ class RigidResult:
 
     `primal` is -l.z, an upper bound of the least potential of this discretisation, `dual` a lower bound of it, N mm,
     without the constant that supports add. P (nq, d, 2) is the equilibrated stress in N per mm of reference length,
-    S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i S_i with P = F S at the exact answer.
+    y_tail (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i S_i with P = F S at the exact answer.
     """
 
     status: str
     message: str
     z: Array
     lam: Array
+    y_tail: Array
     cones: Cones
     P: Array
     S: Array
@@ -109,7 +117,7 @@ def solve_rigid(
     is well inside the law lets later rounds begin near the end of the one before and makes the primal value a bound.
     """
     total = float(np.abs(load).sum()) or float(fem.weight.sum()) * NO_LOAD
-    cones = first_cones(law, len(fem.weight))
+    cones = first_cones(law, len(fem.weight)) if options.cones is None else options.cones
     program = make_program(fem, load, cones, total * size, total)
     inner = start if _law_slack(law, fem.gradient(start)) > INSIDE else None
     state, tolerance = first_state(program, start, 1.0), 1e-2
@@ -129,7 +137,8 @@ def solve_rigid(
         if violation.max() < options.violation and (tolerance <= options.gap or status == "stalled"):
             break
         new = np.flatnonzero(violation > 0.3 * options.violation)
-        tolerance = float(np.clip(LOOSE * violation.max(), options.gap, tolerance))
+        is_last = violation.max() < options.violation
+        tolerance = options.gap if is_last else float(np.clip(LOOSE * violation.max(), options.gap, tolerance))
         if number <= PRUNED_ROUNDS:
             program, state = _pruned(program, state)
         if len(new):
@@ -144,13 +153,17 @@ def solve_rigid(
 def _pruned(program: Program, state: State) -> tuple[Program, State]:
     """The program without half-spaces that are far away and carry next to nothing: the law tells if they are missed.
 
-    The least slack of every point stays; at 20 half-spaces per point this makes later rounds three times as fast.
+    At 20 half-spaces per point this makes later rounds three times as fast.
     """
     distance = state.s.margin() / program.c
     load = state.y.head * program.c
     first = program.cones.first
     keep = (load > IDLE * np.add.reduceat(load, first)[program.cones.point]) | (distance < IDLE)
-    keep |= distance <= np.minimum.reduceat(distance, first)[program.cones.point]
+    # one well-conditioned S, or else all of them, keeps Newton's matrix definite at every point
+    S = program.cones.S
+    det = S[:, 0] * S[:, 2] - S[:, 1] ** 2
+    roundest = np.maximum.reduceat(det, first)[program.cones.point]
+    keep |= (det >= roundest) | (roundest < FLAT)
     cones = only(program.cones, keep)
     few = make_program(program.fem, program.load, cones, program.scale, program.total)
     return few, State(state.z, _chosen(state.s, keep), _chosen(state.y, keep))
@@ -181,29 +194,37 @@ def _extended(
     """
     cones, order = with_cuts(program.cones, new, S[new], h[new])
     wider = make_program(program.fem, program.load, cones, program.scale, program.total)
-    if inner is None:
-        return wider, first_state(wider, state.z, 1.0)
     share = float(np.clip(5.0 * violation, LEAST_SHARE, 0.5))
-    z = state.z + share * (inner - state.z)
-    s = wider.slack(z)
-    while s.margin().min() <= 0.0 and share < 1.0:
-        share = min(1.0, 2.0 * share)
-        z = state.z + share * (inner - state.z)
-        s = wider.slack(z)
+    if inner is None:
+        z, s = state.z, lifted(wider.slack(state.z), share * wider.c)
+    else:
+        z, s, share = _drawn_back(wider, state.z, inner, share)
     central = soc.inverse(s, share * program.scale / float(wider.w.sum()))
     head = np.concatenate([state.y.head, np.zeros(len(new))])[order]
     tail = np.concatenate([state.y.tail, np.zeros((len(new), state.y.tail.shape[1]))])[order]
-    return wider, State(z, s, Vectors(head, tail) + central)
+    part = np.where(order < len(state.y.head), KEPT_LIFT, 1.0)
+    return wider, State(z, s, Vectors(head + part * central.head, tail + part[:, None] * central.tail))
+
+
+def _drawn_back(program: Program, z: Array, inner: Array, share: float) -> tuple[Array, Vectors, float]:
+    """z drawn towards the inner unknowns by at least `share`, so far that it is inside all cones."""
+    while True:
+        back = z + share * (inner - z)
+        s = program.slack(back)
+        if s.margin().min() > 0.0 or share >= 1.0:
+            return back, lifted(s, LEAST_SHARE * program.c), share
+        share = min(1.0, 2.0 * share)
 
 
 def _drawn_inside(law: MembraneLaw, fem: Fem, z: Array, inner: Array | None) -> Array:
     """z, or the nearest point found on the way from z to the inner state that is inside the whole law."""
     if inner is None:
         return z
-    share = 0.0
-    while _law_slack(law, fem.gradient(z + share * (inner - z))) < 0.0 and share < 1.0:
-        share = max(1e-13, 2.0 * share)
-    return z + min(share, 1.0) * (inner - z)
+    share, slack = 0.0, _law_slack(law, fem.gradient(z))
+    while slack < 0.0 and share < 1.0:
+        share = min(1.0, max(1e-13, -0.5 * slack, 2.0 * share))
+        slack = _law_slack(law, fem.gradient(z + share * (inner - z)))
+    return z + share * (inner - z)
 
 
 def _result(
@@ -226,6 +247,7 @@ def _result(
         message=message,
         z=z,
         lam=lam,
+        y_tail=state.y.tail,
         cones=program.cones,
         P=-program.stress(state.y.tail),
         S=program.cones.stress(lam),

@@ -9,7 +9,7 @@ import numpy as np
 
 from homogenize.law import Array, InputError, MembraneLaw
 from macro_fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
-from macro_fem.cones import green_strain
+from macro_fem.cones import Cones, green_strain
 from macro_fem.fem import SupportedFem
 from macro_fem.interior import Iteration
 from macro_fem.loads import nodal_forces
@@ -57,6 +57,7 @@ class CurtainSolution:
     residual: float
     iterations: int
     wall_s: float
+    cones: Cones | None = field(default=None, repr=False)
     history: tuple[Iteration, ...] = field(default=(), repr=False)
 
     @property
@@ -195,5 +196,6 @@ def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: flo
         residual=result.residual,
         iterations=result.iterations,
         wall_s=wall_s,
+        cones=result.cones,
         history=result.history,
     )

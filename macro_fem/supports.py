@@ -166,14 +166,11 @@ def _nearest(at: tuple[float, float], mesh: CurtainMesh, disc: Discretization, w
 def _straight_bars(
     bars: list[Bar], scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray
 ) -> sparse.csc_matrix:
-    """T that puts the nodes of each bar between its two ends: x = (1 - s) x_first + s x_last."""
-    n = disc.n_nodes
-    master = np.arange(n)
-    rows, columns, values = [], [], []
-    tied = np.zeros(n, bool)
+    """T that keeps the nodes of every bar on a line; InputError for bars on bent or held edges."""
+    lines = []
     for bar in bars:
         nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-        if mask[nodes].any() or tied[nodes].any():
+        if mask[nodes].any() or any(np.isin(nodes, line).any() for line in lines):
             raise InputError(
                 f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held by a support or has a second bar"
             )
@@ -182,12 +179,24 @@ def _straight_bars(
         s = (X - X[0]) @ along / (along @ along)
         if np.abs(X - X[0] - s[:, None] * along).max() > 1e-6 * mesh.size:
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
+        lines.append(nodes)
+    return straight_ties(lines, disc.nodes, mask)
+
+
+def straight_ties(lines: list[np.ndarray], X: Array, mask: np.ndarray) -> sparse.csc_matrix:
+    """T that puts the nodes of each line between its first and its last: x = (1 - s) x_first + s x_last."""
+    n = len(X)
+    tied = np.zeros(n, bool)
+    rows, columns, values = [], [], []
+    for nodes in lines:
+        along = X[nodes[-1]] - X[nodes[0]]
+        s = (X[nodes] - X[nodes[0]]) @ along / (along @ along)
         for weight, end in ((1.0 - s[1:-1], nodes[0]), (s[1:-1], nodes[-1])):
             rows.append(nodes[1:-1])
             columns.append(np.full(len(nodes) - 2, end))
             values.append(weight)
         tied[nodes[1:-1]] = True
-    own = master[~tied]
+    own = np.flatnonzero(~tied)
     T = sparse.coo_matrix(
         (
             np.concatenate([np.ones(len(own)), *values]),
