@@ -13,6 +13,9 @@ from macro_fem.membrane import Membrane, State, evaluate, tangent
 from macro_fem.newton_records import LoadStep, NewtonOptions, NewtonRecord, NewtonStatus
 from macro_fem.softened import CompliantLaw, SoftenedLaw
 
+MAX_TRIALS = 15
+"""Calls of the law in one line search; the best fall found counts. More only burns time where round-off rules."""
+
 IDLE_STEPS = 5
 """Steps in a row without a fall of the potential beyond round-off or of the residual by half: nothing more comes."""
 
@@ -236,7 +239,7 @@ def _line_search(
     high, slope_high = np.inf, np.inf
     t = min(1.0, cap)
     best: tuple[float, State, Balance] | None = None
-    for _ in range(40):
+    for _ in range(MAX_TRIALS):
         trial = work.evaluate(state.u + t * p)
         there = balance_of(work, trial, load)
         slope = float((there.residual * p).sum())
