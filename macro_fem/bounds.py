@@ -1,10 +1,11 @@
 """A certified interval for the potential of the continuous curtain, and where its width comes from.
 
 Upper bound: the conforming P1 curtain, admissible in every triangle. Lower bound: the equilibrated stress of
-`macro_fem.dual`, with every half-space an outer one, so that it holds for the law and not for a few planes. Supports and
-loads at points, which no line traction can meet, are spread over the edges around the point; the true position x(s) at a
-distance s from a held point stays within kappa s of it, kappa the largest stretch along the edge, so that the work of the
-spread reaction r differs from that of the point reaction by at most the integral of kappa |r| s: this is subtracted.
+`macro_fem.dual`, with every half-space an outer one, so that it holds for the law and not for a few planes. Supports
+and loads at points, which no line traction can meet, are spread over the edges around the point; the true position
+x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the edge, so that
+the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa |r| s: this
+is subtracted.
 
 The width of the interval is the sum over the triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
 """
@@ -35,8 +36,8 @@ BOUND_GAP = 2e-5
 BOUND_VIOLATION = 5e-3
 """Violation of the law that ends the rounds of the dual program: a half-space left out weakens the bound, too."""
 INWARD = 0.05
-"""How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has room
-left, and the first steps get stuck."""
+"""How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has
+room left, and the first steps get stuck."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,14 @@
 """Equilibrated stresses: the hybrid element whose cone program bounds the potential from below.
 
-In every triangle the stress P is linear, its tractions P n are continuous (linear on every edge, the element of Brezzi,
-Douglas and Marini, doi 10.1007/BF01389710), -div P = q in every triangle. Any such P gives, for the *continuous* curtain,
+In every triangle the stress P is linear, its tractions P n are continuous (linear on every edge, the element of
+Brezzi, Douglas and Marini, doi 10.1007/BF01389710), -div P = q in every triangle. Any such P gives, for the
+*continuous* curtain,
 
     -l.x  >=  sum of support tractions times held positions  -  integral of psi*(P),   psi*(P) = max of P:F in the law,
 
-and the integral is at most the mean over the corners of each triangle, psi* being convex. The best such bound is again a
-cone program, and its unknowns look like displacements: u_T in each triangle (for -div P = q) and two values u_e at the
-ends of each edge (for the tractions). The gradient that P sees at the corner v of a triangle is
+and the integral is at most the mean over the corners of each triangle, psi* being convex. The best such bound is
+again a cone program, and its unknowns look like displacements: u_T in each triangle (for -div P = q) and two values
+u_e at the ends of each edge (for the tractions). The gradient that P sees at the corner v of a triangle is
 
     G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
 
@@ -96,7 +97,8 @@ def _reference_gradients(corner_gradients: Array) -> Array:
 class Tethers:
     """Edges that stand for a point: reaction or load is spread over them instead of acting at corner `corner`.
 
-    facet (k,), near (k,): which end of the facet the point is at; centre (k, 2): where the point is held (nan for loads).
+    facet (k,), near (k,): which end of the facet the point is at; centre (k, 2): where the point is held (nan for
+    loads).
     """
 
     facet: np.ndarray
@@ -106,7 +108,7 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, tethers of point supports, and what spread loads may cost."""
+    """The hybrid problem: supported element, nodal forces, tethers of points, and what spread loads may cost."""
 
     dual: DualMesh
     fem: SupportedFem

@@ -141,7 +141,7 @@ class SupportedFem:
 
 
 def _refined(factor: Factor, matrix: sparse.csc_matrix, b: Array) -> Array:
-    """x with two rounds of refinement, as long as they help. Sizes are maxima: a norm would wake the threads of BLAS."""
+    """x with two rounds of refinement, as long as they help. Sizes are maxima: a norm would wake BLAS's threads."""
     x = factor.solve(b).x
     left = b - matrix @ x
     best, least = x, np.abs(left).max(initial=0.0)

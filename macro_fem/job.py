@@ -8,7 +8,7 @@ from typing import Any
 from homogenize.law import InputError, default_law, load_law
 from macro_fem.output import prepare_folder, summarize, write_summary, write_vtu
 from macro_fem.scene import load_scene
-from macro_fem.solution import solve_scene
+from macro_fem.solvers import solve_scene
 
 
 def run_scene(scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True) -> dict[str, Any]:

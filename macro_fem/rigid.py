@@ -57,8 +57,8 @@ INSIDE = 1e-3
 class RigidOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
-    `violation` (relative to h + tr S/2) is what the last round may leave before the answer is drawn back inside. `cones`
-    are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles.
+    `violation` (relative to h + tr S/2) is what the last round may leave before the answer is drawn back inside.
+    `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles.
     """
 
     gap: float = 1e-9
@@ -74,7 +74,8 @@ class RigidResult:
 
     `primal` is -l.z, an upper bound of the least potential of this discretisation, `dual` a lower bound of it, N mm,
     without the constant that supports add. P (nq, d, 2) is the equilibrated stress in N per mm of reference length,
-    y_tail (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i S_i with P = F S at the exact answer.
+    y_tail (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i
+    S_i with P = F S at the exact answer.
     """
 
     status: str

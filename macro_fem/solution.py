@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +12,8 @@ from macro_fem.cones import Cones, green_strain
 from macro_fem.fem import SupportedFem
 from macro_fem.interior import Iteration
 from macro_fem.loads import nodal_forces
-from macro_fem.mesh import CurtainMesh, build_mesh
-from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.mesh import CurtainMesh
+from macro_fem.newton_records import NewtonRecord
 from macro_fem.scene import Scene
 from macro_fem.supports import Supports, build_supports, pin_sliding
 from macro_fem.turned import turned
@@ -58,7 +57,7 @@ class CurtainSolution:
     iterations: int
     wall_s: float
     cones: Cones | None = field(default=None, repr=False)
-    history: tuple[Iteration, ...] = field(default=(), repr=False)
+    history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
 
     @property
     def E(self) -> Array:
@@ -110,54 +109,6 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force)
 
 
-def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
-    """The curtain of a scene at its full load.
-
-    >>> from homogenize.law import default_law
-    >>> from macro_fem.scene import read_scene
-    >>> scene = read_scene({"curtain": {"width": 100.0, "height": 100.0}, "mesh": {"cells": 4},
-    ...                     "support": {"kind": "top"}})
-    >>> solution = solve_scene(scene, default_law())
-    >>> solution.status
-    'converged'
-    """
-    mesh = build_mesh(scene, law.cell)
-    return solve_problem(make_problem(scene, law, mesh))
-
-
-def solve_problem(problem: Problem) -> CurtainSolution:
-    """The rigid curtain of a discrete problem."""
-    begin = time.perf_counter()
-    spec = problem.scene.solver
-    options = RigidOptions(gap=spec.tolerance, max_iterations=spec.max_iterations)
-    fem = problem.fem
-    tension = spread_tension(problem)
-    load = fem.gather(problem.force) + fem.force(tension * _unit(problem))
-    result = solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
-    return _solution(problem, result, tension, time.perf_counter() - begin)
-
-
-def spread_tension(problem: Problem) -> float:
-    """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
-    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
-
-
-def spread_allowance(problem: Problem, tension: float) -> float:
-    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
-
-    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
-    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
-    """
-    half = np.array([[0.5, 0.0, 0.5]])
-    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
-    return tension * largest * float(problem.disc.weight.sum())
-
-
-def _unit(problem: Problem) -> Array:
-    """The unit tensor at every point (nq, d, 2)."""
-    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
-
-
 def gathered_start(problem: Problem) -> Array:
     """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
     X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
@@ -170,32 +121,3 @@ def gathered_start(problem: Problem) -> Array:
         else:
             start[:, axis] = held[nodes, axis].mean() if nodes.any() else X[:, axis].mean()
     return start
-
-
-def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: float) -> CurtainSolution:
-    """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
-    fem = problem.fem
-    x = fem.positions(result.z)
-    primal = -float((problem.force * (x - problem.disc.nodes)).sum())
-    own_load = fem.gather(problem.force)
-    shift = primal + float(own_load @ result.z)  # what supports and the choice of origin add to -l.z
-    held_part = float(
-        (fem.weight[:, None, None] * tension * _unit(problem) * fem.gradient(np.zeros_like(result.z))).sum()
-    )
-    allowance = spread_allowance(problem, tension) + held_part
-    return CurtainSolution(
-        problem=problem,
-        status=result.status,
-        message=result.message,
-        x=x,
-        F=problem.fem.gradient(result.z),
-        P=result.P,
-        S=result.S,
-        primal=primal,
-        dual=result.dual + shift - allowance,
-        residual=result.residual,
-        iterations=result.iterations,
-        wall_s=wall_s,
-        cones=result.cones,
-        history=result.history,
-    )

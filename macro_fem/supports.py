@@ -167,13 +167,11 @@ def _straight_bars(
     bars: list[Bar], scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray
 ) -> sparse.csc_matrix:
     """T that keeps the nodes of every bar on a line; InputError for bars on bent or held edges."""
-    lines = []
+    lines: list[np.ndarray] = []
     for bar in bars:
         nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
         if mask[nodes].any() or any(np.isin(nodes, line).any() for line in lines):
-            raise InputError(
-                f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held by a support or has a second bar"
-            )
+            raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held, or has a second bar")
         X = disc.nodes[nodes]
         along = X[-1] - X[0]
         s = (X - X[0]) @ along / (along @ along)

@@ -11,7 +11,8 @@ from macro_fem.conic import solve_conic
 from macro_fem.mesh import build_mesh
 from macro_fem.rigid import RigidOptions, solve_rigid
 from macro_fem.scene import read_scene
-from macro_fem.solution import gathered_start, make_problem, solve_scene
+from macro_fem.solution import gathered_start, make_problem
+from macro_fem.solvers import solve_scene
 from macro_fem.turned import turned
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)

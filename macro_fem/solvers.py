@@ -1,0 +1,142 @@
+"""One problem, three solvers: ideal locking by our interior point or by clarabel, elasticity by Newton's method."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from homogenize.law import Array, InputError, MembraneLaw
+from macro_fem import newton
+from macro_fem.assembly import deformation_gradient
+from macro_fem.cones import green_strain, times_triple
+from macro_fem.conic import ConicOptions, solve_conic
+from macro_fem.mesh import build_mesh
+from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.scene import Scene
+from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem
+
+
+def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
+    """The curtain of a scene at its full load.
+
+    >>> from homogenize.law import default_law
+    >>> from macro_fem.scene import read_scene
+    >>> scene = read_scene({"curtain": {"width": 100.0, "height": 100.0}, "mesh": {"cells": 4},
+    ...                     "support": {"kind": "top"}})
+    >>> solution = solve_scene(scene, default_law())
+    >>> solution.status
+    'converged'
+    """
+    mesh = build_mesh(scene, law.cell)
+    return solve_problem(make_problem(scene, law, mesh))
+
+
+def solve_problem(problem: Problem) -> CurtainSolution:
+    """The curtain of a discrete problem, by the solver its scene names."""
+    if problem.scene.solver.kind == "newton":
+        return solve_elastic(problem)
+    return solve_locked(problem)
+
+
+def solve_locked(problem: Problem) -> CurtainSolution:
+    """The rigid curtain of a discrete problem, by our own interior-point method or, for "conic", by clarabel."""
+    begin = time.perf_counter()
+    spec = problem.scene.solver
+    fem = problem.fem
+    tension = spread_tension(problem)
+    load = fem.gather(problem.force) + fem.force(tension * _unit(problem))
+    if spec.kind == "conic":
+        result = solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=spec.tolerance))
+    else:
+        options = RigidOptions(gap=spec.tolerance, max_iterations=spec.max_iterations)
+        result = solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
+    return _solution(problem, result, tension, time.perf_counter() - begin)
+
+
+def solve_elastic(problem: Problem) -> CurtainSolution:
+    """The elastic curtain: Newton's method from the shape and the stress of the rigid one.
+
+    The dual value is the potential less the bound that convexity puts on its error. InputError for straight bars, which
+    the elastic solver does not tie.
+    """
+    scene = problem.scene
+    if problem.supports.tie is not None:
+        raise InputError(f"{scene.source}: [load.bar] straight = true: needs kind = 'rigid'; use straight = false")
+    begin = time.perf_counter()
+    locked = solve_locked(problem)
+    if locked.status == "infeasible":
+        return locked
+    nodes, supports = problem.disc.nodes, problem.supports
+    fixed = supports.mask | supports.pinned
+    membrane = newton.Membrane(problem.disc, problem.law, fixed, supports.positions - nodes, problem.force)
+    options = newton.NewtonOptions(max_iterations=scene.solver.max_iterations)
+    answer = newton.solve(membrane, options, start=locked.displacement, stress=locked.S)
+    last = answer.steps[-1]
+    F = deformation_gradient(problem.disc, last.u)
+    S = problem.law.response(green_strain(F)).S
+    return CurtainSolution(
+        problem=problem,
+        status="converged" if last.status.is_solution else last.status.name.lower(),
+        message=last.status.value,
+        x=nodes + last.u,
+        F=F,
+        P=times_triple(F, S),
+        S=S,
+        primal=last.potential,
+        dual=last.potential - last.energy_bound,
+        residual=last.residual,
+        iterations=answer.statistics.iterations,
+        wall_s=time.perf_counter() - begin,
+        history=answer.history,
+    )
+
+
+def spread_tension(problem: Problem) -> float:
+    """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
+    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
+
+
+def spread_allowance(problem: Problem, tension: float) -> float:
+    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
+
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
+    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    """
+    half = np.array([[0.5, 0.0, 0.5]])
+    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
+    return tension * largest * float(problem.disc.weight.sum())
+
+
+def _unit(problem: Problem) -> Array:
+    """The unit tensor at every point (nq, d, 2)."""
+    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
+
+
+def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: float) -> CurtainSolution:
+    """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
+    fem = problem.fem
+    x = fem.positions(result.z)
+    primal = -float((problem.force * (x - problem.disc.nodes)).sum())
+    own_load = fem.gather(problem.force)
+    shift = primal + float(own_load @ result.z)  # what supports and the choice of origin add to -l.z
+    held_part = float(
+        (fem.weight[:, None, None] * tension * _unit(problem) * fem.gradient(np.zeros_like(result.z))).sum()
+    )
+    allowance = spread_allowance(problem, tension) + held_part
+    return CurtainSolution(
+        problem=problem,
+        status=result.status,
+        message=result.message,
+        x=x,
+        F=problem.fem.gradient(result.z),
+        P=result.P,
+        S=result.S,
+        primal=primal,
+        dual=result.dual + shift - allowance,
+        residual=result.residual,
+        iterations=result.iterations,
+        wall_s=wall_s,
+        cones=result.cones,
+        history=result.history,
+    )
