@@ -264,8 +264,8 @@ def _joined(parts: list[Minima], r1: float) -> Minima:
     order = np.lexsort((both.distance, both.curvature == 0.0, both.pair))
     both = both.take(order)
     first = np.ones(len(order), dtype=bool)
-    # At most a handful of minima per pair: compare each with those up to three places before it.
-    for back in (1, 2, 3):
+    # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
+    for back in range(1, 8):
         same_pair = both.pair[back:] == both.pair[:-back]
         gap = both.rho_a[back:] - both.rho_a[:-back]
         first[back:] &= ~(same_pair & (dot(gap, gap) < (1e-4 * r1) ** 2))
