@@ -2,36 +2,101 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from homogenize.law import InputError, default_law, load_law
-from macro_fem.output import prepare_folder, summarize, write_summary, write_vtu
-from macro_fem.scene import load_scene
-from macro_fem.solvers import solve_scene
+from homogenize.law import Array, InputError, MembraneLaw, default_law, load_law
+from macro_fem.adapt import Level, levels
+from macro_fem.bounds import Bounds
+from macro_fem.mesh import build_mesh
+from macro_fem.output import (
+    bounds_summary,
+    prepare_folder,
+    summarize,
+    write_series,
+    write_summary,
+    write_vtu,
+)
+from macro_fem.scene import Scene, load_scene
+from macro_fem.solution import CurtainSolution, make_problem
+from macro_fem.solvers import solve_problem
 
 
 def run_scene(scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True) -> dict[str, Any]:
     """Solves the scene, writes its files into `out` and returns the summary.
 
+    curtain.vtu and curtain.png show the full load; with more than one load step curtain.pvd lists one VTU per step.
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
     """
     scene = load_scene(scene_path)
     law = default_law() if law_path is None else load_law(law_path)
     if picture:
         require_matplotlib()
-    solution = solve_scene(scene, law)
-    if solution.status == "infeasible":
-        raise InputError(f"{scene_path}: [support]: {solution.message}")
+    early = [_solved(scene, law, step / scene.load.steps) for step in range(1, scene.load.steps)]
+    final = _with_bounds(scene, law) if scene.solver.bounds or scene.solver.adapt else []
+    solution = final[-1].solution if final else _solved(scene, law, 1.0)
+    bounds = final[-1].bounds if final else None
     summary = summarize(solution)
+    if final:
+        summary |= {"bounds": bounds_summary(final[-1]), "levels": [bounds_summary(level) for level in final]}
+    if early:
+        summary["steps"] = [_step_line(one, step, scene.load.steps) for step, one in enumerate([*early, solution], 1)]
     prepare_folder(out)
-    write_vtu(out / "curtain.vtu", solution)
+    _write(out, [*early, solution], bounds, picture=picture)
+    write_summary(out, summary)
+    return summary
+
+
+def _solved(scene: Scene, law: MembraneLaw, factor: float) -> CurtainSolution:
+    """The curtain at one share of the live load; InputError if there is none."""
+    solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell), factor))
+    if solution.status == "infeasible":
+        at = f" at {factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
+        raise InputError(f"{scene.source}: [support]: {solution.message}{at}")
+    return solution
+
+
+def _with_bounds(scene: Scene, law: MembraneLaw) -> list[Level]:
+    """All levels of refinement; InputError if not even the first mesh has a solution."""
+    found = list(levels(scene, law))
+    if not found:
+        coarse = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
+        solution = _solved(coarse, law, 1.0)
+        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {solution.message}")
+    return found
+
+
+def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, Any]:
+    """What the summary says of one load step."""
+    return {
+        "step": step,
+        "factor": step / steps,
+        "status": solution.status,
+        "mean_height_mm": solution.mean_height(),
+        "lowest_point_mm": float(solution.x[:, 1].min()),
+        "potential_primal_N_mm": solution.primal,
+    }
+
+
+def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, picture: bool) -> None:
+    """VTU files and the picture."""
+    solution = steps[-1]
+    density = None if bounds is None else error_density(solution, bounds)
+    extra = {} if density is None else {"error_N_mm_per_mm2": density}
+    write_vtu(out / "curtain.vtu", solution, extra)
+    if len(steps) > 1:
+        write_series(out, steps)
     if picture:
         from macro_fem.plots import save_picture
 
-        save_picture(out / "curtain.png", solution)
-    write_summary(out, summary)
-    return summary
+        save_picture(out / "curtain.png", solution, density)
+
+
+def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:
+    """Error per reference area of every triangle (n_cells,), N mm / mm2."""
+    disc = solution.problem.disc
+    return bounds.error / disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
 
 
 def require_matplotlib() -> None:

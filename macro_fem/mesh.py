@@ -120,6 +120,16 @@ def cut_in_four(quads: skfem.MeshQuad) -> skfem.MeshTri:
     return skfem.MeshTri(np.hstack([quads.p, centre]), np.hstack(cells))
 
 
+def refine(mesh: CurtainMesh, cells: np.ndarray, scene: Scene) -> CurtainMesh:
+    """The mesh with the given triangles cut in four and their neighbours as needed to fit (red, green, blue)."""
+    finer = mesh.mesh.refined(np.asarray(cells))
+    if not isinstance(finer, skfem.MeshTri1):
+        raise InputError(f"{scene.source}: [solver] adapt: needs triangles")
+    holes = [np.array(hole) for hole in scene.curtain.holes]
+    is_box = scene.curtain.shape in ("rectangle", "file")
+    return CurtainMesh(finer, mesh.pattern, named_edges(finer, holes, is_box=is_box))
+
+
 def named_edges(mesh: Any, holes: list[Array], *, is_box: bool) -> dict[str, np.ndarray]:
     """Boundary facets by name; see the module header."""
     boundary = mesh.boundary_facets()

@@ -8,13 +8,16 @@ import platform
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from homogenize.law import Array, InputError
 from macro_fem.assembly import cell_mean
 from macro_fem.solution import CurtainSolution
+
+if TYPE_CHECKING:
+    from macro_fem.adapt import Level
 
 VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
 
@@ -145,6 +148,43 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "absent"
     return found
+
+
+def bounds_summary(level: Level) -> dict[str, Any]:
+    """Bounds of the potential of the continuous curtain, N mm, and their gap over total load times size.
+
+    Where weight is the only load the potential is the mean height, so that this is bounded too.
+    """
+    solution, bounds = level.solution, level.bounds
+    problem = solution.problem
+    total = float(np.abs(problem.force).sum())
+    load = problem.scene.load
+    summary = {
+        "status": bounds.status,
+        "cells": problem.disc.n_cells,
+        "upper_N_mm": bounds.upper,
+        "lower_N_mm": bounds.lower,
+        "gap_N_mm": bounds.gap,
+        "gap_over_load_times_height": bounds.gap / (total * problem.mesh.height) if total > 0.0 else 0.0,
+        "part_of_gap_due_to_points_N_mm": bounds.points,
+        "wall_s": solution.wall_s + bounds.wall_s,
+    }
+    if total > 0.0 and load.gravity > 0.0 and not (load.edge or load.point or load.patch or load.bar):
+        mean = solution.mean_height()
+        summary["mean_height_mm"] = [mean - bounds.gap / total, mean]
+    return summary
+
+
+def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:
+    """curtain_0001.vtu and so on, one per load step, and curtain.pvd that lists them by the share of the load."""
+    lines = []
+    for number, solution in enumerate(steps, start=1):
+        name = f"curtain_{number:04d}.vtu"
+        write_vtu(folder / name, solution)
+        lines.append(f'    <DataSet timestep="{number / len(steps):.9g}" part="0" file="{name}"/>')
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+    content = head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n"
+    write_whole(folder / "curtain.pvd", lambda path: _write_text(path, content))
 
 
 def corner_positions(solution: CurtainSolution) -> Array:
