@@ -7,7 +7,7 @@ from homogenize.law import CellInfo, ring_net
 from macro_fem.membrane import evaluate
 from macro_fem.newton import Membrane, NewtonOptions, solve
 from macro_fem.scene import read_scene
-from macro_fem.solution import solve_scene
+from macro_fem.solvers import solve_scene
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 
