@@ -86,6 +86,32 @@ def support(law: Path, load: str) -> None:
 
 @main.command()
 @click.argument("law", type=click.Path(path_type=Path))
+@click.option("--table", required=True, type=click.Path(path_type=Path), help="the table to show beside the law, CSV")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="the folder for the pictures")
+@plain_errors
+def plot(law: Path, table: Path, out: Path) -> None:
+    """Draws the locking surface, the strains over the load angles, the errors and sections of LAW."""
+    from homogenize.io import load_law
+    from homogenize.plots import write_pictures
+    from rve.table import read_table
+
+    for path in write_pictures(load_law(law), read_table(table), out):
+        click.echo(f"picture written to {path}")
+
+
+@main.command()
+@click.argument("law", type=click.Path(path_type=Path))
+@click.option("--table", required=True, type=click.Path(path_type=Path), help="rows the law has not seen, CSV")
+@plain_errors
+def report(law: Path, table: Path) -> None:
+    """Prints the error of LAW at the rows of a table, for instance one made by `rve table --loads`."""
+    from homogenize.query import error_at_rows
+
+    click.echo(error_at_rows(law, table))
+
+
+@main.command()
+@click.argument("law", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source to write, *.f")
 @plain_errors
 def export(law: Path, out: Path) -> None:
@@ -95,6 +121,39 @@ def export(law: Path, out: Path) -> None:
 
     write_umat(load_law(law), out, f"law file {law.name}")
     click.echo(f"user material written to {out}")
+
+
+@main.command()
+@click.argument("tables", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="the family file to write, JSON")
+@plain_errors
+def family(tables: tuple[Path, ...], out: Path) -> None:
+    """Fits a law to each of TABLES, one per radius ratio, and writes them as a family with its checked error."""
+    from homogenize.family import family_of, save_family
+    from homogenize.fit import fit_table
+    from homogenize.polyhedral import PolyhedralLaw
+
+    laws = [fit_table(table).law for table in tables]
+    made = family_of([law for law in laws if isinstance(law, PolyhedralLaw)])
+    save_family(made, out)
+    for ratio, error in made.checks:
+        click.echo(f"r1/r2 = {1.0 / ratio:g} left out: error of h max {error.maximum:.2e}, mean {error.mean:.2e}")
+    click.echo(f"family written to {out}")
+
+
+@main.command()
+@click.argument("family_file", metavar="FAMILY", type=click.Path(path_type=Path))
+@click.option("--r1", required=True, type=float, help="radius of the rings' centre circle, mm")
+@click.option("--r2", required=True, type=float, help="radius of the wire, mm")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
+@plain_errors
+def member(family_file: Path, r1: float, r2: float, out: Path) -> None:
+    """Writes the law that FAMILY gives for rings of these radii."""
+    from homogenize.family import load_family
+    from homogenize.io import save_law
+
+    save_law(load_family(family_file).at(r1, r2), out, {"family": family_file.name})
+    click.echo(f"law written to {out}")
 
 
 @main.command()

@@ -18,6 +18,7 @@ from homogenize.protocol import Array, CellInfo, InputError, MembraneLaw
 from homogenize.refine import refined_half_spaces
 from homogenize.report import ErrorReport, error_report, sampled_cone
 from homogenize.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table
+from homogenize.stiffness import stiffness_of
 
 if TYPE_CHECKING:
     from rve.table import StrainTable
@@ -67,13 +68,15 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     found = normality(rows, options.normality)
     if not found.holds:
         raise InputError(found.sentence())
-    cell, stiffness = cell_of(table), STATED_STIFFNESS * np.eye(3)
+    cell = cell_of(table)
+    stiffness, origin = stiffness_of(table, STATED_STIFFNESS)
     build = builder(options.kind, cell, stiffness, table)
     law = build(rows)
     refit = None if options.kind in ("net", "interpolated") else build
     provenance = {
         "kind": options.kind,
         "rows": len(rows),
+        "stiffness": origin,
         "sampled_loads": sampled_cone(rows).tolist(),
         "table_provenance": dict(table.provenance),
         "python": platform.python_version(),

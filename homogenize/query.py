@@ -9,7 +9,8 @@ import numpy as np
 
 from homogenize.io import LawFile, read_law_file
 from homogenize.protocol import Array, InputError
-from homogenize.report import is_sampled
+from homogenize.report import is_sampled, misfit_of
+from homogenize.rows import rows_from_table
 from homogenize.strain import locked_strain
 from homogenize.tensor import double_dot, eigenvalues, trace
 
@@ -54,6 +55,40 @@ def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
     if not size > 0.0 or float(eigenvalues(S)[0]) < -ROUNDING * size:
         raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
     return {"h": float(file.law.support(S[None])[0]), "extrapolated": extrapolates(file, S)}
+
+
+def error_at_rows(path: str | Path, table_path: str | Path) -> str:
+    """What the law in `path` gets wrong at the converged rows of a table it need not have seen, in lines to read."""
+    from rve.table import read_table
+
+    file, table = read_law_file(path), read_table(table_path)
+    try:
+        rows = rows_from_table(table)
+    except InputError as error:
+        raise InputError(f"{table_path}: {error}") from error
+    for key in ("r1_mm", "r2_mm"):
+        theirs = table.provenance.get(key)
+        if file.law.cell is not None and theirs is not None:
+            check_radius(f"{table_path}: {key}", float(theirs), getattr(file.law.cell, key))
+    found = locked_strain(file.law, table.alpha_deg[rows.source], table.beta_deg[rows.source])
+    good = (found.status == "converged") & rows.unique & found.unique
+    miss = np.abs(found.E - rows.E).max(axis=1)[good]
+    support = misfit_of(rows.S, file.law.support(rows.S) - rows.h)
+    outside = sum(extrapolates(file, S) for S in rows.S)
+    lines = [
+        f"h at unit trace of S: max error {support.maximum:.2e}, mean {support.mean:.2e}, {support.count} loads",
+        f"strain component: max error {miss.max(initial=0.0):.2e}, mean {miss.sum() / max(len(miss), 1):.2e}, "
+        f"{int((miss > 5e-3).sum())} of {len(miss)} loads above 5e-3",
+        f"not compared: {int((~good).sum())} loads without a unique strain or without an answer of the law",
+        f"extrapolated: {outside} loads outside those of the law's table",
+    ]
+    return "\n".join(lines)
+
+
+def check_radius(what: str, theirs: float, mine: float) -> None:
+    """InputError if a radius of the table is not the law's."""
+    if abs(theirs - mine) > 1e-9 * mine:
+        raise InputError(f"{what} = {theirs} is not that of the law, {mine}")
 
 
 def extrapolates(file: LawFile, S: Array) -> bool:

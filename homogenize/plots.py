@@ -1,0 +1,139 @@
+"""Pictures of a law beside its table: locking surface, strains over the load angles, errors, sections."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from homogenize.protocol import Array, InputError, MembraneLaw
+from homogenize.rows import Rows, rows_from_table, with_mirror
+from homogenize.strain import locked_strain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rve.table import StrainTable
+
+COMPONENTS = ("E11", "E12", "E22")
+SIZE = (7.0, 5.2)
+DPI = 150
+
+
+def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
+    """(E11 + E22)/2 on the locking surface over D = (E11 - E22)/2 and G = E12, arrays of one shape."""
+    flat = np.stack([D.ravel(), G.ravel(), -D.ravel()], axis=1)
+    return np.asarray(-law.cut(flat).violation.reshape(D.shape))
+
+
+def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:
+    """The locking surface in strain space, the rows and their mirror images on it, coloured by the error of h."""
+    ax = ax or _figure().add_subplot(projection="3d")
+    both = with_mirror(rows)
+    D, G = 0.5 * (both.E[:, 0] - both.E[:, 2]), both.E[:, 1]
+    grid = np.meshgrid(np.linspace(D.min() - 0.02, D.max(), 70), np.linspace(G.min(), G.max(), 71))
+    T = surface_height(law, *grid)
+    lowest = both.E[:, [0, 2]].mean(axis=1).min() - 0.02
+    shown = np.where(lowest < T, T, np.nan)
+    ax.plot_surface(shown + grid[0], grid[1], shown - grid[0], alpha=0.35, color="0.6", linewidth=0)
+    error = np.abs(law.support(both.S) - both.h)
+    points = ax.scatter(both.E[:, 0], both.E[:, 1], both.E[:, 2], c=error, s=12, cmap="viridis", depthshade=False)
+    ax.figure.colorbar(points, ax=ax, shrink=0.7, label="error of h at the row (unit trace of S)")
+    ax.set(
+        xlabel="E11", ylabel="E12", zlabel="E22", title=f"Locking surface of the {law.name} law and {len(rows)} rows"
+    )
+    return ax
+
+
+def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
+    """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
+    axes = _figure((12.0, 4.2)).subplots(1, 3) if axes is None else axes
+    alphas = np.unique(table.alpha_deg[table.converged])
+    beta = np.linspace(1.0, 89.0, 89)
+    for number, alpha in enumerate(alphas):
+        colour = _colours()(number / max(len(alphas) - 1, 1))
+        found = locked_strain(law, np.full(len(beta), alpha), beta)
+        E = np.where((found.status == "converged")[:, None], found.E, np.nan)
+        at = table.converged & (table.alpha_deg == alpha)
+        for k, ax in enumerate(axes):
+            ax.plot(beta, E[:, k], color=colour, lw=0.9, label=f"{alpha:g} deg" if k == 2 else None)
+            ax.plot(table.beta_deg[at], table.E[at, k], "o", color=colour, ms=2.5)
+    for ax, name in zip(axes, COMPONENTS, strict=True):
+        ax.set(xlabel="ratio angle beta (degrees)", ylabel=name, xlim=(0.0, 90.0))
+        ax.grid(alpha=0.3)
+    axes[2].legend(title="alpha", fontsize=7, ncols=2)
+    axes[1].set_title("Locked strain under a Cauchy load: law (lines), rows (points)")
+    return axes
+
+
+def plot_errors(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
+    """Histogram of the error of h at the rows, and of the distance of the bounds half-way between them."""
+    from homogenize.bounds import bounds_of
+    from homogenize.report import random_loads
+
+    ax = ax or _figure().subplots()
+    S, bounds = random_loads(), bounds_of(rows)
+    floor = 1e-16
+    bins = np.logspace(-16, 0, 65).tolist()
+    ax.hist(np.abs(law.support(rows.S) - rows.h) + floor, bins, label="|error of h| at the rows", alpha=0.7)
+    gap = np.maximum(bounds.upper(S) - bounds.lower(S), 0.0) + floor
+    ax.hist(gap, bins, label=f"outer - inner bound of h at {len(S)} random loads", alpha=0.7)
+    ax.set(xscale="log", xlabel="strain (h at unit trace of S)", ylabel="loads", title=f"Errors of the {law.name} law")
+    ax.legend()
+    return ax
+
+
+def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
+    """Cuts through the set of admissible strains at constant shear: E22 over E11."""
+    ax = ax or _figure().subplots()
+    D = np.linspace(-0.2, 0.5 * (rows.E[:, 0] - rows.E[:, 2]).max() + 0.2, 400)
+    shears = np.linspace(0.0, np.abs(rows.E[:, 1]).max(), 5)
+    for number, shear in enumerate(shears):
+        T = surface_height(law, D, np.full_like(D, shear))
+        ax.plot(T + D, T - D, color=_colours()(number / 4.0), label=f"E12 = {shear:.3f}")
+    plane = np.abs(rows.E[:, 1]) < 1e-9
+    ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
+    ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=8)
+    return ax
+
+
+def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path) -> list[Path]:
+    """Writes surface.png, strains.png, errors.png and sections.png into `folder`, which is made if need be."""
+    folder = Path(folder)
+    rows = rows_from_table(table)
+    pictures = {
+        "surface.png": plot_surface(law, rows).figure,
+        "strains.png": plot_strains(law, table)[0].figure,
+        "errors.png": plot_errors(law, rows).figure,
+        "sections.png": plot_sections(law, rows).figure,
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return [_save(figure, folder / name) for name, figure in pictures.items()]
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    """The picture, whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    figure.savefig(part, dpi=DPI, format="png", bbox_inches="tight")
+    part.replace(path)
+    return path
+
+
+def _figure(size: tuple[float, float] = SIZE) -> Figure:
+    """A figure of its own, outside pyplot: no window, no global state."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size, layout="constrained")
+
+
+def _colours() -> Any:
+    import matplotlib
+
+    return matplotlib.colormaps["viridis"]

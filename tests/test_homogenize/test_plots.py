@@ -1,0 +1,55 @@
+"""The pictures show what the law says, and the files are whole."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize.cli import main
+from homogenize.law import default_law
+from homogenize.plots import plot_sections, plot_strains, surface_height
+from homogenize.rows import rows_from_table
+from homogenize.ship import SHIPPED
+from rve.table import read_table
+
+pytest.importorskip("matplotlib")
+TABLE = Path(__file__).parent / "data" / "table190.csv"
+
+
+def test_rows_lie_on_the_drawn_surface():
+    rows = rows_from_table(read_table(TABLE))
+    E = rows.E[rows.unique]
+    T = surface_height(default_law(), 0.5 * (E[:, 0] - E[:, 2]), E[:, 1])
+    assert np.abs(T - 0.5 * (E[:, 0] + E[:, 2])).max() < 1e-10
+
+
+def test_lines_and_points_agree():
+    table = read_table(TABLE)
+    axes = plot_strains(default_law(), table)
+    for ax, column in zip(axes, table.E.T, strict=True):
+        lines = ax.get_lines()
+        assert len(lines) == 2 * 10
+        points = np.concatenate([line.get_ydata() for line in lines[1::2]])
+        assert np.allclose(np.sort(points), np.sort(column))
+    axes = plot_sections(default_law(), rows_from_table(table))
+    x, y = axes.get_lines()[0].get_data()
+    assert np.interp(0.0, x, y) == pytest.approx(0.0, abs=1e-3)  # the reference state is a vertex
+
+
+def test_pictures_are_written(tmp_path):
+    run = CliRunner().invoke(main, ["plot", str(SHIPPED), "--table", str(TABLE), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 0, run.output
+    files = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert files == ["errors.png", "sections.png", "strains.png", "surface.png"]
+    assert all((tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in files)
+    bad = CliRunner().invoke(main, ["plot", str(SHIPPED), "--table", "nowhere.csv", "--out", str(tmp_path / "bad")])
+    assert bad.exit_code == 2
+    assert not (tmp_path / "bad").exists()
+
+
+def test_report_on_rows_that_no_fit_has_seen():
+    seen = CliRunner().invoke(main, ["report", str(SHIPPED), "--table", str(TABLE.with_name("directions.csv"))])
+    assert seen.exit_code == 0
+    assert "1000 loads" in seen.output
+    assert "extrapolated: 0" in seen.output

@@ -1,0 +1,47 @@
+"""The compliance beyond locking is found in rows whose compliance also holds the bend of the surface."""
+
+import numpy as np
+import pytest
+
+from homogenize.fit import fit
+from homogenize.protocol import InputError
+from homogenize.stiffness import compliance_fit
+from homogenize.tensor import WEIGHT
+
+from .conftest import disc_grid, table_of
+
+HESSIAN = np.array([[3e-3, 0.0, -1e-3], [0.0, 8e-3, 0.0], [-1e-3, 0.0, 2e-3]])
+A = HESSIAN / WEIGHT[:, None]
+
+
+def row_compliance(truth, S, step=1e-6):
+    """dE/dS of E = dh/dS + A S by central differences, (n, 3, 3)."""
+    columns = []
+    for e in np.eye(3):
+        up, down = S + step * e, S - step * e
+        columns.append((truth.strain(up) - truth.strain(down)) / (2.0 * step) + A @ e)
+    return np.stack(columns, axis=2)
+
+
+def test_compliance_is_found_under_the_bend_of_the_surface(ellipsoid):
+    S = disc_grid(4, 12) * np.linspace(0.5, 2.0, 49)[:, None]
+    D = row_compliance(ellipsoid, S)
+    assert np.abs(D).max() > 10.0 * np.abs(A).max()  # the bend dominates
+    assert np.allclose(compliance_fit(S, D), A, atol=1e-8)
+
+
+def test_a_table_with_compliance_gives_its_stiffness_to_the_law(ellipsoid):
+    from dataclasses import replace
+
+    S = disc_grid(4, 12)
+    table = table_of(S, ellipsoid.strain(S))
+    with_compliance = fit(replace(table, compliance=row_compliance(ellipsoid, S)))
+    assert np.allclose(with_compliance.law.compliance, A, atol=1e-7)
+    assert "compliance" in with_compliance.provenance["stiffness"]
+    assert np.allclose(fit(table).law.compliance, np.eye(3) / 1000.0)
+    assert "stated" in fit(table).provenance["stiffness"]
+
+
+def test_useless_compliance_is_refused():
+    with pytest.raises(InputError, match="S:D S > 0"):
+        compliance_fit(np.eye(3)[:1], np.full((1, 3, 3), np.nan))
