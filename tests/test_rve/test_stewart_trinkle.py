@@ -1,0 +1,182 @@
+"""The paper's scheme in its periodic form: against a second method, against scaling laws, and against itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rve import stewart_trinkle as st
+from rve.compliance import soften, strain
+from rve.equilibrium import solve_equilibrium
+from rve.load import cauchy_line_load
+from rve.stewart_trinkle import Dynamics, StewartTrinkleOptions
+from rve.system import Equations
+from rve.weave import FOUR_IN_ONE
+
+EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
+OPTIONS = StewartTrinkleOptions()
+ALPHA = np.array([0.0, 20.0, 10.0, 0.0, 30.0, 20.0])
+BETA = np.array([45.0, 30.0, 20.0, 90.0, 50.0, 75.0])
+
+
+@pytest.fixture(scope="module")
+def loads():
+    return cauchy_line_load(ALPHA, BETA)
+
+
+@pytest.fixture(scope="module")
+def rest(loads):
+    return st.solve(loads, EQUATIONS, OPTIONS, history=True)
+
+
+@pytest.fixture(scope="module")
+def rigid(loads):
+    return solve_equilibrium(loads, EQUATIONS)
+
+
+def reference(rigid):
+    return tuple(rigid.pose.lattice[3, :2])
+
+
+def test_cases_come_to_rest(rest):
+    assert list(rest.status) == ["converged"] * len(ALPHA)
+    assert np.all(rest.R < OPTIONS.tolerance)
+    assert rest.contacts.links_intact.all()
+    assert np.all(rest.time > 10.0)
+    assert np.all(rest.time <= OPTIONS.h_max * rest.steps)
+
+
+def test_energy_never_rises_in_an_accepted_step(rest):
+    assert len(rest.history.rise) == rest.steps.sum()
+    assert rest.history.rise.max() <= st.ROUND_OFF
+    assert rest.history.rise.min() < -0.1  # it does fall, by far more than the allowance
+    assert rest.history.h.min() > 0.0
+
+
+def test_rest_is_the_soft_equilibrium_that_newton_finds(rest, rigid, loads):
+    kappa = Dynamics.of(EQUATIONS, OPTIONS).stiffness
+    soft = soften(rigid, loads, EQUATIONS, kappa, reference(rigid))
+    assert list(soft.status) == ["converged"] * len(ALPHA)
+    off = strain(rest.pose, reference(rigid)) - strain(soft.pose, reference(rigid))
+    assert np.abs(off).max() < 2e-9
+
+
+def test_residual_of_eq_9_is_that_of_the_static_system(rest, loads):
+    static = EQUATIONS.assemble(rest.pose, rest.contacts, rest.lam, loads)
+    assert np.all(static.weighted_residual < 10.0 * OPTIONS.tolerance)
+
+
+def test_penetration_falls_in_proportion_to_load_over_stiffness(rest, rigid, loads):
+    rows = np.array([0, 1, 4])
+    stiffer = replace(OPTIONS, stiffness=4.0 * OPTIONS.stiffness)
+    harder = st.solve(loads[rows], EQUATIONS, stiffer)
+    exact = strain(rigid.pose, reference(rigid))[rows]
+    soft_error = np.abs(strain(rest.pose, reference(rigid))[rows] - exact).max(axis=1)
+    hard_error = np.abs(strain(harder.pose, reference(rigid)) - exact).max(axis=1)
+    assert soft_error / hard_error == pytest.approx(4.0, rel=0.01)
+    assert soft_error.max() < 2e-6
+    limit = (4.0 * strain(harder.pose, reference(rigid)) - strain(rest.pose, reference(rigid))[rows]) / 3.0
+    assert np.abs(limit - exact).max() < 1e-8
+
+
+def test_results_do_not_depend_on_company_or_order(rest, loads):
+    rows = np.array([4, 1])
+    pair = st.solve(loads[rows], EQUATIONS, OPTIONS)
+    for name in ("lattice", "centres", "normals"):
+        assert np.array_equal(getattr(pair.pose, name), getattr(rest.pose, name)[rows])
+    for name in ("R", "steps", "rejected", "time", "lam"):
+        assert np.array_equal(getattr(pair, name), getattr(rest, name)[rows])
+    assert np.array_equal(pair.contacts.gap, rest.contacts.gap[rows])
+
+
+@pytest.mark.parametrize("kind", ["mass", "length"])
+def test_units_change_no_bit(loads, kind):
+    factor = 2.0  # a power of two scales without round-off
+    if kind == "mass":
+        names = ("density", "damping", "rotational_damping", "stiffness", "load")
+        other = replace(OPTIONS, **{name: factor * getattr(OPTIONS, name) for name in names})
+    else:
+        other = replace(
+            OPTIONS,
+            r1_mm=factor * OPTIONS.r1_mm,
+            density=OPTIONS.density / factor**3,
+            rotational_damping=OPTIONS.rotational_damping * factor**2,
+        )
+    one = st.solve(loads[1:2], EQUATIONS, replace(OPTIONS, max_steps=40))
+    two = st.solve(loads[1:2], EQUATIONS, replace(other, max_steps=40))
+    assert np.array_equal(one.pose.lattice, two.pose.lattice)
+    assert np.array_equal(one.R, two.R)
+
+
+def test_twice_the_load_runs_twice_as_fast_when_inertia_is_small(loads):
+    """Overdamped motion: time goes with damping over load. Steps small enough for both clocks."""
+    slow = replace(OPTIONS, h_max=0.02, max_steps=100, stiffness=1e6)
+    fast = replace(slow, load=2.0 * slow.load, h_max=0.01, stiffness=2e6)
+    one, two = (st.solve(loads[:1], EQUATIONS, options) for options in (slow, fast))
+    assert one.time == pytest.approx(2.0 * two.time)
+    assert one.pose.lattice == pytest.approx(two.pose.lattice, abs=2e-4)
+    assert np.abs(one.pose.lattice[0, :2] - FOUR_IN_ONE.start_cell).max() > 0.1
+
+
+def test_first_step_from_rest_is_the_implicit_one(loads):
+    """No contact yet: (M/h + D) v = f on the free velocities."""
+    progress = st.begin(loads[:1], EQUATIONS, replace(OPTIONS, h_max=1e-3))
+    dynamics = Dynamics.of(EQUATIONS, OPTIONS)
+    after, h, lam, _ = st.advanced(progress.going, EQUATIONS, replace(OPTIONS, h_max=1e-3), dynamics)
+    assert h[0] == 1e-3
+    assert lam.max() == 0.0
+    s = loads[0]
+    x2, y3 = FOUR_IN_ONE.start_cell
+    force = np.array([s[0] * y3, s[1] * y3 - 0.0, s[1] * x2, s[2] * x2])
+    left = (dynamics.mass / h[0] + dynamics.damping) @ after.v[0]
+    assert left[[0, 3]] == pytest.approx(force[[0, 3]], rel=1e-12)
+    assert left[4:6] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_too_few_steps_are_told(loads):
+    short = st.solve(loads[:2], EQUATIONS, replace(OPTIONS, max_steps=3))
+    assert list(short.status) == ["step-limit"] * 2
+    assert np.all(short.steps == 3)
+    assert np.isfinite(short.R).all()
+
+
+def test_a_step_that_cannot_shrink_is_told(loads):
+    stuck = st.solve(loads[:1], EQUATIONS, replace(OPTIONS, h_min=0.9, largest_move=1e-6))
+    assert list(stuck.status) == ["time-step"]
+    assert np.isfinite(stuck.pose.lattice).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("stiffness", 0.0), ("density", -1.0), ("h_max", np.nan), ("load", np.inf), ("contacts", "guess"), ("restore", 0.5)],
+)
+def test_senseless_options_are_named(loads, name, value):
+    with pytest.raises(ValueError, match=f"option {name} = "):
+        st.solve(loads[:1], EQUATIONS, replace(OPTIONS, **{name: value}))
+
+
+def test_copies_of_a_link_among_the_ten_rings():
+    count = {tuple(pair): n for pair, n in zip(FOUR_IN_ONE.pairs.tolist(), st.copies(FOUR_IN_ONE), strict=True)}
+    assert [count[0, 1, i, j] for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1))] == [4, 4, 2, 2]
+    assert count[0, 0, 1, 0] == 3
+    assert count[0, 0, 2, 0] == 0
+
+
+@pytest.mark.slow
+def test_all_cases_of_the_paper_fall_in_energy_and_keep_their_links():
+    alpha, beta = (x.ravel() for x in np.meshgrid(np.arange(0, 46, 5.0), np.arange(0, 91, 5.0), indexing="ij"))
+    s = cauchy_line_load(alpha, beta)
+    rest = st.solve(s, EQUATIONS, OPTIONS, history=True)
+    assert np.all(rest.status == "converged")
+    assert rest.history.rise.max() <= st.ROUND_OFF
+    assert rest.contacts.links_intact.all()
+    # No force at a pair of rings that the ten rings of the paper do not contain.
+    unseen = st.copies(FOUR_IN_ONE) == 0
+    assert rest.lam[:, unseen].max() == 0.0
+    rigid = solve_equilibrium(s, EQUATIONS)
+    cell = tuple(rigid.pose.lattice[18, :2])
+    unique = (beta > 0.0) | (alpha < 15.0) | (alpha > 40.0)
+    soft = soften(rigid, s, EQUATIONS, Dynamics.of(EQUATIONS, OPTIONS).stiffness, cell)
+    assert np.all(soft.status[unique] == "converged")
+    off = np.abs(strain(rest.pose, cell) - strain(soft.pose, cell)).max(axis=1)
+    assert off[unique].max() < 1e-6
