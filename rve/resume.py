@@ -76,7 +76,10 @@ def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: 
     Raises InputError when the file cannot be read or belongs to other loads, radii or options.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        content = path.read_bytes()
+        if not zipfile.is_zipfile(io.BytesIO(content)):  # numpy leaves a half-open archive behind
+            raise ValueError("not an npz archive")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = dict(file)
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: is not a checkpoint of a sweep: {error}; delete it to start anew") from error

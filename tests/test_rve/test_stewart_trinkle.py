@@ -148,7 +148,14 @@ def test_a_step_that_cannot_shrink_is_told(loads):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("stiffness", 0.0), ("density", -1.0), ("h_max", np.nan), ("load", np.inf), ("contacts", "guess"), ("restore", 0.5)],
+    [
+        ("stiffness", 0.0),
+        ("density", -1.0),
+        ("h_max", np.nan),
+        ("load", np.inf),
+        ("contacts", "guess"),
+        ("restore", 0.5),
+    ],
 )
 def test_senseless_options_are_named(loads, name, value):
     with pytest.raises(ValueError, match=f"option {name} = "):
