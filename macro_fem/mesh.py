@@ -187,8 +187,12 @@ def _plane_points(points: Array, where: str) -> Array:
 
 def _check_cells(points: Array, cells: np.ndarray, where: str) -> None:
     area = signed_areas(points, cells)
+    area *= 1.0 if np.count_nonzero(area > 0.0) >= np.count_nonzero(area < 0.0) else -1.0  # either sense, but one
     scale = np.abs(area).max()
-    for bad, what in ((area < -1e-12 * scale, "is inverted"), (np.abs(area) <= 1e-12 * scale, "has no area")):
+    for bad, what in (
+        (area < -1e-12 * scale, "is inverted against most others"),
+        (np.abs(area) <= 1e-12 * scale, "has no area"),
+    ):
         if bad.any():
             raise InputError(f"{where} cell {int(np.flatnonzero(bad)[0])} {what} ({int(bad.sum())} such cells)")
     _, first, counts = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_counts=True)

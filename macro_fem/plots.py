@@ -44,6 +44,8 @@ def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | 
 
 def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by its largest principal line load, with principal directions and supports."""
+    from matplotlib.colors import PowerNorm
+
     values, direction = solution.principal()
     top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
     ax = plot_field(
@@ -52,8 +54,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
         "largest principal line load, N/mm (reference length)",
         ax,
         cmap="YlOrRd",
-        vmin=0.0,
-        vmax=max(top, 1e-300),
+        norm=PowerNorm(0.5, vmin=0.0, vmax=max(top, 1e-300)),
     )
     _directions(solution, values, direction, ax)
     _supports(solution, ax)
@@ -85,6 +86,19 @@ def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def plot_error(solution: CurtainSolution, density: Array, ax: Axes | None = None) -> Axes:
+    """Where the gap between the bounds comes from: its density (n_cells,) over four decades."""
+    from matplotlib.colors import LogNorm
+
+    top = max(float(density.max(initial=0.0)), 1e-300)
+    shown = np.clip(density, 1e-4 * top, top)
+    ax = plot_field(
+        solution, shown, "gap between the bounds, N mm per mm2", ax, cmap="viridis", norm=LogNorm(1e-4 * top, top)
+    )
+    ax.set_title("where the bounds differ", fontsize=10)
+    return ax
+
+
 def save_picture(path: Path, solution: CurtainSolution, error: Array | None = None) -> None:
     """curtain.png: line loads with directions beside the states, and the error map if there is one."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -99,7 +113,7 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
     plot_line_loads(solution, axes[0])
     plot_states(solution, axes[1])
     if error is not None:
-        plot_field(solution, error, "share of the gap between the bounds, N mm per mm2", axes[2], cmap="viridis")
+        plot_error(solution, error, axes[2])
     write_whole(path, lambda temporary: figure.savefig(temporary, dpi=130))
 
 

@@ -19,7 +19,9 @@ from macro_fem.supports import Supports, build_supports, pin_sliding
 from macro_fem.turned import turned
 
 SLACK = 1e-3
-"""Principal line loads below this part of the greatest one count as none: rules only what pictures call slack."""
+"""A larger principal line load below this part of the greatest one anywhere counts as none: slack."""
+WRINKLED = 0.05
+"""A smaller principal line load below this part of the larger one beside it counts as none: drawn in one direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +87,33 @@ class CurtainSolution:
         """Principal line loads (n_cells, 2), larger first, and the reference direction of the larger (n_cells, 2).
 
         These are the singular values of P, forces per reference length: what the rings of a pitch carry, finite even
-        where the mesh is drawn together to a line.
+        where the mesh is drawn together to a line. P is averaged over neighbours first (see `recovered`).
         """
-        _, values, Vt = np.linalg.svd(cell_mean(self.problem.disc, self.P))
+        _, values, Vt = np.linalg.svd(self.recovered(cell_mean(self.problem.disc, self.P)))
         return values, Vt[:, 0, :]
+
+    def recovered(self, values: Array) -> Array:
+        """Cell values (n_cells, ...) averaged over the cells at each corner, then over the corners of each cell.
+
+        The stress of locked triangles is right on average only: neighbours share a load as equilibrium of the corners
+        happens to leave it, and change places from row to row.
+        """
+        disc, t = self.problem.disc, self.problem.mesh.mesh.t.T
+        area = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+        n = int(t.max()) + 1
+        flat = values.reshape(len(values), -1)
+        total = np.bincount(t.ravel(), weights=np.repeat(area, t.shape[1]), minlength=n)
+        at_corners = [
+            np.bincount(t.ravel(), weights=np.repeat(area * column, t.shape[1]), minlength=n) / total
+            for column in flat.T
+        ]
+        return np.stack([corner[t].mean(axis=1) for corner in at_corners], axis=-1).reshape(values.shape)
 
     def state(self) -> np.ndarray:
         """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""
         values, _ = self.principal()
-        least = SLACK * float(values.max(initial=0.0))
-        return (values > least).sum(axis=1)
+        is_drawn = values[:, 0] > SLACK * float(values.max(initial=0.0))
+        return is_drawn.astype(int) + (is_drawn & (values[:, 1] > WRINKLED * values[:, 0]))
 
 
 def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> Problem:

@@ -1,0 +1,296 @@
+"""Scenes are read as written and refused in one sentence that names file, key and value."""
+
+import json
+
+import meshio
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize.law import InputError, diagonal_net, save_law
+from macro_fem.cli import main
+from macro_fem.mesh import build_mesh
+from macro_fem.scene import Bar, Corners, Hooks, load_scene, read_scene
+from macro_fem.solvers import solve_scene
+
+SCENE = """
+[curtain]
+width = 100.0
+height = 80.0
+hang = "y"
+areal_mass = 2.785
+[mesh]
+cells = 6
+element = "P1"
+[support]
+kind = "corners"
+[load]
+gravity = 9.81
+[solver]
+kind = "rigid"
+"""
+KEYS = {
+    "status",
+    "mean_height_mm",
+    "lowest_point_mm",
+    "max_displacement_mm",
+    "max_principal_line_load_N_per_mm",
+    "cells",
+    "dofs",
+    "iterations",
+    "residual",
+    "wall_s",
+    "versions",
+}
+
+
+def tables(**changes):
+    base = {
+        "curtain": {"width": 100.0, "height": 80.0, "areal_mass": 1.0},
+        "mesh": {"cells": 4},
+        "support": {"kind": "top"},
+    }
+    return base | changes
+
+
+@pytest.fixture
+def law_file(tmp_path):
+    path = tmp_path / "law.json"
+    save_law(diagonal_net(1.1), path)
+    return path
+
+
+def run(tmp_path, text, *options):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(text, encoding="utf-8")
+    out = tmp_path / "out"
+    result = CliRunner().invoke(main, ["run", str(scene), "--out", str(out), "--no-picture", *options])
+    return result, out
+
+
+def test_a_scene_becomes_summary_and_vtu(tmp_path, law_file):
+    result, out = run(tmp_path, SCENE, "--law", str(law_file))
+    assert result.exit_code == 0, result.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary.keys() >= KEYS
+    assert summary["status"] == "converged"
+    assert summary["potential_dual_N_mm"] <= summary["potential_primal_N_mm"]
+    weight = 2.785e-6 * 9.81 * 100.0 * 80.0
+    assert summary["support_forces"][0]["force_N"] == pytest.approx([0.0, weight], abs=1e-4 * weight)
+    picture = meshio.read(out / "curtain.vtu")
+    assert len(picture.cells_dict["triangle"]) == summary["cells"]
+    moved = picture.points[:, :2] - picture.point_data["reference_mm"][:, :2]
+    assert np.linalg.norm(moved, axis=1).max() == pytest.approx(summary["max_displacement_mm"])
+    assert {p.name for p in out.iterdir()} == {"summary.json", "curtain.vtu"}
+
+
+def test_the_picture_is_drawn(tmp_path, law_file):
+    (tmp_path / "scene.toml").write_text(SCENE + "bounds = true\n")
+    args = ["run", str(tmp_path / "scene.toml"), "--law", str(law_file), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "curtain.png").read_bytes().startswith(b"\x89PNG")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    low, high = summary["bounds"]["mean_height_mm"]
+    assert low < summary["mean_height_mm"] <= high
+
+
+def test_load_steps_make_a_series(tmp_path, law_file):
+    text = SCENE.replace("gravity = 9.81", 'gravity = 9.81\nsteps = 3\nedge = {edge = "bottom", force = [0.001, 0.0]}')
+    result, out = run(tmp_path, text, "--law", str(law_file))
+    assert result.exit_code == 0, result.output
+    names = {p.name for p in out.iterdir()}
+    assert names == {"summary.json", "curtain.vtu", "curtain.pvd", *(f"curtain_{k:04d}.vtu" for k in (1, 2, 3))}
+    steps = json.loads((out / "summary.json").read_text())["steps"]
+    assert [step["factor"] for step in steps] == pytest.approx([1 / 3, 2 / 3, 1.0])
+    pulls = [meshio.read(out / f"curtain_{k:04d}.vtu").point_data["displacement_mm"][:, 0].mean() for k in (1, 2, 3)]
+    assert pulls[0] < pulls[1] < pulls[2]
+
+
+BAD = [
+    ("width = 100.0", "width = -1.0", ["[curtain]", "width", "-1.0"]),
+    ("width = 100.0", "width = nan", ["[curtain]", "width", "nan"]),
+    ("width = 100.0", 'width = "wide"', ["width", "wide"]),
+    ("height = 80.0", "", ["[curtain]", "height", "missing"]),
+    ("height = 80.0", "height = 80.0\nradius = 5.0", ["radius", "5.0"]),
+    ("height = 80.0", "height = 80.0\nlength = 5.0", ["length", "5.0", "unknown key"]),
+    ('hang = "y"', 'hang = "z"', ["hang", "'z'"]),
+    ("cells = 6", "cells = 0", ["[mesh]", "cells", "0"]),
+    ("cells = 6", "cells = 2.5", ["cells", "2.5"]),
+    ('element = "P1"', 'element = "P9"', ["element", "'P9'"]),
+    ('kind = "corners"', 'kind = "glue"', ["[support]", "'glue'"]),
+    ('kind = "corners"', 'kind = "corners"\nheight = 3', ["[support]", "height", "3"]),
+    ('kind = "corners"', 'kind = "top"\ngather = 1.9', ["[support]", "farther apart"]),
+    ('kind = "corners"', 'kind = "hooks"\npitch = 500.0', ["pitch", "500"]),
+    ('kind = "corners"', 'kind = "hooks"\npitch = 1.0', ["pitch", "1", "finer"]),
+    ('kind = "corners"', 'kind = "edge"\nedge = "middle"', ["edge", "'middle'", "bottom"]),
+    ('kind = "corners"', 'kind = "point"\nat = [900.0, 0.0]', ["at", "900"]),
+    ("gravity = 9.81", "gravity = true", ["gravity", "True"]),
+    ("gravity = 9.81", "gravity = 9.81\nwind = 3.0", ["[load]", "wind", "3.0"]),
+    ("gravity = 9.81", "gravity = 9.81\npoint = {at = [0, 0]}", ["[load.point]", "force", "missing"]),
+    ("gravity = 9.81", "gravity = 9.81\npoint = {at = [0, 900], force = [1, 0]}", ["[load.point]", "900"]),
+    ("gravity = 9.81", "gravity = 9.81\nbar = {mass = 1.0, edge = 'top'}", ["[load.bar]", "held"]),
+    ('kind = "rigid"', 'kind = "magic"', ["[solver]", "'magic'"]),
+    ('kind = "rigid"', 'kind = "rigid"\nadapt = true', ["adapt", "True"]),
+    ("[solver]", "[solvr]", ["solvr", "unknown table"]),
+    ("[mesh]", "[mesh", ["TOML"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"), BAD, ids=[new.splitlines()[-1] if new else "none" for _, new, _ in BAD]
+)
+def test_bad_input_ends_in_one_sentence(tmp_path, law_file, old, new, words):
+    assert old in SCENE
+    result, out = run(tmp_path, SCENE.replace(old, new), "--law", str(law_file))
+    assert result.exit_code == 2
+    lines = result.output.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("Error: ")
+    for word in ["scene.toml", *words]:
+        assert word in lines[0]
+    assert not out.exists()
+
+
+def test_missing_files_end_in_one_sentence(tmp_path, law_file):
+    for args in (["run", str(tmp_path / "none.toml")], ["run", str(law_file)]):
+        result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "out")])
+        assert result.exit_code == 2
+        assert args[1] in result.output
+    result, out = run(tmp_path, SCENE, "--law", str(tmp_path / "none.json"))
+    assert result.exit_code == 2
+    assert "none.json" in result.output
+    assert not out.exists()
+
+
+def test_nothing_carries_a_side_load_on_a_rail():
+    rail = tables(support={"kind": "rail"}, load={"edge": {"edge": "bottom", "force": [0.1, 0.0]}})
+    with pytest.raises(InputError, match="nothing carries the force of 10 N along x"):
+        solve_scene(read_scene(rail), diagonal_net())
+
+
+def test_contradicting_supports_are_named():
+    both = [{"kind": "top"}, {"kind": "point", "at": [0.0, 80.0], "move": [5.0, 0.0]}]
+    with pytest.raises(InputError, match=r"top and point .* hold the point \(0, 80\) at different places"):
+        solve_scene(read_scene(tables(support=both)), diagonal_net())
+
+
+def test_an_areal_mass_must_come_from_somewhere():
+    with pytest.raises(InputError, match="areal_mass"):
+        solve_scene(read_scene(tables(curtain={"width": 10.0, "height": 10.0})), diagonal_net())
+
+
+def test_supports_combine():
+    scene = read_scene(
+        tables(support=[{"kind": "corners"}, {"kind": "hooks", "pitch": 25.0}], load={"bar": {"mass": 1.0}})
+    )
+    assert scene.support == (Corners(), Hooks(pitch=25.0))
+    assert scene.load.bar == (Bar(mass=1.0),)
+
+
+def test_a_straight_bar_stays_straight_and_carries_its_weight():
+    bar = tables(support={"kind": "corners"}, load={"bar": {"mass": 3.0}})
+    solution = solve_scene(read_scene(bar), diagonal_net(1.1))
+    disc = solution.problem.disc
+    hem = np.flatnonzero(np.isclose(disc.nodes[:, 1], 0.0))
+    x = solution.x[hem[np.argsort(disc.nodes[hem, 0])]]
+    assert np.diff(x, axis=0) == pytest.approx(
+        np.broadcast_to((x[-1] - x[0]) / (len(x) - 1), (len(x) - 1, 2)), abs=1e-9
+    )
+    loose = {**bar, "load": {"bar": {"mass": 3.0, "straight": False}}}
+    assert solve_scene(read_scene(loose), diagonal_net(1.1)).primal < solution.primal
+    total = 3.0 * 9.81 + 1e-6 * 9.81 * 8000.0
+    assert solution.reactions[:, 1].sum() == pytest.approx(total, rel=1e-4)
+
+
+def test_outline_with_a_hole_has_its_area_and_edges(tmp_path):
+    text = """
+[curtain]
+shape = "outline"
+outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
+holes = [[[40, 30], [60, 30], [60, 50], [40, 50]]]
+areal_mass = 1.0
+[mesh]
+cells = 14
+[support]
+kind = "edge"
+edge = "hole 1"
+"""
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    mesh = build_mesh(load_scene(path), None)
+    p, t = mesh.mesh.p, mesh.mesh.t
+    area = 0.5 * np.cross((p[:, t[1]] - p[:, t[0]]).T, (p[:, t[2]] - p[:, t[0]]).T)
+    assert area.min() > 0.0
+    assert area.sum() == pytest.approx(6000.0 + 2000.0 - 400.0)
+    lengths = {
+        name: np.hypot(*(p[:, mesh.mesh.facets[1, f]] - p[:, mesh.mesh.facets[0, f]])).sum()
+        for name, f in mesh.edges.items()
+    }
+    assert lengths["hole 1"] == pytest.approx(80.0)
+    assert lengths["bottom"] == pytest.approx(100.0)
+    assert "top" not in lengths
+    assert solve_scene(load_scene(path), diagonal_net(1.1)).status == "converged"
+
+
+@pytest.mark.parametrize(
+    ("holes", "words"),
+    [
+        ([[[40, 30], [160, 30], [60, 50]]], "hole 1 is not inside"),
+        ([[[40, 30], [60, 50], [60, 30], [40, 50]]], "hole 1: crosses itself"),
+        ([[[40, 30], [60, 30], [50, 50]], [[45, 32], [70, 32], [50, 60]]], "hole 2 and hole 1 overlap"),
+    ],
+)
+def test_bad_outlines_are_explained(holes, words):
+    outline = [[0, 0], [100, 0], [100, 100], [0, 100]]
+    scene = read_scene(
+        tables(curtain={"shape": "outline", "outline": outline, "holes": holes, "areal_mass": 1.0}, mesh={"cells": 12})
+    )
+    with pytest.raises(InputError, match=words):
+        build_mesh(scene, None)
+
+
+def write_mesh(tmp_path, points, cells, kind="triangle"):
+    meshio.Mesh(np.column_stack([points, np.zeros(len(points))]), [(kind, np.array(cells))]).write(
+        tmp_path / "mesh.vtu"
+    )
+    curtain = {"shape": "file", "file": "mesh.vtu", "areal_mass": 1.0}
+    return read_scene({"curtain": curtain, "support": {"kind": "top"}}, tmp_path / "scene.toml")
+
+
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("cells", "words"),
+    [
+        ([[0, 1, 2], [0, 3, 2]], "cell 1 is inverted"),
+        ([[0, 1, 2], [0, 2, 3], [2, 0, 1]], "cell 0 is there 2 times"),
+        ([[0, 1, 2], [0, 0, 3]], "cell 1 has no area"),
+    ],
+)
+def test_bad_mesh_files_are_explained(tmp_path, cells, words):
+    scene = write_mesh(tmp_path, SQUARE, cells)
+    with pytest.raises(InputError, match=words):
+        build_mesh(scene, None)
+
+
+def test_a_piece_that_hangs_on_nothing_is_found(tmp_path):
+    points = np.concatenate([SQUARE, SQUARE - [0.0, 3.0]])
+    scene = write_mesh(tmp_path, points, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    with pytest.raises(InputError, match=r"nothing holds the piece around \(0.5, -2.5\)"):
+        solve_scene(scene, diagonal_net())
+
+
+def test_a_mesh_file_gives_what_its_rectangle_gives(tmp_path):
+    rectangle = build_mesh(read_scene(tables()), None)
+    scene = write_mesh(tmp_path, rectangle.mesh.p.T, rectangle.mesh.t.T)
+    from_file = solve_scene(scene, diagonal_net(1.1))
+    assert from_file.mean_height() == pytest.approx(solve_scene(read_scene(tables()), diagonal_net(1.1)).mean_height())
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, law_file):
+    (tmp_path / "out").write_text("a file")
+    result, _ = run(tmp_path, SCENE, "--law", str(law_file))
+    assert result.exit_code == 2
+    assert "--out" in result.output
