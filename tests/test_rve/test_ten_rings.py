@@ -57,13 +57,13 @@ def test_every_step_is_the_same_to_round_off(case, curvature):
         assert rings.centres == pytest.approx(after.centres, abs=1e-9)
         assert rings.normals == pytest.approx(motion.pose.normals[0][kind], abs=1e-9)
         assert rings.v == pytest.approx(after.v, abs=1e-8)
-        assert rings.R == pytest.approx(motion.R[0], rel=1e-8)
+        assert pytest.approx(motion.R[0], rel=1e-8) == rings.R
         assert rise_ten / (options.load * options.r1_mm**2) == pytest.approx(rise[0], abs=1e-9)  # force times way
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_both_forms_take_the_same_way(case):
-    """Where minima merge the way is sensitive, so that round-off grows to 1e-8 before it dies out in the locked state."""
+    """Where minima merge the way is sensitive: round-off grows to 1e-8 before it dies out in the locked state."""
     s = cauchy_line_load([case[0]], [case[1]])[0]
     kind = FOUR_IN_ONE.rings[:, 0]
     times = []
