@@ -1,7 +1,7 @@
 """The periodic cell: rings, pose, generalised coordinates, and the contacts of a pose.
 
-Internally lengths are in units of r1, so results are free of units. The generalised velocity of a cell with K classes is
-(a1 (2), a2 (2), c_1 .. c_{K-1} (2 each), omega_0 .. omega_{K-1} (3 each)): 12 numbers for K = 2. The reduced one is
+Internally lengths are in units of r1, so results are free of units. The generalised velocity of a cell with K classes
+is (a1 (2), a2 (2), c_1 .. c_{K-1} (2 each), omega_0 .. omega_{K-1} (3 each)): 12 numbers for K = 2. The reduced one is
 (x2, y3, t = tan gamma; centres; two tilts per ring): 9 numbers for K = 2. The rotation rule (5) has removed one, and
 the spin of a torus about its own axis is no coordinate at all.
 """
@@ -18,12 +18,12 @@ from rve.weave import Weave
 
 Array = NDArray[np.float64]
 
-SLOTS = 3  # points kept per pair of rings: two minima, linked rings have no more, and one shoulder
+SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no more
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Positions of a batch of cells in units of r1: lattice (n, 3) = x2, y3, t; centres (n, K, 2); normals (n, K, 3)."""
+    """Positions of n cells in units of r1: lattice (n, 3) = x2, y3, t; centres (n, K, 2); normals (n, K, 3)."""
 
     lattice: Array
     centres: Array
@@ -56,9 +56,7 @@ def start_pose(weave: Weave, count: int) -> Pose:
     tilt = np.radians(weave.start_tilt_deg)
     normals = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)], axis=1)
     centres = weave.start_offset * np.array([x2, y3])
-    return Pose(
-        np.tile([x2, y3, 0.0], (count, 1)), np.tile(centres, (count, 1, 1)), np.tile(normals, (count, 1, 1))
-    )
+    return Pose(np.tile([x2, y3, 0.0], (count, 1)), np.tile(centres, (count, 1, 1)), np.tile(normals, (count, 1, 1)))
 
 
 def moved(pose: Pose, v: Array) -> Pose:
@@ -206,7 +204,7 @@ def joined_contacts(parts: list[Contacts], order: NDArray[np.intp]) -> Contacts:
     )
 
 
-def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, shoulders: bool = False) -> Contacts:
+def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> Contacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact.
 
     wire = r2/r1. Pairs whose centres are farther apart than two circles can reach are not looked at.
@@ -214,7 +212,7 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, shoulders
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     limit = 2.0 * wire + reach
     near = np.flatnonzero(dot(d, d) < (2.0 + limit) ** 2)
-    found = local_minima(d[near], na[near], nb[near], 1.0, reach=limit, shoulders=shoulders)
+    found = local_minima(d[near], na[near], nb[near], 1.0, reach=limit)
     return contacts_of(replace(found, pair=near[found.pair]), (d, na, nb), weave, wire)
 
 
@@ -245,3 +243,23 @@ def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weav
         nb[found.pair],
         (linked == weave.linked).all(axis=1),
     )
+
+
+def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, samples: int = 12) -> Array:
+    """Smallest gap (n,) of parallel rings, those of one class, on the straight way between two poses, ends left out.
+
+    Rings of one class can pass through each other at two points at once, which no linking number tells. Their distance
+    is closed form: with height h and in-plane offset rho it is |h| where the projections cross (rho <= 2), and
+    hypot(rho - 2, h) outside.
+    """
+    same = weave.pairs[:, 0] == weave.pairs[:, 1]
+    (d0, n0, _), (d1, n1, _) = pair_geometry(before, weave), pair_geometry(after, weave)
+    lowest = np.full(len(d0), np.inf)
+    for t in np.arange(1, samples) / samples:
+        d = (1.0 - t) * d0[:, same] + t * d1[:, same]
+        n = (1.0 - t) * n0[:, same] + t * n1[:, same]
+        h = dot(d, n) / np.sqrt(dot(n, n))
+        rho = np.sqrt(np.maximum(dot(d, d) - h**2, 0.0))
+        distance = np.where(rho <= 2.0, np.abs(h), np.hypot(rho - 2.0, h))
+        lowest = np.minimum(lowest, distance.min(axis=1))
+    return lowest - 2.0 * wire

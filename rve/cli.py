@@ -13,7 +13,6 @@ import click
 
 from rve.errors import SENTENCES, InputError, NotConverged
 
-
 METHODS = ("direct",)
 
 
@@ -36,7 +35,9 @@ def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
         click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
         click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
-        click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
+        click.option(
+            "--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."
+        ),
     ):
         command = decorate(command)
     return command
@@ -73,12 +74,12 @@ def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **c
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
     mesh = _cell(**cell)
-    directions = (
-        read_loads(loads) if loads else grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
-    )
+    directions = read_loads(loads) if loads else grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
     if not out.parent.is_dir():
         raise InputError(f"--out = {out}: the folder {out.parent} does not exist")
-    with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=not sys.stderr.isatty()) as bar:
+    with click.progressbar(
+        length=len(directions[0]), label="solving", file=sys.stderr, hidden=not sys.stderr.isatty()
+    ) as bar:
         found = solve_table(*directions, mesh, progress=bar.update)
     write_table(found, out)
     good = int(found.converged.sum())
@@ -109,7 +110,8 @@ def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
     if status != "converged":
         raise NotConverged(f"alpha = {alpha}, beta = {beta}: {status}: {SENTENCES[status]}")
     values = [*found.E[0], *found.S[0], *found.x2_mm[0], *found.x3_mm[0], found.R[0], found.min_gap_mm[0]]
-    out = {"alpha_deg": alpha, "beta_deg": beta} | dict(zip(COLUMNS[2:14], map(float, values), strict=True))
+    out: dict[str, object] = {"alpha_deg": alpha, "beta_deg": beta}
+    out |= dict(zip(COLUMNS[2:14], map(float, values), strict=True))
     out |= {"contacts": int(found.contacts[0]), "unique": int(found.unique[0]), "status": status}
     click.echo(json.dumps(out | {"iterations": int(found.iterations[0])}, indent=2))
     if plot is not None:

@@ -30,8 +30,8 @@ class Minima:
     """Local minima of the distance of two circles, one row per minimum.
 
     pair (m,) row of the input; normal (m, 3) unit vector from the point of A to the point of B; rho_a, rho_b (m, 3)
-    points relative to their centres; distance (m,); curvature (m,) of the distance along ring a, over r1^2 / distance: 1
-    for a stiff minimum, 0 for one that is about to merge with another or to vanish.
+    points relative to their centres; distance (m,); curvature (m,) of the distance along ring a, over r1^2 / distance:
+    1 for a stiff minimum, 0 for one that is about to merge with another or to vanish.
     """
 
     pair: Index
@@ -162,7 +162,7 @@ def _polish(
 
 
 def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
-    """Squared distance less r1^2 between circle B and the points of A at angles start (n,) + offset (k,) or (n, k): (n, k).
+    """Squared distance less r1^2, (n, k), between circle B and the points of A at angles start (n,) + offset (k,).
 
     Squared distance = z^2 + (|q| - r1)^2 with p = rho_a - d, height z = p.n_b and in-plane part q; both p.p and z are
     linear in (cos, sin), so that no vector is formed.
@@ -176,9 +176,7 @@ def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: 
     return pp - 2.0 * r1 * np.sqrt(np.maximum(pp - z * z, 0.0))
 
 
-def local_minima(
-    d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = np.inf, samples: int = 48, shoulders: bool = False
-) -> Minima:
+def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = np.inf, samples: int = 48) -> Minima:
     """Every local minimum of the distance of two circles, for all pairs at once.
 
     d, n_a, n_b (n, 3): centre of B seen from A in mm, unit normals; r1 in mm. Minima farther than `reach` mm are left
@@ -201,7 +199,7 @@ def local_minima(
     soft = near & (found.curvature < _SOFT)
     if not soft.any():
         return found.take(near)
-    return _with_twins(found, near, soft, angle[soft], d, n_a, n_b, r1, shoulders)
+    return _with_twins(found, near, soft, angle[soft], d, n_a, n_b, r1)
 
 
 def _with_twins(
@@ -213,13 +211,12 @@ def _with_twins(
     n_a: Array,
     n_b: Array,
     r1: float,
-    shoulders: bool,
 ) -> Minima:
-    """The near minima, the twins that the coarse sampling has missed, and the shoulders beside soft minima."""
+    """The near minima and the twins that the coarse sampling has missed."""
     pair = found.pair[soft]
-    # Twins of a pitchfork may be 0.001 rad apart, shoulders 0.5 rad: samples crowd towards the minimum.
-    offset = 0.8 * np.sinh(np.linspace(-6.0, 6.0, 193)) / np.sinh(6.0)
-    width = np.diff(offset)
+    # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
+    offset: Array = 0.8 * np.sinh(np.linspace(-6.0, 6.0, 193)) / np.sinh(6.0)
+    width: Array = np.diff(offset)
     f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
     slope = np.diff(f, axis=1) / width
     row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
@@ -228,40 +225,13 @@ def _with_twins(
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
     stable = found.curvature > -_ROUND_OFF
     parts = [found.take(near & ~soft), found.take(soft & stable), twins.take(twins.curvature > -_ROUND_OFF)]
-    if shoulders:
-        s = slope[:, 1:-1]
-        right = (s > 0.0) & (s <= slope[:, :-2]) & (s < slope[:, 2:])
-        left = (s < 0.0) & (s >= slope[:, :-2]) & (s > slope[:, 2:])
-        row, column = np.nonzero(right | left)
-        h = width[column + 1]
-        place = angle[row] + offset[column + 1] + 0.5 * h
-        for fine in (h, 0.1 * h):
-            place = place + fine * _inflection(place, fine, pair[row], d, n_a, n_b, r1)
-        parts.append(_at_angle(pair[row], place, d, n_a, n_b, r1))
     return _joined(parts, r1)
 
 
-def _inflection(angle: Array, h: Array, pair: Index, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
-    """Where the slope has its extremum, in units of h from `angle` (n,), within -1 and 1: the vertex of the parabola
-    through three slopes. It moves smoothly with the pose, which a sample of a grid would not.
-    """
-    f = _samples(angle, h[:, None] * np.array([-1.5, -0.5, 0.5, 1.5]), d[pair], n_a[pair], n_b[pair], r1)
-    before, at, after = np.diff(f, axis=1).T
-    bend = before - 2.0 * at + after
-    return np.clip(0.5 * (before - after) / np.where(bend == 0.0, np.inf, bend), -1.0, 1.0)
-
-
-def _at_angle(pair: Index, angle: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Minima:
-    """Closest points for given angles on ring a; curvature 0 marks them as no minima."""
-    d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
-    distance, _, _, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, *tangent_frame(n_a), n_b, r1)
-    return Minima(pair, (d + rho_b - rho_a) / distance[:, None], rho_a, rho_b, distance, np.zeros(len(pair)))
-
-
 def _joined(parts: list[Minima], r1: float) -> Minima:
-    """All parts, each point once, sorted by pair, minima before shoulders, and distance."""
+    """All parts, each point once, sorted by pair and distance."""
     both = parts[0].joined(*parts[1:])
-    order = np.lexsort((both.distance, both.curvature == 0.0, both.pair))
+    order = np.lexsort((both.distance, both.pair))
     both = both.take(order)
     first = np.ones(len(order), dtype=bool)
     # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
@@ -270,8 +240,6 @@ def _joined(parts: list[Minima], r1: float) -> Minima:
         gap = both.rho_a[back:] - both.rho_a[:-back]
         first[back:] &= ~(same_pair & (dot(gap, gap) < (1e-4 * r1) ** 2))
     return both.take(first)
-
-
 
 
 def distance_gradient(m: Minima) -> Array:
@@ -301,7 +269,9 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float) -> Array:
     """
     u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
     eye = np.eye(3)
-    W = np.concatenate([np.broadcast_to(eye, (len(dist), 3, 3)), -_minus_cross_matrix(ra), _minus_cross_matrix(rb)], axis=2)
+    W = np.concatenate(
+        [np.broadcast_to(eye, (len(dist), 3, 3)), -_minus_cross_matrix(ra), _minus_cross_matrix(rb)], axis=2
+    )
     uW = np.matmul(u[:, None, :], W)
     D_qq = (np.matmul(W.transpose(0, 2, 1), W) - uW.transpose(0, 2, 1) * uW) / dist[:, None, None]
     for block, rho, sign in ((slice(3, 6), ra, -1.0), (slice(6, 9), rb, 1.0)):
@@ -319,7 +289,4 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float) -> Array:
     scale = (r1**2 / dist) ** 2
     det = np.maximum(aa * bb - ab**2, 1e-10 * scale)
     inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
-    held = m.curvature == 0.0
-    inverse[held] = 0.0
-    inverse[held, 1, 1] = 1.0 / bb[held]
     return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))

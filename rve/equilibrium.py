@@ -1,15 +1,13 @@
 """Direct equilibrium of the periodic cell: a primal-dual interior-point Newton method, batched over load cases.
 
-Each case follows lam_i gap_i = mu w_i as mu -> 0 from one slack pose, with the exact unsymmetric Jacobian of `system`.
-Gaps stay positive and links intact in every accepted step, so rings never tunnel. Cases that have converged leave the
-batch; cases that stall are tried again with shorter steps and from turned start poses.
+Each case follows lam_i gap_i = mu as mu -> 0 from one slack pose, with the exact unsymmetric Jacobian of `system`.
+Gaps stay positive and links intact in every accepted step, so rings never tunnel. A trust radius per case tames the
+unbounded curvature of contacts that merge. Cases that have converged leave the batch; cases that stall are tried again
+with other step rules and from turned start poses.
 
-Two things tame merging contacts (measured on the paper's 190 cases; without them 6 cases cycle for ever):
-
-* shoulders, points where the distance along a ring has an inflection, count as contacts beside the minima, so that a
-  minimum that vanishes in a fold leaves its contact behind;
-* the weights w_i of the contacts of one pair go to a share of 1 where minima merge, so that the target of a pair does
-  not jump from 2 mu to mu.
+What matters where contacts merge is in `contact`: both twins of a soft minimum must be found even when they are 0.001
+rad apart, and the saddle between them must not count. With that, the paper's delicate cases take no more iterations
+than others.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.cell import Contacts, Pose, find_contacts, moved, start_pose
+from rve.cell import Contacts, Pose, find_contacts, moved, parallel_clearance, start_pose
 from rve.system import Equations, System
 
 Array = NDArray[np.float64]
@@ -43,7 +41,6 @@ class DirectOptions:
     step: float = 0.15
     max_iterations: int = 150
     attempts: int = 8
-    shoulders: bool = True
     patience: int = 20
     rejection: float = 3.0
 
@@ -52,7 +49,7 @@ class DirectOptions:
 class Equilibrium:
     """Locked poses of a batch of load cases and how they were found.
 
-    pose: n poses in units of r1; lam (n, p, SLOTS): contact forces in units of s r1; contacts: the contacts they act at;
+    pose: n poses in units of r1; lam (n, p, SLOTS): contact forces in units of s r1; contacts: where they act;
     R (n,): weighted residual; iterations (n,): Newton iterations over all attempts; status (n,): name of the outcome;
     attempts (n,): tries that were needed.
     """
@@ -77,7 +74,9 @@ class Equilibrium:
             array = getattr(self, name).copy()
             array[rows] = getattr(other, name)
             fields[name] = array
-        return Equilibrium(pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields)
+        return Equilibrium(
+            pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields
+        )
 
 
 @dataclass(frozen=True)
@@ -121,26 +120,13 @@ class _State:
         return _State(pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields)
 
 
-def contact_weights(contacts: Contacts) -> Array:
-    """Weights w (n, p, SLOTS) of the complementarity targets: 1 for a stiff minimum, a share of 1 for soft ones.
-
-    With c the curvature of a minimum (0 for a shoulder) and theta its share of the sum of 1/gap over the pair,
-    w = c + (1 - c) theta: continuous where minima merge, and the weights of a merged pair add up to 1.
-    """
-    c = np.ones(contacts.gap.shape)
-    c[contacts.present] = np.clip(contacts.minima.curvature / 0.3, 0.0, 1.0)
-    closeness = np.where(contacts.present, 1.0 / np.maximum(contacts.gap, 1e-15), 0.0)
-    theta = closeness / np.maximum(closeness.sum(axis=2, keepdims=True), 1e-300)
-    return np.where(contacts.present, c + (1.0 - c) * theta, 1.0)
-
-
 def carry_forces(old: Contacts, lam: Array, new: Contacts, mu: Array) -> Array:
     """Contact forces for new contacts: the force of a pair of rings is handed on in full.
 
     Contacts that have one nearest successor each keep their forces. Where minima merge, split, appear or vanish, the
-    force of the pair is shared out as on the central path, in proportion to w/gap. New pairs start at mu w/gap.
+    force of the pair is shared out as on the central path, in proportion to 1/gap. New pairs start at mu/gap.
     """
-    share = np.where(new.present, contact_weights(new) / np.maximum(new.gap, 1e-14), 0.0)
+    share = np.where(new.present, 1.0 / np.maximum(new.gap, 1e-14), 0.0)
     between = new.rho[:, :, :, None] - old.rho[:, :, None, :]
     distance = np.sqrt(np.einsum("npijx,npijx->npij", between, between))
     distance = np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
@@ -156,21 +142,24 @@ def carry_forces(old: Contacts, lam: Array, new: Contacts, mu: Array) -> Array:
 
 
 def newton_direction(
-    system: System, gap: Array, lam: Array, weight: Array, mu: Array, present: Flags, step: Array
+    system: System, gap: Array, lam: Array, mu: Array, present: Flags, step: Array
 ) -> tuple[Array, Array]:
-    """Primal-dual Newton step (dq (n, m), dlam (n, c)) for r = 0, lam gap = mu w, no longer than `step`.
+    """Primal-dual Newton step (dq (n, m), dlam (n, c)) for r = 0, lam gap = mu, no longer than `step`.
 
-    Eliminating dlam leaves K dq = r + G^T (mu w - lam gap)/gap with K = -J + G^T diag(lam/gap) G. Where the symmetric
+    Eliminating dlam leaves K dq = r + G^T (mu - lam gap)/gap with K = -J + G^T diag(lam/gap) G. Where the symmetric
     part of K is indefinite, or the step too long, a multiple of the identity is added.
     """
     n, m = system.r.shape
-    target = np.where(present, (mu[:, None] * weight - lam * gap) / gap, 0.0)
+    target = np.where(present, (mu[:, None] - lam * gap) / gap, 0.0)
     ratio = np.where(present, lam / gap, 0.0)
     Gt = system.G.transpose(0, 2, 1)
     K = -system.J + np.matmul(Gt * ratio[:, None, :], system.G)
     rhs = system.r + np.matmul(Gt, target[..., None])[..., 0]
+    broken = ~(np.isfinite(K).all(axis=(1, 2)) & np.isfinite(rhs).all(axis=1))
+    K[broken], rhs[broken] = np.eye(m), 0.0  # no step: the case stalls and is tried again from another start
     lowest = np.linalg.eigvalsh(0.5 * (K + K.transpose(0, 2, 1)))[:, 0]
-    shift = np.where(lowest <= 0.0, 1.2 * np.abs(lowest) + 1e-10, 0.0)
+    noise = 1e-15 * np.abs(K).max(axis=(1, 2))
+    shift = np.where(lowest <= noise, 1.2 * np.abs(lowest) + np.maximum(1e-10, noise), 0.0)
     dq = np.zeros((n, m))
     todo = np.arange(n)
     for _ in range(14):
@@ -191,21 +180,22 @@ def _accepted_step(
     length = np.minimum(1.0, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
     floor = 0.01 * state.contacts.min_gap
 
-    def look(rows: NDArray[np.intp]) -> tuple[Pose, Contacts]:
-        pose = moved(state.pose.take(rows), length[rows, None] * dq[rows])
-        return pose, find_contacts(pose, equations.weave, equations.wire, options.reach, options.shoulders)
+    def look(rows: NDArray[np.intp]) -> tuple[Pose, Contacts, Flags]:
+        here = state.pose.take(rows)
+        pose = moved(here, equations.displacement(length[rows, None] * dq[rows]))
+        contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
+        apart = parallel_clearance(here, pose, equations.weave, equations.wire) > -equations.wire
+        return pose, contacts, contacts.links_intact & (contacts.min_gap >= floor[rows]) & apart
 
-    pose, contacts = look(np.arange(len(dq)))
-    bad = np.flatnonzero(~contacts.links_intact | ~(contacts.min_gap >= floor))
+    pose, contacts, good = look(np.arange(len(dq)))
+    bad = np.flatnonzero(~good)
     for _ in range(30):
         if not len(bad):
             break
         length[bad] *= 0.5
-        part, found = look(bad)
-        pose = pose.put(bad, part)
-        still = ~found.links_intact | ~(found.min_gap >= floor[bad])
-        contacts = contacts.put(bad, found)
-        bad = bad[still]
+        part, found, good = look(bad)
+        pose, contacts = pose.put(bad, part), contacts.put(bad, found)
+        bad = bad[~good]
     if len(bad):
         length[bad] = 0.0
         pose = pose.put(bad, state.pose.take(bad))
@@ -215,7 +205,7 @@ def _accepted_step(
 
 def _measure(state: _State, system: System) -> tuple[Array, Array, Array]:
     """Weighted residual R, largest distance from the central path, and the merit that joins both, each (n,)."""
-    product = state.lam * np.where(state.contacts.present, state.contacts.gap, 0.0) / contact_weights(state.contacts)
+    product = state.lam * np.where(state.contacts.present, state.contacts.gap, 0.0)
     off = np.where(state.contacts.present, np.abs(product - state.mu[:, None, None]), 0.0).reshape(len(state.row), -1)
     R = system.weighted_residual
     return R, off.max(axis=1), np.sqrt(R**2 + (off**2).sum(axis=1))
@@ -251,8 +241,7 @@ def _advanced(state: _State, equations: Equations, options: DirectOptions, syste
     present = con.present.reshape(n, -1)
     gap = np.where(present, con.gap.reshape(n, -1), 1.0)
     lam = state.lam.reshape(n, -1)
-    weight = contact_weights(con).reshape(n, -1)
-    dq, dlam = newton_direction(system, gap, lam, weight, state.mu, present, state.radius)
+    dq, dlam = newton_direction(system, gap, lam, state.mu, present, state.radius)
     pose, contacts, length = _accepted_step(state, dq, equations, options)
     with np.errstate(divide="ignore", invalid="ignore"):
         longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(axis=1)
@@ -313,12 +302,10 @@ def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
     )
 
 
-def _turned(pose: Pose, seed: int, amount: float) -> Pose:
+def _turned(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
     """Start poses shifted by seeded random numbers of size `amount`, the same for every case and batch."""
-    n, k = pose.normals.shape[:2]
-    size = 3 + 2 * (k - 1) + 2 * k
-    shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, size)
-    return moved(pose, np.tile(shift, (n, 1)))
+    shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, equations.modes.shape[1])
+    return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1))))
 
 
 def solve_equilibrium(
@@ -339,7 +326,7 @@ def solve_equilibrium(
     weave, wire = equations.weave, equations.wire
     s = s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
     first = start if start is not None else start_pose(weave, n)
-    contacts = find_contacts(first, weave, wire, options.reach, options.shoulders)
+    contacts = find_contacts(first, weave, wire, options.reach)
     out = Equilibrium(
         first.put(np.arange(0), first.take(np.arange(0))),
         np.zeros(contacts.gap.shape),
@@ -354,8 +341,8 @@ def solve_equilibrium(
         tuned = _attempt(options, attempt)
         pose = first.take(left)
         if attempt > 0:
-            pose = _turned(pose, attempt, 0.03)
-        found = find_contacts(pose, weave, wire, options.reach, options.shoulders)
+            pose = _turned(pose, equations, attempt, 0.03)
+        found = find_contacts(pose, weave, wire, options.reach)
         mu = np.full(len(left), options.mu_start)
         lam = np.where(found.present, mu[:, None, None] / np.maximum(found.gap, 1e-3), 0.0)
         inf, none = np.full(len(left), np.inf), np.zeros(len(left))
@@ -366,4 +353,4 @@ def solve_equilibrium(
             break
         out.attempts[left] += 1
     out.attempts[left] = options.attempts
-    return replace(out, contacts=find_contacts(out.pose, weave, wire, options.reach, options.shoulders))
+    return replace(out, contacts=find_contacts(out.pose, weave, wire, options.reach))

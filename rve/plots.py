@@ -102,17 +102,21 @@ def draw_cell(ax: Axes, found: Equilibrium, case: int, s: Array, cell: Cell) -> 
     points, normals, forces = contacts_mm(found, case, cell)
     if len(points):
         flat, tips = swap(points[:, :2]), swap(normals[:, :2])
-        ax.scatter(*flat.T, s=16, color=CONTACT_COLOUR, zorder=3)
+        ax.scatter(flat[:, 0], flat[:, 1], s=16, color=CONTACT_COLOUR, zorder=3)
         reach = 0.5 * cell.r1 * (forces / forces.max())[:, None] * tips
         for sign in (1.0, -1.0):
-            ax.quiver(*flat.T, *(sign * reach).T, angles="xy", scale_units="xy", scale=1.0, color=CONTACT_COLOUR, width=3e-3)
+            ax.quiver(
+                *flat.T, *(sign * reach).T, angles="xy", scale_units="xy", scale=1.0, color=CONTACT_COLOUR, width=3e-3
+            )
     f, _ = lattice_load(pose.take(np.array([case])), s[case : case + 1])
     f1, f2 = f[0, :2], f[0, 2:]
     # Fig. 4: the line load on a face goes in equal parts to the two rings at its ends.
     nodal = swap(0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2]))
     at = swap(np.array([0 * a1, a1, a2, a1 + a2]))
     size = 1.3 * cell.r1 / max(np.abs(nodal).max(), 1e-300)
-    ax.quiver(*at.T, *(size * nodal).T, angles="xy", scale_units="xy", scale=1.0, color=FORCE_COLOUR, width=5e-3, zorder=4)
+    ax.quiver(
+        *at.T, *(size * nodal).T, angles="xy", scale_units="xy", scale=1.0, color=FORCE_COLOUR, width=5e-3, zorder=4
+    )
     for number, place in enumerate(at, 1):
         ax.annotate(str(number), place, textcoords="offset points", xytext=(4, 4), fontsize=9)
     ax.set_aspect("equal")

@@ -55,6 +55,8 @@ def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
         values = numeric_column(path, columns, name)
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
-            raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {columns[name][bad[0]]!r} is not a finite number")
+            raise InputError(
+                f"{path}: line {bad[0] + 2}, column {name}: {columns[name][bad[0]]!r} is not a finite number"
+            )
         out.append(values)
     return out[0], out[1]

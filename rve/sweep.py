@@ -16,7 +16,7 @@ from rve.cell import Pose
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.errors import SENTENCES, InputError, NotConverged
 from rve.load import cauchy_line_load, green_lagrange, second_pk
-from rve.system import Equations
+from rve.system import Equations, mirror_modes
 from rve.table import StrainTable, joined_tables
 from rve.uniqueness import with_limits
 from rve.weave import FOUR_IN_ONE, Weave
@@ -76,12 +76,26 @@ def locked(
     if cell.grain == "x":
         s = s[:, ::-1]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
-    tensile = (principal[:, 0] >= 0.0) & (principal[:, 2] >= 0.0)
+    tensile: NDArray[np.bool_] = (principal[:, [0, 2]] >= 0.0).all(axis=1)
     equations = Equations.of(cell.weave, cell.wire)
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
     found = solve_equilibrium(solved, equations, options)
     found, unique = with_limits(solved, equations, found, options)
     return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique | ~tensile
+
+
+def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
+    """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain, symmetric in the grain.
+
+    The symmetry is imposed. Above r1/r2 of about 31 the symmetric state, rings side by side, is no stable equilibrium
+    (rings then slide over each other), but it stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
+    """
+    equations = Equations.of(cell.weave, cell.wire, mirror_modes(cell.weave))
+    found = solve_equilibrium(np.array([[0.0, 0.0, 1.0]]), equations, options)
+    if found.status[0] != "converged":
+        raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")
+    x2, x3 = lattice_mm(found.pose, cell)
+    return float(x2[0, 0]), float(x3[0, 1])
 
 
 def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
@@ -121,12 +135,7 @@ def solve_table(
     cell, options = cell or Cell(), options or DirectOptions()
     began = time.perf_counter()
     alpha, beta = _checked(alpha_deg, beta_deg)
-    along_grain = 90.0 if cell.grain == "x" else 0.0
-    reference, _, _ = locked(np.array([along_grain]), np.array([90.0]), cell, options)
-    if reference.status[0] != "converged":
-        raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(reference.status[0])]}")
-    x2, x3 = lattice_mm(reference.pose, cell)
-    b_x, b_y = float(x2[0, 0]), float(x3[0, 1])
+    b_x, b_y = reference_sides(cell, options)
     blocks = []
     for first in range(0, len(alpha), BLOCK):
         rows = slice(first, first + BLOCK)

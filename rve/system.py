@@ -29,8 +29,8 @@ _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 class System:
     """Equations of a batch of n poses with m coordinates and c contact slots.
 
-    r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix of
-    the rings for unit density, which weighs the residual (eq. 9).
+    r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix
+    of the rings for unit density, which weighs the residual (eq. 9).
     """
 
     r: Array
@@ -87,19 +87,42 @@ def mass_matrix(weave: Weave, wire: float) -> Array:
     return M
 
 
+def mirror_modes(weave: Weave) -> Array:
+    """Motions (m, k) that keep the mirror x -> -x of the cell: sides, rows along y, tilts about x.
+
+    Ring k keeps its share of the cell along x; the rotation and the tilts about the other axis stay zero.
+    """
+    k = weave.classes
+    m = 4 * k + 1
+    stretch = np.zeros(m)
+    stretch[0] = 1.0
+    stretch[3 : 2 * k + 1 : 2] = weave.start_offset[1:, 0]
+    rows = [1, *range(4, 2 * k + 1, 2), *range(2 * k + 1, m, 2)]
+    return np.column_stack([stretch, np.eye(m)[:, rows]])
+
+
 @dataclass(frozen=True)
 class Equations:
-    """What does not change during a solve: weave, wire = r2/r1, pair maps and mass matrix."""
+    """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, and the modes that may move.
+
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
+    """
 
     weave: Weave
     wire: float
     maps: Array
     mass: Array
+    modes: Array
 
     @staticmethod
-    def of(weave: Weave, wire: float) -> Equations:
-        """Equations of a weave with wire radius r2/r1."""
-        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire))
+    def of(weave: Weave, wire: float, modes: Array | None = None) -> Equations:
+        """Equations of a weave with wire radius r2/r1, with all coordinates free unless `modes` are given."""
+        free = np.eye(4 * weave.classes + 1) if modes is None else modes
+        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free)
+
+    def displacement(self, y: Array) -> Array:
+        """Reduced displacement (n, m) of the mode amplitudes y (n, k)."""
+        return y @ self.modes.T
 
     def assemble(self, pose: Pose, contacts: Contacts, lam: Array, s: Array) -> System:
         """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, 3)."""
@@ -131,4 +154,5 @@ class Equations:
         G = np.zeros((n, *contacts.present.shape[1:], m))
         G[contacts.present] = G_rows
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        return System(r, f, J, G.reshape(n, -1, m), M)
+        B = self.modes
+        return System(r @ B, f @ B, B.T @ J @ B, G.reshape(n, -1, m) @ B, B.T @ M @ B)

@@ -1,7 +1,7 @@
 """The door to `homogenize`: the strain-load table, its file, and the kinematics that give its columns a meaning.
 
-One row is one load case. Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a unit
-Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the limit from
+One row is one load case. Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a
+unit Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the limit from
 inside the tensile cone). The file is a CSV with one header line, its provenance a JSON of the same name.
 """
 
@@ -40,10 +40,21 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-COLUMNS = (
-    "alpha_deg,beta_deg,E11,E12,E22,S11,S12,S22,x2_x_mm,x2_y_mm,x3_x_mm,x3_y_mm,R,min_gap_mm,contacts,unique,status,"
-    "iterations"
-).split(",")
+COLUMNS = [
+    "alpha_deg",
+    "beta_deg",
+    "E11",
+    "E12",
+    "E22",
+    "S11",
+    "S12",
+    "S22",
+    "x2_x_mm",
+    "x2_y_mm",
+    "x3_x_mm",
+    "x3_y_mm",
+]
+COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
 
@@ -83,7 +94,7 @@ class StrainTable:
 
 def joined_tables(tables: list[StrainTable]) -> StrainTable:
     """One table with the rows of all, in order; compliance only if all have it; no provenance."""
-    columns = {}
+    columns: dict[str, Any] = {}
     for name, value in vars(tables[0]).items():
         parts = [getattr(table, name) for table in tables]
         if isinstance(value, np.ndarray) and all(part is not None for part in parts):

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 # Second principal load over the first: d, d/2 and d/4 extrapolate to zero with an error of third order. The next d is
 # tried where one of the three solves fails (contacts may merge on the way).
-_SMALL = (1e-3, 2e-3, 5e-4, 4e-3)
+_SMALL = (4e-3, 1e-3, 2e-3, 5e-4)
 _WEIGHTS = np.array([1.0, -6.0, 8.0]) / 3.0
 
 
@@ -82,10 +82,8 @@ def limit_equilibrium(s: Array, equations: Equations, size: float, options: Dire
 
 
 def touching(contacts: Contacts, reach: float) -> NDArray[np.bool_]:
-    """Minima (no shoulders) whose gap is below `reach`, (n, p, SLOTS)."""
-    is_minimum = np.zeros(contacts.present.shape, dtype=bool)
-    is_minimum[contacts.present] = contacts.minima.curvature != 0.0
-    return is_minimum & (contacts.gap < reach)
+    """Contacts whose gap is below `reach`, (n, p, SLOTS)."""
+    return contacts.present & (contacts.gap < reach)
 
 
 def contact_forces(system: System, active: NDArray[np.bool_]) -> Array:
@@ -128,7 +126,9 @@ def polish(
     return pose, lam, contacts, system.weighted_residual
 
 
-def with_limits(s: Array, equations: Equations, found: Equilibrium, options: DirectOptions) -> tuple[Equilibrium, Array]:
+def with_limits(
+    s: Array, equations: Equations, found: Equilibrium, options: DirectOptions
+) -> tuple[Equilibrium, NDArray[np.bool_]]:
     """Equilibria with non-unique rows replaced by their limits, and the flags `unique` (n,).
 
     A row whose limit cannot be found keeps one of its equilibria and gets the status "no-limit".
@@ -137,7 +137,7 @@ def with_limits(s: Array, equations: Equations, found: Equilibrium, options: Dir
     left = np.flatnonzero(~unique)
     if not len(left):
         return found, unique
-    quick = replace(options, attempts=min(options.attempts, 2))
+    quick = replace(options, attempts=1)
     found = replace(found, status=np.where(unique, found.status, "no-limit"))
     for size in _SMALL:
         limit = limit_equilibrium(s[left], equations, size, quick)

@@ -49,7 +49,12 @@ def _same_class_pairs(count: int) -> list[tuple[int, int, int, int]]:
 
 
 def _two_class_weave(
-    name: str, links: set[tuple[int, int]], cell: tuple[float, float], offset: tuple[float, float], tilt: float, jam: float
+    name: str,
+    links: set[tuple[int, int]],
+    cell: tuple[float, float],
+    offset: tuple[float, float],
+    tilt: float,
+    jam: float,
 ) -> Weave:
     """Rows of rings with tilts +theta and -theta; ring A links B rings at the lattice shifts `links`."""
     cross_pairs = [(0, 1, i, j) for i in range(-2, 2) for j in range(-2, 2)]

@@ -137,25 +137,3 @@ def test_linking_agrees_with_the_gauss_integral():
     number = np.array([gauss_linking(d[i], n_a[i], n_b[i]) for i in clear])
     np.testing.assert_allclose(np.abs(number), linked[clear].astype(float), atol=0.05)
     assert 10 < linked[clear].sum() < len(clear) - 10
-
-
-def test_shoulders_are_inflections_of_the_distance():
-    rng = np.random.default_rng(5)
-    chi = rng.uniform(0.5, 1.0, 400)
-    tilt = 0.03 * rng.normal(size=400)
-    n_a = unit(np.stack([tilt, np.sin(chi / 2), np.cos(chi / 2)], axis=1))
-    n_b = unit(np.stack([0 * tilt, -np.sin(chi / 2), np.cos(chi / 2)], axis=1))
-    d = np.stack([rng.uniform(1.75, 1.85, 400), 0 * chi, 0 * chi], axis=1)
-    found = local_minima(d, n_a, n_b, 1.0, reach=0.6, shoulders=True)
-    rows = np.flatnonzero(found.curvature == 0.0)
-    assert len(rows) > 20
-    for row in rows:
-        i = found.pair[row]
-        e1, e2 = tangent_frame(n_a[i])
-        angle = np.arctan2(found.rho_a[row] @ e2, found.rho_a[row] @ e1)
-        h = 1e-3
-        f = sampled_distance(d[i], n_a[i], n_b[i], angle + h * np.arange(-2, 3)) ** 2
-        bend = (f[0] - 2 * f[2] + f[4]) / (2 * h) ** 2
-        assert abs(bend) < 0.02
-        # A shoulder is never lower than the lowest minimum of its pair.
-        assert found.distance[row] >= found.distance[found.pair == i].min()

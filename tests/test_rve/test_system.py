@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rve.cell import find_contacts, moved, start_pose
-from rve.equilibrium import carry_forces, contact_weights
+from rve.equilibrium import carry_forces
 from rve.load import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.system import Equations, lattice_load
 from rve.weave import FOUR_IN_ONE, WEAVES
@@ -108,24 +108,13 @@ def test_axes_of_the_load_are_exact():
     np.testing.assert_allclose(one, other, atol=1e-15)
 
 
-def test_weights_of_merging_contacts_add_up_to_one():
-    rng = np.random.default_rng(6)
-    equations = Equations.of(FOUR_IN_ONE, 0.1)
-    for _ in range(20):
-        contacts = find_contacts(random_pose(FOUR_IN_ONE, rng, 0.3), FOUR_IN_ONE, equations.wire, 0.6, shoulders=True)
-        w = contact_weights(contacts)
-        assert np.all((w > 0) & (w <= 1 + 1e-12))
-        total = np.where(contacts.present, w, 0.0).sum(axis=2)[contacts.present.any(axis=2)]
-        assert np.all(total >= 1 - 1e-12)
-
-
 def test_forces_are_handed_on_in_full():
     rng = np.random.default_rng(7)
     for _ in range(20):
         pose = random_pose(FOUR_IN_ONE, rng, 0.2)
-        old = find_contacts(pose, FOUR_IN_ONE, 0.1, 0.6, shoulders=True)
+        old = find_contacts(pose, FOUR_IN_ONE, 0.1, 0.6)
         lam = np.where(old.present, rng.uniform(0.1, 2.0, old.gap.shape), 0.0)
-        new = find_contacts(moved(pose, 0.05 * rng.normal(size=(1, 9))), FOUR_IN_ONE, 0.1, 0.6, shoulders=True)
+        new = find_contacts(moved(pose, 0.05 * rng.normal(size=(1, 9))), FOUR_IN_ONE, 0.1, 0.6)
         carried = carry_forces(old, lam, new, np.array([1e-3]))
         both = old.present.any(axis=2) & new.present.any(axis=2)
         np.testing.assert_allclose(carried.sum(axis=2)[both], lam.sum(axis=2)[both], rtol=1e-12)

@@ -1,0 +1,90 @@
+"""The command line as a user types it: exit codes, one sentence, nothing half-written."""
+
+import json
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from rve.cli import main
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def test_table_and_loads(tmp_path):
+    out = tmp_path / "t.csv"
+    result = run("table", "--out", out, "--alpha", "-10:10:10", "--beta", "30,60")
+    assert result.exit_code == 0, result.output
+    frame = pd.read_csv(out)
+    assert frame[["alpha_deg", "beta_deg"]].to_numpy().tolist() == [
+        [a, b] for a in (-10.0, 0.0, 10.0) for b in (30.0, 60.0)
+    ]
+    assert "6 of 6 rows converged" in result.output
+    loads = tmp_path / "loads.csv"
+    loads.write_text("alpha_deg,beta_deg\n10,60\n")
+    assert run("table", "--out", tmp_path / "u.csv", "--loads", loads).exit_code == 0
+    one = pd.read_csv(tmp_path / "u.csv")
+    assert one.loc[0, "E11"] == pytest.approx(frame.loc[5, "E11"], abs=1e-10)
+    provenance = json.loads((tmp_path / "u.json").read_text())
+    assert {"r1_mm", "r2_mm", "method", "options", "versions", "wall_s"} <= provenance.keys()
+
+
+def test_case_prints_json_and_draws(tmp_path):
+    picture = tmp_path / "case.png"
+    result = run("case", "--alpha", "0", "--beta", "45", "--plot", picture)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.output)
+    assert found["x2_x_mm"] == pytest.approx(13.1163049, abs=1e-6)
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--r2", "2"], "jams"),
+        (["--r1", "-1"], "r1 = -1.0"),
+        (["--r2", "nan"], "r2 = nan"),
+        (["--alpha", "0:10"], "--alpha"),
+        (["--loads", "missing.csv"], "missing.csv"),
+        (["--weave", "felt"], "felt"),
+        (["--method", "magic"], "magic"),
+        (["--grain", "z"], "grain"),
+    ],
+)
+def test_bad_input_ends_in_one_sentence(tmp_path, arguments, words):
+    out = tmp_path / "t.csv"
+    result = run("table", "--out", out, *arguments)
+    assert result.exit_code == 2
+    message = result.stderr.strip()
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+    assert words in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_folder(tmp_path):
+    result = run("table", "--out", tmp_path / "no" / "t.csv")
+    assert result.exit_code == 2
+    assert "does not exist" in result.stderr
+
+
+def test_a_failed_case_exits_with_one():
+    result = run("case", "--alpha", "0", "--beta", "100")
+    assert result.exit_code == 1
+    assert "compressive" in result.stderr
+
+
+def test_compressive_rows_stay_in_the_table(tmp_path):
+    result = run("table", "--out", tmp_path / "t.csv", "--alpha", "0", "--beta", "45,91")
+    assert result.exit_code == 0
+    assert pd.read_csv(tmp_path / "t.csv")["status"].tolist() == ["converged", "compressive"]
+    assert "1 rows compressive" in result.output
+
+
+def test_module_runs():
+    run = subprocess.run([sys.executable, "-m", "rve", "--help"], capture_output=True, text=True, check=True)
+    assert "table" in run.stdout

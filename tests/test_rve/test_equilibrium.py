@@ -1,0 +1,283 @@
+"""The direct solver against independent values, invariances, normality, and its own equations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rve.cell import Pose, find_contacts, moved, parallel_clearance, start_pose
+from rve.contact import are_linked
+from rve.equilibrium import DirectOptions, solve_equilibrium
+from rve.load import cauchy_line_load
+from rve.sweep import Cell, locked, reference_sides, solve_table
+from rve.system import Equations
+from rve.uniqueness import contact_forces, polish, touching
+from rve.weave import FOUR_IN_ONE
+
+OPTIONS = DirectOptions()
+
+
+def solve(alpha, beta, ratio=10.0, options=OPTIONS):
+    return locked(np.atleast_1d(float(alpha)), np.atleast_1d(float(beta)), Cell(5.0, 5.0 / ratio), options)[0]
+
+
+def test_all_190_cases_converge(paper_table):
+    assert len(paper_table) == 190
+    assert (paper_table.status == "converged").all()
+    assert paper_table.R.max() < 1e-9
+    assert paper_table.min_gap_mm.min() >= -1e-9
+    assert (paper_table.contacts >= 2).all()
+
+
+def test_values_of_independent_solvers(paper_table, row):
+    """Two other solvers agree on these numbers in mm (design notes, section 4)."""
+    expected = {
+        (0.0, 90.0): ((11.0, 0.0), (0.0, 12.646069623526), 1e-9),
+        (45.0, 0.0): ((9.7740790, 3.9782954), (3.3594133, 8.2535779), 1e-6),
+        (0.0, 0.0): ((17.42005, 0.0), (0.0, 4.25798), 2e-4),
+    } | {(a, 45.0): ((13.1163049, 0.0), (0.0, 11.2301635), 1e-6) for a in (0.0, 15.0, 45.0)}
+    for (alpha, beta), (x2, x3, tolerance) in expected.items():
+        i = row(alpha, beta)
+        np.testing.assert_allclose(paper_table.x2_mm[i], x2, atol=tolerance)
+        np.testing.assert_allclose(paper_table.x3_mm[i], x3, atol=tolerance)
+
+
+def test_reference_is_a_vertex(paper_table, row):
+    np.testing.assert_allclose(paper_table.E[row(0.0, 90.0)], 0.0, atol=1e-12)
+    np.testing.assert_allclose(paper_table.E[row(0.0, 85.0)], 0.0, atol=1e-12)
+
+
+def test_table_is_normal(paper_table):
+    """S is the outward normal of a convex set at E: S_i : (E_i - E_j) >= 0 for all pairs (ideal locking)."""
+    work = np.einsum("ik,ijk->ij", paper_table.S * [1, 2, 1], paper_table.E[:, None] - paper_table.E[None])
+    assert work.min() > -1e-9
+
+
+def test_free_strains_are_flagged_and_are_limits(paper_table):
+    free = np.flatnonzero(~paper_table.unique)
+    assert {(a, b) for a, b in zip(paper_table.alpha_deg[free], paper_table.beta_deg[free], strict=True)} == {
+        (a, 0.0) for a in (15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
+    }
+    # The chain along the diagonal is straight: |x2 + x3| = 4 (r1 - r2).
+    chain = np.linalg.norm(paper_table.x2_mm[free] + paper_table.x3_mm[free], axis=1)
+    np.testing.assert_allclose(chain, 18.0, atol=1e-9)
+    # Linear extrapolation from two small angles lands on the reported limit.
+    far, near = (solve_table(paper_table.alpha_deg[free], np.full(len(free), beta)).E for beta in (0.1, 0.05))
+    error = np.abs(2 * near - far - paper_table.E[free]).max()
+    assert error < 4e-4
+    assert error < 0.1 * np.abs(near - paper_table.E[free]).max()
+
+
+def test_equilibrium_by_its_own_equations():
+    """Contact forces recovered by nonnegative least squares from the bare pose balance the load."""
+    alpha, beta = np.array([3.0, 27.0, 41.0, 66.0]), np.array([12.0, 33.0, 70.0, 50.0])
+    cell = Cell()
+    found, s, _ = locked(alpha, beta, cell, OPTIONS)
+    equations = Equations.of(FOUR_IN_ONE, cell.wire)
+    contacts = find_contacts(found.pose, FOUR_IN_ONE, cell.wire, 0.6)
+    bare = equations.assemble(found.pose, contacts, np.zeros(contacts.gap.shape), s)
+    lam = contact_forces(bare, touching(contacts, 1e-8).reshape(len(s), -1))
+    balanced = equations.assemble(found.pose, contacts, lam.reshape(contacts.gap.shape), s)
+    assert balanced.weighted_residual.max() < 1e-9
+    assert lam.min() >= 0.0
+    assert contacts.links_intact.all()
+    assert contacts.min_gap.min() >= -1e-10
+
+
+def test_newton_converges_quadratically():
+    """From 1e-3 off a smooth equilibrium the residual goes e, ~e^2, ~e^4 with the full unsymmetric Jacobian."""
+    cell = Cell()
+    found, s, _ = locked(np.array([10.0]), np.array([30.0]), cell, OPTIONS)
+    equations = Equations.of(FOUR_IN_ONE, cell.wire)
+    rng = np.random.default_rng(0)
+    pose = moved(found.pose, 3e-4 * rng.uniform(-1, 1, (1, 9)))
+    errors = []
+    for steps in range(4):
+        after, _, _, _ = polish(pose, equations, s, OPTIONS, reach=0.02, steps=steps)
+        errors.append(np.abs(after.lattice - found.pose.lattice).max())
+    assert errors[0] > 1e-5
+    assert errors[1] < 50 * errors[0] ** 2 + 1e-12
+    assert errors[2] < 50 * errors[1] ** 2 + 1e-12
+    assert errors[3] < 1e-11
+
+
+def same_strain(first, second, tolerance):
+    np.testing.assert_allclose(first.pose.lattice, second.pose.lattice, atol=tolerance)
+
+
+def test_mirror_and_axis_symmetry():
+    """E12 changes sign with alpha, and (alpha, beta) is the load (alpha + 90, 90 - beta)."""
+    alpha, beta = np.array([12.0, 33.0, 45.0, 71.0]), np.array([20.0, 55.0, 0.0, 35.0])
+    plain, mirrored = solve_table(alpha, beta), solve_table(-alpha, beta)
+    np.testing.assert_allclose(mirrored.E, plain.E * [1, -1, 1], atol=1e-9)
+    turned = solve_table(alpha + 90.0, 90.0 - beta)
+    np.testing.assert_allclose(turned.E, plain.E, atol=1e-9)
+    half_turn = solve_table(alpha + 180.0, beta)
+    np.testing.assert_allclose(half_turn.E, plain.E, atol=1e-9)
+
+
+def test_grain_along_x_is_the_mesh_turned_over():
+    alpha, beta = np.array([12.0, 33.0, 50.0]), np.array([20.0, 55.0, 70.0])
+    y = solve_table(90.0 - alpha, beta)
+    x = solve_table(alpha, beta, Cell(grain="x"))
+    np.testing.assert_allclose(x.E, y.E[:, ::-1], atol=1e-9)
+    np.testing.assert_allclose(x.S, y.S[:, ::-1], atol=1e-9)
+    assert x.provenance["b_x_mm"] == pytest.approx(y.provenance["b_y_mm"], abs=1e-9)
+
+
+@settings(deadline=None, max_examples=6)
+@given(st.floats(1e-4, 1e4), st.floats(-85, 85), st.floats(2, 88))
+def test_units_do_not_matter(scale, alpha, beta):
+    plain = solve_table([alpha], [beta], Cell(5.0, 0.5))
+    scaled = solve_table([alpha], [beta], Cell(5.0 * scale, 0.5 * scale, density=1.0))
+    assert plain.status[0] == scaled.status[0] == "converged"
+    np.testing.assert_allclose(scaled.E, plain.E, atol=1e-9)
+    equations = Equations.of(FOUR_IN_ONE, 0.1)
+    s = cauchy_line_load([alpha], [beta])
+    same_strain(solve_equilibrium(s, equations), solve_equilibrium(scale * s, equations), 1e-12)
+
+
+def test_renumbered_rings_and_shifted_cell():
+    """Class A and class B exchanged, and ring B taken from the next cell: the same strain."""
+    weave = FOUR_IN_ONE
+    swapped_pairs = weave.pairs.copy()
+    swapped_pairs[:, 0], swapped_pairs[:, 1] = 1 - weave.pairs[:, 0], 1 - weave.pairs[:, 1]
+    cross = weave.pairs[:, 0] != weave.pairs[:, 1]
+    # Ring B becomes the first ring: pairs (B, A) at shift (i, j) with A at -c, written as (0, 1).
+    swapped_pairs[cross] = np.stack(
+        [
+            0 * weave.pairs[cross, 0],
+            0 * weave.pairs[cross, 1] + 1,
+            -weave.pairs[cross, 2] - 1,
+            -weave.pairs[cross, 3] - 1,
+        ],
+        1,
+    )
+    renumbered = replace(
+        weave, pairs=swapped_pairs, start_tilt_deg=-weave.start_tilt_deg, rings=weave.rings * [1, 1, 1]
+    )
+    shifted_pairs = weave.pairs.copy()
+    shifted_pairs[cross, 2] -= 1
+    shifted = replace(weave, pairs=shifted_pairs, start_offset=weave.start_offset + np.array([[0, 0], [1, 0]]))
+    s = cauchy_line_load([10.0, 35.0, -20.0], [30.0, 60.0, 15.0])
+    plain = solve_equilibrium(s, Equations.of(weave, 0.1))
+    for other in (renumbered, shifted):
+        found = solve_equilibrium(s, Equations.of(other, 0.1))
+        assert (found.status == "converged").all()
+        same_strain(found, plain, 1e-9)
+
+
+def test_batch_size_and_order_do_not_matter(paper_table):
+    order = np.random.default_rng(3).permutation(190)[:40]
+    again = solve_table(paper_table.alpha_deg[order], paper_table.beta_deg[order])
+    np.testing.assert_allclose(again.E, paper_table.E[order], atol=1e-9)
+    alone = solve_table(paper_table.alpha_deg[order[:1]], paper_table.beta_deg[order[:1]])
+    np.testing.assert_allclose(alone.E, paper_table.E[order[:1]], atol=1e-10)
+
+
+@pytest.mark.parametrize("ratio", [4.0, 5.0, 10.0, 20.0])
+def test_radius_ratios(ratio):
+    alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 90.0])
+    table = solve_table(alpha.ravel(), beta.ravel(), Cell(5.0, 5.0 / ratio))
+    assert (table.status == "converged").all()
+    work = np.einsum("ik,ijk->ij", table.S * [1, 2, 1], table.E[:, None] - table.E[None])
+    assert work.min() > -1e-8
+
+
+@pytest.mark.parametrize("ratio", [50.0, 100.0])
+def test_thin_wire(ratio):
+    alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 75.0])
+    table = solve_table(alpha.ravel(), beta.ravel(), Cell(5.0, 5.0 / ratio))
+    assert (table.status == "converged").all()
+
+
+@pytest.mark.parametrize("ratio", [4.0, 10.0, 50.0, 100.0])
+def test_reference_is_side_by_side(ratio):
+    """In the reference state rings touch along x, b_x = 2 (r1 + r2), at every radius ratio."""
+    b_x, b_y = reference_sides(Cell(5.0, 5.0 / ratio), OPTIONS)
+    assert b_x == pytest.approx(2 * (5.0 + 5.0 / ratio), abs=1e-9)
+    assert 0 < b_y < 4 * (5.0 - 5.0 / ratio)
+
+
+def test_rings_do_not_pass_through_each_other():
+    """Two rings of one class, side by side and then shifted onto each other: the way between is closed."""
+    pose = start_pose(FOUR_IN_ONE, 2)
+    after = moved(pose, np.array([[-0.8] + [0.0] * 8, [-0.1] + [0.0] * 8]))
+    clearance = parallel_clearance(pose, after, FOUR_IN_ONE, 0.02)
+    assert clearance[0] < -0.02
+    assert clearance[1] > 0.0
+
+
+def test_random_starts_reach_the_same_strain():
+    s = np.repeat(cauchy_line_load([10.0, 35.0], [30.0, 60.0]), 20, axis=0)
+    rng = np.random.default_rng(8)
+    start = moved(start_pose(FOUR_IN_ONE, 40), rng.uniform(-0.12, 0.12, (40, 9)))
+    contacts = find_contacts(start, FOUR_IN_ONE, 0.1, 0.6)
+    good = contacts.links_intact & (contacts.min_gap > 0)
+    assert good.sum() >= 20
+    found = solve_equilibrium(s[good], Equations.of(FOUR_IN_ONE, 0.1), OPTIONS, start.take(good))
+    assert (found.status == "converged").all()
+    expected = solve_equilibrium(s[good], Equations.of(FOUR_IN_ONE, 0.1), OPTIONS)
+    same_strain(found, expected, 1e-9)
+
+
+def test_merging_contacts_need_both_twins(monkeypatch):
+    """Near beta = 8 degrees two contacts of a pair merge. With the coarse sampling alone the iteration cycles there."""
+    rng = np.random.default_rng(2)
+    s = cauchy_line_load(rng.uniform(15.0, 50.0, 60), rng.uniform(3.0, 16.0, 60))
+    equations = Equations.of(FOUR_IN_ONE, 0.1)
+    once = DirectOptions(attempts=1)
+    assert (solve_equilibrium(s, equations, once).status == "converged").all()
+    monkeypatch.setattr("rve.contact._with_twins", lambda found, near, *rest: found.take(near))
+    assert (solve_equilibrium(s, equations, once).status == "stalled").any()
+
+
+def test_options_change_the_outcome():
+    s = cauchy_line_load([10.0], [30.0])
+    equations = Equations.of(FOUR_IN_ONE, 0.1)
+    stopped = solve_equilibrium(s, equations, DirectOptions(max_iterations=3, attempts=1))
+    assert stopped.status[0] == "stalled"
+    assert np.isnan(stopped.R[0])
+    loose = solve_equilibrium(s, equations, DirectOptions(mu_end=1e-6, tolerance=1e-3))
+    assert loose.iterations[0] < solve_equilibrium(s, equations).iterations[0]
+
+
+def test_compressive_loads_are_named():
+    table = solve_table([0.0, 0.0, 10.0], [-1.0, 91.0, 45.0])
+    assert list(table.status) == ["compressive", "compressive", "converged"]
+    assert np.isnan(table.E[:2]).all()
+
+
+def test_links_are_those_of_the_weave():
+    pose = solve(20.0, 30.0).pose
+    c = np.append(pose.centres[0, 1], 0.0)
+    a1, a2 = (np.append(a[0], 0.0) for a in (pose.a1, pose.a2))
+    near = np.array([c, c - a1, c - a2, c - a1 - a2, c + a1, a1, a2])
+    n_a = np.repeat(pose.normals[0, :1], 7, axis=0)
+    n_b = np.vstack([np.repeat(pose.normals[0, 1:], 5, axis=0), n_a[:2]])
+    assert are_linked(near, n_a, n_b, 1.0).tolist() == [True] * 4 + [False] * 3
+
+
+def test_every_equilibrium_is_point_symmetric(paper_table):
+    alpha, beta = np.array([3.0, 28.0, 45.0]), np.array([15.0, 40.0, 70.0])
+    found = locked(alpha, beta, Cell(), OPTIONS)[0]
+    middle = 0.5 * (found.pose.a1 + found.pose.a2)
+    np.testing.assert_allclose(found.pose.centres[:, 1], middle, atol=1e-8)
+    n_a, n_b = found.pose.normals[:, 0], found.pose.normals[:, 1]
+    np.testing.assert_allclose(n_b, n_a * [-1, -1, 1], atol=1e-8)
+
+
+def test_poses_are_put_and_taken():
+    rng = np.random.default_rng(1)
+    pose = moved(start_pose(FOUR_IN_ONE, 5), 0.1 * rng.normal(size=(5, 9)))
+    rows = np.array([1, 3])
+    other = pose.put(rows, pose.take(np.array([0, 4])))
+    np.testing.assert_array_equal(other.lattice[[1, 3]], pose.lattice[[0, 4]])
+    assert isinstance(other, Pose)
+    contacts = find_contacts(pose, FOUR_IN_ONE, 0.1, 0.6)
+    part = contacts.take(rows)
+    back = contacts.put(rows, part)
+    np.testing.assert_array_equal(back.minima.pair, contacts.minima.pair)
+    np.testing.assert_array_equal(back.gap, contacts.gap)

@@ -1,0 +1,158 @@
+"""Table files: what is written is read, and what is wrong is named."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rve.ranges import grid, parse_angles, read_loads
+from rve.sweep import Cell, solve_table
+from rve.table import (
+    COLUMNS,
+    COMPLIANCE_COLUMNS,
+    InputError,
+    atomic_path,
+    joined_tables,
+    provenance_path,
+    read_table,
+    write_table,
+)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return solve_table([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0])
+
+
+def same(first, second):
+    for name, value in vars(first).items():
+        other = getattr(second, name)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(value, other, err_msg=name)
+        else:
+            assert value == other
+
+
+def test_round_trip_to_the_last_digit(small, tmp_path):
+    path = tmp_path / "table.csv"
+    write_table(small, path)
+    same(small, read_table(path))
+    frame = pd.read_csv(path)
+    assert list(frame.columns) == COLUMNS
+    assert frame["status"].tolist() == ["converged", "converged", "compressive", "converged"]
+    assert frame["E11"].isna().tolist() == [False, False, True, False]
+    assert frame["unique"].tolist() == [1, 1, 1, 0]
+    assert json.loads(provenance_path(path).read_text())["b_x_mm"] == pytest.approx(11.0, abs=1e-9)
+
+
+def test_compliance_columns_round_trip(small, tmp_path):
+    full = replace(small, compliance=np.random.default_rng(0).normal(size=(4, 3, 3)))
+    write_table(full, tmp_path / "t.csv")
+    same(full, read_table(tmp_path / "t.csv"))
+    assert pd.read_csv(tmp_path / "t.csv").columns[-9:].tolist() == COMPLIANCE_COLUMNS
+    assert joined_tables([full, full]).compliance.shape == (8, 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: "", "is empty"),
+        (lambda t: t.splitlines()[0] + "\n", "has no rows"),
+        (lambda t: t.replace("E11", "e11"), "column E11 is missing"),
+        (lambda t: t.replace("converged", "converged,1", 1), "cells"),
+        (lambda t: t.replace("0.0,90.0,", "0.0,ninety,"), "'ninety' is not a number"),
+        (lambda t: t.replace("0.0,90.0,", "0.0,,"), "not finite"),
+        (lambda t: t.replace("0.0,90.0,", "inf,90.0,"), "not finite"),
+        (lambda t: t.replace("alpha_deg", "beta_deg"), "twice"),
+        (lambda t: "\x00\xff", "column alpha_deg is missing"),
+    ],
+)
+def test_bad_tables_are_named(small, tmp_path, change, words):
+    path = tmp_path / "table.csv"
+    write_table(small, path)
+    path.write_text(change(path.read_text()))
+    with pytest.raises(InputError, match=r"table\.csv") as error:
+        read_table(path)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_and_truncated_files(small, tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_table(tmp_path / "no.csv")
+    path = tmp_path / "table.csv"
+    write_table(small, path)
+    provenance_path(path).write_text('{"r1_mm": ')
+    with pytest.raises(InputError, match="not a readable JSON"):
+        read_table(path)
+
+
+def test_nothing_half_written(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), atomic_path(path) as temporary:  # noqa: PT012 (two steps on purpose)
+        temporary.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["x.csv"]
+    with pytest.raises(InputError, match="cannot write"), atomic_path(tmp_path / "no" / "x.csv"):
+        pass
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(-90, 90), st.integers(1, 40), st.sampled_from([0.25, 0.5, 1.0, 2.5, 5.0]))
+def test_ranges_hold_both_ends(first, count, step):
+    last = first + (count - 1) * step
+    values = parse_angles(f"{first}:{last}:{step}", "--alpha")
+    assert len(values) == count
+    assert values[0] == first
+    assert values[-1] == pytest.approx(last)
+
+
+def test_ranges_that_are_none():
+    assert parse_angles("7.5,12.5", "--beta").tolist() == [7.5, 12.5]
+    assert parse_angles("45:0:-15", "--beta").tolist() == [45, 30, 15, 0]
+    for text in ("", "a", "1:2", "0:10:0", "0:10:-1", "nan", "0:inf:1", "1:2:3:4", "0:1e9:1e-3"):
+        with pytest.raises(InputError, match="--alpha"):
+            parse_angles(text, "--alpha")
+    a, b = grid(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    assert a.tolist() == [1, 1, 2, 2]
+    assert b.tolist() == [3, 4, 3, 4]
+
+
+def test_load_files(tmp_path):
+    path = tmp_path / "loads.csv"
+    path.write_text("beta_deg,alpha_deg,note\n30,20,x\n60,-5,y\n")
+    alpha, beta = read_loads(path)
+    assert alpha.tolist() == [20, -5]
+    assert beta.tolist() == [30, 60]
+    path.write_text("alpha_deg,beta_deg\n1,nan\n")
+    with pytest.raises(InputError, match=r"line 2, column beta_deg"):
+        read_loads(path)
+
+
+@pytest.mark.parametrize(
+    ("radii", "words"),
+    [
+        ((5.0, 2.0), "jams at r1/r2 = 3.98"),
+        ((-5.0, 0.5), "r1 = -5"),
+        ((5.0, np.nan), "r2 = nan"),
+        ((5.0, 0.0), "r2 = 0"),
+    ],
+)
+def test_impossible_rings(radii, words):
+    with pytest.raises(InputError, match=words):
+        Cell(*radii)
+
+
+def test_loads_that_are_no_loads():
+    with pytest.raises(InputError, match="as many"):
+        solve_table([1.0, 2.0], [3.0])
+    with pytest.raises(InputError, match="finite"):
+        solve_table([np.nan], [3.0])
+    with pytest.raises(InputError, match="at least one"):
+        solve_table([], [])
