@@ -27,11 +27,12 @@ def plain_errors(command: Command) -> Command:
 
     @wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
+        from homogenize.projection import ProjectionError
         from rve.table import InputError as TableError
 
         try:
             command(*args, **kwargs)
-        except (InputError, TableError) as error:
+        except (InputError, TableError, ProjectionError) as error:
             raise InputFailure(" ".join(str(error).split())) from error
 
     return run

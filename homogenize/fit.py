@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from rve.table import StrainTable
 
 DEFAULT_KIND = "refined"
+SLOW_OR_FIXED = ("net", "interpolated", "smooth")
+"""Kinds that are not refitted without some of the rows: they do not depend on them, or take ten seconds a time."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     stiffness, origin = stiffness_of(table, STATED_STIFFNESS)
     build = builder(options.kind, cell, stiffness, table)
     law = build(rows)
-    refit = None if options.kind in ("net", "interpolated") else build
+    refit = None if options.kind in SLOW_OR_FIXED else build
     provenance = {
         "kind": options.kind,
         "rows": len(rows),
@@ -91,6 +93,7 @@ def builder(
 ) -> Callable[[Rows], MembraneLaw]:
     """The function that makes a law of this kind from rows; InputError for a kind that does not exist."""
     from homogenize.interpolated import interpolated_law
+    from homogenize.smooth_fit import fit_smooth
 
     def interpolated(rows: Rows) -> MembraneLaw:
         if table is None:
@@ -101,6 +104,7 @@ def builder(
         "refined": lambda rows: polyhedral_law(*refined_half_spaces(rows), stiffness, cell),
         "outer": lambda rows: outer_law(rows, stiffness, cell),
         "inner": lambda rows: inner_law(rows, stiffness, cell),
+        "smooth": lambda rows: fit_smooth(rows, stiffness, cell),
         "net": lambda rows: ring_net(cell),
         "interpolated": interpolated,
     }

@@ -13,12 +13,14 @@ from typing import Any
 from homogenize.net import net_from_dict
 from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
+from homogenize.smooth import smooth_from_dict
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
 READERS: dict[str, Callable[[dict[str, Any], CellInfo | None], MembraneLaw]] = {
     "net": net_from_dict,
     "polyhedral": polyhedral_from_dict,
+    "smooth": smooth_from_dict,
 }
 
 

@@ -1,8 +1,8 @@
 """Stiffness beyond locking from the rings' own compliance.
 
-Contacts of finite stiffness make the locked strain depend on the size of the load, E = dh/dS + A S. The rows' compliance
-D = dE/dS holds both: the bend of the locking surface, which has no part along S because h is homogeneous of degree one,
-and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted to these numbers.
+Contacts of finite stiffness make the locked strain depend on the size of the load, E = dh/dS + A S. The compliance
+D = dE/dS of a row holds both: the bend of the locking surface, which has no part along S because h is homogeneous of
+degree one, and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted to these.
 """
 
 from __future__ import annotations

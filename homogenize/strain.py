@@ -29,7 +29,7 @@ RETRIES = (1.0, 3.0, 10.0)
 WIDTH = 0.05
 """Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
 
-FAR = 1e3
+FAR = 10.0
 """Multiple of the offset from which the closest strain is the one that locks under the normal."""
 
 
