@@ -215,8 +215,8 @@ def _with_twins(
     """The near minima and the twins that the coarse sampling has missed."""
     pair = found.pair[soft]
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
-    offset: Array = 0.8 * np.sinh(np.linspace(-6.0, 6.0, 193)) / np.sinh(6.0)
-    width: Array = np.diff(offset)
+    offset: Array = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 193, dtype=np.float64))
+    width = np.diff(offset)
     f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
     slope = np.diff(f, axis=1) / width
     row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))

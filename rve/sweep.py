@@ -76,7 +76,7 @@ def locked(
     if cell.grain == "x":
         s = s[:, ::-1]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
-    tensile: NDArray[np.bool_] = (principal[:, [0, 2]] >= 0.0).all(axis=1)
+    tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     equations = Equations.of(cell.weave, cell.wire)
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
     found = solve_equilibrium(solved, equations, options)

@@ -1,8 +1,8 @@
 """The door to `homogenize`: the strain-load table, its file, and the kinematics that give its columns a meaning.
 
 One row is one load case. Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a
-unit Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the limit from
-inside the tensile cone). The file is a CSV with one header line, its provenance a JSON of the same name.
+unit Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the
+limit from inside the tensile cone). The file is a CSV with one header line, its provenance a JSON of the same name.
 """
 
 from __future__ import annotations
