@@ -228,8 +228,11 @@ def locking_compliance(
         [np.einsum("ni,nij->nj", lattice_load(soft.pose, np.tile(e, (n, 1)))[0], T[:, :4]) for e in np.eye(3)], axis=2
     )
     K = _bordered(k.system, k.active, k.flexibility)
-    scale = np.abs(np.linalg.eigvals(K)).min(axis=1)
-    free = scale < 1e-9
+    # Whether a mode is free does not depend on the stiffness; a moderate one keeps round-off out of the answer.
+    moderate = np.where(k.active, np.minimum(1.0 / k.flexibility, 1e4), 0.0)
+    G = k.system.G
+    condensed = np.matmul(G.transpose(0, 2, 1) * moderate[:, None, :], G) - k.system.J
+    free = np.abs(np.linalg.eigvals(condensed)).min(axis=1) < 1e-9
     K[free] = np.eye(K.shape[1])
     dq = np.linalg.solve(K, np.concatenate([df, np.zeros((n, K.shape[1] - m, 3))], axis=1))[:, :m]
     F = deformation(soft.pose, reference)

@@ -166,7 +166,7 @@ class History:
     """Accepted steps in long form, one row each: case, time (s) at the end of the step, h (s).
 
     lattice (m, 3) = x2, y3, t in r1; R; kinetic energy in kg mm2/s2 = 1e-6 J; rise: change of the total energy over the
-    step in s_hat r1^2, never above ROUND_OFF.
+    step in s_hat r1^2, never above ROUND_OFF; side: contacts that press between rings that do not interlink.
     """
 
     case: Index
@@ -176,6 +176,7 @@ class History:
     R: Array
     kinetic: Array
     rise: Array
+    side: Index
 
 
 @dataclass(frozen=True)
@@ -397,7 +398,8 @@ def continued(
         motion, h, lam, rise = advanced(motion, equations, options, dynamics)
         if log is not None:
             kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
-            log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise))
+            side = (lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))
+            log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise, side))
         out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (h == 0.0)
         if out.any():
             gone.append(motion.take(out))

@@ -1,0 +1,79 @@
+"""The study: every file is there, and its numbers are those of the solve."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from rve import study
+from rve.errors import InputError
+from rve.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
+from rve.sweep import Cell
+
+PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)] + ["contacts_missed.png"]
+
+
+def test_the_grid_is_that_of_the_paper():
+    alpha, beta = study.paper_grid()
+    assert len(alpha) == 190
+    assert (alpha[0], beta[0]) == (0.0, 0.0)
+    assert (alpha[189], beta[189]) == (45.0, 90.0)
+    assert beta[1] == 5.0
+
+
+def test_one_command_writes_every_table_and_picture(tmp_path):
+    pytest.importorskip("matplotlib")
+    told = []
+    alpha, beta = np.array([0.0, 0.0, 20.0, 20.0, 45.0]), np.array([0.0, 45.0, 45.0, 60.0, 90.0])
+    options = StewartTrinkleOptions(max_steps=80)
+    found = study.run(tmp_path / "new", alpha, beta, options, progress=told.append)
+    names = {path.name for path in (tmp_path / "new").iterdir()}
+    expected = {"cases.csv", "comparison.md", "study.json", "history_0_0.csv", "history_45_90.csv", *PICTURES}
+    assert names == expected
+    assert len(told) == 1 + len(PICTURES)
+    with (tmp_path / "new" / "cases.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["case"]) for row in rows] == [1, 2, 3, 4, 5]
+    assert [row["status"] for row in rows] == list(found.rest.status)
+    assert set(found.rest.status) == {"step-limit"}
+    assert float(rows[1]["E11"]) == pytest.approx(float(rows[1]["E11_direct"]), abs=2e-3)
+    with (tmp_path / "new" / "history_0_0.csv").open() as file:
+        steps = list(csv.DictReader(file))
+    assert len(steps) == found.rest.steps[0]
+    assert float(steps[-1]["time_s"]) == pytest.approx(sum(float(step["h_s"]) for step in steps))
+    assert float(steps[-1]["E22"]) == pytest.approx(found.E[0, 2], abs=1e-12)
+    record = json.loads((tmp_path / "new" / "study.json").read_text())
+    assert record["options"]["max_steps"] == 80
+    assert ["converged cases", "190 of 190", "0 of 5", ""] in record["comparison"]
+    assert found.history.rise.max() <= ROUND_OFF
+
+
+def test_side_contacts_are_timed():
+    found = study.solve_study(np.array([0.0, 20.0]), np.array([90.0, 45.0]))
+    first, last = study.side_contact_times(found, 0)  # side neighbours touch in the reference state
+    assert 0.0 < first <= last < found.rest.time[0]
+    assert all(np.isnan(study.side_contact_times(found, 1)))
+
+
+def test_another_grain_is_refused():
+    with pytest.raises(InputError, match="grain = 'x'"):
+        study.solve_study(np.array([0.0]), np.array([45.0]), Cell(grain="x"))
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="cannot be made"):
+        study.run(tmp_path / "file" / "below")
+
+
+@pytest.mark.slow
+def test_the_paper_s_figures():
+    found = study.solve_study(*study.paper_grid())
+    rows = {row[0]: row[2] for row in study.comparison(found)}
+    assert rows["converged cases"] == "190 of 190"
+    unique = found.table.unique
+    assert np.abs(found.E - found.table.E)[unique].max() < 1e-5
+    # Twice the stiffness would halve this: it is penetration, not an error of either method.
+    assert np.median(np.abs(found.E - found.table.E)[unique].max(axis=1)) < 2e-6
+    assert 1000.0 < found.rest.time[189] < 1600.0
