@@ -27,7 +27,7 @@ TOLERANCE = 1e-13
 DEGENERATE = 1e-9
 """Normals that span less than this share of the volume of orthogonal ones count as dependent."""
 MAX_ROUNDS = 300
-BLOCK = 2048
+BLOCK = 8192
 FEW = 60
 """Up to this many half-spaces are all looked at; more get a map (see `lookup`)."""
 UPDATES = ((3,), (0, 3), (1, 3), (2, 3), (0, 1, 3), (0, 2, 3), (1, 2, 3))

@@ -31,7 +31,7 @@ COARSE = 1e-3
 """Bounds farther apart than this have rows between which the slope turns unevenly: cubics are not trusted there."""
 SHARE = 0.2
 """There the support is put this share of the way from the inner to the outer bound. Measured on the paper's grid
-(benchmarks/homogenize.py): the largest error is 5.3e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without."""
+(benchmarks/membrane_laws.py): the largest error is 5.3e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without."""
 
 
 @dataclass(frozen=True, eq=False)
