@@ -13,11 +13,11 @@ from macro_fem.membrane import Membrane, State, evaluate, tangent
 from macro_fem.newton_records import LoadStep, NewtonOptions, NewtonRecord, NewtonStatus
 from macro_fem.softened import CompliantLaw, SoftenedLaw
 
-MAX_TRIALS = 15
+MAX_TRIALS = 20
 """Calls of the law in one line search; the best fall found counts. More only burns time where round-off rules."""
 
-IDLE_STEPS = 5
-"""Steps in a row without a fall of the potential beyond round-off or of the residual by half: nothing more comes."""
+IDLE_STEPS = 15
+"""Steps in a row with neither a fall of the potential beyond round-off nor a new least residual: nothing more comes."""
 
 
 @dataclass(eq=False)
@@ -35,7 +35,7 @@ class Work:
     spring: Array  # data of L, the unit spring in every displacement gradient
     share: Array  # sum_p w_p |grad phi_a| per node (n_nodes,), the reach of a unit stress
     stiffest: float = 0.0  # largest trace of the law's tangent seen so far, N/mm
-    is_convex: bool = True  # until a tangent was found that is not
+    caution: float = 1.0  # factor on eps, from how short the steps were
     history: list[NewtonRecord] = field(default_factory=list)
     factorizations: int = 0
     evaluations: int = 0
@@ -108,7 +108,6 @@ class Work:
                 try:
                     return self.solver.factorize(data + eps * self.spring), eps
                 except NotPositiveDefiniteError:
-                    self.is_convex = False
                     eps = max(10.0 * eps, 1e-9 * (self.stiffest or 1.0))
             return None
         finally:
@@ -131,7 +130,6 @@ class Balance:
     potential: float
     relative: float
     tolerance: float
-    noise: float
 
 
 def balance_of(work: Work, state: State, load: LoadStep) -> Balance:
@@ -147,7 +145,6 @@ def balance_of(work: Work, state: State, load: LoadStep) -> Balance:
         potential=state.stored - float(work_done.sum()),
         relative=float(np.linalg.norm(r)) / scale,
         tolerance=work.options.rtol + floor / scale,
-        noise=1e-13 * (abs(state.stored) + float(np.abs(work_done).sum())),
     )
 
 
@@ -166,7 +163,7 @@ def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> t
     if not state.is_finite:
         return NewtonStatus.NOT_FINITE, state, count
     balance = balance_of(work, state, stage.load)
-    idle = 0
+    idle, least = 0, balance.relative
     while balance.relative > balance.tolerance - work.options.rtol + stage.rtol:
         if idle == IDLE_STEPS:
             return _stalled(balance), state, count
@@ -175,12 +172,19 @@ def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> t
         outcome = _iterate(work, stage, count, state, balance)
         if isinstance(outcome, NewtonStatus):
             return outcome, state, count
-        state, after = outcome
-        is_idle = balance.potential - after.potential <= balance.noise and after.relative > 0.5 * balance.relative
+        last, (state, after) = state, outcome
+        is_idle = not _has_fallen(work, stage.load, last, state) and after.relative > 0.9 * least
         idle = idle + 1 if is_idle else 0
+        least = min(least, after.relative)
         balance = after
         count += 1
     return NewtonStatus.CONVERGED, state, count
+
+
+def _has_fallen(work: Work, load: LoadStep, before: State, after: State) -> bool:
+    """Whether the potential fell by more than round-off; term by term, for the work would swallow what is stored."""
+    fall = before.stored - after.stored + load.force * float((work.membrane.force * (after.u - before.u)).sum())
+    return fall > 1e-13 * (abs(before.stored) + abs(after.stored))
 
 
 def _stalled(balance: Balance) -> NewtonStatus:
@@ -193,7 +197,8 @@ def _iterate(
     """One Newton step with its record, or why there is none."""
     before = (work.assembly_s, work.linear_s, work.evaluations)
     _, data = work.tangent(state)
-    eps = work.options.regularisation * min(balance.relative, 1.0) * work.line_load(stage.load, state)
+    share = work.options.regularisation * work.caution * min(balance.relative, 1.0)
+    eps = share * work.line_load(stage.load, state)
     factored = work.factorize(data, max(eps, 1e-13 * work.stiffest))
     if factored is None:
         return NewtonStatus.NOT_CONVEX
@@ -206,6 +211,9 @@ def _iterate(
     if found is None:
         return _stalled(balance)
     length, state_next, balance_next = found
+    # Short steps mean that the model reaches too far, mostly where slack cells move freely: hold them more.
+    work.caution *= 4.0 if length < 0.1 else 0.25 if length > 0.4 else 1.0
+    work.caution = float(np.clip(work.caution, 1.0, 1e5))
     work.history.append(
         NewtonRecord(
             load_step=stage.number,
@@ -235,23 +243,29 @@ def _line_search(
     slope_0 = float((balance.residual * p).sum())
     largest = float(np.sqrt((gradient(work.membrane.disc, p) ** 2).sum(axis=(1, 2)).max()))
     cap = work.options.max_gradient_step / largest if largest > 0.0 else 1.0
-    low, slope_low = 0.0, slope_0
+    gain = load.force * float((work.membrane.force * p).sum())
+    low, slope_low = 0.0, 2.0 * slope_0
     high, slope_high = np.inf, np.inf
     t = min(1.0, cap)
     best: tuple[float, State, Balance] | None = None
+    least = np.inf
     for _ in range(MAX_TRIALS):
         trial = work.evaluate(state.u + t * p)
         there = balance_of(work, trial, load)
         slope = float((there.residual * p).sum())
-        is_lower = trial.is_finite and there.potential <= balance.potential + 1e-4 * t * slope_0 + balance.noise
-        if is_lower and (best is None or there.potential < best[2].potential):
-            best = (t, trial, there)
+        # Term by term: the work of the load would swallow what a stiff sheet stores.
+        rise = trial.stored - state.stored - t * gain
+        noise = 1e-13 * (abs(trial.stored) + abs(state.stored))
+        is_lower = trial.is_finite and rise <= 1e-4 * t * slope_0 + noise
+        if is_lower and rise < least:
+            best, least = (t, trial, there), rise
         if is_lower and (abs(slope) <= 0.5 * abs(slope_0) or (slope < 0.0 and t >= min(cap, 64.0))):
             return t, trial, there
         if is_lower and slope < 0.0:
-            low, slope_low = t, slope
+            low, slope_low, slope_high = t, slope, 0.5 * slope_high
         else:
-            high, slope_high = t, slope if trial.is_finite else np.inf
+            # Halving the other end's slope (the Illinois rule) keeps a kink from holding it for ever.
+            high, slope_high, slope_low = t, slope if trial.is_finite else np.inf, 0.5 * slope_low
         if np.isinf(high):
             t = min(2.0 * t, cap)
             continue

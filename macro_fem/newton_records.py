@@ -48,8 +48,8 @@ class NewtonOptions:
     rtol: the free nodes' residual over the larger of applied and internal nodal forces, all in the 2-norm; whatever
     round-off in the strains allows is added and reported. max_iterations: per load step. max_gradient_step: largest
     change of F at any point in one Newton step; keeps the first steps from a slack start inside the curtain's size.
-    regularisation: eps over the typical line load of the sheet at a relative residual of 1. Between 0.1 and 1 the
-    iterations hardly change; compared with the stiffness of the law instead, stiff sheets took twice as many.
+    regularisation: eps over the typical line load of the sheet at a relative residual of 1, as long as steps are long;
+    compared with the stiffness of the law instead, stiff sheets took twice as many iterations.
     soften_after: iterations of the plain attempt before the law is softened and hardened again by `soften_ratio`, each
     stage to `soften_rtol`, in at most `soften_iterations`. Larger ratios or tolerances take more iterations in the end.
     soften_warm: largest softness when a stress to remember is given to `solve`.
