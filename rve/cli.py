@@ -13,7 +13,7 @@ import click
 
 from rve.errors import SENTENCES, InputError, NotConverged
 
-METHODS = ("direct",)
+METHODS = ("direct", "stewart-trinkle")
 
 
 def _one_sentence(command: Callable[..., None]) -> Callable[..., None]:
@@ -52,6 +52,24 @@ def _cell(r1: float, r2: float, grain: str, weave: str) -> Any:
     return Cell(r1, r2, WEAVES[weave], grain)
 
 
+def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, Any]) -> Any:
+    """The table of these load directions by either method."""
+    from rve.resume import SweepOptions
+    from rve.st_table import solve_table_stewart_trinkle
+    from rve.sweep import solve_table
+
+    if method == "stewart-trinkle":
+        options = SweepOptions(folder=how["checkpoint"], workers=how["workers"])
+        return solve_table_stewart_trinkle(*directions, mesh, how=options)
+    if how["checkpoint"] is not None or how["workers"] != 1:
+        raise InputError(
+            "--checkpoint and --workers belong to --method stewart-trinkle; the direct solver needs neither"
+        )
+    hidden = not sys.stderr.isatty()
+    with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=hidden) as bar:
+        return solve_table(*directions, mesh, progress=bar.update)
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
     """Where a periodic cell of rigid interlinked rings locks under each line load."""
@@ -63,30 +81,38 @@ def main() -> None:
 @click.option("--beta", default="0:90:5", show_default=True, help="Ratio angles in degrees.")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--method", default="direct", show_default=True, help="direct or stewart-trinkle.")
+@click.option("--checkpoint", type=click.Path(path_type=Path), help="Folder to resume from (stewart-trinkle).")
+@click.option(
+    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes (stewart-trinkle)."
+)
+@click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm.")
 @_cell_options
 @_one_sentence
-def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **cell: Any) -> None:
+def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.ranges import grid, parse_angles, read_loads
-    from rve.sweep import solve_table
+    from rve.st_table import with_compliance
     from rve.table import write_table
+
+    how = {name: rest.pop(name) for name in ("checkpoint", "workers")}
+    stiffness = rest.pop("compliance")
 
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
-    mesh = _cell(**cell)
+    mesh = _cell(**rest)
     directions = read_loads(loads) if loads else grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
     if not out.parent.is_dir():
         raise InputError(f"--out = {out}: the folder {out.parent} does not exist")
-    with click.progressbar(
-        length=len(directions[0]), label="solving", file=sys.stderr, hidden=not sys.stderr.isatty()
-    ) as bar:
-        found = solve_table(*directions, mesh, progress=bar.update)
+    found = _solved(method, directions, mesh, how)
+    if stiffness is not None:
+        found = with_compliance(found, stiffness, mesh)
     write_table(found, out)
     good = int(found.converged.sum())
     free = int((~found.unique & found.converged).sum())
     click.echo(f"{out}: {good} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
     if free:
-        click.echo(f"{free} rows leave the strain free (unique = 0); their E is the limit from inside the tensile cone")
+        where = "the limit from inside the tensile cone" if method == "direct" else "where the motion has ended"
+        click.echo(f"{free} rows leave the strain free (unique = 0); their E is {where}")
     for status in sorted(set(found.status) - {"converged"}):
         click.echo(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
 
@@ -118,3 +144,14 @@ def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
         from rve.plots import draw_case, save
 
         save(draw_case(alpha, beta, mesh), plot)
+
+
+@main.command()
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
+@_one_sentence
+def study(out: Path) -> None:
+    """Reproduce the paper's Figs. 9-17 for this implementation, and set its published figures beside ours."""
+    from rve.study import comparison, markdown, run
+
+    found = run(out, progress=lambda text: click.echo(text, err=True))
+    click.echo(markdown(comparison(found)), nl=False)
