@@ -126,6 +126,15 @@ def repeated(cones: Cones, times: int) -> Cones:
     )
 
 
+def taken_from(cones: Cones, source: np.ndarray) -> Cones:
+    """For each new point the half-spaces of point `source` (n,) of the old ones."""
+    count = np.bincount(cones.point, minlength=len(cones.first))[source]
+    first = np.cumsum(count) - count
+    point = np.repeat(np.arange(len(source)), count)
+    old = np.repeat(cones.first[source], count) + np.arange(len(point)) - first[point]
+    return Cones(point, cones.S[old], cones.h[old], first)
+
+
 def only(cones: Cones, keep: np.ndarray) -> Cones:
     """The half-spaces marked by `keep` (nc,); every point must retain one."""
     point = cones.point[keep]

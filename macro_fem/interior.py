@@ -51,6 +51,8 @@ class Fem(Protocol):
         ...
 
 
+SETTLED = 1e-2
+"""Only below this error must every few steps make progress: far from the answer gap and residuals take turns."""
 LIFT = 0.1
 """Least relative distance from the boundary of a cone at which an iteration begins."""
 
@@ -287,7 +289,7 @@ def follow(program: Program, state: State, options: InteriorOptions) -> tuple[St
         state, primal, dual = advance(program, state, options)
         history.append(Iteration(now.gap, now.unbalanced, now.outside, primal, dual, len(program.c)))
         now = measure(program, state)
-        waited += 1
+        waited += now.error < SETTLED
         if now.error < best.error:
             best, best_state, waited = now, state, 0
         if max(primal, dual) == 0.0 or waited > options.patience:

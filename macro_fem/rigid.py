@@ -35,6 +35,8 @@ REACH = 4.0
 """No point of one admissible state is farther from its place in another than this many sizes: twice the stretch."""
 ROUNDING = 1e-6
 """An iteration that rounding stops is accepted below this relative error, which is reported."""
+FIRST_GAP = 10.0
+"""Gap of the first state in energy scales: the first round on 8,000 cells took 37, 32, 22, 29 steps from 0.1 to 100."""
 NO_LOAD = 1e-6
 """N/mm2: sets the energy scale of a curtain without load."""
 LOOSE = 0.2
@@ -121,14 +123,14 @@ def solve_rigid(
     cones = first_cones(law, len(fem.weight)) if options.cones is None else options.cones
     program = make_program(fem, load, cones, total * size, total)
     inner = start if _law_slack(law, fem.gradient(start)) > INSIDE else None
-    state, tolerance = first_state(program, start, 1.0), 1e-2
+    state, tolerance = first_state(program, start, FIRST_GAP), 1e-2
     history: list[Iteration] = []
     for number in range(1, options.max_rounds + 1):
         left = options.max_iterations - len(history)
         state, now, status, lines = follow(program, state, InteriorOptions(tolerance, tolerance, left))
         history += lines
         if status == "stalled" and now.error > max(tolerance, ROUNDING) and number > 1:
-            cold = first_state(program, start, 1.0)
+            cold = first_state(program, start, FIRST_GAP)
             left = max(0, options.max_iterations - len(history))
             state, now, status, lines = follow(program, cold, InteriorOptions(tolerance, tolerance, left))
             history += lines

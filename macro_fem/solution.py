@@ -35,6 +35,7 @@ class Problem:
     supports: Supports
     fem: SupportedFem
     force: Array  # (n_nodes, d), N
+    factor: float = 1.0  # share of live loads and moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +126,7 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), mesh, disc, force, scene.source)
     hung = turned(law, scene.curtain.hang)
-    return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force)
+    return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 
 
 def gathered_start(problem: Problem) -> Array:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from homogenize.law import Array, InputError, MembraneLaw
 from macro_fem import newton
 from macro_fem.assembly import deformation_gradient
-from macro_fem.cones import green_strain, times_triple
+from macro_fem.cones import Cones, green_strain, taken_from, times_triple
 from macro_fem.conic import ConicOptions, solve_conic
 from macro_fem.mesh import build_mesh
 from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
 from macro_fem.scene import Scene
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem
+from macro_fem.turned import TurnedLaw
+
+COARSE_FROM = 4000
+"""Points from which a coarse curtain is solved first."""
+COARSE_TOLERANCE = 1e-4
 
 
 def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
@@ -49,9 +56,35 @@ def solve_locked(problem: Problem) -> CurtainSolution:
     if spec.kind == "conic":
         result = solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=spec.tolerance))
     else:
-        options = RigidOptions(gap=spec.tolerance, max_iterations=spec.max_iterations)
+        options = RigidOptions(spec.tolerance, max_iterations=spec.max_iterations, cones=coarse_cones(problem))
         result = solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
     return _solution(problem, result, tension, time.perf_counter() - begin)
+
+
+def coarse_cones(problem: Problem) -> Cones | None:
+    """Half-spaces to begin with, from a loosely solved curtain on a mesh four times as coarse; None for small meshes.
+
+    They are half as many as the law's own first ones and nearly the right ones, so that few rounds remain.
+    """
+    scene = problem.scene
+    if (
+        problem.disc.n_points < COARSE_FROM
+        or scene.curtain.shape == "file"
+        or scene.solver.adapt
+        or scene.mesh.cells < 8
+    ):
+        return None
+    law = problem.law.law if isinstance(problem.law, TurnedLaw) else problem.law
+    loose = replace(scene.solver, tolerance=max(COARSE_TOLERANCE, scene.solver.tolerance))
+    coarse = replace(scene, mesh=replace(scene.mesh, cells=scene.mesh.cells // 4), solver=loose)
+    try:
+        solution = solve_locked(make_problem(coarse, law, build_mesh(coarse, law.cell), problem.factor))
+    except InputError:  # hooks or patches too small for the coarse mesh: begin with the law's own half-spaces
+        return None
+    if solution.status != "converged" or solution.cones is None:
+        return None
+    _, nearest = cKDTree(solution.problem.disc.points).query(problem.disc.points)
+    return taken_from(solution.cones, nearest)
 
 
 def solve_elastic(problem: Problem) -> CurtainSolution:
