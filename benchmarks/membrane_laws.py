@@ -19,6 +19,7 @@ import numpy as np
 
 import homogenize.refine as refine
 from homogenize.fit import STATED_STIFFNESS, builder, cell_of
+from homogenize.interpolated import angle_interpolant
 from homogenize.polyhedral import polyhedral_law
 from homogenize.projection import ProjectionError
 from homogenize.protocol import Array, InputError, MembraneLaw
@@ -96,6 +97,15 @@ def compare_kinds(table: StrainTable, directions: StrainTable) -> None:
         print(f"{kind:13s} {parameters(law):7d}  {fit_s:5.2f}  {h.max():.1e}  {h.mean():.1e}  {strain}  {per_point}")
 
 
+def plain_interpolation(table: StrainTable, directions: StrainTable) -> None:
+    """The strain alone, interpolated over the two angles: no law, no energy, but what one would try first."""
+    for method in ("linear", "cubic"):
+        E = angle_interpolant(table, method).strain(directions.alpha_deg, directions.beta_deg)
+        error = np.abs(E - directions.E).max(axis=1)[directions.unique]
+        above = np.mean(error > 5e-3)
+        print(f"E(alpha, beta) {method}: E mean {error.mean():.1e}, max {error.max():.1e}, {above:.1%} > 5e-3")
+
+
 def compare_rows(table: StrainTable, directions: StrainTable) -> None:
     """Error of the default law against the number of rows: every second, third angle of the grid."""
     rows = rows_from_table(table)
@@ -147,6 +157,7 @@ def main(table: str, directions: str) -> None:
     """Prints the comparison."""
     grid, unseen = read_table(table), read_table(directions)
     compare_kinds(grid, unseen)
+    plain_interpolation(grid, unseen)
     compare_rows(grid, unseen)
     time_response(grid)
     print(f"\n{platform.processor() or platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
