@@ -52,11 +52,12 @@ class Pose:
 
 def start_pose(weave: Weave, count: int) -> Pose:
     """The slack pose of largest clearance, `count` times."""
-    x2, y3 = weave.start_cell
-    tilt = np.radians(weave.start_tilt_deg)
-    normals = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)], axis=1)
-    centres = weave.start_offset * np.array([x2, y3])
-    return Pose(np.tile([x2, y3, 0.0], (count, 1)), np.tile(centres, (count, 1, 1)), np.tile(normals, (count, 1, 1)))
+    return Pose(
+        *(
+            np.tile(part, (count, *[1] * part.ndim))
+            for part in (weave.start_lattice, weave.start_centres, weave.start_normals)
+        )
+    )
 
 
 def moved(pose: Pose, v: Array) -> Pose:
@@ -261,5 +262,5 @@ def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, sam
         h = dot(d, n) / np.sqrt(dot(n, n))
         rho = np.sqrt(np.maximum(dot(d, d) - h**2, 0.0))
         distance = np.where(rho <= 2.0, np.abs(h), np.hypot(rho - 2.0, h))
-        lowest = np.minimum(lowest, distance.min(axis=1))
+        lowest = np.minimum(lowest, distance.min(axis=1, initial=np.inf))
     return lowest - 2.0 * wire

@@ -189,12 +189,12 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     array([1.])
     """
     step = 2.0 * np.pi / samples
-    f = _samples(np.zeros(len(d)), step * np.arange(samples), d, n_a, n_b, r1)
+    f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), d, n_a, n_b, r1)
     is_min = (f <= np.roll(f, 1, axis=1)) & (f < np.roll(f, -1, axis=1))
     lonely = ~is_min.any(axis=1)
     is_min[lonely, np.argmin(f[lonely], axis=1)] = True
     pair, column = np.nonzero(is_min)
-    angle, found = _polish(pair, step * column, step, d, n_a, n_b, r1)
+    angle, found = _polish(pair, step * column.astype(np.float64), step, d, n_a, n_b, r1)
     near = found.distance <= reach
     soft = near & (found.curvature < _SOFT)
     if not soft.any():
@@ -215,7 +215,7 @@ def _with_twins(
     """The near minima and the twins that the coarse sampling has missed."""
     pair = found.pair[soft]
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
-    offset: Array = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 193, dtype=np.float64))
+    offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 193))
     width = np.diff(offset)
     f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
     slope = np.diff(f, axis=1) / width

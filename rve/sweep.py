@@ -90,7 +90,7 @@ def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     The symmetry is imposed. Above r1/r2 of about 31 the symmetric state, rings side by side, is no stable equilibrium
     (rings then slide over each other), but it stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
     """
-    equations = Equations.of(cell.weave, cell.wire, mirror_modes(cell.weave))
+    equations = Equations.of(cell.weave, cell.wire, mirror_modes(cell.weave) if cell.weave.is_mirrored else None)
     found = solve_equilibrium(np.array([[0.0, 0.0, 1.0]]), equations, options)
     if found.status[0] != "converged":
         raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")

@@ -96,7 +96,7 @@ def mirror_modes(weave: Weave) -> Array:
     m = 4 * k + 1
     stretch = np.zeros(m)
     stretch[0] = 1.0
-    stretch[3 : 2 * k + 1 : 2] = weave.start_offset[1:, 0]
+    stretch[3 : 2 * k + 1 : 2] = weave.start_centres[1:, 0] / weave.start_lattice[0]
     rows = [1, *range(4, 2 * k + 1, 2), *range(2 * k + 1, m, 2)]
     return np.column_stack([stretch, np.eye(m)[:, rows]])
 

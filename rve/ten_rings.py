@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh, null_space, solve_triangular
 from scipy.optimize import nnls
 
+from rve.cell import start_pose
 from rve.contact import Minima, are_linked, distance_gradient, distance_hessian, local_minima
 from rve.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 from rve.weave import Weave
@@ -46,11 +47,10 @@ def shifts(weave: Weave) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def start(weave: Weave, options: StewartTrinkleOptions) -> TenRings:
     """All rings at rest in the slack pose."""
     kind, shift = shifts(weave)
-    plane = (weave.start_offset[kind] + shift) * np.array(weave.start_cell) * options.r1_mm
-    tilt = np.radians(weave.start_tilt_deg[kind])
-    normals = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)], axis=1)
-    centres = np.column_stack([plane, np.zeros(len(kind))])
-    return TenRings(centres, normals, np.zeros((len(kind), 6)), options.h_max)
+    pose = start_pose(weave, 1)
+    plane = pose.centres[0, kind] + shift @ np.stack([pose.a1[0], pose.a2[0]])
+    centres = options.r1_mm * np.column_stack([plane, np.zeros(len(kind))])
+    return TenRings(centres, pose.normals[0, kind], np.zeros((len(kind), 6)), options.h_max)
 
 
 def _ring(weave: Weave, kind: int, i: int, j: int) -> int:

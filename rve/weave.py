@@ -20,69 +20,99 @@ class Weave:
 
     pairs (m, 4): class of ring a, class of ring b, lattice shift (i, j) of ring b; every contact that can occur, each
     once. linked (m,): which of them interlink. rings (n, 3): class and shift of the rings whose mass weighs the
-    residual (the ten rings of the paper for 4-in-1). start_cell: sides of the slack rectangular cell over r1;
-    start_offset (K, 2): ring centres in lattice coordinates; start_tilt_deg (K,): rotation of each ring about x.
-    partner (K,): class that the half turn about z maps each class to. repeat: primitive cells along a1 and a2.
-    jamming_ratio: r1/r2 below which no slack pose exists.
+    residual (the ten rings of the paper for 4-in-1). The slack start pose, in units of r1: start_lattice (3,) = x2, y3,
+    tan gamma; start_centres (K, 2); start_normals (K, 3). is_mirrored: start pose and pairs are their own mirror image
+    in x, so that (alpha, beta) and (-alpha, beta) are one load and the reference cell is a rectangle.
+    jamming_ratio: r1/r2 below which no slack pose exists. repeat: primitive cells along a1 and a2.
     """
 
     name: str
     pairs: NDArray[np.intp]
     linked: NDArray[np.bool_]
     rings: NDArray[np.intp]
-    start_cell: tuple[float, float]
-    start_offset: Array
-    start_tilt_deg: Array
-    partner: NDArray[np.intp]
+    start_lattice: Array
+    start_centres: Array
+    start_normals: Array
+    is_mirrored: bool
     jamming_ratio: float
     repeat: tuple[int, int] = (1, 1)
 
     @property
     def classes(self) -> int:
         """Independent rings in one lattice cell."""
-        return len(self.start_offset)
+        return len(self.start_centres)
 
 
-def _same_class_pairs(count: int) -> list[tuple[int, int, int, int]]:
-    shifts = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
-    return [(k, k, i, j) for k in range(count) for i, j in shifts]
-
-
-def _two_class_weave(
-    name: str,
-    links: set[tuple[int, int]],
-    cell: tuple[float, float],
-    offset: tuple[float, float],
-    tilt: float,
-    jam: float,
-) -> Weave:
-    """Rows of rings with tilts +theta and -theta; ring A links B rings at the lattice shifts `links`."""
-    cross_pairs = [(0, 1, i, j) for i in range(-2, 2) for j in range(-2, 2)]
-    pairs = cross_pairs + _same_class_pairs(2)
+def _two_rows(
+    links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.intp]]:
+    """Pairs, links and weighing rings of rows A, B, A, B ...: ring A links the B rings at the shifts `links`."""
+    pairs = [(0, 1, i, j) for i in range(-reach, reach) for j in range(-2, 2)]
+    pairs += [(k, k, i, j) for k in range(2) for i, j in same]
     linked = [a != b and (i, j) in links for a, b, i, j in pairs]
     rings = [(0, i, j) for j in range(3) for i in range(2)] + [(1, i, j) for j in range(2) for i in range(2)]
-    return Weave(
-        name,
-        np.array(pairs),
-        np.array(linked),
-        np.array(rings),
-        cell,
-        np.array([(0.0, 0.0), offset]),
-        np.array([-tilt, tilt]),
-        np.array([1, 0]),
-        jam,
-    )
+    return np.array(pairs), np.array(linked), np.array(rings)
 
 
-# The pose of largest clearance. Its clearance is the jamming limit: with thicker wire no pose is free of overlap
-# (tests/test_rve/test_weave.py finds pose and limit again by sequential linear programming).
-FOUR_IN_ONE = _two_class_weave(
+_NEAR = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
+_TILT = np.radians(34.114592859)
+
+# Start poses are those of largest clearance; half of it is the thickest wire, the jamming limit
+# (tests/test_rve/test_weave.py finds poses and limits again by sequential linear programming).
+FOUR_IN_ONE = Weave(
     "4-in-1",
-    {(0, 0), (-1, 0), (0, -1), (-1, -1)},
-    (2.502395550, 1.246968277),
-    (0.5, 0.5),
-    34.114592859,
+    *_two_rows({(0, 0), (-1, 0), (0, -1), (-1, -1)}, 2, _NEAR),
+    np.array([2.502395550, 1.246968277, 0.0]),
+    np.array([[0.0, 0.0], [1.251197775, 0.6234841385]]),
+    np.array([[0.0, np.sin(_TILT), np.cos(_TILT)], [0.0, -np.sin(_TILT), np.cos(_TILT)]]),
+    True,
     3.980926980,
 )
 
-WEAVES = {w.name: w for w in (FOUR_IN_ONE,)}
+# Each ring links three rings of the row above and three of the row below, so the rings of a row overlap like shingles
+# and lean along x too. The mirror image leans the other way: two mirror forms of one mesh.
+SIX_IN_ONE = Weave(
+    "6-in-1",
+    *_two_rows({(i, j) for i in (-1, 0, 1) for j in (0, -1)}, 4, (*_NEAR, (3, 0), (2, 1), (2, -1), (3, 1), (3, -1))),
+    np.array([1.22213041, 1.30114408, 0.23404368]),
+    np.array([[0.0, 0.0], [0.15226224, 0.65057204]]),
+    np.array([[-0.41265208, 0.58663338, 0.69683536], [0.41265208, -0.58663338, 0.69683536]]),
+    False,
+    5.943203815,
+)
+
+WEAVES = {w.name: w for w in (FOUR_IN_ONE, SIX_IN_ONE)}
+
+
+def supercell(weave: Weave, nx: int, ny: int) -> Weave:
+    """The same weave with nx x ny independent primitive cells in one lattice cell.
+
+    Ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
+    """
+    count = weave.classes
+
+    def placed(k: int, i: int, j: int) -> tuple[int, int, int]:
+        (shift_x, ix), (shift_y, iy) = divmod(i, nx), divmod(j, ny)
+        return k + count * (ix + nx * iy), shift_x, shift_y
+
+    cells = [(ix, iy) for iy in range(ny) for ix in range(nx)]
+    pairs = [
+        (a + count * (ix + nx * iy), *placed(b, ix + i, iy + j))
+        for a, b, i, j in weave.pairs.tolist()
+        for ix, iy in cells
+    ]
+    x2, y3, t = weave.start_lattice
+    a1, a2 = np.array([x2, t * x2]), np.array([t * y3, y3])
+    centres = [centre + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres]
+    return Weave(
+        f"{weave.name} {nx} x {ny}",
+        np.array(pairs),
+        np.repeat(weave.linked, len(cells)),
+        np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
+        np.array([nx * x2, ny * y3, t]),
+        np.array(centres),
+        np.tile(weave.start_normals, (len(cells), 1)),
+        weave.is_mirrored,
+        weave.jamming_ratio,
+        (nx * weave.repeat[0], ny * weave.repeat[1]),
+    )

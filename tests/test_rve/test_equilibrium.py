@@ -155,12 +155,11 @@ def test_renumbered_rings_and_shifted_cell():
         ],
         1,
     )
-    renumbered = replace(
-        weave, pairs=swapped_pairs, start_tilt_deg=-weave.start_tilt_deg, rings=weave.rings * [1, 1, 1]
-    )
+    renumbered = replace(weave, pairs=swapped_pairs, start_normals=weave.start_normals[::-1])
     shifted_pairs = weave.pairs.copy()
     shifted_pairs[cross, 2] -= 1
-    shifted = replace(weave, pairs=shifted_pairs, start_offset=weave.start_offset + np.array([[0, 0], [1, 0]]))
+    next_cell = np.array([[0.0, 0.0], [weave.start_lattice[0], 0.0]])
+    shifted = replace(weave, pairs=shifted_pairs, start_centres=weave.start_centres + next_cell)
     s = cauchy_line_load([10.0, 35.0, -20.0], [30.0, 60.0, 15.0])
     plain = solve_equilibrium(s, Equations.of(weave, 0.1))
     for other in (renumbered, shifted):

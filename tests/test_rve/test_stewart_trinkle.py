@@ -115,7 +115,7 @@ def test_twice_the_load_runs_twice_as_fast_when_inertia_is_small(loads):
     one, two = (st.solve(loads[:1], EQUATIONS, options) for options in (slow, fast))
     assert one.time == pytest.approx(2.0 * two.time)
     assert one.pose.lattice == pytest.approx(two.pose.lattice, abs=2e-4)
-    assert np.abs(one.pose.lattice[0, :2] - FOUR_IN_ONE.start_cell).max() > 0.1
+    assert np.abs(one.pose.lattice[0, :2] - FOUR_IN_ONE.start_lattice[:2]).max() > 0.1
 
 
 def test_first_step_from_rest_is_the_implicit_one(loads):
@@ -126,7 +126,7 @@ def test_first_step_from_rest_is_the_implicit_one(loads):
     assert h[0] == 1e-3
     assert lam.max() == 0.0
     s = loads[0]
-    x2, y3 = FOUR_IN_ONE.start_cell
+    x2, y3 = FOUR_IN_ONE.start_lattice[:2]
     force = np.array([s[0] * y3, s[1] * y3 - 0.0, s[1] * x2, s[2] * x2])
     left = (dynamics.mass / h[0] + dynamics.damping) @ after.v[0]
     assert left[[0, 3]] == pytest.approx(force[[0, 3]], rel=1e-12)

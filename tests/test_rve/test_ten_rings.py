@@ -120,7 +120,7 @@ def test_corner_forces_are_in_balance_and_work_like_a_line_load():
     torque = np.cross(rings.centres, f[:, :3])[:, 2].sum()
     assert torque == pytest.approx(0.0, abs=1e-9)
     # Virtual work of a stretch along x: s_xx times the area of the cell.
-    x2, y3 = 5.0 * np.array(FOUR_IN_ONE.start_cell)
+    x2, y3 = 5.0 * FOUR_IN_ONE.start_lattice[:2]
     assert f[:, 0] @ rings.centres[:, 0] == pytest.approx(2.0 * x2 * y3)
 
 
