@@ -85,7 +85,9 @@ def run(out: Path, cells: int = 32) -> dict[str, object]:
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder for files.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder for files."
+)
 @click.option("--cells", default=32, show_default=True, help="Cells along the width of the curtain.")
 def main(out: Path, cells: int) -> None:
     """From ten rings to a curtain, with files and pictures in one folder."""

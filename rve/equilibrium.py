@@ -320,7 +320,7 @@ def solve_equilibrium(
     >>> from rve.weave import FOUR_IN_ONE
     >>> found = solve_equilibrium(cauchy_line_load([0.0], [90.0]), Equations.of(FOUR_IN_ONE, 0.1))
     >>> (5 * found.pose.lattice[0, :2]).round(6)
-    array([11.      , 12.64607 ])
+    array([11.     , 12.64607])
     """
     n = len(s)
     weave, wire = equations.weave, equations.wire

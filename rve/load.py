@@ -20,7 +20,8 @@ def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
     array([[0., 0., 1.]])
     """
     (ca, sa), (s1, s2) = _cos_sin(alpha_deg), _cos_sin(beta_deg)
-    return np.stack([ca**2 * s1 + sa**2 * s2, ca * sa * (s1 - s2), sa**2 * s1 + ca**2 * s2], axis=-1)
+    s = np.stack([ca**2 * s1 + sa**2 * s2, ca * sa * (s1 - s2), sa**2 * s1 + ca**2 * s2], axis=-1)
+    return s + 0.0  # no negative zeros in tables
 
 
 def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
@@ -31,7 +32,7 @@ def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
     turn = quarter.astype(int) % 4
     cos = np.choose(turn, [c, -s, -c, s])
     sin = np.choose(turn, [s, c, -s, -c])
-    return cos + 0.0, sin + 0.0  # no negative zeros in tables
+    return cos, sin
 
 
 def green_lagrange(F: Array) -> Array:
