@@ -60,12 +60,12 @@ class Work:
     def soften(self, law: CompliantLaw, softness: float, S0: Array) -> None:
         """Go on with the true law's compliance times `softness`, remembering the stress S0."""
         self.membrane = replace(self.true, law=SoftenedLaw(law, softness, S0))
-        self.stiffest = 0.0
+        self.stiffest, self.caution = 0.0, 1.0
 
     def harden(self) -> None:
         """Go on with the true law."""
         self.membrane = self.true
-        self.stiffest = 0.0
+        self.stiffest, self.caution = 0.0, 1.0
 
     def line_load(self, load: LoadStep, state: State | None = None) -> float:
         """The size of line loads to compare eps with, N/mm: what the dead force needs, or what the state bears if more.
@@ -133,6 +133,7 @@ class Balance:
 
 
 def balance_of(work: Work, state: State, load: LoadStep) -> Balance:
+    """What does not balance at a state under a load step, and how much of that round-off may explain."""
     force = load.force * work.membrane.force
     r = state.internal - force
     r[work.membrane.fixed] = 0.0
@@ -212,8 +213,8 @@ def _iterate(
         return _stalled(balance)
     length, state_next, balance_next = found
     # Short steps mean that the model reaches too far, mostly where slack cells move freely: hold them more.
-    work.caution *= 4.0 if length < 0.1 else 0.25 if length > 0.4 else 1.0
-    work.caution = float(np.clip(work.caution, 1.0, 1e5))
+    work.caution *= 4.0 if length < 0.03 else 0.25 if length > 0.2 else 1.0
+    work.caution = float(np.clip(work.caution, 1.0, 1e3))
     work.history.append(
         NewtonRecord(
             load_step=stage.number,
