@@ -15,7 +15,7 @@ import numpy as np
 from homogenize.bounds import highest, outer_vertices
 from homogenize.net import STATED_STIFFNESS
 from homogenize.projection import Polyhedron, polyhedron_of, respond
-from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response
+from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
 from homogenize.rows import Rows, with_mirror
 from homogenize.tensor import IDENTITY, WEIGHT, double_dot, dyad, eigenvalues, from_disc, trace
 
@@ -59,6 +59,7 @@ class PolyhedralLaw:
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent beyond locking, by exact active sets."""
+        check_finite(E)
         return respond(E, self._body)
 
     @cached_property

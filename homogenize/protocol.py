@@ -19,6 +19,13 @@ class InputError(ValueError):
     """Something the user gave cannot be used; the message is one sentence that names file, key and value."""
 
 
+def check_finite(E: Array) -> None:
+    """InputError that names the first row of E (n, 3) that is not three finite numbers."""
+    bad = np.flatnonzero(~np.isfinite(E).all(axis=1))
+    if len(bad):
+        raise InputError(f"strains are finite numbers, row {bad[0]} of {len(E)} is {E[bad[0]].tolist()}")
+
+
 @dataclass(frozen=True)
 class CellInfo:
     """The rings behind a law: what a scene needs to know of them, in mm and kg/m2."""

@@ -53,7 +53,7 @@ class ErrorReport:
         if self.dropped:
             lines.append(f"left out: {'; '.join(self.dropped[:5])}{'; ...' if len(self.dropped) > 5 else ''}")
         if self.not_unique:
-            lines.append(f"{self.not_unique} rows have no unique strain; only their work counts")
+            lines.append(f"{self.not_unique} rows have no unique strain: theirs is one of many")
         lines.append(_line("error of h at the rows", self.rows))
         if self.held_out is not None:
             lines.append(_line("error of h at rows left out", self.held_out))

@@ -19,7 +19,7 @@ import numpy as np
 
 from homogenize.net import STATED_STIFFNESS
 from homogenize.projection import ProjectionError
-from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response
+from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
 from homogenize.tensor import WEIGHT, disc, double_dot, from_disc, trace
 
 TO_TDG = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, -0.5], [0.0, 1.0, 0.0]])
@@ -213,6 +213,7 @@ class SmoothLaw:
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent beyond locking; ProjectionError if a closest point is not found."""
         n = len(E)
+        check_finite(E)
         answer = Response(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3)), E.copy())
         A = TO_TDG @ self.compliance @ np.diag(1.0 / WEIGHT) @ TO_TDG.T
         for start in range(0, n, BLOCK):

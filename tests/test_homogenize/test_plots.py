@@ -13,7 +13,6 @@ from homogenize.rows import rows_from_table
 from homogenize.ship import SHIPPED
 from rve.table import read_table
 
-pytest.importorskip("matplotlib")
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 
 

@@ -170,3 +170,9 @@ def test_law_file_keeps_every_digit(rows, tmp_path):
 def test_ellipsoid_of_the_fixture_is_its_own_gradient():
     truth, S = Ellipsoid(), random_loads(50)
     assert np.allclose(double_dot(S, truth.strain(S)), truth.support(S))
+
+
+def test_a_strain_that_is_no_number_is_refused(rows):
+    law = outer_law(rows)
+    with pytest.raises(InputError, match="row 1 of 2"):
+        law.response(np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]]))
