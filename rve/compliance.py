@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rve.cell import Contacts, Pose, find_contacts, moved, reduction
 from rve.equilibrium import Equilibrium, carry_forces
-from rve.lcp import solve_contact_step
+from rve.lcp import Programme, solve_contact_step
 from rve.load import green_lagrange, second_pk
 from rve.system import Equations, System, lattice_load
 
@@ -116,7 +116,7 @@ def _pressed(system: System, there: Flags, gap: Array, flexibility: Array) -> Fl
     value, vector = np.linalg.eigh(-0.5 * (system.J + system.J.transpose(0, 2, 1)))
     A = np.matmul(vector * np.maximum(value, _CONVEX)[:, None, :], vector.transpose(0, 2, 1))
     k = np.where(there, 1.0 / np.maximum(flexibility, 1.0 / _STIFF), 0.0)
-    return solve_contact_step(A, system.f, system.G, gap, k).lam > 0.0
+    return solve_contact_step(Programme(A, system.f, system.G, gap, k)).lam > 0.0
 
 
 def _iterated(

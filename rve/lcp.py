@@ -34,62 +34,75 @@ def _times(matrix: Array, vector: Array) -> Array:
     return np.matmul(matrix, vector[..., None])[..., 0]
 
 
-def energy(A: Array, b: Array, G: Array, gap: Array, k: Array, w: Array) -> Array:
-    """The convex function that the step minimises, (n,)."""
-    pressed = np.minimum(gap + _times(G, w), 0.0)
-    return 0.5 * (w * _times(A, w)).sum(axis=1) - (b * w).sum(axis=1) + 0.5 * (k * pressed**2).sum(axis=1)
+@dataclass(frozen=True)
+class Programme:
+    """Contact steps of n cases: A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and stiffness k (n, c)."""
+
+    A: Array
+    b: Array
+    G: Array
+    gap: Array
+    k: Array
+
+    def take(self, rows: NDArray[np.intp]) -> Programme:
+        """The steps of these cases."""
+        return Programme(self.A[rows], self.b[rows], self.G[rows], self.gap[rows], self.k[rows])
+
+    def energy(self, w: Array) -> Array:
+        """The convex function that the step minimises, (n,)."""
+        pressed = np.minimum(self.gap + _times(self.G, w), 0.0)
+        smooth = 0.5 * (w * _times(self.A, w)).sum(axis=1) - (self.b * w).sum(axis=1)
+        return np.asarray(smooth + 0.5 * (self.k * pressed**2).sum(axis=1))
 
 
-def solve_contact_step(A: Array, b: Array, G: Array, gap: Array, k: Array, *, max_iterations: int = 60) -> ContactStep:
-    """Solution of the contact step for A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and k (n, c).
-
-    A case that has not converged after `max_iterations` says so in the result.
+def solve_contact_step(programme: Programme, *, max_iterations: int = 60) -> ContactStep:
+    """Solution of the contact steps; a case that has not converged after `max_iterations` says so in the result.
 
     >>> one = np.ones((1, 1))
-    >>> step = solve_contact_step(one[:, None], -2 * one, one[:, None], 0 * one, 3 * one)
+    >>> step = solve_contact_step(Programme(one[:, None], -2 * one, one[:, None], 0 * one, 3 * one))
     >>> step.w, step.lam
     (array([[-0.5]]), array([[1.5]]))
     """
-    n, m = b.shape
+    n, m = programme.b.shape
     w = np.zeros((n, m))
     iterations = np.zeros(n, dtype=int)
     converged = np.zeros(n, dtype=bool)
     todo = np.arange(n)
     for _ in range(max_iterations):
-        Ai, bi, Gi, gi, ki, wi = A[todo], b[todo], G[todo], gap[todo], k[todo], w[todo]
+        part = programme.take(todo)
         # At the start nothing moves yet: what touches or penetrates works.
-        working = (gi + _times(Gi, wi) <= 0.0) & (ki > 0.0)
-        kw = np.where(working, ki, 0.0)
-        Gt = Gi.transpose(0, 2, 1)
-        H = Ai + np.matmul(Gt * kw[:, None, :], Gi)
-        target = np.linalg.solve(H, (bi - _times(Gt, kw * gi))[..., None])[..., 0]
-        new, settled = _searched(Ai, bi, Gi, gi, ki, wi, target, working)
-        w[todo] = new
+        working = (part.gap + _times(part.G, w[todo]) <= 0.0) & (part.k > 0.0)
+        kw = np.where(working, part.k, 0.0)
+        Gt = part.G.transpose(0, 2, 1)
+        H = part.A + np.matmul(Gt * kw[:, None, :], part.G)
+        target = np.linalg.solve(H, (part.b - _times(Gt, kw * part.gap))[..., None])[..., 0]
+        w[todo], settled = _searched(part, w[todo], target, working)
         iterations[todo] += 1
         converged[todo[settled]] = True
         todo = todo[~settled]
         if not len(todo):
             break
-    lam = np.maximum(-k * (gap + _times(G, w)), 0.0)
+    lam = np.maximum(-programme.k * (programme.gap + _times(programme.G, w)), 0.0)
     return ContactStep(w, lam, iterations, converged)
 
 
 def _searched(
-    A: Array, b: Array, G: Array, gap: Array, k: Array, w: Array, target: Array, working: NDArray[np.bool_]
+    programme: Programme, w: Array, target: Array, working: NDArray[np.bool_]
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The point reached from w towards `target`, and whether it is the minimum."""
+    G, gap, k = programme.G, programme.gap, programme.k
     after = gap + _times(G, target)
     # A contact on the verge may flip for ever by round-off; its force is then k times round-off.
     verge = 1e-15 * (1.0 + np.abs(_times(np.abs(G), np.abs(target))))
     same = (((after <= 0.0) & (k > 0.0)) == working) | (np.abs(after) <= verge) | (k == 0.0)
     settled = same.all(axis=1)
     step = target - w
-    slope = (step * (_times(A, w) - b)).sum(axis=1)
+    slope = (step * (_times(programme.A, w) - programme.b)).sum(axis=1)
     slope += (k * np.minimum(gap + _times(G, w), 0.0) * _times(G, step)).sum(axis=1)
-    before = energy(A, b, G, gap, k, w)
+    before = programme.energy(w)
     length = np.ones(len(w))
     for _ in range(40):
-        worse = ~settled & (energy(A, b, G, gap, k, w + length[:, None] * step) > before + 1e-4 * length * slope)
+        worse = ~settled & (programme.energy(w + length[:, None] * step) > before + 1e-4 * length * slope)
         if not worse.any():
             break
         length[worse] *= 0.5

@@ -13,7 +13,7 @@ from rve.equilibrium import DirectOptions, Equilibrium
 from rve.errors import InputError
 from rve.resume import SweepOptions, sweep
 from rve.stewart_trinkle import StewartTrinkleOptions
-from rve.sweep import Cell, _block, _checked, _provenance, locked, reference_sides
+from rve.sweep import Cell, checked_angles, locked, reference_sides, table_provenance, table_rows
 from rve.system import Equations
 from rve.table import StrainTable
 
@@ -42,15 +42,15 @@ def solve_table_stewart_trinkle(
     except ValueError as error:
         raise InputError(str(error)) from error
     began = time.perf_counter()
-    alpha, beta = _checked(alpha_deg, beta_deg)
+    alpha, beta = checked_angles(alpha_deg, beta_deg)
     sides = reference_sides(cell, DirectOptions())
     direct, s, unique = locked(alpha, beta, cell, DirectOptions())
     tensile = direct.status != "compressive"
     rest = sweep(np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0])), cell.weave, cell.wire, options, how)
     status = np.where(tensile, rest.status, "compressive")
     found = Equilibrium(rest.pose, rest.lam, rest.contacts, rest.R, rest.steps, status, rest.rejected + 1)
-    table = _block(alpha, beta, cell, found, unique, sides)
-    provenance = _provenance(cell, DirectOptions(), sides, status, time.perf_counter() - began)
+    table = table_rows(alpha, beta, cell, found, unique, sides)
+    provenance = table_provenance(cell, DirectOptions(), sides, status, time.perf_counter() - began)
     provenance |= {"method": "stewart-trinkle", "options": asdict(options), "simulated_s": float(rest.time.sum())}
     return replace(table, provenance=provenance)
 

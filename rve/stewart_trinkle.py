@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rve.cell import Contacts, Pose, find_contacts, joined_contacts, moved, reduction, start_pose
 from rve.contact import distance_gradient, distance_hessian
-from rve.lcp import ContactStep, solve_contact_step
+from rve.lcp import ContactStep, Programme, solve_contact_step
 from rve.projection import find_contacts_by_projection
 from rve.system import Equations, lattice_load
 from rve.weave import Weave
@@ -287,7 +287,7 @@ def _trial(motion: Motion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tup
     force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
     force[:, :4] += frozen.load
     b = np.matmul(Tt, force[..., None])[..., 0]
-    step = solve_contact_step(A, b, frozen.G, frozen.gap, frozen.k)
+    step = solve_contact_step(Programme(A, b, frozen.G, frozen.gap, frozen.k))
     return step, np.matmul(T, step.w[..., None])[..., 0] / h[:, None]
 
 

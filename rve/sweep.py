@@ -105,7 +105,8 @@ def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
     return (a2[:, ::-1], a1[:, ::-1]) if cell.grain == "x" else (a1, a2)
 
 
-def _checked(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Array]:
+def checked_angles(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Array]:
+    """Angles as two arrays of one length; raises InputError where they are not, or not finite."""
     alpha = np.asarray(alpha_deg, dtype=float).ravel()
     beta = np.asarray(beta_deg, dtype=float).ravel()
     if alpha.shape != beta.shape or not len(alpha):
@@ -134,21 +135,21 @@ def solve_table(
     """
     cell, options = cell or Cell(), options or DirectOptions()
     began = time.perf_counter()
-    alpha, beta = _checked(alpha_deg, beta_deg)
+    alpha, beta = checked_angles(alpha_deg, beta_deg)
     b_x, b_y = reference_sides(cell, options)
     blocks = []
     for first in range(0, len(alpha), BLOCK):
         rows = slice(first, first + BLOCK)
         found, s, unique = locked(alpha[rows], beta[rows], cell, options)
-        blocks.append(_block(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
+        blocks.append(table_rows(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
         if progress is not None:
             progress(len(s))
     table = joined_tables(blocks)
-    provenance = _provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
+    provenance = table_provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
     return replace(table, provenance=provenance)
 
 
-def _block(
+def table_rows(
     alpha: Array, beta: Array, cell: Cell, found: Equilibrium, unique: NDArray[np.bool_], sides: tuple[float, float]
 ) -> StrainTable:
     """Rows of a table from equilibria, for a reference cell with these sides in mm."""
@@ -164,9 +165,10 @@ def _block(
     return StrainTable(alpha, beta, E, S, x2, x3, R, gap, contacts, unique, found.status, found.iterations)
 
 
-def _provenance(
+def table_provenance(
     cell: Cell, options: DirectOptions, sides: tuple[float, float], status: NDArray[np.str_], wall: float
 ) -> dict[str, Any]:
+    """What a table by the direct solver is made of: mesh, reference sides in mm, options, outcome, wall time in s."""
     statuses, counts = np.unique(status, return_counts=True)
     b_x, b_y = sides
     rings_per_area = cell.weave.classes / (b_x * b_y * cell.weave.repeat[0] * cell.weave.repeat[1])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from rve.lcp import energy, solve_contact_step
+from rve.lcp import Programme, solve_contact_step
 
 
 def programme(rng, n, c, stiffness):
@@ -32,7 +32,7 @@ def dual_forces(A, b, G, gap, k):
 @given(seed=st.integers(0, 10**6), contacts=st.integers(1, 20), power=st.integers(0, 5))
 def test_forces_are_those_of_non_negative_least_squares(seed, contacts, power):
     A, b, G, gap, k = programme(np.random.default_rng(seed), 6, contacts, 10.0**power)
-    step = solve_contact_step(A, b, G, gap, k)
+    step = solve_contact_step(Programme(A, b, G, gap, k))
     assert step.converged.all()
     for i in range(6):
         real = k[i] > 0.0
@@ -43,7 +43,7 @@ def test_forces_are_those_of_non_negative_least_squares(seed, contacts, power):
 
 def test_optimality_conditions_hold_to_round_off():
     A, b, G, gap, k = programme(np.random.default_rng(1), 200, 12, 1e4)
-    step = solve_contact_step(A, b, G, gap, k)
+    step = solve_contact_step(Programme(A, b, G, gap, k))
     left = np.einsum("nij,nj->ni", A, step.w) - b - np.einsum("nci,nc->ni", G, step.lam)
     scale = 1.0 + np.abs(b).max(axis=1) + np.abs(step.lam).sum(axis=1)
     assert np.all(np.abs(left).max(axis=1) <= 1e-11 * scale)
@@ -67,27 +67,27 @@ def test_clarabel_finds_no_lower_energy():
     options.verbose = False
     cones = [clarabel.NonnegativeConeT(20)]
     found = clarabel.DefaultSolver(P, q, rows, np.concatenate([gap[0], np.zeros(10)]), cones, options).solve()
-    step = solve_contact_step(A, b, G, gap, k)
+    step = solve_contact_step(Programme(A, b, G, gap, k))
     assert step.w[0] == pytest.approx(np.array(found.x)[:9], abs=1e-6)
-    mine = energy(A, b, G, gap, k, step.w)[0]
+    mine = Programme(A, b, G, gap, k).energy(step.w)[0]
     assert mine <= found.obj_val + 1e-8
 
 
 def test_a_case_does_not_depend_on_its_company():
     problem = programme(np.random.default_rng(3), 40, 15, 1e5)
-    together = solve_contact_step(*problem)
-    alone = solve_contact_step(*(part[7:8] for part in problem))
+    together = solve_contact_step(Programme(*problem))
+    alone = solve_contact_step(Programme(*problem).take(np.array([7])))
     assert np.array_equal(together.w[7:8], alone.w)
     assert np.array_equal(together.lam[7:8], alone.lam)
 
 
 def test_a_step_that_is_cut_short_says_so():
     problem = programme(np.random.default_rng(4), 20, 15, 1e4)
-    assert not solve_contact_step(*problem, max_iterations=1).converged.all()
+    assert not solve_contact_step(Programme(*problem), max_iterations=1).converged.all()
 
 
 def test_without_contacts_one_iteration_is_enough():
     A, b, G, gap, k = programme(np.random.default_rng(5), 3, 4, 1.0)
-    step = solve_contact_step(A, b, G, gap, 0.0 * k)
+    step = solve_contact_step(Programme(A, b, G, gap, 0.0 * k))
     assert np.all(step.iterations == 1)
     assert np.einsum("nij,nj->ni", A, step.w) == pytest.approx(b)
