@@ -151,6 +151,12 @@ def test_interpolation_converges_at_the_order_of_the_element(element, order):
     assert np.log2(slopes[1] / slopes[2]) == pytest.approx(order - 1, abs=0.1)
 
 
+def test_points_in_a_cell():
+    points = {e: discretize(MESHES[e](), e).n_quad for e in ELEMENTS}
+    assert points == {"P1": 1, "CR": 1, "P2": 3, "Q1": 4, "Q2": 9}
+    assert discretize(MESHES["Q2"](), "Q2", order=3).n_quad == 4
+
+
 def test_load_of_a_weight_adds_up():
     disc = discretize(distorted("Q2"), "Q2")
     f = load_vector(disc, np.array([0.0, -2.0]))
