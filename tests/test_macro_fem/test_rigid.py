@@ -179,6 +179,42 @@ def test_a_rigid_turn_of_weave_and_supports_turns_the_answer(ring_like):
     assert turned(ring_like, 180.0) is ring_like
 
 
+@pytest.mark.parametrize("state", [0, 1, 2])
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+def test_patch_in_every_locked_state(ring_like, state, element):
+    """Tractions of a uniform stress inside the normal cone of a vertex hold every point there, however turned."""
+    values = (ring_like.S * np.array([1.0, 2.0, 1.0])) @ ring_like.vertices.T
+    ordered = np.sort(values, axis=1)
+    is_sure = (values.argmax(axis=1) == state) & (ordered[:, 2] - ordered[:, 1] > 0.002)
+    S = ring_like.S[is_sure].mean(axis=0)
+    stretch = np.sqrt(1.0 + 2.0 * ring_like.vertices[state, [0, 2]])
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    F = turn @ np.diag(stretch)
+    P = F @ np.array([[S[0], S[1]], [S[1], S[2]]])
+    pull = {"right": P[:, 0], "left": -P[:, 0], "top": P[:, 1], "bottom": -P[:, 1]}
+    tables = {
+        "curtain": {"width": 60.0, "height": 60.0, "areal_mass": 0.0},
+        "mesh": {"cells": 4, "element": element, "pattern": "crossed"},
+        "support": {"kind": "point", "at": [0.0, 0.0]},
+        "load": {"edge": [{"edge": name, "force": force.tolist()} for name, force in pull.items()]},
+        "solver": {"spread": 0.0},
+    }
+    solution = solve(tables, ring_like)
+    assert solution.status == "converged"
+    exact = -(solution.problem.force * (solution.problem.disc.nodes @ (F - np.eye(2)).T)).sum()
+    scale = np.abs(solution.problem.force).sum() * 60.0
+    assert abs(solution.primal - exact) < 1e-8 * scale
+    assert np.abs(solution.F - F).max() < 1e-4
+
+
+def test_moved_supports_move_the_curtain(ring_like, scene_tables):
+    still = solve(scene_tables(support={"kind": "top", "gather": 0.9}), ring_like)
+    moved = solve(scene_tables(support={"kind": "top", "gather": 0.9, "move": [30.0, -7.0]}), ring_like)
+    assert moved.mean_height() == pytest.approx(still.mean_height() - 7.0, abs=1e-6)
+    shift = -(still.problem.force.sum(axis=0) @ np.array([30.0, -7.0]))
+    assert moved.primal == pytest.approx(still.primal + shift, abs=1e-8 * np.abs(still.problem.force).sum() * 100.0)
+
+
 def problem_of(tables, law):
     scene = read_scene(tables)
     return make_problem(scene, law, build_mesh(scene, law.cell))
