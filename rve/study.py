@@ -154,7 +154,7 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
     ]
 
 
-_FREE = "beta = 0 with alpha = 15 to 40 leaves the strain free: the cell creeps without a restoring force"
+_FREE = "(15, 0) is at the edge of the loads that leave the strain free: almost no restoring force"
 
 
 def _sum(study: Study, alpha: float, beta: float) -> str:
