@@ -49,18 +49,6 @@ def test_laws_are_ordered_and_refinement_stays_between(rows, ellipsoid):
     assert np.abs(refined - truth).mean() < 0.35 * np.abs(outer - truth).mean()
 
 
-def test_refined_rows_predict_to_fourth_order(ellipsoid):
-    """The new half-spaces themselves: halving the distance of the rows divides their error by about sixteen."""
-    error = []
-    for spokes in (16, 32):
-        rows = rows_of(ellipsoid, disc_grid(spokes // 4, spokes))
-        S, h = refined_half_spaces(rows, news=0.0)
-        inside = np.hypot(S[:, 0] - S[:, 2], 2.0 * S[:, 1]) < 0.7
-        error.append(np.quantile(np.abs(h - ellipsoid.support(S))[inside], 0.9))
-    assert np.log2(error[0] / error[1]) > 3.5
-    assert error[1] < 0.01 * (bounds_of(rows).upper(random_loads()) - ellipsoid.support(random_loads())).max()
-
-
 @pytest.mark.parametrize("stiffness", [1000.0 * np.eye(3), ANISOTROPIC])
 def test_closest_point_is_that_of_a_plain_solver(rows, stiffness):
     """Oracle: the dual as nonnegative least squares over all half-spaces, one point at a time."""

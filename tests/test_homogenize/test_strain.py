@@ -25,6 +25,7 @@ def test_smooth_set_is_found_to_the_error_of_its_rows(ellipsoid):
     found = locked_strain(law, alpha, beta)
     assert np.all(found.status == "converged")
     assert np.allclose(found.S, load_at(found.E, alpha, beta), atol=2e-9)
+    assert found.iterations.mean() < 15.0
     truth = ellipsoid.strain(found.S)
     assert np.abs(found.E - truth).max() < 0.02  # one facet of the polyhedron: spacing of the rows times curvature
     assert np.abs(found.E - truth).mean() < 0.004
