@@ -42,14 +42,13 @@ def solve_conic(
 
     InputError if clarabel is not installed.
     """
-    clarabel = _clarabel()
-    B = gradient_matrix(fem)
-    F0 = fem.gradient(np.zeros(fem.n)).ravel()
-    cones = first_cones(law, len(fem.weight))
     total = float(np.abs(load).sum()) or 1.0
+    task = _Task(fem, load, size, total, gradient_matrix(fem), fem.gradient(np.zeros(fem.n)).ravel())
+    clarabel = _clarabel()
+    cones = first_cones(law, len(fem.weight))
     history: list[Iteration] = []
     for _ in range(options.max_rounds):
-        answer, lam = _solve(clarabel, fem, cones, B, F0, load / total, size, options)
+        answer, lam = _solve(clarabel, task, cones, options)
         status = str(answer.status)
         if "Infeasible" in status or "Solved" not in status:
             break
@@ -59,11 +58,22 @@ def solve_conic(
         gap = float(answer.obj_val - answer.obj_val_dual)
         history.append(Iteration(gap, float(answer.r_dual), float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
         if not len(new):
-            return _record("converged", fem, z, total * lam, cones, answer, total * size, load, history)
+            return _record("converged", task, cones, answer, lam, history)
         cones, _ = with_cuts(cones, new, S[new], h[new])
     verdict = "infeasible" if "PrimalInfeasible" in status else "iterations" if "Solved" in status else "stalled"
-    z = np.zeros(fem.n)
-    return _record(verdict, fem, z, np.zeros(len(cones)), cones, answer, np.nan, load, history)
+    return _record(verdict, task, cones, answer, np.zeros(len(cones)), history)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What stays the same in all rounds: B and the part F0 of the flat gradients that supports impose."""
+
+    fem: SupportedFem
+    load: Array
+    size: float
+    total: float
+    B: sparse.csr_matrix
+    F0: Array
 
 
 def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
@@ -104,17 +114,9 @@ def _clarabel() -> Any:
     return clarabel
 
 
-def _solve(
-    clarabel: Any,
-    fem: SupportedFem,
-    cones: Cones,
-    B: sparse.csr_matrix,
-    F0: Array,
-    load: Array,
-    size: float,
-    options: ConicOptions,
-) -> tuple[Any, Array]:
-    """clarabel's answer in units of the size, and multipliers lam (nc,) per area of the unit load."""
+def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> tuple[Any, Array]:
+    """clarabel's answer in units of the size and the total load, and multipliers lam (nc,) in N/mm."""
+    fem, B, size = task.fem, task.B, task.size
     d = fem.d
     L, rank = square_roots(cones.S)
     dimension = 1 + d * rank
@@ -130,7 +132,7 @@ def _solve(
                 values.append(L[use, j, k])
     shape = (int(start[-1]), B.shape[0])
     M = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    b = M @ F0
+    b = M @ task.F0
     b[start[:-1]] = c
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -138,36 +140,34 @@ def _solve(
     settings.tol_feas = options.feasibility
     A = (-size * (M @ B)).tocsc()
     kinds = [clarabel.SecondOrderConeT(int(n)) for n in dimension]
-    answer = clarabel.DefaultSolver(sparse.csc_matrix((fem.n, fem.n)), -load, A, b, kinds, settings).solve()
-    return answer, size * np.array(answer.z)[start[:-1]] / (c * fem.weight[cones.point]) if len(answer.z) else b
+    answer = clarabel.DefaultSolver(
+        sparse.csc_matrix((fem.n, fem.n)), -task.load / task.total, A, b, kinds, settings
+    ).solve()
+    if not len(answer.z):
+        return answer, np.zeros(len(cones))
+    y_head = task.total * size * np.array(answer.z)[start[:-1]] / fem.weight[cones.point]
+    return answer, y_head / c
 
 
-def _record(
-    status: str,
-    fem: SupportedFem,
-    z: Array,
-    lam: Array,
-    cones: Cones,
-    answer: Any,
-    scale: float,
-    load: Array,
-    history: list[Iteration],
-) -> RigidResult:
+def _record(status: str, task: _Task, cones: Cones, answer: Any, lam: Array, history: list[Iteration]) -> RigidResult:
+    fem = task.fem
+    solved = status == "converged"
+    z = task.size * np.array(answer.x) if solved else np.zeros(fem.n)
     S = cones.stress(lam)
-    gap = float(answer.obj_val - answer.obj_val_dual)
+    message = STATUSES[status].format(n=len(history), error=float(answer.obj_val - answer.obj_val_dual), excess=np.nan)
+    if status == "infeasible":
+        message = "the supports are farther apart than the mesh can stretch (clarabel found a certificate)"
     return RigidResult(
         status=status,
-        message=STATUSES[status].format(n=len(history), error=gap)
-        if status != "infeasible"
-        else "the supports are farther apart than the mesh can stretch (clarabel found a certificate)",
+        message=message,
         z=z,
         lam=lam,
         y_tail=np.zeros((len(lam), 2 * fem.d)),
         cones=cones,
         P=times_triple(fem.gradient(z), S),
         S=S,
-        primal=-float(load @ z) if status == "converged" else np.nan,
-        dual=float(answer.obj_val_dual) * scale,
+        primal=-float(task.load @ z) if solved else np.nan,
+        dual=float(answer.obj_val_dual) * task.total * task.size if solved else np.nan,
         residual=float(answer.r_dual),
         iterations=int(answer.iterations),
         rounds=len(history),

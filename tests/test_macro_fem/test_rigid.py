@@ -110,6 +110,8 @@ def test_clarabel_finds_the_same_potential(ring_like, scene_tables, hang, suppor
     scale = np.abs(problem.force).sum() * 100.0
     assert abs(ours - oracle.primal) < 2e-7 * scale
     assert oracle.dual <= ours + 1e-9 * scale
+    load = problem.fem.gather(problem.force)
+    assert np.abs(problem.fem.force(oracle.P) - load).max() < 1e-3 * np.abs(load).max()
 
 
 def test_the_duality_gap_is_a_bound_at_every_tolerance(ring_like, scene_tables):
