@@ -33,7 +33,7 @@ class Work:
     pattern: Pattern
     solver: LinearSolver
     spring: Array  # data of L, the unit spring in every displacement gradient
-    share: Array  # sum_p w_p |grad phi_a| per node (n_nodes,), the reach of a unit stress
+    share: Array  # root of the area around each node (n_nodes,), about the force of a unit stress on it
     stiffest: float = 0.0  # largest trace of the law's tangent seen so far, N/mm
     caution: float = 1.0  # factor on eps, from how short the steps were
     history: list[NewtonRecord] = field(default_factory=list)
@@ -113,13 +113,21 @@ class Work:
         finally:
             self.linear_s += time.perf_counter() - begin
 
-    def solve(self, factor: Factor, force: Array) -> Array:
-        """The displacement (n_nodes, d), zero at the supports, of the nodal forces on the free components."""
+    def solve(self, factor: Factor, force: Array) -> tuple[Array, float] | None:
+        """The displacement (n_nodes, d), zero at the supports, of the nodal forces, and the relative linear residual.
+
+        None if conjugate gradients met a direction without stiffness.
+        """
         begin = time.perf_counter()
         p = np.zeros(self.membrane.fixed.size)
-        p[self.pattern.free] = factor.solve(force.ravel()[self.pattern.free]).x
-        self.linear_s += time.perf_counter() - begin
-        return p.reshape(self.membrane.fixed.shape)
+        try:
+            solution = factor.solve(force.ravel()[self.pattern.free])
+        except NotPositiveDefiniteError:
+            return None
+        finally:
+            self.linear_s += time.perf_counter() - begin
+        p[self.pattern.free] = solution.x
+        return p.reshape(self.membrane.fixed.shape), solution.residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +212,10 @@ def _iterate(
     if factored is None:
         return NewtonStatus.NOT_CONVEX
     factor, eps = factored
-    p = work.solve(factor, -balance.residual)
+    solved = work.solve(factor, -balance.residual)
+    if solved is None:
+        return NewtonStatus.NOT_CONVEX
+    p, linear_residual = solved
     slope = float((balance.residual * p).sum())
     if not slope < 0.0:
         return _stalled(balance) if balance.relative < 1e-5 else NewtonStatus.NOT_CONVEX
@@ -228,6 +239,7 @@ def _iterate(
             slack=_slack_share(work.membrane, state),
             assembly_s=work.assembly_s - before[0],
             linear_s=work.linear_s - before[1],
+            linear_residual=linear_residual,
         )
     )
     return state_next, balance_next

@@ -119,6 +119,8 @@ def _solve_step(
     if status is NewtonStatus.ITERATION_LIMIT:
         state, count = _from_soft_to_hard(work, plain, state, count, stress)
         status, state, count = descend(work, plain, state, count, options.max_iterations)
+    if status is NewtonStatus.NOT_FINITE:
+        return StepResult(load, u, status, np.inf, np.inf, np.inf, np.inf, options.rtol, count, np.zeros_like(u))
     balance = balance_of(work, state, load)
     reach = _bounding_diagonal(work.membrane.disc.nodes, state.u)
     return StepResult(
@@ -178,7 +180,8 @@ def _start_of_step(work: Work, load: LoadStep, u: Array, past: Sequence[StepResu
     factor, eps = factored
     H = gradient(work.membrane.disc, jump)
     dP = np.einsum("pijkl,pkl->pij", full_tangent(A), H) + eps * H
-    return work.evaluate(u + jump + work.solve(factor, -internal_force(work.membrane.disc, dP)))
+    solved = work.solve(factor, -internal_force(work.membrane.disc, dP))
+    return work.evaluate(u + jump + (0.0 if solved is None else solved[0]))
 
 
 def _extrapolations(load: LoadStep, past: Sequence[StepResult], highest: int) -> list[Array]:

@@ -91,7 +91,8 @@ class NewtonRecord:
 
     softness: factor on the compliance; potential N mm; residual relative (see `NewtonOptions.rtol`); length of the step
     that the line search took and evaluations of the law in it; eps N/mm; slack: share of the area without energy;
-    seconds of assembly and of the factor with its solve.
+    seconds of assembly and of the factor with its solve; relative residual of the linear system, which conjugate
+    gradients may leave above their tolerance: the step is then poorer, not wrong.
     """
 
     load_step: int
@@ -105,6 +106,7 @@ class NewtonRecord:
     slack: float
     assembly_s: float
     linear_s: float
+    linear_residual: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,8 @@ class StepResult:
     """The end of a load step: u (n_nodes, d), status, potential and stored energy N mm, and the bound on its error.
 
     energy_bound N mm: see the module header; it holds for convex laws. residual and tolerance: relative, both as used.
-    reactions (n_nodes, d): forces of the supports on the sheet, N, zero at free components.
+    reactions (n_nodes, d): forces of the supports on the sheet, N, zero at free components. With NOT_FINITE, u is where
+    the step began, energies and residual are infinite and reactions zero.
     """
 
     load: LoadStep

@@ -240,6 +240,10 @@ def test_failures_have_names():
     )
     assert crushed.status in (NewtonStatus.NOT_FINITE, NewtonStatus.NOT_CONVEX)
     assert len(crushed.steps) == 1  # the path ends where it fails
+    last = crushed.steps[-1]
+    assert np.all(np.isfinite(last.u))
+    assert np.all(np.isfinite(last.reactions))
+    assert not np.isnan([last.potential, last.stored, last.energy_bound, last.residual]).any()
 
 
 @dataclass(frozen=True)
@@ -355,6 +359,8 @@ def test_options_act_and_bad_ones_are_refused():
     jacobi = solve(sheet, NewtonOptions(linear=LinearOptions(method="jacobi", max_iterations=2000)))
     assert jacobi.statistics.linear_method == "jacobi"
     assert jacobi.steps[-1].potential == pytest.approx(solve(sheet).steps[-1].potential, rel=1e-9)
+    few = solve(sheet, NewtonOptions(linear=LinearOptions(method="jacobi", max_iterations=4), max_iterations=5))
+    assert max(h.linear_residual for h in few.history) > 1e-6  # an unfinished linear solve is on record
     for bad in ({"rtol": 0.0}, {"max_gradient_step": -1.0}, {"soften_ratio": 1.0}, {"max_iterations": -1}):
         with pytest.raises(ValueError, match=next(iter(bad))):
             NewtonOptions(**bad)
