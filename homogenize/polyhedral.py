@@ -24,6 +24,10 @@ COLLAPSED = 0.05
 """Vertices with an eigenvalue of C = I + 2E below this are cells drawn to a line: they stay off the map."""
 
 
+MAP_PAYS = 300
+"""Points per call from which a map of the half-spaces is made, in half a second for four thousand of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class PolyhedralLaw:
     """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
@@ -53,21 +57,29 @@ class PolyhedralLaw:
 
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
-        worst, _ = self._body.worst(np.ascontiguousarray(E.T))
+        worst, _ = self._body(len(E)).worst(np.ascontiguousarray(E.T))
         S, h = self.S[worst], self.h[worst]
         return Cut(S, h, double_dot(S, E) - h)
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent beyond locking, by exact active sets."""
         check_finite(E)
-        return respond(E, self._body)
+        return respond(E, self._body(len(E)))
+
+    def _body(self, count: int) -> Polyhedron:
+        """The half-spaces prepared for the projection of `count` points: with a map only where it pays to make it."""
+        return self._mapped if count >= MAP_PAYS else self._plain
 
     @cached_property
-    def _body(self) -> Polyhedron:
-        """The half-spaces prepared for projection, once: the law never changes."""
+    def _plain(self) -> Polyhedron:
+        return polyhedron_of(self.S, self.h, self.stiffness)
+
+    @cached_property
+    def _mapped(self) -> Polyhedron:
+        """Made once: the law never changes."""
         open_cells = self.vertices[eigenvalues(2.0 * self.vertices + IDENTITY)[0] > COLLAPSED]
         if not len(open_cells):
-            return polyhedron_of(self.S, self.h, self.stiffness)
+            return self._plain
         x = np.stack([0.5 * (open_cells[:, 0] - open_cells[:, 2]), open_cells[:, 1]], axis=1)
         margin = 0.02 + 0.02 * np.ptp(x, axis=0)
         return polyhedron_of(self.S, self.h, self.stiffness, np.array([x.min(axis=0) - margin, x.max(axis=0) + margin]))

@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 
 from homogenize.bounds import bounds_of
 from homogenize.io import load_law, save_law
-from homogenize.polyhedral import inner_law, outer_law, polyhedral_law
+from homogenize.polyhedral import MAP_PAYS, inner_law, outer_law, polyhedral_law
 from homogenize.protocol import InputError
 from homogenize.refine import refined_half_spaces
 from homogenize.report import random_loads
@@ -164,3 +164,15 @@ def test_a_strain_that_is_no_number_is_refused(rows):
     law = outer_law(rows)
     with pytest.raises(InputError, match="row 1 of 2"):
         law.response(np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]]))
+
+
+def test_few_points_and_many_get_the_same_answer(rows):
+    """Below `MAP_PAYS` points all half-spaces are looked at, above it the map: the two ways to one number."""
+    law = polyhedral_law(*refined_half_spaces(rows), ANISOTROPIC)
+    E = np.random.default_rng(20).normal(scale=0.4, size=(MAP_PAYS + 100, 3))
+    many = law.response(E)
+    few = [law.response(part) for part in np.array_split(E, 4)]
+    assert law._mapped.envelope is not None
+    assert np.allclose(np.concatenate([part.S for part in few]), many.S, atol=1e-9)
+    assert np.allclose(np.concatenate([part.energy for part in few]), many.energy, atol=1e-9)
+    assert np.allclose(law.cut(E).violation[:50], law.cut(E[:50]).violation, atol=1e-14)
