@@ -1,0 +1,73 @@
+"""The example scenes are sound, and the default law of rings meets the exact curtains."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize.law import default_law
+from macro_fem.cli import main
+from macro_fem.mesh import build_mesh
+from macro_fem.outline import least_angle
+from macro_fem.scene import load_scene, read_scene
+from macro_fem.solution import make_problem
+from macro_fem.solvers import solve_scene
+
+EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
+
+
+def test_there_are_scenes_with_pictures():
+    assert len(EXAMPLES) >= 6
+    for path in EXAMPLES:
+        assert (path.parent / "pictures" / f"{path.stem}.png").is_file()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_example_makes_a_problem(path):
+    scene, law = load_scene(path), default_law()
+    mesh = build_mesh(scene, law.cell)
+    problem = make_problem(scene, law, mesh)
+    assert problem.force[:, 1].sum() < 0.0
+    assert problem.supports.mask.any()
+    assert least_angle(mesh.mesh.p.T, mesh.mesh.t.T) > 15.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_example_runs(path, tmp_path):
+    result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == "converged"
+    assert summary["relative_gap"] < 1e-5
+    total = np.array(summary["total_load_N"])
+    held = sum(np.array(support["force_N"]) for support in summary["support_forces"])
+    assert np.abs(total + held).max() < 1e-3 * np.abs(total).max()
+    if "bounds" in summary:
+        assert 0.0 < summary["bounds"]["gap_over_load_times_height"] < 0.006
+
+
+@pytest.mark.parametrize("support", [{"kind": "top"}, {"kind": "top", "gather": 0.8}], ids=["top", "gathered"])
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+def test_rings_hung_along_y_keep_their_height(element, support):
+    tables = {
+        "curtain": {"width": 1000.0, "height": 1000.0},
+        "mesh": {"cells": 6, "element": element},
+        "support": support,
+    }
+    solution = solve_scene(read_scene(tables), default_law())
+    assert solution.status == "converged"
+    assert solution.mean_height() == pytest.approx(500.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+def test_rings_hung_along_x_from_a_rail_stretch_evenly(element):
+    curtain = {"width": 1000.0, "height": 1000.0, "hang": "x"}
+    tables = {"curtain": curtain, "mesh": {"cells": 6, "element": element}, "support": {"kind": "rail"}}
+    solution = solve_scene(read_scene(tables), default_law())
+    X = solution.problem.disc.nodes
+    below = X[:, 1] < 999.0
+    stretch = (1000.0 - solution.x[below, 1]) / (1000.0 - X[below, 1])
+    assert np.abs(stretch - 17.42005 / 11.0).max() < 1e-4
