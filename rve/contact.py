@@ -215,7 +215,7 @@ def _with_twins(
     """The near minima and the twins that the coarse sampling has missed."""
     pair = found.pair[soft]
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
-    offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 193))
+    offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))
     width = np.diff(offset)
     f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
     slope = np.diff(f, axis=1) / width

@@ -184,7 +184,11 @@ def _accepted_step(
         here = state.pose.take(rows)
         pose = moved(here, equations.displacement(length[rows, None] * dq[rows]))
         contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
-        apart = parallel_clearance(here, pose, equations.weave, equations.wire) > -equations.wire
+        apart = np.ones(len(rows), dtype=bool)
+        long = np.flatnonzero(length[rows] * np.abs(dq[rows]).max(axis=1) > 0.2 * equations.wire)
+        if len(long):  # shorter steps cannot carry a ring through a wire
+            way = parallel_clearance(here.take(long), pose.take(long), equations.weave, equations.wire)
+            apart[long] = way > -equations.wire
         return pose, contacts, contacts.links_intact & (contacts.min_gap >= floor[rows]) & apart
 
     pose, contacts, good = look(np.arange(len(dq)))
