@@ -27,7 +27,10 @@ def main() -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib).")
 def run(scene: Path, law_path: Path | None, out: Path, picture: bool) -> None:
-    """Solve SCENE and write summary.json, curtain.vtu and curtain.png."""
+    """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
+
+    Exit code 0: converged; 1: files are written, but the solver did not converge and says why; 2: bad input.
+    """
     from macro_fem.job import run_scene
 
     try:
@@ -43,3 +46,5 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool) -> None:
         f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
+    if summary["status"] != "converged":
+        raise click.exceptions.Exit(1)

@@ -152,6 +152,13 @@ def test_bad_input_ends_in_one_sentence(tmp_path, law_file, old, new, words):
     assert not out.exists()
 
 
+def test_a_solver_that_gives_up_says_so(tmp_path, law_file):
+    result, out = run(tmp_path, SCENE + "max_iterations = 2\n", "--law", str(law_file))
+    assert result.exit_code == 1
+    assert "raise solver.max_iterations" in result.output
+    assert json.loads((out / "summary.json").read_text())["status"] == "iterations"
+
+
 def test_missing_files_end_in_one_sentence(tmp_path, law_file):
     for args in (["run", str(tmp_path / "none.toml")], ["run", str(law_file)]):
         result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "out")])
