@@ -137,7 +137,7 @@ def with_limits(
     left = np.flatnonzero(~unique)
     if not len(left):
         return found, unique
-    quick = replace(options, attempts=1, max_iterations=min(options.max_iterations, 90))
+    quick = replace(options, attempts=1)
     found = replace(found, status=np.where(unique, found.status, "no-limit"))
     for size in _SMALL:
         limit = limit_equilibrium(s[left], equations, size, quick)
