@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +84,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
-    report = error_report(law, rows, found, refit)
+    report = replace(error_report(law, rows, found, refit), kind=options.kind)
     return FitResult(law, report, provenance | {"report": report.to_dict()})
 
 
