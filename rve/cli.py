@@ -85,18 +85,19 @@ def main() -> None:
 @click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes (stewart-trinkle)."
 )
+@click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm.")
 @_cell_options
 @_one_sentence
 def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.ranges import grid, parse_angles, read_loads
+    from rve.span import with_span
     from rve.st_table import with_compliance
     from rve.table import write_table
 
     how = {name: rest.pop(name) for name in ("checkpoint", "workers")}
-    stiffness = rest.pop("compliance")
-
+    stiffness, span = rest.pop("compliance"), rest.pop("span")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
     mesh = _cell(**rest)
@@ -106,6 +107,8 @@ def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **r
     found = _solved(method, directions, mesh, how)
     if stiffness is not None:
         found = with_compliance(found, stiffness, mesh)
+    if span:
+        found = with_span(found, mesh)
     write_table(found, out)
     good = int(found.converged.sum())
     free = int((~found.unique & found.converged).sum())

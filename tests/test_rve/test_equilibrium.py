@@ -11,6 +11,7 @@ from rve.cell import Pose, find_contacts, moved, parallel_clearance, start_pose
 from rve.contact import are_linked
 from rve.equilibrium import DirectOptions, solve_equilibrium
 from rve.load import cauchy_line_load
+from rve.span import strain_span, with_span
 from rve.sweep import Cell, locked, reference_sides, solve_table
 from rve.system import Equations
 from rve.uniqueness import contact_forces, polish, touching
@@ -68,6 +69,18 @@ def test_free_strains_are_flagged_and_are_limits(paper_table):
     error = np.abs(2 * near - far - paper_table.E[free]).max()
     assert error < 4e-4
     assert error < 0.1 * np.abs(near - paper_table.E[free]).max()
+
+
+def test_span_of_a_free_strain():
+    """The work of the load is the same over the whole span; the strain is not."""
+    table = solve_table([25.0, 30.0], [0.0, 30.0])
+    assert table.unique.tolist() == [False, True]
+    span = strain_span(table, Cell())
+    assert span.shape == (1, 3, 2)
+    assert (span[0, :, 0] <= table.E[0] + 1e-12).all()
+    assert (span[0, :, 1] >= table.E[0] - 1e-12).all()
+    assert (span[0, :, 1] - span[0, :, 0] > 0.005).all()
+    assert with_span(table, Cell()).provenance["free_strains"][0]["E12"] == span[0, 1].tolist()
 
 
 def test_equilibrium_by_its_own_equations():
