@@ -27,8 +27,8 @@ _SIDES = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 
 def strain_span(table: StrainTable, cell: Cell, options: DirectOptions | None = None, size: float = 2e-3) -> Array:
     """Least and largest E11, E12, E22 of the rows that leave the strain free, (m, 3, 2), m = number of such rows.
 
-    Loads of `size` times the row's load are added one by one in both senses of each component; what is found is wrong by
-    about that size. A solve that fails adds nothing, so the span is one from inside, and it always holds the row's own E.
+    Loads of `size` times the row's load are added one by one in both senses of each component; what is found is wrong
+    by about that size. A solve that fails adds nothing: the span is one from inside and holds the row's own E.
     """
     rows = np.flatnonzero(~table.unique & table.converged)
     s = cauchy_line_load(table.alpha_deg[rows], table.beta_deg[rows])
