@@ -54,7 +54,7 @@ def test_strain_goes_to_the_rigid_one_like_one_over_stiffness(rigid, loads, cell
     assert np.all(coarse / fine > 50.0)  # second order: a hundred times less for a ten times stiffer contact
 
 
-@pytest.mark.parametrize("kappa", [200.0, 1e4])
+@pytest.mark.parametrize("kappa", [pytest.param(200.0, marks=pytest.mark.slow), 1e4])
 def test_compliance_is_the_derivative_of_strain_by_load(rigid, loads, cell, kappa):
     """The stiffness k is constant while the size of the load changes, so the ratio k/s_hat changes."""
     D = soften(rigid, loads, EQUATIONS, kappa, cell).compliance

@@ -53,7 +53,7 @@ def test_workers_change_no_bit(whole, tmp_path):
     assert len(list((tmp_path / "new").iterdir())) == 2
 
 
-@pytest.mark.parametrize("stop", [1, 3, 4, 9])
+@pytest.mark.parametrize("stop", [1, 8])
 def test_a_stopped_sweep_goes_on(whole, tmp_path, monkeypatch, stop):
     how = SweepOptions(folder=tmp_path, block=2, save_every=10)
     real, calls = resume.continued, []
