@@ -184,7 +184,7 @@ def test_all_cases_of_the_paper_fall_in_energy_and_keep_their_links():
     cell = tuple(rigid.pose.lattice[18, :2])
     unique = (beta > 0.0) | (alpha < 15.0) | (alpha > 40.0)
     soft = soften(rigid, s, EQUATIONS, Dynamics.of(EQUATIONS, OPTIONS).stiffness, cell)
-    # A pull at 45 degrees (two rows, one load): at the ten rings' unequal stiffnesses Newton's method does not settle on
+    # A pull at 45 degrees (two rows, one load): at ten rings' unequal stiffnesses Newton's method does not settle on
     # its working contacts (at equal ones it does); there the rigid strain is the measure, penetration included.
     hard = unique & (soft.status != "converged")
     assert set(zip(alpha[hard], beta[hard], strict=True)) <= {(45.0, 0.0), (45.0, 90.0)}
