@@ -56,7 +56,8 @@ def solve_locked(problem: Problem) -> CurtainSolution:
     if spec.kind == "conic":
         result = solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=spec.tolerance))
     else:
-        options = RigidOptions(spec.tolerance, max_iterations=spec.max_iterations, cones=coarse_cones(problem))
+        violation = max(RigidOptions.violation, 10.0 * spec.tolerance)
+        options = RigidOptions(spec.tolerance, violation, spec.max_iterations, cones=coarse_cones(problem))
         result = solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
     return _solution(problem, result, tension, time.perf_counter() - begin)
 
