@@ -348,7 +348,7 @@ def solve_equilibrium(
             pose = _turned(pose, equations, attempt, 0.03)
         found = find_contacts(pose, weave, wire, options.reach)
         mu = np.full(len(left), options.mu_start)
-        lam = np.where(found.present, mu[:, None, None] / np.maximum(found.gap, 1e-3), 0.0)
+        lam = np.where(found.present, mu[:, None, None] / np.maximum(found.gap, 1e-9), 0.0)
         inf, none = np.full(len(left), np.inf), np.zeros(len(left))
         radius = np.full(len(left), tuned.step)
         state = _State(left, s[left], pose, found, lam, mu, inf, inf, none.astype(int), radius, none)

@@ -18,9 +18,9 @@ from rve.system import Equations, System
 
 Array = NDArray[np.float64]
 
-# Second principal load over the first: d, d/2 and d/4 extrapolate to zero with an error of third order. The next d is
-# tried where one of the three solves fails (contacts may merge on the way).
-_SMALL = (4e-3, 1e-3, 2e-3, 5e-4)
+# Second principal load over the first, each half of the one before: the way to the limit.
+_SIZES = 1.6e-2 * 0.5 ** np.arange(7)
+# Values at d, d/2 and d/4 extrapolate to zero with an error of third order.
 _WEIGHTS = np.array([1.0, -6.0, 8.0]) / 3.0
 
 
@@ -54,36 +54,80 @@ def _inward(s: Array, size: float) -> Array:
     return s + size * (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
 
 
-def limit_equilibrium(s: Array, equations: Equations, size: float, options: DirectOptions) -> Equilibrium:
-    """Equilibria under the uniaxial loads s (n, 3): limits from the second principal loads size, size/2 and size/4.
+def _trail(s: Array, equations: Equations, options: DirectOptions) -> list[Equilibrium]:
+    """Equilibria for ever smaller second loads, each from a pose near the one before.
 
-    Status "no-limit" where one of the three did not converge, or their extrapolation is no equilibrium.
+    The start of a solve is its predecessor stopped early, at complementarity 1e-3 of the second load, where gaps are
+    still open: from a cold start such loads take ten times as many iterations, or stall.
     """
-    n = len(s)
-    loads = np.concatenate([_inward(s, size / part) for part in (1.0, 2.0, 4.0)])
-    found = solve_equilibrium(loads, equations, options)
-    parts = [found.pose.take(np.arange(k * n, (k + 1) * n)) for k in range(3)]
+    found, start = [], None
+    for size in _SIZES:
+        loads, mu = _inward(s, size), 1e-3 * size
+        early = replace(options, attempts=1, mu_end=mu, tolerance=mu)
+        if start is not None:
+            early = replace(early, mu_start=8.0 * mu)
+        path = solve_equilibrium(loads, equations, early, start)
+        exact = replace(options, attempts=1, mu_start=mu)
+        found.append(solve_equilibrium(loads, equations, exact, path.pose))
+        start = path.pose
+    return found
+
+
+def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
+    """Equilibria under the uniaxial loads s (n, 3) that are limits for a vanishing second principal load.
+
+    The smallest three second loads whose extrapolation Newton's method confirms count; status "no-limit" if none do.
+    """
+    trail = _trail(s, equations, options)
+    result = replace(trail[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
+    iterations = np.sum([part.iterations for part in trail], axis=0)
+    left = np.arange(len(s))
+    for last in range(len(trail) - 1, 1, -1):
+        limit = _extrapolated(
+            [part.take(left) for part in trail[last - 2 : last + 1]], s[left], equations, options, last
+        )
+        good = np.flatnonzero(limit.status == "converged")
+        result = result.put(left[good], limit.take(good))
+        left = np.delete(left, good)
+        if not len(left):
+            break
+    return replace(result, iterations=iterations)
+
+
+def _extrapolated(
+    three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, last: int
+) -> Equilibrium:
+    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone."""
     lattice, centres, normals = (
-        np.einsum("k,k...->...", _WEIGHTS, np.stack([getattr(part, name) for part in parts]))
+        np.einsum("k,k...->...", _WEIGHTS, np.stack([getattr(part.pose, name) for part in three]))
         for name in ("lattice", "centres", "normals")
     )
-    normals = normals / np.linalg.norm(normals, axis=2, keepdims=True)
-    pose, lam, contacts, R = polish(Pose(lattice, centres, normals), equations, s, options)
-    ok = (found.status == "converged").reshape(3, n).all(axis=0) & (R < 1e-9) & (contacts.min_gap > -1e-10)
-    return Equilibrium(
-        pose,
-        lam,
-        contacts,
-        R,
-        found.iterations.reshape(3, n).sum(axis=0),
-        np.where(ok, "converged", "no-limit"),
-        found.attempts.reshape(3, n).max(axis=0),
-    )
+    guess = Pose(lattice, centres, normals / np.linalg.norm(normals, axis=2, keepdims=True))
+    reach = _reach(guess, three[-1], equations, options, 1e-3 * _SIZES[last])
+    pose, _, _, _ = polish(guess, equations, s, options, reach)
+    pose, lam, contacts, R = polish(pose, equations, s, options)
+    # Newton's steps may drift along the free mode: then the guess was too far away.
+    change = np.abs(three[-1].pose.lattice - three[-2].pose.lattice).max(axis=1)
+    stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
+    known = np.all([part.status == "converged" for part in three], axis=0)
+    ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
+    status = np.where(ok, "converged", "no-limit")
+    return replace(three[-1], pose=pose, lam=lam, contacts=contacts, R=R, status=status)
 
 
-def touching(contacts: Contacts, reach: float) -> NDArray[np.bool_]:
-    """Contacts whose gap is below `reach`, (n, p, SLOTS)."""
-    return contacts.present & (contacts.gap < reach)
+def _reach(guess: Pose, found: Equilibrium, equations: Equations, options: DirectOptions, force: float) -> Array:
+    """Gap (n,) within which the guess keeps every pair of rings that carries more than `force` in `found`."""
+    contacts = find_contacts(guess, equations.weave, equations.wire, options.reach)
+    loaded = ((found.lam > force) & found.contacts.present).sum(axis=2)
+    gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
+    last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
+    widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
+    return 1.5 * widest + 1e-6
+
+
+def touching(contacts: Contacts, reach: float | Array) -> NDArray[np.bool_]:
+    """Contacts whose gap is below `reach`, one number or one per case, (n, p, SLOTS)."""
+    return contacts.present & (contacts.gap < np.reshape(reach, (-1, 1, 1)))
 
 
 def contact_forces(system: System, active: NDArray[np.bool_]) -> Array:
@@ -97,7 +141,7 @@ def contact_forces(system: System, active: NDArray[np.bool_]) -> Array:
 
 
 def polish(
-    pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float = 1e-5, steps: int = 4
+    pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
 ) -> tuple[Pose, Array, Contacts, Array]:
     """Newton on r = 0 and gap = 0 of all touching contacts; least-norm steps, so that a free mode stays where it is.
 
@@ -122,7 +166,7 @@ def polish(
             A = np.block([[system.J[i], G.T], [G, np.zeros((size, size))]])
             b = -np.concatenate([system.r[i], contacts.gap[i].ravel()[rows]])
             dq[i] = np.linalg.lstsq(A, b, rcond=1e-9)[0][: len(dq[i])]
-        pose = moved(pose, np.clip(dq, -1e-3, 1e-3))
+        pose = moved(pose, np.clip(dq, -1e-2, 1e-2))
     return pose, lam, contacts, system.weighted_residual
 
 
@@ -131,19 +175,17 @@ def with_limits(
 ) -> tuple[Equilibrium, NDArray[np.bool_]]:
     """Equilibria with non-unique rows replaced by their limits, and the flags `unique` (n,).
 
-    A row whose limit cannot be found keeps one of its equilibria and gets the status "no-limit".
+    Uniaxial loads that have stalled are tried on the same way. A row whose limit cannot be found keeps one of its
+    equilibria and gets the status "no-limit".
     """
     unique = strain_is_unique(equations, found, s)
-    left = np.flatnonzero(~unique)
-    if not len(left):
+    uniaxial = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < 1e-12 * (s[:, 0] + s[:, 2]) ** 2
+    stalled = (found.status == "stalled") & uniaxial
+    rows = np.flatnonzero(~unique | stalled)
+    if not len(rows):
         return found, unique
-    quick = replace(options, attempts=1)
+    limit = limit_equilibrium(s[rows], equations, options)
+    good = limit.status == "converged"
     found = replace(found, status=np.where(unique, found.status, "no-limit"))
-    for size in _SMALL:
-        limit = limit_equilibrium(s[left], equations, size, quick)
-        good = np.flatnonzero(limit.status == "converged")
-        found = found.put(left[good], limit.take(good))
-        left = np.delete(left, good)
-        if not len(left):
-            break
-    return found, unique
+    found = found.put(rows[good], limit.take(np.flatnonzero(good)))
+    return found, unique & ~(stalled & (found.status == "converged"))
