@@ -69,8 +69,8 @@ def rings() -> list[tuple[str, str]]:
         rows.append(
             (
                 f"190 load cases, r1/r2 = {ratio:g}",
-                f"{table.converged.sum()} converged in {seconds:.2f} s; R <= {table.R.max():.0e}, "
-                f"gap >= {table.min_gap_mm.min():.0e} mm, normality >= {normality(table):.0e}",
+                f"{table.converged.sum()} converged in {seconds:.2f} s; R <= {np.nanmax(table.R):.0e}, "
+                f"gap >= {np.nanmin(table.min_gap_mm):.0e} mm, normality >= {normality(table):.0e}",
             )
         )
     return rows

@@ -139,22 +139,23 @@ def _polish(
     """Newton on the slope, kept inside the bracket angle +- width by bisection; angles and minima."""
     d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
     e1, e2 = tangent_frame(n_a)
-    low, high = angle - width, angle + width
-    # A row at rest stays there, so that it does not depend on the company it is polished in.
-    under_way = np.ones(len(angle), dtype=bool)
+    angle, low, high = angle.copy(), angle - width, angle + width
+    # Rows at rest leave, so that none depends on the company it is polished in; most need five rounds, a few thirty.
+    go = np.arange(len(angle))
     for _ in range(40):
-        distance, slope, curvature, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, e1, e2, n_b, r1)
-        low = np.where(slope < 0.0, angle, low)
-        high = np.where(slope > 0.0, angle, high)
+        at = angle[go]
+        _, slope, curvature, _, _ = _slope_and_curvature(at, d[go], n_a[go], e1[go], e2[go], n_b[go], r1)
+        left = low[go] = np.where(slope < 0.0, at, low[go])
+        right = high[go] = np.where(slope > 0.0, at, high[go])
         with np.errstate(divide="ignore", invalid="ignore"):
-            newton = angle - slope / curvature
-        good = (curvature > 0.0) & (newton >= low) & (newton <= high)
-        trial = np.where(good, newton, 0.5 * (low + high))
+            newton = at - slope / curvature
+        good = (curvature > 0.0) & (newton >= left) & (newton <= right)
+        trial = np.where(good, newton, 0.5 * (left + right))
         # A stationary point to round-off moves no further; slope is in mm per radian.
-        step = np.where(under_way & (np.abs(slope) > 1e-15 * r1), trial - angle, 0.0)
-        angle = angle + step
-        under_way &= np.abs(step) > 1e-9
-        if not under_way.any():
+        step = np.where(np.abs(slope) > 1e-15 * r1, trial - at, 0.0)
+        angle[go] = at + step
+        go = go[np.abs(step) > 1e-9]
+        if not len(go):
             break
     distance, slope, curvature, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, e1, e2, n_b, r1)
     normal = (d + rho_b - rho_a) / distance[:, None]
@@ -193,6 +194,8 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     is_min = (f <= np.roll(f, 1, axis=1)) & (f < np.roll(f, -1, axis=1))
     lonely = ~is_min.any(axis=1)
     is_min[lonely, np.argmin(f[lonely], axis=1)] = True
+    # The distance falls by no more than r1 per radian: minima that cannot come within reach are not polished.
+    is_min &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
     pair, column = np.nonzero(is_min)
     angle, found = _polish(pair, step * column.astype(np.float64), step, d, n_a, n_b, r1)
     near = found.distance <= reach
