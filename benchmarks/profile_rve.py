@@ -51,8 +51,8 @@ def main() -> None:
         "Shares are cumulative, so the stages overlap.\n\n| stage | calls | share |\n|---|---|---|\n" + "\n".join(rows)
     )
     text += (
-        "\n\nContact search is the largest part: every pose of every case samples some ten pairs of rings at 48 angles, "
-        f"and soft minima at 97 more.\n\n{describe()}\n"
+        "\n\nContact search is the largest part: every pose of every case samples some ten pairs of rings at 48 "
+        f"angles, and soft minima at 97 more.\n\n{describe()}\n"
     )
     TARGET.write_text(text, encoding="utf-8")
     print(text)
