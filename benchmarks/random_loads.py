@@ -1,6 +1,6 @@
 """Random load directions and radius ratios: `python -m benchmarks.random_loads [--count 1000]`.
 
-Writes docs/random_loads.md: how many converge, how often a second attempt is needed, and whether the rows are normal.
+Writes docs/random_loads.md: how many converge, how many iterations that takes, and whether the rows are normal.
 """
 
 from __future__ import annotations

@@ -23,7 +23,6 @@ def test_the_grid_is_that_of_the_paper():
 
 
 def test_one_command_writes_every_table_and_picture(tmp_path):
-    pytest.importorskip("matplotlib")
     told = []
     alpha, beta = np.array([0.0, 0.0, 20.0, 20.0, 45.0]), np.array([0.0, 45.0, 45.0, 60.0, 90.0])
     options = StewartTrinkleOptions(max_steps=80)
