@@ -87,8 +87,8 @@ def locked(
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain, symmetric in the grain.
 
-    The symmetry is imposed. Above r1/r2 of about 31 the symmetric state, rings side by side, is no stable equilibrium
-    (rings then slide over each other), but it stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
+    The symmetry is imposed. From r1/r2 of about 30 on rings may slide over each other instead (docs/random_loads.md),
+    but side by side stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
     """
     equations = Equations.of(cell.weave, cell.wire, mirror_modes(cell.weave) if cell.weave.is_mirrored else None)
     found = solve_equilibrium(np.array([[0.0, 0.0, 1.0]]), equations, options)
