@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.io import UNITS, write_text
+from homogenize.files import write_text
+from homogenize.io import UNITS
 from homogenize.net import ring_cell
 from homogenize.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedral_law
 from homogenize.protocol import Array, CellInfo, InputError

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from homogenize.files import write_text
 from homogenize.net import net_from_dict
 from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
@@ -50,18 +49,6 @@ def save_law(law: MembraneLaw, path: str | Path, provenance: dict[str, Any] | No
     path = Path(path)
     text = json.dumps(law_record(law, provenance), indent=1) + "\n"
     write_text(path, text)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes `text` to a neighbour of `path` and moves it into place; InputError if the folder cannot be written."""
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    os.chmod(name, 0o644)
-    os.replace(name, path)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.bounds import Bounds, bounds_of
+from homogenize.bounds import bounds_of
 from homogenize.protocol import Array, InputError, MembraneLaw
 from homogenize.rows import Normality, Rows, subset, with_mirror
-from homogenize.tensor import disc, double_dot, from_disc
+from homogenize.tensor import disc, from_disc
 
 DIRECTIONS = 1000
 SEED = 2026
@@ -162,14 +162,3 @@ def is_sampled(polygon: Array, S: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     on_rim = (np.hypot(start[:, 0], start[:, 1]) > 1.0 - 1e-6) & (np.hypot(end[:, 0], end[:, 1]) > 1.0 - 1e-6)
     close = (start * end).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG))
     return np.asarray(((side >= -1e-9) | (on_rim & close)).all(axis=1))
-
-
-def between_bounds(bounds: Bounds, S: Array, h: Array) -> Array:
-    """By how much h (n,) leaves the bounds at S (n, 3): negative below the inner, positive above the outer one."""
-    return np.minimum(h - bounds.lower(S), 0.0) + np.maximum(h - bounds.upper(S), 0.0)
-
-
-def directional_error(law: MembraneLaw, S: Array, E: Array) -> Misfit:
-    """Error of the law's support at loads S (n, 3) whose locked strains E (n, 3) are known from elsewhere."""
-    scale = (S[:, 0] + S[:, 2])[:, None]
-    return misfit_of(S / scale, law.support(S / scale) - double_dot(S / scale, E))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homogenize.io import write_text
+from homogenize.files import write_text
 from homogenize.polyhedral import PolyhedralLaw
 from homogenize.projection import DEGENERATE, MAX_ROUNDS, polyhedron_of
 from homogenize.protocol import Array, InputError, MembraneLaw

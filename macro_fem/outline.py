@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay
 
 from homogenize.law import Array
 
@@ -157,8 +157,3 @@ def least_angle(points: Array, triangles: np.ndarray) -> float:
     back = -np.roll(edge, 1, axis=1)
     cosine = (edge * back).sum(-1) / (np.linalg.norm(edge, axis=-1) * np.linalg.norm(back, axis=-1))
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)).min()))
-
-
-def nearest_nodes(nodes: Array, points: Array) -> tuple[Array, np.ndarray]:
-    """Distance and number of the node nearest to each point (n, 2)."""
-    return cKDTree(nodes).query(points)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import platform
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.law import Array, InputError
+from homogenize.law import Array, InputError, write_text, write_whole
 from macro_fem.assembly import cell_mean
 from macro_fem.solution import CurtainSolution
 
@@ -32,27 +31,10 @@ def prepare_folder(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written")
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Lets `write` fill a temporary file beside `path` and moves it into place when it is complete."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """summary.json in `folder`; a number that is not finite is written as null."""
     content = json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n"
-    write_whole(folder / "summary.json", lambda path: _write_text(path, content))
-
-
-def _write_text(path: Path, content: str) -> None:
-    path.write_text(content, encoding="utf-8")
+    write_text(folder / "summary.json", content)
 
 
 def _finite(value: Any) -> Any:
@@ -184,7 +166,7 @@ def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:
         lines.append(f'    <DataSet timestep="{number / len(steps):.9g}" part="0" file="{name}"/>')
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
     content = head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n"
-    write_whole(folder / "curtain.pvd", lambda path: _write_text(path, content))
+    write_text(folder / "curtain.pvd", content)
 
 
 def corner_positions(solution: CurtainSolution) -> Array:

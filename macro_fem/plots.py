@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.law import Array
-from macro_fem.output import corner_positions, write_whole
+from homogenize.law import Array, write_whole
+from macro_fem.output import corner_positions
 from macro_fem.solution import CurtainSolution
 
 if TYPE_CHECKING:

@@ -332,7 +332,7 @@ def solve_equilibrium(
     first = start if start is not None else start_pose(weave, n)
     contacts = find_contacts(first, weave, wire, options.reach)
     out = Equilibrium(
-        first.put(np.arange(0), first.take(np.arange(0))),
+        first.take(np.arange(n)),
         np.zeros(contacts.gap.shape),
         contacts,
         np.full(n, np.nan),

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
-from rve.files import atomic_path, write_text
+from rve.files import write_text
 from rve.load import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "COMPLIANCE_COLUMNS",
     "InputError",
     "StrainTable",
-    "atomic_path",
     "cauchy_line_load",
     "deformation_gradient",
     "green_lagrange",
@@ -35,7 +34,6 @@ __all__ = [
     "read_table",
     "second_pk",
     "write_table",
-    "write_text",
 ]
 
 Array = NDArray[np.float64]

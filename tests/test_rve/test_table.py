@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rve.files import atomic_path
 from rve.ranges import grid, parse_angles, read_loads
 from rve.sweep import Cell, solve_table
 from rve.table import (
     COLUMNS,
     COMPLIANCE_COLUMNS,
     InputError,
-    atomic_path,
     joined_tables,
     provenance_path,
     read_table,
