@@ -45,6 +45,9 @@ class Cell:
         for name, value in (("r1", self.r1), ("r2", self.r2), ("density", self.density)):
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{name} = {value}: must be a positive number")
+        for name, value in (("r1", self.r1), ("r2", self.r2)):
+            if not 1e-9 <= value <= 1e9:  # their powers must stay numbers
+                raise InputError(f"{name} = {value}: must lie between 1e-9 and 1e9 mm")
         if self.grain not in ("x", "y"):
             raise InputError(f"grain = {self.grain!r}: must be x or y")
         limit = self.weave.jamming_ratio

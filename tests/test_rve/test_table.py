@@ -142,6 +142,8 @@ def test_load_files(tmp_path):
         ((-5.0, 0.5), "r1 = -5"),
         ((5.0, np.nan), "r2 = nan"),
         ((5.0, 0.0), "r2 = 0"),
+        ((1e-300, 1e-301), "between 1e-9 and 1e9 mm"),
+        ((1e300, 1e299), "between 1e-9 and 1e9 mm"),
     ],
 )
 def test_impossible_rings(radii, words):
