@@ -1,0 +1,1 @@
+"""What the three reports share: records of tables and diagrams, and their Markdown, SVG and HTML."""

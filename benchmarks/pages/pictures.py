@@ -1,0 +1,58 @@
+"""Diagrams as SVG text, the same bytes for the same numbers."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+
+from benchmarks.pages.model import Diagram
+
+MARKERS = "osD^v<>pPX*h"
+
+
+def svg(diagram: Diagram) -> str:
+    """The picture as one <svg> element without prologue, so that HTML takes it as it is."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    import matplotlib.pyplot as plt
+
+    settings = {"svg.hashsalt": diagram.key, "svg.fonttype": "none", "font.size": 10, "axes.axisbelow": True}
+    with plt.rc_context(settings):
+        figure, ax = plt.subplots(figsize=(7.6, 4.6), layout="constrained")
+        (_bars if diagram.bars else _curves)(ax, diagram)
+        ax.set(xlabel=diagram.x_label, ylabel=diagram.y_label)
+        ax.set_title(diagram.title, loc="left", fontsize=11)
+        ax.grid(visible=True, which="major", alpha=0.35)
+        ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        plt.close(figure)
+    text = out.getvalue()
+    text = "\n".join(line.rstrip() for line in text[text.index("<svg") :].splitlines()) + "\n"
+    return _own_names(text, diagram.key)
+
+
+def _own_names(text: str, key: str) -> str:
+    """Names of groups carry the diagram's key: several pictures share one HTML page."""
+    for mark in ('id="', 'href="#', "url(#"):
+        text = text.replace(mark, f"{mark}{key}-")
+    return text
+
+
+def _curves(ax, diagram: Diagram) -> None:
+    for i, curve in enumerate(diagram.curves):
+        x, y = np.array(curve.x, dtype=float), np.array(curve.y, dtype=float)
+        kept = np.isfinite(x) & np.isfinite(y) & (x > 0.0) & (y > 0.0)
+        marker = MARKERS[i % len(MARKERS)]
+        ax.loglog(x[kept], y[kept], marker=marker, ms=5, lw=1.4, color=f"C{i % 10}", label=curve.label)
+
+
+def _bars(ax, diagram: Diagram) -> None:
+    width = 0.8 / len(diagram.curves)
+    for i, curve in enumerate(diagram.curves):
+        places = np.array(curve.x, dtype=float) + (i - 0.5 * (len(diagram.curves) - 1)) * width
+        ax.bar(places, np.nan_to_num(np.array(curve.y, dtype=float)), width, color=f"C{i % 10}", label=curve.label)
+    ax.set_yscale("log")
+    ax.set_xticks(range(len(diagram.ticks)), diagram.ticks)
