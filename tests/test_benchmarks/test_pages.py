@@ -98,7 +98,7 @@ def test_only_keeps_the_other_sections(tmp_path):
 
 @pytest.mark.slow
 def test_browser_shows_the_page(tmp_path):
-    """The page as it is in docs, in headless Chromium: pictures drawn, no name twice, nothing fetched, nothing cut off."""
+    """The page as it is in docs, in headless Chromium: pictures drawn, names unique, nothing fetched, nothing cut."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     assert browser, "this test needs a browser: apt-get install chromium"
     kept = page(FOLDER)
