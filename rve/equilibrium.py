@@ -326,9 +326,16 @@ def solve_equilibrium(
     >>> (5 * found.pose.lattice[0, :2]).round(6)
     array([11.     , 12.64607])
     """
+    unit = s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
+    return follow(unit, equations, options, start)
+
+
+def follow(
+    s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
+) -> Equilibrium:
+    """Equilibria under whatever load the equations have, `s` being its rows as they are; see `solve_equilibrium`."""
     n = len(s)
     weave, wire = equations.weave, equations.wire
-    s = s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
     first = start if start is not None else start_pose(weave, n)
     contacts = find_contacts(first, weave, wire, options.reach)
     out = Equilibrium(

@@ -6,12 +6,14 @@ Unknown are the 9 reduced coordinates (4-in-1) and one force per contact:
 
 f is a constant Cauchy line load s on the *current* cell: s.(a2y, -a2x) on a1 and s.(-a1y, a1x) on a2. It follows the
 deformation, so its derivative is unsymmetric. J = dr/dq holds load stiffness, contact curvature and the curvature of
-the lattice coordinates. Lengths are in units of r1 and forces in units of s r1.
+the lattice coordinates. Lengths are in units of r1 and forces in units of s r1. Another `Load` may take its place:
+springs towards a given pose are in `spring`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,7 @@ class System:
     """Equations of a batch of n poses with m coordinates and c contact slots.
 
     r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix
-    of the rings for unit density, which weighs the residual (eq. 9).
+    of the rings for unit density, which weighs the residual (eq. 9); size (n,): the force it is measured against.
     """
 
     r: Array
@@ -38,10 +40,11 @@ class System:
     J: Array
     G: Array
     M: Array
+    size: Array
 
     def take(self, rows: NDArray[np.bool_]) -> System:
         """The equations of these cases."""
-        return System(self.r[rows], self.f[rows], self.J[rows], self.G[rows], self.M[rows])
+        return System(*(column[rows] for column in vars(self).values()))
 
     def put(self, rows: NDArray[np.intp], other: System) -> System:
         """A copy in which the equations of `rows` are replaced by those of `other`."""
@@ -55,9 +58,48 @@ class System:
     @property
     def weighted_residual(self) -> Array:
         """R of eq. (9) on the static system, (n,), without unit."""
-        top = np.einsum("ni,ni->n", self.r, np.linalg.solve(self.M, self.r[..., None])[..., 0])
-        base = np.einsum("ni,ni->n", self.f, np.linalg.solve(self.M, self.f[..., None])[..., 0])
-        return np.sqrt(np.maximum(top, 0.0) / base)
+        return weighted_size(self.r, self.M) / self.size
+
+
+def weighted_size(f: Array, M: Array) -> Array:
+    """Size (n,) of generalised forces f (n, m) weighed by the mass matrices M (n, m, m), as in eq. (9)."""
+    return np.sqrt(np.maximum(np.einsum("ni,ni->n", f, np.linalg.solve(M, f[..., None])[..., 0]), 0.0))
+
+
+class Load(Protocol):
+    """What pulls at a cell; `s` holds one row of numbers per case whose meaning is the load's own."""
+
+    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """Generalised force (n, m) on the reduced coordinates and its derivative (n, m, m); T is reduction(pose)."""
+        ...
+
+    def size(self, f: Array, M: Array) -> Array:
+        """The force (n,) that residuals are measured against, for forces f (n, k) and mass matrices M (n, k, k)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LineLoad:
+    """The Cauchy line loads s (n, 3); residuals are relative to them."""
+
+    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """See Load."""
+        f4, K4 = lattice_load(pose, s)
+        Ta = T[:, :4]
+        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K4), Ta)
+        add_lattice_curvature(J, f4)
+        return np.einsum("ni,nij->nj", f4, Ta), J
+
+    def size(self, f: Array, M: Array) -> Array:
+        """See Load."""
+        return weighted_size(f, M)
+
+
+def add_lattice_curvature(J: Array, on_lattice: Array) -> None:
+    """Adds to J (n, m, m) what forces (n, 4) on (a1, a2) do where a1y = t x2 and a2x = t y3 are bilinear."""
+    for row, component in ((0, 1), (1, 2)):
+        J[:, row, 2] += on_lattice[:, component]
+        J[:, 2, row] += on_lattice[:, component]
 
 
 def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
@@ -103,7 +145,7 @@ def mirror_modes(weave: Weave) -> Array:
 
 @dataclass(frozen=True)
 class Equations:
-    """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, and the modes that may move.
+    """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
     modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
     """
@@ -113,19 +155,20 @@ class Equations:
     maps: Array
     mass: Array
     modes: Array
+    load: Load = field(default_factory=LineLoad)
 
     @staticmethod
-    def of(weave: Weave, wire: float, modes: Array | None = None) -> Equations:
-        """Equations of a weave with wire radius r2/r1, with all coordinates free unless `modes` are given."""
+    def of(weave: Weave, wire: float, modes: Array | None = None, load: Load | None = None) -> Equations:
+        """Equations of a weave with wire radius r2/r1; by default all coordinates are free and a line load pulls."""
         free = np.eye(4 * weave.classes + 1) if modes is None else modes
-        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free)
+        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or LineLoad())
 
     def displacement(self, y: Array) -> Array:
         """Reduced displacement (n, m) of the mode amplitudes y (n, k)."""
         return y @ self.modes.T
 
     def assemble(self, pose: Pose, contacts: Contacts, lam: Array, s: Array) -> System:
-        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, 3)."""
+        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
         n, pairs = len(s), len(self.weave.pairs)
         T = reduction(pose)
         m = T.shape[2]
@@ -135,24 +178,18 @@ class Equations:
         G_rows = np.matmul(g[:, None, :], LT)[:, 0]
         force = lam[contacts.present]
 
-        f4, K4 = lattice_load(pose, s)
-        Ta = T[:, :4]
-        f = np.einsum("ni,nij->nj", f4, Ta)
+        f, J = self.load.force(pose, T, s)
         r = f.copy()
         np.add.at(r, case, force[:, None] * G_rows)
-
-        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K4), Ta)
         H = distance_hessian(contacts.minima, contacts.normal_a, contacts.normal_b, 1.0)
         np.add.at(J, case, force[:, None, None] * np.matmul(np.matmul(LT.transpose(0, 2, 1), H), LT))
-        # a1y = t x2 and a2x = t y3 are bilinear in the reduced coordinates.
-        on_lattice = f4.copy()
+        on_lattice = np.zeros((n, 4))
         np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
-        for row, component in ((0, 1), (1, 2)):
-            J[:, row, 2] += on_lattice[:, component]
-            J[:, 2, row] += on_lattice[:, component]
+        add_lattice_curvature(J, on_lattice)
 
         G = np.zeros((n, *contacts.present.shape[1:], m))
         G[contacts.present] = G_rows
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
         B = self.modes
-        return System(r @ B, f @ B, B.T @ J @ B, G.reshape(n, -1, m) @ B, B.T @ M @ B)
+        f, M = f @ B, B.T @ M @ B
+        return System(r @ B, f, B.T @ J @ B, G.reshape(n, -1, m) @ B, M, self.load.size(f, M))
