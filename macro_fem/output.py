@@ -6,6 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +51,8 @@ def _finite(value: Any) -> Any:
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
 
-    Heights are y coordinates. Potentials are -sum force . displacement in N mm; their gap is an error bound of the
+    Heights are y coordinates; hang_deg is the angle of the weave, rings what the law is made of: `rve localize`
+    needs both. Potentials are -sum force . displacement in N mm; their gap is an error bound of the
     discrete problem.
     """
     problem = solution.problem
@@ -77,6 +79,8 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "element": disc.element,
         "pattern": problem.mesh.pattern,
         "law": problem.law.name,
+        "hang_deg": problem.scene.curtain.hang,
+        "rings": None if problem.law.cell is None else asdict(problem.law.cell),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
         "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
         "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
