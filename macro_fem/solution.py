@@ -129,6 +129,11 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 
 
+def spread_tension(problem: Problem) -> float:
+    """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
+    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
+
+
 def gathered_start(problem: Problem) -> Array:
     """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
     X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions

@@ -9,14 +9,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize.law import Array, InputError, MembraneLaw
-from macro_fem import newton
-from macro_fem.assembly import deformation_gradient
-from macro_fem.cones import Cones, green_strain, taken_from, times_triple
+from macro_fem.cones import Cones, taken_from
 from macro_fem.conic import ConicOptions, solve_conic
+from macro_fem.elastic import solve_elastic
 from macro_fem.mesh import build_mesh
 from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
 from macro_fem.scene import Scene
-from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem
+from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension
 from macro_fem.turned import TurnedLaw
 
 COARSE_FROM = 4000
@@ -42,7 +41,7 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
 def solve_problem(problem: Problem) -> CurtainSolution:
     """The curtain of a discrete problem, by the solver its scene names."""
     if problem.scene.solver.kind == "newton":
-        return solve_elastic(problem)
+        return solve_elastic(problem, coarse_cones(problem))
     return solve_locked(problem)
 
 
@@ -86,49 +85,6 @@ def coarse_cones(problem: Problem) -> Cones | None:
         return None
     _, nearest = cKDTree(solution.problem.disc.points).query(problem.disc.points)
     return taken_from(solution.cones, nearest)
-
-
-def solve_elastic(problem: Problem) -> CurtainSolution:
-    """The elastic curtain: Newton's method from the shape and the stress of the rigid one.
-
-    The dual value is the potential less the bound that convexity puts on its error. InputError for straight bars, which
-    the elastic solver does not tie.
-    """
-    scene = problem.scene
-    if problem.supports.tie is not None:
-        raise InputError(f"{scene.source}: [load.bar] straight = true: needs kind = 'rigid'; use straight = false")
-    begin = time.perf_counter()
-    locked = solve_locked(problem)
-    if locked.status == "infeasible":
-        return locked
-    nodes, supports = problem.disc.nodes, problem.supports
-    fixed = supports.mask | supports.pinned
-    membrane = newton.Membrane(problem.disc, problem.law, fixed, supports.positions - nodes, problem.force)
-    options = newton.NewtonOptions(max_iterations=scene.solver.max_iterations)
-    answer = newton.solve(membrane, options, start=locked.displacement, stress=locked.S)
-    last = answer.steps[-1]
-    F = deformation_gradient(problem.disc, last.u)
-    S = problem.law.response(green_strain(F)).S
-    return CurtainSolution(
-        problem=problem,
-        status="converged" if last.status.is_solution else last.status.name.lower(),
-        message=last.status.value,
-        x=nodes + last.u,
-        F=F,
-        P=times_triple(F, S),
-        S=S,
-        primal=last.potential,
-        dual=last.potential - last.energy_bound,
-        residual=last.residual,
-        iterations=answer.statistics.iterations,
-        wall_s=time.perf_counter() - begin,
-        history=answer.history,
-    )
-
-
-def spread_tension(problem: Problem) -> float:
-    """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
-    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
 
 
 def spread_allowance(problem: Problem, tension: float) -> float:
