@@ -4,26 +4,46 @@
 2. a convex, tension-only membrane law is fitted      -> law.json
 3. a curtain of 1 m x 1 m hangs by its two top corners -> curtain/summary.json, curtain.vtu, curtain.png
 
-    python examples/curtain.py [--out DIR] [--cells N]
+    python examples/curtain.py [--out DIR] [--cells N | --accuracy 1e-3]
+
+With --accuracy the load directions and the mesh are those that `python -m benchmarks.work_precision` recommends for a
+mean height good to 1e-2, 1e-3 or 1e-4 of the curtain's height (docs/reports/work_precision.md, "The whole chain"); two
+meshes are extrapolated. answer.json has the mean height.
 
 The checked number (tests/test_examples.py): the curtain's mean height lies inside rigorous bounds from another element.
 """
 
 from __future__ import annotations
 
+import json
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 import numpy as np
 
+ACCURACY = click.FloatRange(min=1e-4, max=1.0)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Spacing of the load directions in degrees, and P2 cells along the width: one mesh, or two for extrapolation."""
+
+    spacing: float
+    cells: tuple[int, ...]
+
+
+DEFAULT = Setting(5.0, (16,))
+SETTINGS = {1e-2: Setting(15.0, (4,)), 1e-3: Setting(9.0, (16,)), 1e-4: Setting(5.0, (8, 16))}
+"""What holds a relative accuracy of the mean height, by measurement."""
 SCENE = """[curtain]
 width = 1000.0      # mm, in the reference state
 height = 1000.0     # mm
 hang = "y"          # weave axis that points down
 [mesh]
 cells = {cells}          # cells along the width
-element = "P1"
+element = "P2"
 [support]
 kind = "corners"
 [load]
@@ -33,14 +53,38 @@ kind = "rigid"      # ideal locking
 """
 
 
-def make_table(out: Path) -> Path:
-    """Solve the paper's 190 load cases, write and draw them."""
-    from rve.plots import draw_case, save
+def setting_for(accuracy: float) -> Setting:
+    """The cheapest setting that holds this accuracy, between 1e-4 and 1."""
+    return SETTINGS[max(held for held in SETTINGS if held <= accuracy)]
+
+
+def grid_of(spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Load directions alpha of 0 to 45 and beta of 0 to 90 degrees, `spacing` apart."""
     from rve.ranges import grid
+
+    return grid(np.arange(0.0, 45.01, spacing), np.arange(0.0, 90.01, spacing))
+
+
+def extrapolated(first: float, *finer: float) -> float:
+    """Mean height at cells of no size from two meshes, each half as coarse as the one before; one stands for itself.
+
+    The error of P2 falls in proportion to the cells, so that the finer one is half as far from the limit.
+    """
+    return 2.0 * finer[0] - first if finer else first
+
+
+def scene_text(cells: int) -> str:
+    """The scene file of the corner-hung curtain."""
+    return SCENE.format(cells=cells)
+
+
+def make_table(out: Path, spacing: float) -> Path:
+    """Solve the load cases (the paper's 190 for 5 degrees), write and draw them."""
+    from rve.plots import draw_case, save
     from rve.sweep import Cell, solve_table
     from rve.table import write_table
 
-    alpha, beta = grid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0))
+    alpha, beta = grid_of(spacing)
     with click.progressbar(length=len(alpha), label="1 rings   ") as bar:
         table = solve_table(alpha, beta, Cell(r1=5.0, r2=0.5), progress=bar.update)
     write_table(table, out / "table.csv")
@@ -68,31 +112,39 @@ def hang_curtain(law: Path, out: Path, cells: int) -> dict[str, object]:
     """Hang the corner-held curtain with this law."""
     from macro_fem.job import run_scene
 
-    click.echo("3 curtain")
     scene = out / "scene.toml"
-    scene.write_text(SCENE.format(cells=cells))
+    scene.write_text(scene_text(cells))
     summary = run_scene(scene, law, out / "curtain", picture=True)
     click.echo(f"  {summary['status']}: {summary['message']}")
-    click.echo(f"  mean height {summary['mean_height_mm']:.2f} mm, lowest point {summary['lowest_point_mm']:.2f} mm")
+    click.echo(f"  {cells} cells along the width: mean height {summary['mean_height_mm']:.2f} mm")
     return summary
 
 
-def run(out: Path, cells: int = 32) -> dict[str, object]:
-    """The whole chain; returns the summary of the curtain."""
+def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
+    """The whole chain; returns what answer.json says. The files of the curtain are those of the finest mesh."""
     out.mkdir(parents=True, exist_ok=True)
-    law = fit_law(make_table(out), out)
-    return hang_curtain(law, out, cells)
+    law = fit_law(make_table(out, setting.spacing), out)
+    click.echo("3 curtain")
+    heights = [float(hang_curtain(law, out, cells)["mean_height_mm"]) for cells in setting.cells]
+    answer = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
+    (out / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
+    click.echo(f"  mean height {answer['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))
+    return answer
 
 
 @click.command()
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder for files."
 )
-@click.option("--cells", default=32, show_default=True, help="Cells along the width of the curtain.")
-def main(out: Path, cells: int) -> None:
+@click.option("--cells", type=click.IntRange(1, 400), help="Cells along the width of the curtain.  [default: 16]")
+@click.option("--accuracy", type=ACCURACY, help="Relative accuracy of the mean height: 1e-2, 1e-3, 1e-4.")
+def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     """From ten rings to a curtain, with files and pictures in one folder."""
+    if cells and accuracy:
+        raise click.UsageError("--accuracy chooses the mesh: give --cells or --accuracy, not both")
+    setting = setting_for(accuracy) if accuracy else Setting(DEFAULT.spacing, (cells,) if cells else DEFAULT.cells)
     began = time.perf_counter()
-    run(out, cells)
+    run(out, setting)
     click.echo(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
 
 

@@ -1,29 +1,22 @@
 """The whole chain, as the README runs it, on a coarse curtain."""
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 
+from examples.curtain import SETTINGS, Setting, extrapolated, main, run, setting_for
 from homogenize.query import strain_answer
 from rve.sweep import solve_table
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory):
-    """Folder and summary of examples/curtain.py with 12 cells along the width."""
-    sys.path.insert(0, str(ROOT / "examples"))
-    try:
-        import curtain
-    finally:
-        sys.path.pop(0)
+    """Folder and answer of examples/curtain.py with 4 and 8 cells along the width."""
     out = tmp_path_factory.mktemp("chain")
-    return out, curtain.run(out, cells=12)
+    return out, run(out, Setting(5.0, (4, 8)))
 
 
 def test_every_file_and_picture_is_there(chain):
@@ -36,14 +29,16 @@ def test_every_file_and_picture_is_there(chain):
 
 
 def test_the_curtain_is_what_its_summary_says(chain):
-    out, summary = chain
+    out, answer = chain
+    summary = json.loads((out / "curtain" / "summary.json").read_text())
     assert summary["status"] == "converged"
-    assert json.loads((out / "curtain" / "summary.json").read_text())["mean_height_mm"] == summary["mean_height_mm"]
+    assert json.loads((out / "answer.json").read_text())["mean_height_mm"] == answer["mean_height_mm"]
     # Primal and dual value bracket the potential, -weight times mean height up to the reference level.
     assert summary["potential_dual_N_mm"] <= summary["potential_primal_N_mm"] + 1e-9
     assert 0 < summary["relative_gap"] < 1e-4
     # Bounds of the continuous problem by another element (examples/corner_hung.toml) hold the mean height.
-    assert 418.0 < summary["mean_height_mm"] < 426.0
+    assert 415.35 < summary["mean_height_mm"] < 420.36
+    assert 415.35 < answer["mean_height_mm"] < summary["mean_height_mm"]
     assert summary["total_load_N"][1] == pytest.approx(-27.32, abs=0.01)
 
 
@@ -57,3 +52,26 @@ def test_the_law_predicts_loads_off_the_grid(chain):
     unique = truth.unique & np.array([answer["unique"] for answer in answers], dtype=bool)
     assert unique.sum() > 40
     np.testing.assert_allclose(predicted[unique], truth.E[unique], atol=5e-3)
+
+
+def test_accuracy_chooses_the_cheapest_setting_that_holds_it():
+    assert [setting_for(a) for a in (1.0, 1e-2, 9e-3, 1e-3, 2e-4, 1e-4)] == [
+        SETTINGS[a] for a in (1e-2, 1e-2, 1e-3, 1e-3, 1e-4, 1e-4)
+    ]
+    assert extrapolated(3.0, 2.0) == 1.0
+    assert extrapolated(3.0) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--accuracy", "1e-5"], "range"),
+        (["--accuracy", "1e-3", "--cells", "8"], "not both"),
+        (["--cells", "0"], "range"),
+    ],
+)
+def test_what_no_setting_holds_is_refused(arguments, word, tmp_path):
+    done = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert word in done.output
+    assert not (tmp_path / "out").exists()
