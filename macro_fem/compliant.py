@@ -142,7 +142,7 @@ def excess(program: Program, state: State) -> float:
     short = -float((program.w * (size * program.c + soc.row_dot(tail, FL))).sum())
     forces = float(np.abs(program.fem.force(program.pull(state.y)[0])).sum())
     lacking = short - REACH * forces * program.scale / program.total
-    return max(0.0, lacking / float((program.w * size * program.c).sum()))
+    return lacking / float((program.w * size * program.c).sum()) if lacking > 0.0 else 0.0
 
 
 class _Newton:

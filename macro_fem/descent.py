@@ -6,8 +6,9 @@ import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import sparse
 
-from macro_fem.assembly import Array, Pattern, gradient, sparsity, stiffness
+from macro_fem.assembly import Array, Pattern, gradient, sparsity, stiffness, tied_pattern
 from macro_fem.linear import Factor, LinearSolver, NotPositiveDefiniteError, analyze, rigid_motions
 from macro_fem.membrane import Membrane, State, evaluate, tangent
 from macro_fem.newton_records import LoadStep, NewtonOptions, NewtonRecord, NewtonStatus
@@ -30,10 +31,11 @@ class Work:
     true: Membrane
     membrane: Membrane
     options: NewtonOptions
-    pattern: Pattern
+    pattern: Pattern  # of the free components, or with ties of all
     solver: LinearSolver
     spring: Array  # data of L, the unit spring in every displacement gradient
     share: Array  # root of the area around each node (n_nodes,), about the force of a unit stress on it
+    tied: tuple[Pattern, sparse.csr_matrix] | None = None  # see `assembly.tied_pattern`
     stiffest: float = 0.0  # largest trace of the law's tangent seen so far, N/mm
     caution: float = 1.0  # factor on eps, from how short the steps were
     history: list[NewtonRecord] = field(default_factory=list)
@@ -46,14 +48,21 @@ class Work:
     def of(membrane: Membrane, options: NewtonOptions) -> Work:
         begin = time.perf_counter()
         disc = membrane.disc
-        pattern = sparsity(disc, membrane.d, ~membrane.fixed)
-        solver = analyze(pattern, options.linear, rigid_motions(pattern, disc.nodes))
+        tie = membrane.tie
+        pattern = sparsity(disc, membrane.d, np.ones_like(membrane.fixed) if tie is not None else ~membrane.fixed)
+        tied = None if tie is None else tied_pattern(pattern, tie)
+        if tied is None:
+            solver = analyze(pattern, options.linear, rigid_motions(pattern, disc.nodes))
+        else:
+            solver = analyze(tied[0], options.linear)
         unit = np.zeros((membrane.d, 2, membrane.d, 2, disc.n_points))
         for i, j in np.ndindex(membrane.d, 2):
             unit[i, j, i, j] = 1.0
         spring = stiffness(disc, pattern, np.moveaxis(unit, -1, 0))
+        if tied is not None:
+            spring = tied[1] @ pattern.full(spring).data
         size = np.sqrt(np.bincount(disc.cell_dofs.ravel(), np.repeat(_cell_area(membrane), disc.cell_dofs.shape[1])))
-        work = Work(membrane, membrane, options, pattern, solver, spring, size)
+        work = Work(membrane, membrane, options, pattern, solver, spring, size, tied)
         work.assembly_s = time.perf_counter() - begin
         return work
 
@@ -96,6 +105,8 @@ class Work:
         self.stiffest = max(self.stiffest, float(trace.max()))
         A = tangent(state.F, response.S, response.C)
         data = stiffness(self.membrane.disc, self.pattern, A)
+        if self.tied is not None:
+            data = self.tied[1] @ self.pattern.full(data).data
         self.assembly_s += time.perf_counter() - begin
         return A, data
 
@@ -119,20 +130,34 @@ class Work:
         None if conjugate gradients met a direction without stiffness.
         """
         begin = time.perf_counter()
-        p = np.zeros(self.membrane.fixed.size)
         try:
-            solution = factor.solve(force.ravel()[self.pattern.free])
+            solution = factor.solve(self.gather(force))
         except NotPositiveDefiniteError:
             return None
         finally:
             self.linear_s += time.perf_counter() - begin
-        p[self.pattern.free] = solution.x
-        return p.reshape(self.membrane.fixed.shape), solution.residual
+        return self._spread(solution.x), solution.residual
+
+    def gather(self, nodal: Array) -> Array:
+        """The generalised forces (n,) of nodal forces (n_nodes, d) on the unknowns."""
+        tie = self.membrane.tie
+        return nodal.ravel()[self.pattern.free] if tie is None else np.asarray(tie.T @ nodal.ravel())
+
+    def _spread(self, x: Array) -> Array:
+        p = np.zeros(self.membrane.fixed.size)
+        if self.membrane.tie is None:
+            p[self.pattern.free] = x
+        else:
+            p = self.membrane.tie @ x
+        return p.reshape(self.membrane.fixed.shape)
 
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """A state under a load: residual (n_nodes, d), zero at supports; potential; relative norm and its tolerance."""
+    """A state under a load: residual (n_nodes, d), zero at supports; potential; relative norm and its tolerance.
+
+    The norm is that of the generalised forces on the unknowns, `Work.gather(residual)`.
+    """
 
     residual: Array
     potential: float
@@ -152,7 +177,7 @@ def balance_of(work: Work, state: State, load: LoadStep) -> Balance:
     return Balance(
         residual=r,
         potential=state.stored - float(work_done.sum()),
-        relative=float(np.linalg.norm(r)) / scale,
+        relative=float(np.linalg.norm(work.gather(r))) / scale,
         tolerance=work.options.rtol + floor / scale,
     )
 

@@ -201,7 +201,9 @@ def solve_elastic(problem: Problem, cones: Cones | None = None) -> CurtainSoluti
     found = approach(problem, load, ElasticOptions(max_iterations=spec.max_iterations), cones)
     supports, nodes = problem.supports, problem.disc.nodes
     fixed = supports.mask | supports.pinned
-    membrane = newton.Membrane(problem.disc, problem.law, fixed, supports.positions - nodes, problem.force)
+    membrane = newton.Membrane(
+        problem.disc, problem.law, fixed, supports.positions - nodes, problem.force, supports.tie
+    )
     left = max(0, spec.max_iterations - len(found.history))
     options = newton.NewtonOptions(max_iterations=0 if found.status == "infeasible" else left, soften_after=left)
     answer = newton.solve(membrane, options, start=fem.positions(found.z) - nodes)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from homogenize.law import Array
-from macro_fem.assembly import Discretization, Pattern, gradient, internal_force, sparsity, stiffness
+from macro_fem.assembly import Discretization, Pattern, gradient, internal_force, sparsity, stiffness, tied_pattern
 from macro_fem.linear import Factor, LinearSolver, NotPositiveDefiniteError, analyze
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
@@ -113,23 +113,7 @@ class SupportedFem:
     def _tied(self) -> tuple[Pattern, sparse.csr_matrix]:
         """The pattern of T^T K T and the matrix that turns the entries of K into its lower triangle's."""
         assert self.tie is not None
-        numbers = self.pattern.full(np.zeros(self.pattern.nnz))
-        row, column = numbers.indices, np.repeat(np.arange(numbers.shape[0]), np.diff(numbers.indptr))
-        masters, shares = _padded_rows(self.tie)
-        keys, entries, values = [], [], []
-        for a, b in np.ndindex(masters.shape[1], masters.shape[1]):
-            i, j = masters[row, a], masters[column, b]
-            keep = (j >= 0) & (i >= j)
-            keys.append((j * self.n + i)[keep])
-            entries.append(np.flatnonzero(keep))
-            values.append((shares[row, a] * shares[column, b])[keep])
-        unique, place = np.unique(np.concatenate(keys), return_inverse=True)
-        shape = (len(unique), numbers.nnz)
-        spread = sparse.coo_matrix((np.concatenate(values), (place, np.concatenate(entries))), shape=shape).tocsr()
-        j, i = np.divmod(unique, self.n)
-        indptr = np.searchsorted(j, np.arange(self.n + 1)).astype(np.int32)
-        no_slot = np.zeros((0, 0), dtype=np.int64)
-        return Pattern(self.n, self.d, np.arange(self.n), indptr, i.astype(np.int32), no_slot), spread
+        return tied_pattern(self.pattern, self.tie)
 
     def _spread(self, z: Array) -> Array:
         out = np.zeros(self.x_held.size)
@@ -153,14 +137,3 @@ def _refined(factor: Factor, matrix: sparse.csc_matrix, b: Array) -> Array:
             break
         best, least = x, size
     return best
-
-
-def _padded_rows(T: sparse.csc_matrix) -> tuple[np.ndarray, Array]:
-    """Columns and values of the rows of T as (rows, widest): absent entries are column -1 and value 0."""
-    T = T.tocsr()
-    length = np.diff(T.indptr)
-    where = (np.repeat(np.arange(T.shape[0]), length), np.arange(T.nnz) - np.repeat(T.indptr[:-1], length))
-    columns = np.full((T.shape[0], int(length.max())), -1, dtype=np.int64)
-    values = np.zeros(columns.shape)
-    columns[where], values[where] = T.indices, T.data
-    return columns, values

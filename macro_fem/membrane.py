@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from homogenize.law import Response
 from macro_fem.assembly import Array, Discretization, gradient, internal_force
@@ -24,7 +25,8 @@ class Membrane:
     """A sheet, its law, its supports and its loads.
 
     fixed (n_nodes, d): which components of the displacement are held. displacement (n_nodes, d): where they are held,
-    mm; read at fixed components only. force (n_nodes, d): dead nodal forces, N (see `load_vector`).
+    mm; read at fixed components only. force (n_nodes, d): dead nodal forces, N (see `load_vector`). tie: T
+    (n_nodes * d, n_z) of which the free part of every displacement is T z, None where each free component is its own.
     """
 
     disc: Discretization
@@ -32,6 +34,7 @@ class Membrane:
     fixed: NDArray[np.bool_]
     displacement: Array
     force: Array
+    tie: sparse.csc_matrix | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong to one mesh, and values that are not numbers."""
@@ -43,6 +46,8 @@ class Membrane:
                 raise ValueError(f"{name} has the shape {np.shape(value)}, fixed has {shape}")
             if not np.all(np.isfinite(value)):
                 raise ValueError(f"{name} holds a value that is not finite")
+        if self.tie is not None and (self.tie.shape[0] != self.fixed.size or self.tie[self.fixed.ravel()].nnz):
+            raise ValueError(f"tie has {self.tie.shape[0]} rows, or moves one of the {self.fixed.size} held components")
 
     @property
     def d(self) -> int:

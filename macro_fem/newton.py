@@ -100,8 +100,8 @@ def solve(
         assembly_s=work.assembly_s,
         linear_s=work.linear_s,
         wall_s=time.perf_counter() - begin,
-        unknowns=work.pattern.n,
-        matrix_entries=work.pattern.nnz,
+        unknowns=len(work.gather(u)),
+        matrix_entries=len(work.spring),
         linear_method=work.solver.method,
     )
     return NewtonSolution(tuple(results), tuple(work.history), statistics)
@@ -129,7 +129,7 @@ def _solve_step(
         status=status,
         potential=balance.potential,
         stored=state.stored,
-        energy_bound=reach * float(np.abs(balance.residual).sum()),
+        energy_bound=reach * float(np.abs(work.gather(balance.residual)).sum()),
         residual=balance.relative,
         tolerance=balance.tolerance,
         iterations=count,

@@ -1,0 +1,254 @@
+"""The elastic curtain through its own solver: closed forms, the rigid limit, iterations that do not grow, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import skfem
+
+from homogenize.law import InputError, default_law, diagonal_net
+from macro_fem import compliant
+from macro_fem.assembly import cell_mean, discretize
+from macro_fem.cones import first_cones
+from macro_fem.elastic import approach, solve_elastic
+from macro_fem.fem import SupportedFem
+from macro_fem.interior import Iteration
+from macro_fem.membrane import Membrane, evaluate
+from macro_fem.mesh import build_mesh
+from macro_fem.newton import NewtonOptions, solve
+from macro_fem.newton_records import NewtonRecord
+from macro_fem.scene import read_scene
+from macro_fem.solution import make_problem
+from macro_fem.solvers import solve_scene
+
+NEWTON = {"kind": "newton"}
+PER_MM2 = 2.785e-6 * 9.81
+
+
+def rings(stiffness):
+    """The shipped ring law with another stiffness, N/mm."""
+    return replace(default_law(), stiffness=stiffness * np.eye(3))
+
+
+def hanging_strip(locked, stiffness, height, per_mm2):
+    """Mean height and potential per width of a strip whose stretch t has (t^2 - 1)/2 = locked + S/k, t S = weight below.
+
+    The cubic is solved at Gauss points; 40 of them integrate the smooth stretch to round-off.
+    """
+    points, weights = np.polynomial.legendre.leggauss(40)
+    weights = 0.5 * height * weights
+    load = per_mm2 * 0.5 * height * (points + 1.0)
+    t = np.array([max(np.real(np.roots([0.5 * stiffness, 0.0, -stiffness * (0.5 + locked), -p]))) for p in load])
+    sag = weights @ (load * t)  # of the weight, from the rail: per_mm2 times the integral of the depth
+    stored = weights @ (0.5 * stiffness * (0.5 * (t**2 - 1.0) - locked) ** 2)
+    return height - sag / (per_mm2 * height), stored - sag + 0.5 * per_mm2 * height**2
+
+
+@pytest.mark.parametrize(("hang", "kind"), [("y", "top"), ("y", "rail"), ("x", "rail")])
+@pytest.mark.parametrize(
+    ("element", "order", "stiffness"), [("P1", 2, 1.0), ("P2", 4, 1.0), ("Q2", 4, 1.0), ("P1", 2, 1e3)]
+)
+def test_hanging_strips_have_their_closed_form(scene_tables, hang, kind, element, order, stiffness):
+    """Stretch = locked + compliance times load. The potential comes from above, at twice the element's order."""
+    law = rings(stiffness)
+    locked = float(law.support(np.array([[0.0, 0.0, 1.0]] if hang == "y" else [[1.0, 0.0, 0.0]]))[0])
+    height = 1000.0
+    mean_height, potential = hanging_strip(locked, stiffness, height, PER_MM2)
+    errors = []
+    for cells in (2, 4):
+        tables = scene_tables(hang=hang, width=height, height=height, support={"kind": kind}, solver=NEWTON)
+        tables["mesh"] = {"cells": cells, "element": element, "pattern": "crossed"}
+        solution = solve_scene(read_scene(tables), law)
+        assert solution.status == "converged"
+        errors.append(solution.primal / height - potential)
+    scale = PER_MM2 * height**2
+    assert -1e-12 * scale < errors[1] <= errors[0] + 1e-12 * scale
+    assert errors[0] / errors[1] > 0.8 * 2**order or errors[1] < 1e-10 * scale
+    assert solution.mean_height() == pytest.approx(
+        mean_height, abs=(1e-4 if element == "P1" else 1e-6) * height / stiffness
+    )
+
+
+@pytest.mark.parametrize(("hang", "kind"), [("y", "top"), ("y", "rail"), ("x", "rail")])
+@pytest.mark.parametrize(("stiffness", "accuracy"), [(1.0, 1e-8), (1e3, 1e-8), (1e5, 1e-5)])
+def test_line_load_is_the_weight_below(scene_tables, hang, kind, stiffness, accuracy):
+    """Row by row, statics alone decide it; at 1e5 N/mm round-off in the strain is what remains."""
+    tables = scene_tables(hang=hang, width=100.0, height=200.0, support={"kind": kind}, solver=NEWTON)
+    tables["mesh"] = {"cells": 4, "pattern": "crossed"}
+    solution = solve_scene(read_scene(tables), rings(stiffness))
+    assert solution.status == "converged"
+    disc = solution.problem.disc
+    row = np.floor(cell_mean(disc, disc.points)[:, 1] / 25.0).astype(int)
+    P = cell_mean(disc, solution.P)[:, 1, 1]
+    line_load = np.bincount(row, P * disc.weight) / np.bincount(row, disc.weight)
+    exact = PER_MM2 * 25.0 * (np.arange(8) + 0.5)
+    np.testing.assert_allclose(line_load, exact, atol=accuracy * exact.max())
+
+
+@pytest.mark.parametrize(
+    ("support", "load"),
+    [
+        ({"kind": "corners"}, {}),
+        ({"kind": "top", "gather": 0.8}, {}),
+        ({"kind": "corners"}, {"bar": {"mass": 0.1}}),
+        ({"kind": "hooks", "pitch": 50.0, "sliding": True}, {}),
+    ],
+)
+def test_elastic_minus_rigid_is_proportional_to_the_compliance(scene_tables, support, load):
+    """k times the fall of the potential tends to a constant, half the least sum of |S|^2; and it is never negative."""
+    tables = scene_tables(support=support, load=load)
+    rigid = solve_scene(read_scene(tables), default_law())
+    elastic = {k: solve_scene(read_scene({**tables, "solver": NEWTON}), rings(k)) for k in (1e2, 1e3, 1e4)}
+    assert {one.status for one in (rigid, *elastic.values())} == {"converged"}
+    scaled = [k * (rigid.primal - one.primal) for k, one in elastic.items()]
+    assert scaled[0] > 0.0
+    assert abs(scaled[2] - scaled[1]) < 0.02 * scaled[2]
+    assert abs(scaled[1] - scaled[0]) < 0.1 * scaled[1]
+    last = elastic[1e4]
+    stored = 0.5 * last.problem.disc.weight @ (last.S**2 @ [1.0, 2.0, 1.0])
+    assert scaled[2] == pytest.approx(stored, rel=0.01)
+
+
+@pytest.mark.parametrize("stiffness", [1e-1, 1e1, 1e3, 1e5])
+def test_iterations_do_not_grow_with_stiffness(scene_tables, stiffness):
+    tables = scene_tables(width=1000.0, height=1000.0, support={"kind": "corners"}, solver=NEWTON)
+    tables["mesh"] = {"cells": 6, "pattern": "crossed"}
+    solution = solve_scene(read_scene(tables), rings(stiffness))
+    assert solution.status == "converged"
+    assert sum(isinstance(line, Iteration) for line in solution.history) < 130
+    assert sum(isinstance(line, NewtonRecord) for line in solution.history) < 40
+
+
+@pytest.mark.slow
+def test_iterations_hardly_grow_with_the_mesh(scene_tables):
+    """Newton's method alone took 9, 90 and 611 on 224, 896 and 3584 cells."""
+    counts = []
+    for cells in (8, 30):
+        tables = scene_tables(width=1000.0, height=1000.0, support={"kind": "corners"}, solver=NEWTON)
+        tables["mesh"] = {"cells": cells, "pattern": "crossed"}
+        solution = solve_scene(read_scene(tables), default_law())
+        assert solution.status == "converged"
+        counts.append(solution.iterations)
+    assert counts[1] < 2.0 * counts[0] < 400
+
+
+@pytest.mark.parametrize("support", [{"kind": "corners"}, {"kind": "top", "gather": 0.8}])
+def test_a_straight_bar_stays_straight(scene_tables, support):
+    """As in the rigid curtain; it costs energy against a loose bar, and the supports carry it."""
+    bar = scene_tables(support=support, load={"bar": {"mass": 3.0}}, solver=NEWTON)
+    solution = solve_scene(read_scene(bar), diagonal_net(1.1))
+    assert solution.status == "converged"
+    disc = solution.problem.disc
+    hem = np.flatnonzero(np.isclose(disc.nodes[:, 1], 0.0))
+    x = solution.x[hem[np.argsort(disc.nodes[hem, 0])]]
+    even = np.broadcast_to((x[-1] - x[0]) / (len(x) - 1), (len(x) - 1, 2))
+    np.testing.assert_allclose(np.diff(x, axis=0), even, atol=1e-9)
+    loose = solve_scene(read_scene({**bar, "load": {"bar": {"mass": 3.0, "straight": False}}}), diagonal_net(1.1))
+    assert loose.primal <= solution.primal + 1e-9 * abs(solution.primal)
+    weight = 9.81 * 3.0 + PER_MM2 * 1e4
+    np.testing.assert_allclose(solution.reactions.sum(axis=0), [0.0, weight], atol=1e-8 * weight)
+
+
+def test_supports_out_of_reach_are_refused_by_proof(scene_tables):
+    """Far out of reach ends in the sentence; a hair out of reach is what an elastic law is for."""
+    far = scene_tables(support={"kind": "top", "gather": 2.0}, solver=NEWTON)
+    refused = solve_scene(read_scene(far), default_law())
+    assert refused.status == "infeasible"
+    assert "farther apart than the mesh can stretch" in refused.message
+    pulled = [{"kind": "edge", "edge": "top", "move": [0.0, 42.0]}, {"kind": "edge", "edge": "bottom"}]
+    tables = {**scene_tables(solver=NEWTON), "support": pulled}
+    assert solve_scene(read_scene(tables), diagonal_net(1.0, 1e3)).status == "infeasible"  # 0.42 > sqrt(2) - 1
+    assert solve_scene(read_scene(tables), diagonal_net(1.0, 1e-3)).status == "converged"
+    assert solve_scene(read_scene({**tables, "solver": {}}), diagonal_net(1.0, 1e-3)).status == "infeasible"
+
+
+def test_interior_points_end_at_the_answer_and_claim_no_proof_against_it(scene_tables):
+    """Before Newton's method: the dual stress is the law's stress at the answer, and out of reach is not claimed."""
+    tables = scene_tables(support={"kind": "corners"}, mesh={"cells": 4}, solver=NEWTON)
+    scene = read_scene(tables)
+    law = rings(1e3)
+    problem = make_problem(scene, law, build_mesh(scene, law.cell))
+    found = approach(problem, problem.fem.gather(problem.force))
+    assert found.status in ("converged", "stalled")  # rounding may stop the last digits of what hangs slack
+    assert found.excess == 0.0
+    answer = solve_elastic(problem)
+    np.testing.assert_allclose(found.S, answer.S, atol=1e-3 * np.abs(answer.S).max())
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_interior_points_do_not_see_which_way_the_plane_lies(seed):
+    """d = 3: the sheet in a turned plane has the energy and the stress of the one in the plane."""
+    rng = np.random.default_rng(seed)
+    mesh = skfem.MeshTri.init_tensor(np.linspace(0, 40, 5), np.linspace(0, 40, 5))
+    disc = discretize(mesh, "P1")
+    law = diagonal_net(1.0, 1.0)
+    Q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    top = disc.nodes[:, 1] == 40.0
+    x = disc.nodes * [0.8, 1.0]
+    weight = np.bincount(disc.cell_dofs.ravel(), np.repeat(disc.weight, 3)) / 3.0 * 1e-3
+    energy, stress = [], []
+    for d in (2, 3):
+        turn = np.eye(2) if d == 2 else Q[:, :2].T
+        held = np.repeat(top[:, None], d, axis=1)
+        fem = SupportedFem(disc, np.where(held, x @ turn, 0.0), ~held.ravel())
+        load = fem.gather(weight[:, None] * (np.array([0.0, -1.0]) @ turn))
+        total = float(weight.sum())
+        program = compliant.make_program(fem, load, first_cones(law, disc.n_points), law.compliance, 40 * total, total)
+        z = fem.unknowns(0.5 * x @ turn)
+        eps = np.zeros((disc.n_points, 3))
+        s = program.slack(z, eps)
+        s = replace(s, head=np.linalg.norm(s.tail, axis=1) + program.c)
+        y = compliant.soc.inverse(s, 10.0 * program.scale / float(program.w.sum()))
+        state, now, status, _ = compliant.follow(program, compliant.State(z, eps, s, y), 1e-9, 60)
+        assert status == "converged"
+        energy.append(-float(load @ state.z) + 0.5 * float(disc.weight @ (state.eps**2).sum(axis=1)))
+        stress.append(program.stress(state.y))
+    assert energy[1] == pytest.approx(energy[0], rel=1e-7)
+    total = [disc.weight @ S for S in stress]
+    np.testing.assert_allclose(total[1], total[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("S", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.0, 0.5], [0.6, 0.3, 0.4], [0.9, -0.25, 0.1]])
+@pytest.mark.parametrize("element", ["P1", "P2", "Q2"])
+def test_patch_in_every_locked_state_of_the_rings(S, element):
+    """An edge moved to E* + D S all around: the whole sheet stores what one point does."""
+    law = rings(10.0)
+    S = 0.2 * np.array(S)
+    reach = (law.vertices * [1.0, 2.0, 1.0]) @ S
+    touched = law.vertices[reach > reach.max() - 1e-12]
+    locked = touched[
+        np.argmax(np.minimum(touched[:, 0], touched[:, 2]))
+    ]  # of a flat face a state that is not collapsed
+    E = locked + S @ law.compliance.T
+    C = np.array([[1.0 + 2.0 * E[0], 2.0 * E[1]], [2.0 * E[1], 1.0 + 2.0 * E[2]]])
+    values, vectors = np.linalg.eigh(C)
+    F = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    mesh_type = skfem.MeshQuad if element[0] == "Q" else skfem.MeshTri
+    disc = discretize(mesh_type.init_tensor(np.linspace(0, 1, 4), np.linspace(0, 1, 4)), element)
+    edge = np.any((disc.nodes == 0.0) | (disc.nodes == 1.0), axis=1)
+    u = disc.nodes @ (F - np.eye(2)).T
+    fixed = np.repeat(edge[:, None], 2, axis=1)
+    sheet = Membrane(disc, law, fixed, u, np.zeros_like(u))
+    start = u + 0.01 * np.random.default_rng(0).standard_normal(u.shape) * ~fixed
+    solution = solve(sheet, NewtonOptions(rtol=1e-10), start=start)
+    assert solution.status.is_solution
+    point = law.response(E[None])
+    assert point.energy[0] == pytest.approx(0.5 * (S**2 @ [1.0, 2.0, 1.0]) / 10.0, rel=1e-6)
+    assert solution.steps[-1].stored == pytest.approx(point.energy[0], rel=1e-8)
+    found = evaluate(sheet, solution.u).response.S
+    np.testing.assert_allclose(found, np.broadcast_to(S, found.shape), atol=1e-6)
+
+
+def test_ties_that_move_held_nodes_are_refused():
+    from scipy import sparse
+
+    disc = discretize(skfem.MeshTri(), "P1")
+    fixed = np.ones((4, 2), bool)
+    with pytest.raises(ValueError, match="tie"):
+        Membrane(disc, diagonal_net(), fixed, np.zeros((4, 2)), np.zeros((4, 2)), sparse.eye(8, format="csc"))
+
+
+def test_bars_on_bent_edges_are_still_refused(scene_tables):
+    tables = scene_tables(load={"bar": {"mass": 1.0, "edge": "outline"}}, solver=NEWTON)
+    with pytest.raises(InputError, match="outline"):
+        solve_scene(read_scene(tables), diagonal_net(1.1))
