@@ -1,4 +1,4 @@
-"""Command line: `python -m rve table`, `case`, `study`. `--help` of each says what it takes."""
+"""Command line: `python -m rve table`, `case`, `study`, `localize`. `--help` of each says what it takes."""
 
 from __future__ import annotations
 
@@ -43,6 +43,24 @@ def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+def _feature_options(command: Callable[..., None]) -> Callable[..., None]:
+    for decorate in (
+        click.option("--force", multiple=True, help="Use this feature (or all) though the scene does not need it."),
+        click.option("--explain", is_flag=True, help="Say what was used and left out, and why."),
+    ):
+        command = decorate(command)
+    return command
+
+
+def _explain(found: Any) -> None:
+    """The run's decisions on standard error: `case` keeps standard output for its JSON."""
+    from rve.explain import decisions, moving_decisions
+
+    direct = found.provenance["method"] == "direct"
+    for decision in decisions(found.provenance) if direct else moving_decisions(found.provenance):
+        click.echo(str(decision), err=True)
+
+
 def _cell(r1: float, r2: float, grain: str, weave: str) -> Any:
     from rve.sweep import Cell
     from rve.weave import WEAVES
@@ -54,20 +72,24 @@ def _cell(r1: float, r2: float, grain: str, weave: str) -> Any:
 
 def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, Any]) -> Any:
     """The table of these load directions by either method."""
+    from rve.equilibrium import DirectOptions
+    from rve.explain import MOVING, checked_force
     from rve.resume import SweepOptions
     from rve.st_table import solve_table_stewart_trinkle
+    from rve.stewart_trinkle import StewartTrinkleOptions
     from rve.sweep import solve_table
 
     if method == "stewart-trinkle":
+        moving = StewartTrinkleOptions(gyroscopic="gyroscopic" in checked_force(how["force"], MOVING))
         options = SweepOptions(folder=how["checkpoint"], workers=how["workers"])
-        return solve_table_stewart_trinkle(*directions, mesh, how=options)
+        return solve_table_stewart_trinkle(*directions, mesh, moving, how=options)
     if how["checkpoint"] is not None or how["workers"] != 1:
         raise InputError(
             "--checkpoint and --workers belong to --method stewart-trinkle; the direct solver needs neither"
         )
     hidden = not sys.stderr.isatty()
     with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=hidden) as bar:
-        return solve_table(*directions, mesh, progress=bar.update)
+        return solve_table(*directions, mesh, DirectOptions(force=checked_force(how["force"])), progress=bar.update)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -87,6 +109,7 @@ def main() -> None:
 )
 @click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm.")
+@_feature_options
 @_cell_options
 @_one_sentence
 def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **rest: Any) -> None:
@@ -96,8 +119,8 @@ def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **r
     from rve.st_table import with_compliance
     from rve.table import write_table
 
-    how = {name: rest.pop(name) for name in ("checkpoint", "workers")}
-    stiffness, span = rest.pop("compliance"), rest.pop("span")
+    how = {name: rest.pop(name) for name in ("checkpoint", "workers", "force")}
+    stiffness, span, explain = rest.pop("compliance"), rest.pop("span"), rest.pop("explain")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
     mesh = _cell(**rest)
@@ -110,6 +133,8 @@ def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **r
     if span:
         found = with_span(found, mesh)
     write_table(found, out)
+    if explain:
+        _explain(found)
     good = int(found.converged.sum())
     free = int((~found.unique & found.converged).sum())
     click.echo(f"{out}: {good} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
@@ -124,17 +149,22 @@ def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **r
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write.")
+@_feature_options
 @_cell_options
 @_one_sentence
-def case(alpha: float, beta: float, plot: Path | None, **cell: Any) -> None:
+def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tuple[str, ...], **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
+    from rve.equilibrium import DirectOptions
+    from rve.explain import checked_force
     from rve.sweep import solve_table
     from rve.table import COLUMNS
 
     if plot is not None and not plot.parent.is_dir():
         raise InputError(f"--plot = {plot}: the folder {plot.parent} does not exist")
     mesh = _cell(**cell)
-    found = solve_table([alpha], [beta], mesh)
+    found = solve_table([alpha], [beta], mesh, DirectOptions(force=checked_force(force)))
+    if explain:
+        _explain(found)
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"alpha = {alpha}, beta = {beta}: {status}: {SENTENCES[status]}")
@@ -158,3 +188,32 @@ def study(out: Path) -> None:
 
     found = run(out, progress=lambda text: click.echo(text, err=True))
     click.echo(markdown(comparison(found)), nl=False)
+
+
+@main.command(name="localize")
+@click.argument("curtain", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
+@click.option("--r1", type=float, help="Radius of a ring's centre circle in mm; by default as in summary.json.")
+@click.option("--r2", type=float, help="Radius of the wire in mm; by default as in summary.json.")
+@click.option("--hang", "hang_deg", type=float, help="Angle of the weave in degrees; by default as in summary.json.")
+@click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh.")
+@click.option("--grain", default="y", show_default=True, help="Interlacing direction in the law's table, x or y.")
+@click.option("--window", help="Only the rings in x0,y0,x1,y1 (mm, before deformation).")
+@click.option("--tubes/--lines", default=False, show_default=True, help="Write tori, or centre lines.")
+@click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
+@click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
+@_one_sentence
+def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) -> None:
+    """Find back to the rings: from CURTAIN, the curtain.vtu of macro_fem, to rings.vtu, rings.png, worst_cell.csv."""
+    from rve.localize_job import JobOptions, run_localize
+    from rve.ranges import parse_window
+
+    found = run_localize(curtain, out, JobOptions(window=parse_window(window), **rest))
+    by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
+    click.echo(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
+    click.echo(f"{found['links_intact']} of {found['links']} links intact as drawn")
+    worst = found["worst_cell"]
+    click.echo(f"worst cell {worst['cell']}: {worst['contacts']} contacts, at most {worst['largest_force_N']:.4g} N")
+    for name in found["cells_by_status"]:
+        if name != "met":
+            click.echo(f"{name}: {found['meanings'][name]}")

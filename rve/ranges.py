@@ -60,3 +60,20 @@ def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
             )
         out.append(values)
     return out[0], out[1]
+
+
+def parse_window(text: str | None) -> tuple[float, float, float, float] | None:
+    """A window from "x0,y0,x1,y1" in mm, or None for None; raises InputError.
+
+    >>> parse_window("0,0,50,80.5")
+    (0.0, 0.0, 50.0, 80.5)
+    """
+    if text is None:
+        return None
+    try:
+        x0, y0, x1, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--window = {text!r}: write x0,y0,x1,y1 in mm") from None
+    if not (np.isfinite([x0, y0, x1, y1]).all() and x0 < x1 and y0 < y1):
+        raise InputError(f"--window = {text!r}: must be finite numbers with x0 < x1 and y0 < y1")
+    return x0, y0, x1, y1

@@ -1,0 +1,144 @@
+"""What `localize` needs of a solved curtain: its VTU, and the weave that the summary beside it names."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.errors import InputError
+
+Array = NDArray[np.float64]
+
+_CELL_FIELDS = {
+    "E": ("E_11_12_22", 3),
+    "S": ("S_11_12_22_N_per_mm", 3),
+    "line_load": ("line_load_1_N_per_mm", 1),
+    "state": ("state_0_slack_1_wrinkled_2_taut", 1),
+}
+
+
+@dataclass(frozen=True)
+class Curtain:
+    """A solved curtain in its own axes.
+
+    X, x (p, 2): corners before and after, mm; triangles (t, 3) of corner numbers; cell (t,): cell of each triangle
+    (quadrilaterals are cut in two); per cell the strain E (c, 3), the line load S (c, 3) in N/mm averaged over
+    neighbours, the largest principal line load (c,) and the state (c,): 0 slack, 1 drawn in one direction, 2 taut.
+    """
+
+    X: Array
+    x: Array
+    triangles: NDArray[np.intp]
+    cell: NDArray[np.intp]
+    E: Array
+    S: Array
+    line_load: Array
+    state: NDArray[np.intp]
+
+
+def read_curtain(path: Path) -> Curtain:
+    """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise."""
+    import meshio
+
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        data = meshio.read(path, file_format="vtu")
+    except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, ParseError, zlib.error, SystemExit) as error:
+        raise InputError(f"{path}: cannot be read as VTU: {_first_line(error)}") from error
+    kinds = [block.type for block in data.cells if len(block.data)]
+    if kinds not in (["triangle"], ["quad"]):
+        raise InputError(f"{path}: needs cells of one kind, triangle or quad, it has {kinds}")
+    cells = np.asarray(data.cells[0].data, dtype=np.intp)
+    points = {name: _field(path, data.point_data, name, 3, len(data.points)) for name in ("reference_mm",)}
+    fields = {key: _field(path, data.cell_data, *names, len(cells)) for key, names in _CELL_FIELDS.items()}
+    x, X = np.asarray(data.points, dtype=float)[:, :2], points["reference_mm"][:, :2]
+    if not np.isfinite(x).all():
+        raise InputError(f"{path}: a point is not finite")
+    triangles, owner = cells, np.arange(len(cells))
+    if kinds == ["quad"]:
+        triangles, owner = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(owner, 2)
+    S = _recovered(fields["S"], X, cells, triangles, owner)
+    state = fields["state"].astype(int)
+    return Curtain(X, x, triangles, owner, fields["E"], S, fields["line_load"], state)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) -> Array:
+    """The field as (count, width), or (count,) for width 1."""
+    if name not in data:
+        raise InputError(f"{path}: has no field {name}; is it the curtain.vtu of macro_fem run?")
+    found = np.asarray(data[name][0] if isinstance(data[name], list) else data[name], dtype=float)
+    if found.size != count * width:
+        raise InputError(f"{path}: field {name} has {found.size} numbers, not {count} times {width}")
+    if not np.isfinite(found).all():
+        raise InputError(f"{path}: field {name} holds a number that is not finite")
+    return found.reshape((count, width) if width > 1 else count)
+
+
+def _recovered(
+    S: Array, X: Array, cells: NDArray[np.intp], triangles: NDArray[np.intp], owner: NDArray[np.intp]
+) -> Array:
+    """S averaged over the cells at each corner, then over the corners of each cell.
+
+    The stress of locked cells is right on average only: neighbours share a load as the equilibrium of corners happens
+    to leave it. Averages of tensions are tensions.
+    """
+    (ax, ay), (bx, by) = ((X[triangles[:, k]] - X[triangles[:, 0]]).T for k in (1, 2))
+    area = np.bincount(owner, weights=0.5 * np.abs(ax * by - ay * bx), minlength=len(cells))
+    corners, size = cells.ravel(), cells.shape[1]
+    total = np.bincount(corners, weights=np.repeat(area, size), minlength=len(X))
+    columns = [np.bincount(corners, weights=np.repeat(area * c, size), minlength=len(X)) for c in S.T]
+    at_corners = np.stack(columns, axis=1) / np.maximum(total, 1e-300)[:, None]
+    return np.asarray(at_corners[cells].mean(axis=1))
+
+
+@dataclass(frozen=True)
+class WeaveOfCurtain:
+    """Radii in mm, angle from the vertical to the weave's y axis, sides (b_x, b_y) in mm if the summary names them."""
+
+    r1: float
+    r2: float
+    hang_deg: float
+    sides: tuple[float, float] | None
+
+
+def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
+    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows."""
+    path = vtu.parent / "summary.json"
+    known: dict[str, Any] = {}
+    if path.is_file():
+        try:
+            known = json.loads(path.read_text(encoding="utf-8"))
+        except (ValueError, OSError) as error:
+            raise InputError(f"{path}: cannot be read as JSON: {_first_line(error)}") from error
+        if not isinstance(known, dict):
+            raise InputError(f"{path}: is not a table of names and values")
+    rings = known.get("rings") or {}
+    if not isinstance(rings, dict):
+        raise InputError(f"{path}: rings = {rings!r}: is not a table of names and values")
+    values = {}
+    for option, given, key, table in (
+        ("--r1", r1, "r1_mm", rings),
+        ("--r2", r2, "r2_mm", rings),
+        ("--hang", hang_deg, "hang_deg", known),
+    ):
+        value = given if given is not None else table.get(key)
+        if value is None:
+            raise InputError(f"{path}: does not tell {key}; give {option}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise InputError(f"{path if given is None else option}: {key} = {value!r}: is not a finite number")
+        values[key] = float(value)
+    is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
+    sides = (float(rings["b_x_mm"]), float(rings["b_y_mm"])) if is_own else None
+    return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides)
