@@ -55,7 +55,7 @@ class Cones:
 
     def stress(self, lam: Array) -> Array:
         """S_q = sum of lam_i S_i (nq, 3)."""
-        return self.sum(lam[:, None] * self.S)
+        return np.stack([self.sum(lam * self.S[:, k]) for k in range(3)], axis=-1)
 
 
 def right_cauchy_green(F: Array) -> Array:
@@ -99,16 +99,15 @@ def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cone
 
     The second array orders per-half-space data of old ones followed by new ones.
     """
-    all_points = np.concatenate([cones.point, point])
-    order = np.argsort(all_points, kind="stable")
-    all_points = all_points[order]
-    n = len(cones.first)
+    n = len(cones)
+    order = np.insert(np.arange(n), np.searchsorted(cones.point, point, side="right"), n + np.arange(len(point)))
+    added = np.bincount(point, minlength=len(cones.first))
     return (
         Cones(
-            all_points,
+            np.concatenate([cones.point, point])[order],
             np.concatenate([cones.S, S])[order],
             np.concatenate([cones.h, h])[order],
-            np.searchsorted(all_points, np.arange(n)),
+            cones.first + np.cumsum(added) - added,
         ),
         order,
     )

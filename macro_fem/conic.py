@@ -170,6 +170,5 @@ def _record(status: str, task: _Task, cones: Cones, answer: Any, lam: Array, his
         dual=float(answer.obj_val_dual) * task.total * task.size if solved else np.nan,
         residual=float(answer.r_dual),
         iterations=int(answer.iterations),
-        rounds=len(history),
         history=tuple(history),
     )

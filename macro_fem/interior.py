@@ -4,7 +4,8 @@
 
 Dual vectors y_i = (y0, y1) per reference area make the stress P_q = -sum_i y1_i L_i, in equilibrium when l = B^T (w P).
 Mehrotra's predictor and corrector in Nesterov and Todd's scaling (see `soc`), from any start: primal and dual residual
-need not vanish before the end, as in CVXOPT's conelp. Every Newton matrix has the pattern of the finite elements,
+need not vanish before the end, as in CVXOPT's conelp. `macro_fem.rigid` takes the steps. Every Newton matrix has the
+pattern of the finite elements,
 
     H = B^T w sum_i L_i [W_i^-2]_11 L_i B.
 
@@ -15,7 +16,7 @@ below for every admissible z. When it exceeds what -l.z can be, there is no admi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -51,25 +52,10 @@ class Fem(Protocol):
         ...
 
 
-SETTLED = 1e-2
-"""Only below this error must every few steps make progress: far from the answer gap and residuals take turns."""
 LIFT = 0.1
 """Least relative distance from the boundary of a cone at which an iteration begins."""
-
-
-@dataclass(frozen=True)
-class InteriorOptions:
-    """When to stop and how boldly to step.
-
-    `gap` and `residual` are relative to the energy scale of the problem, total load times size. `boundary` is the
-    fraction of the way to the boundary of the cones that a step may go.
-    """
-
-    gap: float = 1e-9
-    residual: float = 1e-9
-    max_iterations: int = 100
-    boundary: float = 0.98
-    patience: int = 15
+BOUNDARY = 0.98
+"""Part of the way to the boundary of the cones that a step may go."""
 
 
 @dataclass(frozen=True)
@@ -95,29 +81,29 @@ class State:
 
 @dataclass(frozen=True)
 class Program:
-    """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm."""
+    """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm.
+
+    w (nc,) is the reference area of the point of each cone. Arrays over the cones keep every component contiguous.
+    """
 
     fem: Fem
     load: Array
     cones: Cones
     L: Array
     c: Array
+    w: Array
     scale: float
     total: float
 
-    @property
-    def w(self) -> Array:
-        """Reference area of the point of each cone (nc,)."""
-        return self.fem.weight[self.cones.point]
-
     def tails(self, F: Array) -> Array:
         """F L of every cone, flat (nc, 2 d)."""
-        return times_root(F[self.cones.point], self.L)
+        return gathered_root(F, self.cones.point, self.L)
 
     def stress(self, tail: Array) -> Array:
         """sum of y1 L over the cones of each point (nq, d, 2); minus the stress P."""
-        parts = self.cones.sum(times_root(tail.reshape(len(tail), -1, 2), self.L))
-        return parts.reshape(len(parts), -1, 2)
+        parts = times_root(tail.reshape(len(tail), -1, 2), self.L)
+        summed = np.stack([self.cones.sum(column) for column in parts.T]).T
+        return summed.reshape(len(summed), -1, 2)
 
     def slack(self, z: Array) -> Vectors:
         """(c, F L): the primal cone vectors that z asks for."""
@@ -126,50 +112,68 @@ class Program:
 
 def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float) -> Program:
     """The program of a list of half-spaces."""
-    return Program(fem, load, cones, symmetric_roots(cones.S), np.sqrt(2.0 * cones.size), scale, total)
+    c, w = np.sqrt(2.0 * cones.size), fem.weight[cones.point]
+    return Program(fem, load, cones, symmetric_roots(cones.S), c, w, scale, total)
 
 
 def times_root(F: Array, L: Array) -> Array:
     """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
-    out = np.empty(F.shape)
+    out = np.empty((2 * F.shape[1], len(F)))
     for a in range(F.shape[1]):
-        np.multiply(F[:, a, 0], L[:, 0], out=out[:, a, 0])
-        out[:, a, 0] += F[:, a, 1] * L[:, 1]
-        np.multiply(F[:, a, 0], L[:, 1], out=out[:, a, 1])
-        out[:, a, 1] += F[:, a, 1] * L[:, 2]
-    return out.reshape(len(F), -1)
+        _root_row(F[:, a, 0], F[:, a, 1], L, out[2 * a : 2 * a + 2])
+    return out.T
+
+
+def gathered_root(F: Array, point: np.ndarray, L: Array) -> Array:
+    """`times_root` of F[point] and L (nc, 3) for F (nq, d, 2)."""
+    out = np.empty((2 * F.shape[1], len(point)))
+    for a in range(F.shape[1]):
+        _root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[2 * a : 2 * a + 2])
+    return out.T
+
+
+def _root_row(x: Array, y: Array, L: Array, out: Array) -> None:
+    """(x, y) L of each cone into out (2, n)."""
+    np.multiply(x, L[:, 0], out=out[0])
+    out[0] += y * L[:, 1]
+    np.multiply(x, L[:, 1], out=out[1])
+    out[1] += y * L[:, 2]
 
 
 def _sum_of_squares(cones: Cones, v: Array, weight: Array) -> Array:
     """Sum over the cones of each point of weight v v^T, (nq, m, m) for v (nc, m); the lower half is computed once."""
     m = v.shape[1]
-    out = np.empty((len(cones.first), m, m))
+    out = np.empty((m, m, len(cones.first)))
     for i in range(m):
         scaled = weight * v[:, i]
         for j in range(i + 1):
-            out[:, i, j] = out[:, j, i] = cones.sum(scaled * v[:, j])
-    return out
+            out[i, j] = out[j, i] = cones.sum(scaled * v[:, j])
+    return out.transpose(2, 0, 1)
 
 
 def symmetric_roots(S: Array) -> Array:
     """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
     det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))
     size = np.sqrt(S[:, 0] + S[:, 2] + 2.0 * det)
-    return np.stack([S[:, 0] + det, S[:, 1], S[:, 2] + det], axis=-1) / size[:, None]
+    return np.stack([(S[:, 0] + det) / size, S[:, 1] / size, (S[:, 2] + det) / size]).T
 
 
 @dataclass(frozen=True)
 class Measure:
-    """How far a state is from the answer, relative to the energy scale.
+    """How far a state is from the answer, relative to the energy scale, and the residuals themselves.
 
     `gap`: sum of w s.y; `unbalanced`: forces, times one size; `outside`: largest cone residual relative to c;
-    `dual`: dual value over the scale; `error`: their sum.
+    `dual`: dual value over the scale; `error`: the sum of the first three. tail (nc, 2 d) is F L, r_x (n,) and r_s the
+    residuals of equilibrium and of the cones.
     """
 
     gap: float
     unbalanced: float
     outside: float
     dual: float
+    tail: Array
+    r_x: Array
+    r_s: Vectors
 
     @property
     def error(self) -> float:
@@ -179,31 +183,42 @@ class Measure:
 def measure(program: Program, state: State) -> Measure:
     """The residuals and the gap of a state, recomputed from z and y."""
     fem, w = program.fem, program.w
-    r_x = program.load + fem.force(program.stress(state.y.tail))
-    wanted = program.slack(state.z)
-    outside = state.s - wanted
-    F0 = program.tails(fem.gradient(np.zeros_like(state.z)))
-    dual = -float((w * (state.y.head * program.c + soc.row_dot(state.y.tail, F0))).sum())
+    sum_of_parts = program.stress(state.y.tail)
+    r_x = program.load + fem.force(sum_of_parts)
+    tail = program.tails(fem.gradient(state.z))
+    r_s = Vectors(state.s.head - program.c, state.s.tail - tail)
+    held = fem.gradient(np.zeros_like(state.z))
+    dual = -float((w * state.y.head * program.c).sum())
+    dual -= float((fem.weight * (sum_of_parts * held).sum(axis=(1, 2))).sum())
     return Measure(
         gap=float((w * state.s.dot(state.y)).sum()) / program.scale,
         unbalanced=float(np.abs(r_x).sum()) / program.total,
-        outside=float(np.sqrt((outside.dot(outside) / program.c**2).max())),
+        outside=float(np.sqrt((r_s.dot(r_s) / program.c**2).max())),
         dual=dual / program.scale,
+        tail=tail,
+        r_x=r_x,
+        r_s=r_s,
     )
 
 
 @dataclass(frozen=True)
-class _Direction:
+class Step:
+    """Changes of the unknowns, the cone vectors and the tails F L; lengths at most 1; the share of residuals kept."""
+
     dz: Array
     ds: Vectors
     dy: Vectors
+    d_tail: Array
+    keep: float
+    primal: float = 0.0
+    dual: float = 0.0
 
 
 class _Newton:
     """Newton's matrix in the scaling of a state, factorised; directions for different aims share it."""
 
-    def __init__(self, program: Program, state: State) -> None:
-        self.program, self.state = program, state
+    def __init__(self, program: Program, state: State, now: Measure) -> None:
+        self.program, self.now = program, now
         self.W = soc.scaling(state.s, state.y)
         self.point = self.W.apply(state.y)
         cones = program.cones
@@ -218,51 +233,60 @@ class _Newton:
             A[:, a, 1, a, 0] += S[:, 1]
             A[:, a, 1, a, 1] += S[:, 2]
         self.solve = program.fem.factorize(A)
-        self.r_x = program.load + program.fem.force(program.stress(state.y.tail))
-        self.r_s = state.s - program.slack(state.z)
 
-    def direction(self, aim: Vectors, keep: float) -> _Direction:
+    def direction(self, aim: Vectors, keep: float) -> Step:
         """The step to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`."""
-        program, W = self.program, self.W
-        r_s = self.r_s * (1.0 - keep)
+        program, W, now = self.program, self.W, self.now
+        r_s = now.r_s * (1.0 - keep)
         aimed = W.undo(soc.divide(self.point, aim))
         dual_part = aimed.tail + W.undo_twice_tail(r_s)
-        rhs = (1.0 - keep) * self.r_x + program.fem.force(program.stress(dual_part))
+        rhs = (1.0 - keep) * now.r_x + program.fem.force(program.stress(dual_part))
         dz = self.solve(rhs)
-        dF = program.tails(program.fem.gradient_change(dz))
-        ds = Vectors(-r_s.head, dF - r_s.tail)
-        return _Direction(dz, ds, aimed - W.undo(W.undo(ds)))
+        d_tail = program.tails(program.fem.gradient_change(dz))
+        ds = Vectors(-r_s.head, d_tail - r_s.tail)
+        return Step(dz, ds, aimed - W.undo(W.undo(ds)), d_tail, keep)
 
 
-def step_lengths(state: State, step: _Direction, boundary: float) -> tuple[float, float]:
+def step_lengths(state: State, step: Step, boundary: float) -> tuple[float, float]:
     """How far s and y may go, at most 1."""
     primal = min(1.0, boundary * soc.largest_step(state.s, step.ds))
     dual = min(1.0, boundary * soc.largest_step(state.y, step.dy))
     return primal, dual
 
 
-def advance(program: Program, state: State, options: InteriorOptions) -> tuple[State, float, float]:
-    """One predictor-corrector step and its primal and dual lengths; lengths 0 if rounding leaves no step."""
+def mean_product(program: Program, state: State) -> float:
+    """mu: the mean of s.y over the cones, N/mm."""
+    return float((program.w * state.s.dot(state.y)).sum() / program.w.sum())
+
+
+def search(program: Program, state: State, now: Measure, least_gap: float) -> Step | None:
+    """A predictor-corrector step and its lengths; None if rounding leaves none.
+
+    The aim is no closer than `least_gap` (relative to the scale): with gaps far below the residuals Newton's matrix
+    would lose its digits to them, and steps get stuck.
+    """
     try:
-        newton = _Newton(program, state)
+        newton = _Newton(program, state, now)
     except ArithmeticError:  # no pivot order works: double precision is exhausted
-        return state, 0.0, 0.0
-    w, unit = program.w, Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
-    mu = float((w * state.s.dot(state.y)).sum() / w.sum())
+        return None
+    unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
+    mu = mean_product(program, state)
     square = soc.product(newton.point, newton.point)
     affine = newton.direction(square * -1.0, 0.0)
     reach = min(step_lengths(state, affine, 1.0))
     sigma = (1.0 - reach) ** 3
     second = soc.product(newton.W.undo(affine.ds), newton.W.apply(affine.dy))
-    aim = unit * (sigma * mu) - square - second
-    step = newton.direction(aim, sigma)
+    least = min(mu, least_gap * program.scale / float(program.w.sum()))
+    step = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
-        return state, 0.0, 0.0
-    primal, dual = step_lengths(state, step, options.boundary)
-    s, y = state.s + step.ds * primal, state.y + step.dy * dual
-    if not (s.margin().min() > 0.0 and y.margin().min() > 0.0):
-        return state, 0.0, 0.0
-    return State(state.z + primal * step.dz, s, y), primal, dual
+        return None
+    primal, dual = step_lengths(state, step, BOUNDARY)
+    return replace(step, primal=primal, dual=dual)
+
+
+def moved(state: State, step: Step) -> State:
+    """The state after a step."""
+    return State(state.z + step.primal * step.dz, state.s + step.ds * step.primal, state.y + step.dy * step.dual)
 
 
 def first_state(program: Program, z: Array, gap: float) -> State:
@@ -276,30 +300,9 @@ def lifted(s: Vectors, least: Array) -> Vectors:
     return Vectors(np.maximum(s.head, np.sqrt(soc.row_dot(s.tail, s.tail)) + least), s.tail)
 
 
-def follow(program: Program, state: State, options: InteriorOptions) -> tuple[State, Measure, str, list[Iteration]]:
-    """Steps until gap and residuals are small: "converged", "infeasible", "iterations" or "stalled"; the best state."""
-    history: list[Iteration] = []
-    best, best_state, waited = measure(program, state), state, 0
-    now = best
-    for _ in range(options.max_iterations):
-        if now.gap < options.gap and now.unbalanced < options.residual and now.outside < options.residual:
-            return state, now, "converged", history
-        if is_certificate(program, state, now):
-            return state, now, "infeasible", history
-        state, primal, dual = advance(program, state, options)
-        history.append(Iteration(now.gap, now.unbalanced, now.outside, primal, dual, len(program.c)))
-        now = measure(program, state)
-        waited += now.error < SETTLED
-        if now.error < best.error:
-            best, best_state, waited = now, state, 0
-        if max(primal, dual) == 0.0 or waited > options.patience:
-            return best_state, best, "stalled", history
-    return best_state, best, "iterations", history
-
-
 def is_certificate(program: Program, state: State, now: Measure) -> bool:
     """Whether y proves that no admissible z exists: its dual value is large against load and unbalanced forces."""
     if now.outside == 0.0 or now.dual <= 0.0:
         return False
-    stress_only = float(np.abs(program.fem.force(program.stress(state.y.tail))).sum()) / program.total
+    stress_only = float(np.abs(now.r_x - program.load).sum()) / program.total
     return stress_only < 1e-6 * now.dual

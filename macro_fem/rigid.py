@@ -1,11 +1,11 @@
-"""The rigid curtain by ideal locking: an interior-point method in rounds, each with the half-spaces found missing.
+"""The rigid curtain by ideal locking: one interior-point path on which missing half-spaces are taken in.
 
     minimise  -l.z   over z   subject to   S:E(F_q(z)) <= h(S)   for every tensile S, at every point q
 
-Each round solves the cone program of `macro_fem.interior` for the half-spaces known so far, from a start inside, and
-asks the law at every point for the half-space that is violated most. Half-spaces contain the law's set, so the dual
-value of any round is a lower bound for the whole law; the primal value becomes an upper bound when the answer is drawn
-back, by the least amount, towards a state known to be inside the law. Early rounds are solved loosely.
+The iteration is that of `macro_fem.interior`, for a handful of half-spaces per point. Before every step the law is
+asked for the half-spaces that it would violate (`macro_fem.missing`); if they shorten it much, it is found anew with
+them. Half-spaces contain the law's set, so the dual value is a lower bound for the whole law at every step; the primal
+value becomes an upper bound when the answer is drawn back, by the least amount, towards a state inside the law.
 """
 
 from __future__ import annotations
@@ -15,58 +15,58 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from homogenize.law import Array, MembraneLaw
-from macro_fem import soc
-from macro_fem.cones import Cones, first_cones, law_cut, only, with_cuts
+from macro_fem.cones import Cones, first_cones, law_cut
 from macro_fem.interior import (
     Fem,
-    InteriorOptions,
     Iteration,
     Measure,
     Program,
     State,
+    Step,
     first_state,
-    follow,
-    lifted,
+    is_certificate,
     make_program,
+    measure,
+    moved,
+    search,
 )
-from macro_fem.soc import Vectors
+from macro_fem.missing import at_rest, find, joined, pruned, widened
 
 REACH = 4.0
 """No point of one admissible state is farther from its place in another than this many sizes: twice the stretch."""
 ROUNDING = 1e-6
 """An iteration that rounding stops is accepted below this relative error, which is reported."""
 FIRST_GAP = 10.0
-"""Gap of the first state in energy scales: the first round on 8,000 cells took 37, 32, 22, 29 steps from 0.1 to 100."""
+"""Gap of the first state in energy scales: 0.1 to 100 take about as many steps."""
+INSIDE = 1e-3
+"""Relative room in the law from which a state is good enough to draw the answer back to; roomier ones replace less."""
 NO_LOAD = 1e-6
 """N/mm2: sets the energy scale of a curtain without load."""
-LOOSE = 0.2
-"""A round is solved to this part of the violation that the one before left: more would be thrown away."""
-PRUNED_ROUNDS = 4
-"""After these first rounds idle half-spaces are dropped; not later, lest rounds go in circles."""
-IDLE = 0.03
-"""A half-space is idle below this part of a point's load and above this relative distance."""
-FLAT = 0.05
-"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
-KEPT_LIFT = 0.1
-"""Part of the central path's dual vector that is added to one that is kept from the round before."""
-LEAST_SHARE = 1e-5
-"""A new round begins at least this part of the way back to the start: closer to the boundary steps get stuck."""
-INSIDE = 1e-3
-"""Relative slack from which a state counts as well inside the law, so that rounds may start from it."""
+LEAST_GAP = 0.1
+"""The path is not followed beyond this part of the gap that is asked for; what is left is to remove the residuals."""
+PRUNED_AT = (1e-1, 1e-2, 1e-3)
+"""Relative gaps at which idle half-spaces are dropped. Not later, lest the path goes in circles."""
+GOOD = 0.5
+"""A step is found anew with the half-spaces in its way if they leave less than this part of it,"""
+ANEW = 2
+"""but not more often than this in a row."""
+SETTLED = 1e-2
+"""Only below this error must every few steps make progress: far from the answer gap and residuals take turns."""
+PATIENCE = 15
+"""Steps in a row without a new least error after which rounding is said to rule."""
 
 
 @dataclass(frozen=True)
 class RigidOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
-    `violation` (relative to h + tr S/2) is what the last round may leave before the answer is drawn back inside.
+    `violation` (relative to h + tr S/2) is what the last step may leave before the answer is drawn back inside.
     `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles.
     """
 
     gap: float = 1e-9
     violation: float = 1e-8
     max_iterations: int = 400
-    max_rounds: int = 40
     cones: Cones | None = None
 
 
@@ -92,7 +92,6 @@ class RigidResult:
     dual: float
     residual: float
     iterations: int
-    rounds: int
     history: tuple[Iteration, ...] = field(repr=False)
 
     @property
@@ -117,117 +116,98 @@ def solve_rigid(
     """The rigid curtain under the generalised forces `load` (n,), N, from unknowns `start` (n,).
 
     `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. Any start will do; one that
-    is well inside the law lets later rounds begin near the end of the one before and makes the primal value a bound.
+    is well inside the law keeps the path inside and makes the primal value a bound.
     """
     total = float(np.abs(load).sum()) or float(fem.weight.sum()) * NO_LOAD
     cones = first_cones(law, len(fem.weight)) if options.cones is None else options.cones
     program = make_program(fem, load, cones, total * size, total)
-    inner = start if _law_slack(law, fem.gradient(start)) > INSIDE else None
-    state, tolerance = first_state(program, start, FIRST_GAP), 1e-2
+    state = first_state(program, start, FIRST_GAP)
+    now = measure(program, state)
+    inner = _Inner(start, _law_slack(law, fem.gradient(start)))
+    best, waited, held, prunes, status = (program, state, now), 0, 0, 0, "iterations"
     history: list[Iteration] = []
-    for number in range(1, options.max_rounds + 1):
-        left = options.max_iterations - len(history)
-        state, now, status, lines = follow(program, state, InteriorOptions(tolerance, tolerance, left))
-        history += lines
-        if status == "stalled" and now.error > max(tolerance, ROUNDING) and number > 1:
-            cold = first_state(program, start, FIRST_GAP)
-            left = max(0, options.max_iterations - len(history))
-            state, now, status, lines = follow(program, cold, InteriorOptions(tolerance, tolerance, left))
-            history += lines
-        if status not in ("converged", "stalled") or (status == "stalled" and now.error > 0.1):
+    while len(history) < options.max_iterations:
+        if is_certificate(program, state, now):
+            status = "infeasible"
             break
-        S, h, violation = _violated(law, fem.gradient(state.z))
-        if violation.max() < options.violation and (tolerance <= options.gap or status == "stalled"):
+        if _is_closed(now, options) and -_law_slack(law, fem.gradient(state.z)) < options.violation:
+            status = "converged"
             break
-        new = np.flatnonzero(violation > 0.3 * options.violation)
-        is_last = violation.max() < options.violation
-        tolerance = options.gap if is_last else float(np.clip(LOOSE * violation.max(), options.gap, tolerance))
-        if number <= PRUNED_ROUNDS:
-            program, state = _pruned(program, state)
-        if len(new):
-            program, state = _extended(program, state, new, S, h, inner, float(violation.max()))
-    else:
-        status = "iterations"
+        step = None if waited > PATIENCE else search(program, state, now, LEAST_GAP * options.gap)
+        if step is None or max(step.primal, step.dual) == 0.0:
+            status = "stalled"
+            break
+        taken = _taken(program, state, now, step, law, may_wait=held < ANEW)
+        program, state = taken.program, taken.state
+        history.append(Iteration(now.gap, now.unbalanced, now.outside, taken.primal, taken.dual, len(program.c)))
+        held = 0 if taken.dual > 0.0 else held + 1
+        if taken.room > inner.room and inner.room < INSIDE:
+            inner = _Inner(state.z, taken.room)
+        if prunes < len(PRUNED_AT) and now.gap < PRUNED_AT[prunes]:
+            program, state = pruned(program, state)
+            prunes += 1
+        now = measure(program, state)
+        waited += now.error < SETTLED and not held
+        if now.error < best[2].error:
+            best, waited = (program, state, now), 0
+    if status in ("stalled", "iterations"):
+        program, state, now = best
     if status == "stalled" and now.error < ROUNDING:
         status = "converged"
-    return _result(program, law, state, now, status, inner, number, history)
+    return _result(program, law, state, now, status, inner, history)
 
 
-def _pruned(program: Program, state: State) -> tuple[Program, State]:
-    """The program without half-spaces that are far away and carry next to nothing: the law tells if they are missed.
+@dataclass(frozen=True)
+class _Inner:
+    """Unknowns z and their room: the least relative slack of the whole law over all points."""
 
-    At 20 half-spaces per point this makes later rounds three times as fast.
-    """
-    distance = state.s.margin() / program.c
-    load = state.y.head * program.c
-    first = program.cones.first
-    keep = (load > IDLE * np.add.reduceat(load, first)[program.cones.point]) | (distance < IDLE)
-    # one well-conditioned S, or else all of them, keeps Newton's matrix definite at every point
-    S = program.cones.S
-    det = S[:, 0] * S[:, 2] - S[:, 1] ** 2
-    roundest = np.maximum.reduceat(det, first)[program.cones.point]
-    keep |= (det >= roundest) | (roundest < FLAT)
-    cones = only(program.cones, keep)
-    few = make_program(program.fem, program.load, cones, program.scale, program.total)
-    return few, State(state.z, _chosen(state.s, keep), _chosen(state.y, keep))
+    z: Array
+    room: float
 
 
-def _chosen(v: Vectors, keep: np.ndarray) -> Vectors:
-    return Vectors(v.head[keep], v.tail[keep])
+@dataclass(frozen=True)
+class _Taken:
+    """Program and state after a step of these lengths; `room` of the new z in the law, -inf where it is not known."""
+
+    program: Program
+    state: State
+    primal: float
+    dual: float
+    room: float
 
 
-def _violated(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
-    """The law's most violated half-space at each point and by how much of h + tr S / 2."""
-    S, h, g = law_cut(law, F)
-    return S, h, -g / (h + 0.5 * (S[:, 0] + S[:, 2]))
+def _taken(program: Program, state: State, now: Measure, step: Step, law: MembraneLaw, may_wait: bool) -> _Taken:
+    """The step as far as the law lets it go; or no step but the half-spaces in its way, if they spoil it."""
+    F = program.fem.gradient(state.z + step.primal * step.dz)
+    found = at_rest(program, now, find(program, law, F, now.tail + step.primal * step.d_tail))
+    if not found.is_missing.any():
+        return _Taken(program, moved(state, step), step.primal, step.dual, -float(found.violation.max()))
+    into = joined(program, state, found)
+    shorter = widened(step, into)
+    if may_wait and shorter.primal < GOOD * step.primal:
+        return _Taken(into.program, into.state, 0.0, 0.0, -np.inf)
+    return _Taken(into.program, moved(into.state, shorter), shorter.primal, shorter.dual, -np.inf)
+
+
+def _is_closed(now: Measure, options: RigidOptions) -> bool:
+    return max(now.gap, now.unbalanced, now.outside) < options.gap
 
 
 def _law_slack(law: MembraneLaw, F: Array) -> float:
     """The least relative slack of the whole law over all points; negative where F is not admissible."""
-    return -float(_violated(law, F)[2].max())
+    S, h, slack = law_cut(law, F)
+    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())
 
 
-def _extended(
-    program: Program, state: State, new: np.ndarray, S: Array, h: Array, inner: Array | None, violation: float
-) -> tuple[Program, State]:
-    """The program with half-spaces added at the points `new`, and a start for it near the state.
-
-    The start is drawn towards the inner state by more than the violation, so that it is inside all cones again; dual
-    vectors are kept and lifted to the central path where they are too small for it.
-    """
-    cones, order = with_cuts(program.cones, new, S[new], h[new])
-    wider = make_program(program.fem, program.load, cones, program.scale, program.total)
-    share = float(np.clip(5.0 * violation, LEAST_SHARE, 0.5))
-    if inner is None:
-        z, s = state.z, lifted(wider.slack(state.z), share * wider.c)
-    else:
-        z, s, share = _drawn_back(wider, state.z, inner, share)
-    central = soc.inverse(s, share * program.scale / float(wider.w.sum()))
-    head = np.concatenate([state.y.head, np.zeros(len(new))])[order]
-    tail = np.concatenate([state.y.tail, np.zeros((len(new), state.y.tail.shape[1]))])[order]
-    part = np.where(order < len(state.y.head), KEPT_LIFT, 1.0)
-    return wider, State(z, s, Vectors(head + part * central.head, tail + part[:, None] * central.tail))
-
-
-def _drawn_back(program: Program, z: Array, inner: Array, share: float) -> tuple[Array, Vectors, float]:
-    """z drawn towards the inner unknowns by at least `share`, so far that it is inside all cones."""
-    while True:
-        back = z + share * (inner - z)
-        s = program.slack(back)
-        if s.margin().min() > 0.0 or share >= 1.0:
-            return back, lifted(s, LEAST_SHARE * program.c), share
-        share = min(1.0, 2.0 * share)
-
-
-def _drawn_inside(law: MembraneLaw, fem: Fem, z: Array, inner: Array | None) -> Array:
+def _drawn_inside(law: MembraneLaw, fem: Fem, z: Array, inner: _Inner) -> Array:
     """z, or the nearest point found on the way from z to the inner state that is inside the whole law."""
-    if inner is None:
+    if inner.room <= 0.0:
         return z
     share, slack = 0.0, _law_slack(law, fem.gradient(z))
     while slack < 0.0 and share < 1.0:
         share = min(1.0, max(1e-13, -0.5 * slack, 2.0 * share))
-        slack = _law_slack(law, fem.gradient(z + share * (inner - z)))
-    return z + share * (inner - z)
+        slack = _law_slack(law, fem.gradient(z + share * (inner.z - z)))
+    return z + share * (inner.z - z)
 
 
 def _result(
@@ -236,8 +216,7 @@ def _result(
     state: State,
     now: Measure,
     status: str,
-    inner: Array | None,
-    rounds: int,
+    inner: _Inner,
     history: list[Iteration],
 ) -> RigidResult:
     """The record; the dual value is lowered by what unbalanced forces could do over the curtain's size."""
@@ -258,6 +237,5 @@ def _result(
         dual=(now.dual - REACH * now.unbalanced) * program.scale,
         residual=now.unbalanced,
         iterations=len(history),
-        rounds=rounds,
         history=tuple(history),
     )
