@@ -205,16 +205,22 @@ def joined_contacts(parts: list[Contacts], order: NDArray[np.intp]) -> Contacts:
     )
 
 
-def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float) -> Contacts:
+def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, *, far_pairs: bool = False) -> Contacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact.
 
-    wire = r2/r1. Pairs whose centres are farther apart than two circles can reach are not looked at.
+    wire = r2/r1. Pairs whose centres are farther apart than two circles can reach are not looked at, or with
+    `far_pairs` for nothing.
     """
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     limit = 2.0 * wire + reach
-    near = np.flatnonzero(dot(d, d) < (2.0 + limit) ** 2)
+    near = np.arange(len(d)) if far_pairs else np.flatnonzero(can_touch(d, limit))
     found = local_minima(d[near], na[near], nb[near], 1.0, reach=limit)
     return contacts_of(replace(found, pair=near[found.pair]), (d, na, nb), weave, wire)
+
+
+def can_touch(d: Array, limit: float) -> NDArray[np.bool_]:
+    """Whether circles of radius 1 with offsets d (..., 3) can come as near as `limit`."""
+    return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
 
 
 def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weave, wire: float) -> Contacts:

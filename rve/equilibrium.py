@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.cell import Contacts, Pose, find_contacts, moved, parallel_clearance, start_pose
+from rve.cell import Contacts, Pose, moved, parallel_clearance, start_pose
 from rve.system import Equations, System
 
 Array = NDArray[np.float64]
@@ -32,6 +32,9 @@ class DirectOptions:
     mu_end: final complementarity lam gap; gaps of working contacts end at mu_end / lam, about 1e-12 mm.
     reach: gap beyond which a contact is not looked at; a step moves rings by less.
     step: largest coordinate change per iteration (r1 or radians); attempts: tries with ever shorter steps.
+    curvature_below: mu from which on contact curvature is in the Jacobian, 1: from the start. Left out down to 1e-2 and
+    1e-3 it takes 1.1 to 1.7 and 1.9 to 2.9 times the iterations (docs/reports/omissions.md).
+    force: features of `explain` that a run would leave out by itself.
     """
 
     tolerance: float = 1e-11
@@ -43,6 +46,8 @@ class DirectOptions:
     attempts: int = 8
     patience: int = 20
     rejection: float = 3.0
+    curvature_below: float = 1.0
+    force: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -182,8 +187,8 @@ def _accepted_step(
 
     def look(rows: NDArray[np.intp]) -> tuple[Pose, Contacts, Flags]:
         here = state.pose.take(rows)
-        pose = moved(here, equations.displacement(length[rows, None] * dq[rows]))
-        contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
+        pose = moved(here, equations.displacement(length[rows, None] * dq[rows], here))
+        contacts = equations.contacts(pose, options.reach)
         apart = np.ones(len(rows), dtype=bool)
         long = np.flatnonzero(length[rows] * np.abs(dq[rows]).max(axis=1) > 0.2 * equations.wire)
         if len(long):  # shorter steps cannot carry a ring through a wire
@@ -261,7 +266,8 @@ def _run(state: _State, equations: Equations, options: DirectOptions, out: Equil
     """Iterate until every case has converged or the iterations are used up; converged cases are written to `out`."""
     anchor, anchor_system = state, None
     for _ in range(options.max_iterations + 1):
-        system = equations.assemble(state.pose, state.contacts, state.lam, state.s)
+        curved = state.mu <= options.curvature_below
+        system = equations.assemble(state.pose, state.contacts, state.lam, state.s, curved)
         R, off, merit = _measure(state, system)
         if anchor_system is not None:
             worse = merit > options.rejection * state.last
@@ -309,7 +315,7 @@ def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
 def _turned(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
     """Start poses shifted by seeded random numbers of size `amount`, the same for every case and batch."""
     shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, equations.modes.shape[1])
-    return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1))))
+    return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1)), pose))
 
 
 def solve_equilibrium(
@@ -326,8 +332,12 @@ def solve_equilibrium(
     >>> (5 * found.pose.lattice[0, :2]).round(6)
     array([11.     , 12.64607])
     """
-    unit = s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
-    return follow(unit, equations, options, start)
+    return follow(unit_loads(s), equations, options, start)
+
+
+def unit_loads(s: Array) -> Array:
+    """Line loads (n, 3) scaled to size 1: only their direction counts."""
+    return np.asarray(s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2))
 
 
 def follow(
@@ -335,9 +345,8 @@ def follow(
 ) -> Equilibrium:
     """Equilibria under whatever load the equations have, `s` being its rows as they are; see `solve_equilibrium`."""
     n = len(s)
-    weave, wire = equations.weave, equations.wire
-    first = start if start is not None else start_pose(weave, n)
-    contacts = find_contacts(first, weave, wire, options.reach)
+    first = start if start is not None else start_pose(equations.weave, n)
+    contacts = equations.contacts(first, options.reach)
     out = Equilibrium(
         first.take(np.arange(n)),
         np.zeros(contacts.gap.shape),
@@ -353,7 +362,7 @@ def follow(
         pose = first.take(left)
         if attempt > 0:
             pose = _turned(pose, equations, attempt, 0.03)
-        found = find_contacts(pose, weave, wire, options.reach)
+        found = equations.contacts(pose, options.reach)
         mu = np.full(len(left), options.mu_start)
         lam = np.where(found.present, mu[:, None, None] / np.maximum(found.gap, 1e-9), 0.0)
         inf, none = np.full(len(left), np.inf), np.zeros(len(left))
@@ -364,4 +373,4 @@ def follow(
             break
         out.attempts[left] += 1
     out.attempts[left] = options.attempts
-    return replace(out, contacts=find_contacts(out.pose, weave, wire, options.reach))
+    return replace(out, contacts=equations.contacts(out.pose, options.reach))

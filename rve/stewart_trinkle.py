@@ -4,9 +4,9 @@ Each step solves the linear implicit equations of Stewart and Trinkle (doi 10.10
 the velocity at its end: inertia, damping, the line load at its beginning and compliant unilateral contacts linearised
 there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
 numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
-in M (T u - v). Gyroscopic torques w x I w vanish: frictionless contacts never spin a torus about its own axis, and
-about its diameters all moments of inertia are equal. `ten_rings` is the reference form with every constraint written
-out.
+in M (T u - v). Gyroscopic torques w x I w vanish and are left out: frictionless contacts never spin a torus about its
+own axis, and about its diameters all moments of inertia are equal. `ten_rings` is the reference form with every
+constraint written out.
 
 Scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time stays in seconds.
 """
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.cell import Contacts, Pose, find_contacts, joined_contacts, moved, reduction, start_pose
-from rve.contact import distance_gradient, distance_hessian
+from rve.contact import cross, distance_gradient, distance_hessian, dot
 from rve.lcp import ContactStep, Programme, solve_contact_step
 from rve.projection import find_contacts_by_projection
 from rve.system import Equations, lattice_load
@@ -48,7 +48,8 @@ class StewartTrinkleOptions:
     contacts: "newton" finds all local minima, "projection" those that two alternating projections per pair of rings end
     in; curvature: whether the step sees the curvature of its contacts (`geometric_stiffness`) beside their linearised
     gaps. Without it, as eq. (6) is printed, some cases chatter between merging minima and end with the status
-    "time-step".
+    "time-step"; inertia: whether rings are slow to move, or follow the forces at once as in an overdamped motion;
+    gyroscopic: whether the torques that vanish (see the header) are computed all the same.
     """
 
     r1_mm: float = 5.0
@@ -66,6 +67,8 @@ class StewartTrinkleOptions:
     largest_move: float = 0.4
     contacts: str = "newton"
     curvature: bool = True
+    inertia: bool = True
+    gyroscopic: bool = False
 
     def validate(self) -> None:
         """Raise ValueError with one sentence naming the first option that makes no sense."""
@@ -85,7 +88,9 @@ class Dynamics:
 
     mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity in
     1/s; ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2,
-    m_full): from the velocities to those of every ring's centre.
+    m_full): from the velocities to those of every ring's centre. inertia: 1, or 0 for a motion without; axial (K,):
+    moment of inertia of the rings of each class about their axes beyond that about a diameter, 0 if gyroscopic torques
+    are left out.
     """
 
     mass: Array
@@ -94,6 +99,8 @@ class Dynamics:
     ring_mass: float
     stiffness: Array
     ring_maps: Array
+    inertia: float
+    axial: NDArray[np.floating]
 
     @staticmethod
     def of(equations: Equations, options: StewartTrinkleOptions) -> Dynamics:
@@ -107,7 +114,10 @@ class Dynamics:
         decay = np.where(turns, turning, options.damping / (options.load * ring_mass))
         mass = ring_mass * equations.mass
         stiffness = options.stiffness / options.load * np.maximum(copies(equations.weave), 1)
-        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, _ring_maps(equations.weave, size))
+        maps = _ring_maps(equations.weave, size)
+        rings = np.bincount(equations.weave.rings[:, 0], minlength=k) * float(options.gyroscopic)
+        axial = ring_mass * (1.0 + 0.75 * wire**2 - inertia) * rings
+        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, maps, float(options.inertia), axial)
 
 
 def _ring_maps(weave: Weave, size: int) -> Array:
@@ -222,7 +232,10 @@ def gap_gradients(pose: Pose, contacts: Contacts, equations: Equations) -> Array
 
 @dataclass(frozen=True)
 class _Frozen:
-    """What a step keeps from its beginning: T, G, line load on (a1, a2), gaps and stiffnesses of the slots, energy."""
+    """What a step keeps from its beginning: T, G, line load on (a1, a2), gaps and stiffnesses of the slots, energy.
+
+    torque (n, 3 K): gyroscopic, on every class of rings.
+    """
 
     T: Array
     G: Array
@@ -231,6 +244,7 @@ class _Frozen:
     k: Array
     energy: Array
     bend: Array
+    torque: Array
 
     def take(self, rows: Index) -> _Frozen:
         return _Frozen(*(value[rows] for value in vars(self).values()))
@@ -271,21 +285,37 @@ def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics, curvature:
     bend = np.zeros((n, T.shape[2], T.shape[2]))
     if curvature:
         bend = geometric_stiffness(motion.pose, con, equations, dynamics.stiffness)
-    return _Frozen(T, gap_gradients(motion.pose, con, equations), load, gap, k, total, bend)
+    torque = gyroscopic_torque(motion.pose, motion.v, dynamics)
+    return _Frozen(T, gap_gradients(motion.pose, con, equations), load, gap, k, total, bend, torque)
+
+
+def gyroscopic_torque(pose: Pose, v: Array, dynamics: Dynamics) -> Array:
+    """-w x I w summed over the rings of each class, (n, 3 K), for the ring velocities v; 0 where it is left out.
+
+    I w = I_d w + (I_a - I_d) n (n.w), and w x w = 0: only what spins about the axis n counts.
+    """
+    n, k = pose.normals.shape[:2]
+    if not dynamics.axial.any():
+        return np.zeros((n, 3 * k))
+    w = v[:, 2 + 2 * k :].reshape(n, k, 3)
+    along = dynamics.axial * dot(pose.normals, w)
+    return -cross(w, along[..., None] * pose.normals).reshape(n, 3 * k)
 
 
 def kinetic_energy(v: Array, dynamics: Dynamics) -> Array:
     """Kinetic energy of all rings, (n,)."""
-    return 0.5 * (v * np.matmul(v[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
+    return 0.5 * dynamics.inertia * (v * np.matmul(v[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
 
 
 def _trial(motion: Motion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tuple[ContactStep, Array]:
     """The solved quadratic programme of a step of length h (n,), and the ring velocities at its end."""
     T, Tt = frozen.T, frozen.T.transpose(0, 2, 1)
     hh = h[:, None, None]
-    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T)) + frozen.bend
-    force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
+    mass = dynamics.inertia * dynamics.mass
+    A = np.matmul(Tt, np.matmul(mass / hh**2 + dynamics.damping / hh, T)) + frozen.bend
+    force = np.matmul(motion.v[:, None, :], mass)[:, 0] / h[:, None]
     force[:, :4] += frozen.load
+    force[:, -frozen.torque.shape[1] :] += frozen.torque
     b = np.matmul(Tt, force[..., None])[..., 0]
     step = solve_contact_step(Programme(A, b, frozen.G, frozen.gap, frozen.k))
     return step, np.matmul(T, step.w[..., None])[..., 0] / h[:, None]
@@ -296,7 +326,7 @@ def weighted_load(v_new: Array, v: Array, h: Array, load: Array, dynamics: Dynam
 
     By (6) their sum with the load is M (v+ - v)/h + D v+; the load on the corners 1-4 is +-(f1 + f2)/2, +-(f1 - f2)/2.
     """
-    y = (v_new - v) / h[:, None] + dynamics.decay * v_new
+    y = dynamics.inertia * (v_new - v) / h[:, None] + dynamics.decay * v_new
     top = (y * np.matmul(y[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
     return np.sqrt(top * dynamics.ring_mass / (load**2).sum(axis=1))
 

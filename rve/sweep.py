@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
 from importlib import metadata
 from typing import Any
 
@@ -15,7 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from rve.cell import Pose
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.errors import SENTENCES, InputError, NotConverged
+from rve.explain import Work, motion_terms
 from rve.load import cauchy_line_load, green_lagrange, second_pk
+from rve.motion import locked_by_motion
+from rve.pairs import pairs_in_reach, unlisted_gap, widened
+from rve.stewart_trinkle import StewartTrinkleOptions
+from rve.symmetry import solve_equilibrium_symmetric
 from rve.system import Equations, mirror_modes
 from rve.table import StrainTable, joined_tables
 from rve.uniqueness import with_limits
@@ -75,16 +81,49 @@ def locked(
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
+    found, s, unique, _ = locked_with_work(alpha_deg, beta_deg, cell, options)
+    return found, s, unique
+
+
+def locked_with_work(
+    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
+) -> tuple[Equilibrium, Array, NDArray[np.bool_], Work]:
+    """What `locked` returns, and what the solver has met."""
     s = cauchy_line_load(alpha_deg, beta_deg)
     if cell.grain == "x":
         s = s[:, ::-1]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
-    equations = Equations.of(cell.weave, cell.wire)
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
-    found = solve_equilibrium(solved, equations, options)
-    found, unique = with_limits(solved, equations, found, options)
-    return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique | ~tensile
+    is_wide = "unlisted-pairs" in options.force
+    found, unique, symmetric = _solved(solved, cell, options, widened(cell.weave) if is_wide else cell.weave)
+    gap = np.full(len(s), np.inf) if is_wide else unlisted_gap(found.pose, cell.weave, cell.wire)
+    overlap = not is_wide and bool(gap.min() < 0.0)
+    if overlap:
+        found, unique, symmetric = _solved(solved, cell, options, widened(cell.weave))
+    near = pairs_in_reach(found.pose, cell.weave, cell.wire, options.reach)
+    listed = found.contacts.gap.shape[1]
+    work = Work(len(s), symmetric, listed, int(near.min()), int(near.max()), float(gap.min()), overlap)
+    return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique | ~tensile, work
+
+
+def _solved(s: Array, cell: Cell, options: DirectOptions, weave: Weave) -> tuple[Equilibrium, NDArray[np.bool_], int]:
+    """Equilibria, flags `unique`, and how many were solved in symmetric coordinates alone."""
+    equations = replace(
+        Equations.of(weave, cell.wire),
+        far_pairs="far-pairs" in options.force,
+        idle_curvature="idle-curvature" in options.force,
+    )
+    terms = motion_terms(options.force)
+    if terms:
+        motion = StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
+        found, symmetric = locked_by_motion(s, equations, options, motion, terms), 0
+    elif "asymmetry" in options.force:
+        found, symmetric = solve_equilibrium(s, equations, options), 0
+    else:
+        found, symmetric = solve_equilibrium_symmetric(s, equations, options)
+    found, unique = with_limits(s, equations, found, options)
+    return found, unique, symmetric
 
 
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
@@ -140,16 +179,17 @@ def solve_table(
     began = time.perf_counter()
     alpha, beta = checked_angles(alpha_deg, beta_deg)
     b_x, b_y = reference_sides(cell, options)
-    blocks = []
+    blocks, works = [], []
     for first in range(0, len(alpha), BLOCK):
         rows = slice(first, first + BLOCK)
-        found, s, unique = locked(alpha[rows], beta[rows], cell, options)
+        found, s, unique, work = locked_with_work(alpha[rows], beta[rows], cell, options)
+        works.append(work)
         blocks.append(table_rows(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
         if progress is not None:
             progress(len(s))
     table = joined_tables(blocks)
     provenance = table_provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
-    return replace(table, provenance=provenance)
+    return replace(table, provenance=provenance | {"work": reduce(Work.plus, works).to_dict()})
 
 
 def table_rows(
@@ -187,7 +227,7 @@ def table_provenance(
         "density_kg_per_mm3": cell.density,
         "areal_mass_kg_per_m2": 1e6 * rings_per_area * cell.ring_mass,
         "method": "direct",
-        "options": asdict(options),
+        "options": asdict(options) | {"force": list(options.force)},
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},
         "wall_s": round(wall, 3),

@@ -18,13 +18,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.cell import Contacts, Pose, pair_maps, reduction
+from rve.cell import Contacts, Pose, find_contacts, pair_maps, reduction
 from rve.contact import distance_gradient, distance_hessian
 from rve.weave import Weave
 
 Array = NDArray[np.float64]
 
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+IDLE = 1e-6
+"""Contacts with less force, in units of s r1, do without curvature: a tenth to a third of them, and no step changes."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,10 @@ def mirror_modes(weave: Weave) -> Array:
 class Equations:
     """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
-    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
+    (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
+    far_pairs: whether pairs too far apart to touch are sampled all the same; idle_curvature: whether contacts without
+    force take part in J with their curvature.
     """
 
     weave: Weave
@@ -156,6 +162,9 @@ class Equations:
     mass: Array
     modes: Array
     load: Load = field(default_factory=LineLoad)
+    middle: tuple[int, int] | None = None
+    far_pairs: bool = False
+    idle_curvature: bool = False
 
     @staticmethod
     def of(weave: Weave, wire: float, modes: Array | None = None, load: Load | None = None) -> Equations:
@@ -163,12 +172,37 @@ class Equations:
         free = np.eye(4 * weave.classes + 1) if modes is None else modes
         return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or LineLoad())
 
-    def displacement(self, y: Array) -> Array:
-        """Reduced displacement (n, m) of the mode amplitudes y (n, k)."""
-        return y @ self.modes.T
+    def contacts(self, pose: Pose, reach: float) -> Contacts:
+        """Every contact of these poses whose gap is below `reach` (in r1)."""
+        return find_contacts(pose, self.weave, self.wire, reach, far_pairs=self.far_pairs)
 
-    def assemble(self, pose: Pose, contacts: Contacts, lam: Array, s: Array) -> System:
-        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
+    def motions(self, pose: Pose) -> Array:
+        """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""
+        if self.middle is None:
+            return self.modes[None]
+        i, j = self.middle
+        x2, y3, t = pose.lattice.T
+        B = np.tile(self.modes, (len(t), 1, 1))
+        B[:, 3, 0], B[:, 3, 1], B[:, 3, 2] = 0.5 * i, 0.5 * j * t, 0.5 * j * y3
+        B[:, 4, 0], B[:, 4, 1], B[:, 4, 2] = 0.5 * i * t, 0.5 * j, 0.5 * i * x2
+        return B
+
+    def displacement(self, y: Array, pose: Pose) -> Array:
+        """Reduced displacement (n, m) from a pose by the mode amplitudes y (n, k)."""
+        v = np.matmul(self.motions(pose), y[..., None])[..., 0]
+        if self.middle is not None:  # a1y = t x2 and a2x = t y3 are bilinear, and the second ring follows them
+            i, j = self.middle
+            v[:, 3] += 0.5 * j * y[:, 1] * y[:, 2]
+            v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
+        return v
+
+    def assemble(
+        self, pose: Pose, contacts: Contacts, lam: Array, s: Array, curved: NDArray[np.bool_] | None = None
+    ) -> System:
+        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...).
+
+        curved (n,): cases whose J holds the curvature of the contacts, by default all.
+        """
         n, pairs = len(s), len(self.weave.pairs)
         T = reduction(pose)
         m = T.shape[2]
@@ -181,8 +215,11 @@ class Equations:
         f, J = self.load.force(pose, T, s)
         r = f.copy()
         np.add.at(r, case, force[:, None] * G_rows)
-        H = distance_hessian(contacts.minima, contacts.normal_a, contacts.normal_b, 1.0)
-        np.add.at(J, case, force[:, None, None] * np.matmul(np.matmul(LT.transpose(0, 2, 1), H), LT))
+        works = force > (-1.0 if self.idle_curvature else IDLE)
+        bent = np.flatnonzero(works if curved is None else works & curved[case])
+        H = distance_hessian(contacts.minima.take(bent), contacts.normal_a[bent], contacts.normal_b[bent], 1.0)
+        LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
+        np.add.at(J, case[bent], force[bent, None, None] * LTHLT)
         on_lattice = np.zeros((n, 4))
         np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
         add_lattice_curvature(J, on_lattice)
@@ -190,6 +227,10 @@ class Equations:
         G = np.zeros((n, *contacts.present.shape[1:], m))
         G[contacts.present] = G_rows
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        B = self.modes
-        f, M = f @ B, B.T @ M @ B
-        return System(r @ B, f, B.T @ J @ B, G.reshape(n, -1, m) @ B, M, self.load.size(f, M))
+        B = self.motions(pose)
+        Bt = B.transpose(0, 2, 1)
+        f, M = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B
+        J = Bt @ J @ B
+        if self.middle is not None:
+            add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
+        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G.reshape(n, -1, m) @ B, M, self.load.size(f, M))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh, null_space, solve_triangular
 from scipy.optimize import nnls
 
-from rve.cell import start_pose
+from rve.cell import Pose, start_pose
 from rve.contact import Minima, are_linked, distance_gradient, distance_hessian, local_minima
 from rve.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 from rve.weave import Weave
@@ -28,7 +28,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TenRings:
-    """Centres (n, 3) in mm, normals (n, 3), velocities (n, 6) of every ring; next time step h; time; R of eq. (9)."""
+    """Centres (n, 3) in mm, normals (n, 3), velocities (n, 6) of every ring; next time step h; time; R of eq. (9).
+
+    steps, rejected: accepted steps so far, and those tried with too large h.
+    """
 
     centres: Array
     normals: Array
@@ -37,6 +40,7 @@ class TenRings:
     time: float = 0.0
     R: float = np.inf
     rejected: int = 0
+    steps: int = 0
 
 
 def shifts(weave: Weave) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -265,6 +269,29 @@ def advanced(
             r = M @ (v - v0) / h + D @ v
             R = float(np.sqrt((r @ np.linalg.solve(M, r)) / (f @ np.linalg.solve(M, f))))
             following = min(options.h_max, options.restore * h)
-            return replace(new, h=following, time=rings.time + h, R=R, rejected=rejected), float(rise)
+            count = rings.steps + 1
+            return replace(new, h=following, time=rings.time + h, R=R, rejected=rejected, steps=count), float(rise)
         h, rejected = 0.5 * h, rejected + 1
     raise RuntimeError("the time step fell below h_min before the energy fell; allow a smaller h_min")
+
+
+def settled(s: Array, weave: Weave, wire: float, options: StewartTrinkleOptions) -> TenRings:
+    """The ten rings at rest under the unit line load s (3,), or where they are after `max_steps`; R tells.
+
+    Raises RuntimeError when a step falls below h_min.
+    """
+    rings = start(weave, options)
+    for _ in range(options.max_steps):
+        if options.tolerance > rings.R:
+            break
+        rings, _ = advanced(rings, s, weave, wire, options)
+    return rings
+
+
+def pose_of(rings: TenRings, weave: Weave, options: StewartTrinkleOptions) -> Pose:
+    """The periodic pose (one case) of ten rings."""
+    one, two, three, _ = corners(rings, weave)
+    x = (rings.centres[:, :2] - rings.centres[one, :2]) / options.r1_mm
+    first = [_ring(weave, kind, 0, 0) for kind in range(weave.classes)]
+    lattice = np.array([x[two, 0], x[three, 1], x[two, 1] / x[two, 0]])
+    return Pose(lattice[None], x[first][None], rings.normals[first][None])

@@ -6,13 +6,14 @@ may move. Such a row gets the limit of the strain for a vanishing second princip
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rve.cell import Contacts, Pose, find_contacts, moved
+from rve.cell import Contacts, Pose, moved
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.system import Equations, System
 
@@ -30,20 +31,25 @@ def strain_is_unique(equations: Equations, found: Equilibrium, s: Array, toleran
     Modes are the directions that keep every loaded contact closed; their stiffness is the reduced Jacobian, in units of
     s r1^2. A mode that moves only rings inside the cell leaves the strain unique.
     """
-    system = equations.assemble(found.pose, found.contacts, found.lam, s)
     unique = np.ones(len(s), dtype=bool)
+    for i, stiffness, motions in loose_motions(equations, found, s):
+        unique[i] = not np.any(np.abs(motions[:3, stiffness < tolerance]) > 1e-6)
+    return unique
+
+
+def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterator[tuple[int, Array, Array]]:
+    """For every converged case that is not held by its loaded contacts alone: its number, the stiffnesses (k,) and the
+    motions (m, k) that keep these contacts closed, in units of s r1^2.
+    """
+    system = equations.assemble(found.pose, found.contacts, found.lam, s)
     loaded = (found.lam > 1e-6) & found.contacts.present
     for i in np.flatnonzero(found.status == "converged"):
         G = system.G[i][loaded[i].ravel()]
         _, sizes, V = np.linalg.svd(G)
         modes = V[np.count_nonzero(sizes > 1e-7) :].T
-        if not modes.shape[1]:
-            continue
-        stiffness = -modes.T @ (0.5 * (system.J[i] + system.J[i].T)) @ modes
-        values, vectors = np.linalg.eigh(stiffness)
-        free = modes @ vectors[:, values < tolerance]
-        unique[i] = not np.any(np.abs(free[:3]) > 1e-6)
-    return unique
+        if modes.shape[1]:
+            values, vectors = np.linalg.eigh(-modes.T @ (0.5 * (system.J[i] + system.J[i].T)) @ modes)
+            yield int(i), values, modes @ vectors
 
 
 def _inward(s: Array, size: float) -> Array:
@@ -117,7 +123,7 @@ def _extrapolated(
 
 def _reach(guess: Pose, found: Equilibrium, equations: Equations, options: DirectOptions, force: float) -> Array:
     """Gap (n,) within which the guess keeps every pair of rings that carries more than `force` in `found`."""
-    contacts = find_contacts(guess, equations.weave, equations.wire, options.reach)
+    contacts = equations.contacts(guess, options.reach)
     loaded = ((found.lam > force) & found.contacts.present).sum(axis=2)
     gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
     last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
@@ -150,7 +156,7 @@ def polish(
     """
     lam = np.zeros(())
     for step in range(steps + 1):
-        contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
+        contacts = equations.contacts(pose, options.reach)
         active = touching(contacts, reach)
         flat = active.reshape(len(s), -1)
         lam = np.zeros(contacts.gap.shape)
