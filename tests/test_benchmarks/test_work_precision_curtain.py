@@ -1,0 +1,59 @@
+"""Curtain and chain sections: the reference lies between bounds, ladders end, and what is recommended holds."""
+
+import math
+
+import pytest
+
+from benchmarks.pages.output import FOLDER, read
+from benchmarks.work_precision import chain, curtain
+from examples.curtain import SETTINGS
+
+
+def test_refusals_stay_in_the_ladder_and_end_it():
+    runs = curtain.climb(curtain.net_problem(), curtain.Way("P1", solver="bogus"), [4, 8], 0.0)
+    assert len(runs) == 1
+    assert math.isnan(runs[0].error)
+    assert "rigid" in runs[0].status
+
+
+def test_the_net_is_exact_with_aligned_triangles_and_from_above_without():
+    problem = curtain.net_problem()
+    aligned, diagonal = (
+        curtain.run(problem, curtain.Way("P1", pattern), 8, curtain.NET_MEAN_HEIGHT)
+        for pattern in ("aligned", "diagonal")
+    )
+    assert abs(aligned.error) < 1e-7
+    assert diagonal.error > 1e-3
+
+
+def test_order_of_a_known_ladder():
+    runs = [curtain.Run("x", 0, n, 3.0 / n, 0, 0.0, "converged") for n in (100, 400, 1600)]
+    assert curtain.order(runs) == pytest.approx(2.0)
+    assert math.isnan(curtain.order(runs[:1]))
+
+
+def test_coarse_certified_interval_holds_the_extrapolated_height():
+    reference, doubt = curtain.reference_height(16)
+    (level, _), *_ = curtain.certified(curtain.corner_problem(), 8, 0)
+    low, high = curtain.interval(level)
+    assert low < reference - doubt < reference + doubt < high
+
+
+def test_a_looser_contact_lets_the_curtain_sink_and_a_finer_table_bounds_it_closer():
+    exact = chain.height_of(chain.law_of(22.5), 4)
+    loose = chain.fit(
+        chain.table_of(22.5, chain.DirectOptions(tolerance=1e-3, mu_end=1e-3)), chain.FitOptions(normality=1e-2)
+    ).law
+    assert abs(chain.height_of(loose, 4) - exact) > 0.2
+    assert chain.height_of(chain.law_of(15.0), 4) < exact
+
+
+def test_recommended_settings_held_when_they_were_last_measured():
+    report = read("work_precision", FOLDER)
+    table = next(section for section in report.sections if section.key == "chain").tables[0]
+    held = [column.name for column in table.columns].index("held")
+    assert [row[0] for row in table.rows] == [f"{accuracy:.2%}" for accuracy in SETTINGS]
+    assert {row[held] for row in table.rows} == {"yes"}
+    assert [(row[1], row[2].split(",")[0]) for row in table.rows] == [
+        (f"{setting.spacing:g}", " and ".join(map(str, setting.cells))) for setting in SETTINGS.values()
+    ]
