@@ -68,7 +68,8 @@ class Normality:
         rows = ", ".join(str(i) for i in self.blamed[:10]) + (", ..." if len(self.blamed) > 10 else "")
         return (
             f"the rows do not lie on one convex set: S_i:(E_i - E_j) = {self.slack:.3e} for rows {self.worst[0]} and "
-            f"{self.worst[1]} (allowed {-self.tolerance:.0e}); without rows {rows} the others agree"
+            f"{self.worst[1]} (allowed {-self.tolerance:.0e}); without rows {rows} the others agree, and --noise "
+            f"{-1.1 * self.slack:.0e} fits a law that is off by as much there"
         )
 
 
