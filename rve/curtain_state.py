@@ -45,13 +45,13 @@ class Curtain:
 
 def read_curtain(path: Path) -> Curtain:
     """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise."""
-    import meshio
+    from meshio import ReadError, vtu
 
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     try:
-        data = meshio.read(path, file_format="vtu")
-    except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, ParseError, zlib.error, SystemExit) as error:
+        data = vtu.read(path)  # meshio.read would print and exit
+    except (ReadError, OSError, ValueError, KeyError, IndexError, ParseError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read as VTU: {_first_line(error)}") from error
     kinds = [block.type for block in data.cells if len(block.data)]
     if kinds not in (["triangle"], ["quad"]):
@@ -65,6 +65,7 @@ def read_curtain(path: Path) -> Curtain:
     triangles, owner = cells, np.arange(len(cells))
     if kinds == ["quad"]:
         triangles, owner = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(owner, 2)
+    _check_triangles(path, X, triangles, owner)
     S = _recovered(fields["S"], X, cells, triangles, owner)
     state = fields["state"].astype(int)
     return Curtain(X, x, triangles, owner, fields["E"], S, fields["line_load"], state)
@@ -86,6 +87,19 @@ def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) 
     return found.reshape((count, width) if width > 1 else count)
 
 
+def _areas(X: Array, triangles: NDArray[np.intp]) -> Array:
+    (ax, ay), (bx, by) = ((X[triangles[:, k]] - X[triangles[:, 0]]).T for k in (1, 2))
+    return np.asarray(0.5 * np.abs(ax * by - ay * bx))
+
+
+def _check_triangles(path: Path, X: Array, triangles: NDArray[np.intp], owner: NDArray[np.intp]) -> None:
+    if triangles.min() < 0 or triangles.max() >= len(X):
+        raise InputError(f"{path}: a cell names point {triangles.max()}, there are {len(X)}")
+    area = _areas(X, triangles)
+    if not area.min() > 1e-12 * area.max():
+        raise InputError(f"{path}: cell {owner[int(np.argmin(area))]} has no area in reference_mm")
+
+
 def _recovered(
     S: Array, X: Array, cells: NDArray[np.intp], triangles: NDArray[np.intp], owner: NDArray[np.intp]
 ) -> Array:
@@ -94,8 +108,7 @@ def _recovered(
     The stress of locked cells is right on average only: neighbours share a load as the equilibrium of corners happens
     to leave it. Averages of tensions are tensions.
     """
-    (ax, ay), (bx, by) = ((X[triangles[:, k]] - X[triangles[:, 0]]).T for k in (1, 2))
-    area = np.bincount(owner, weights=0.5 * np.abs(ax * by - ay * bx), minlength=len(cells))
+    area = np.bincount(owner, weights=_areas(X, triangles), minlength=len(cells))
     corners, size = cells.ravel(), cells.shape[1]
     total = np.bincount(corners, weights=np.repeat(area, size), minlength=len(X))
     columns = [np.bincount(corners, weights=np.repeat(area * c, size), minlength=len(X)) for c in S.T]

@@ -81,6 +81,7 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     axes = axes_of_weave(cell, hang_deg)
     sites = find_sites(curtain, cell, locked.sides, axes, options.window)
     _check_count(vtu, sites, options)
+    _make(out)
     used, row = np.unique(sites.cell, return_inverse=True)
     states = localize(_in_weave(curtain.E[used], axes), cell, how, locked)
     rings = place_rings(curtain, sites, states, row, cell, axes)
@@ -89,7 +90,6 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     force = largest_forces(loads, cell)[row, sites.index[:, 0]]
     worst = _worst(curtain, cell, how, locked, axes)
     data = _ring_data(curtain, sites, states, row, (fit, force), cell.r1)
-    _make(out)
     around = (28, 8) if options.tubes else (32, 0)
     write_ring_vtu(out / "rings.vtu", (rings.centre, rings.normal), (cell.r1, cell.r2), data, around)
     write_forces_csv(out / "worst_cell.csv", worst.forces, worst.turn)

@@ -1,0 +1,432 @@
+"""Back to the rings: poses against locked states, geometry against affine curtains, forces against statics."""
+
+import csv
+import json
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rve.cell import Pose, find_contacts
+from rve.cli import main
+from rve.curtain_state import Curtain, read_curtain
+from rve.errors import InputError
+from rve.load import cauchy_line_load, deformation_gradient, second_pk
+from rve.localize import LocalizeOptions, localize, locked_states, shares
+from rve.ring_field import axes_of_weave, find_sites, fit_of, place_rings
+from rve.ring_files import tubes, write_ring_vtu
+from rve.ring_forces import cauchy_of, cell_forces, directions, largest_forces
+from rve.spring import lattice_strain
+from rve.sweep import Cell, locked
+from rve.weave import SIX_IN_ONE
+
+CELL, OPTIONS = Cell(), LocalizeOptions()
+WEIGHTS = np.array([1.0, 2.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def states():
+    return locked_states(CELL, OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def table(states):
+    """Locked states of loads that lie between those that arrangements are interpolated from: pose, E, S."""
+    alpha, beta = (x.ravel() for x in np.meshgrid([-38.0, -7.0, 5.0, 22.0, 40.0], [5.0, 25.0, 50.0, 65.0, 85.0]))
+    found, s, _ = locked(alpha, beta, CELL, OPTIONS.direct)
+    E = lattice_strain(found.pose.lattice, states.sides)[0]
+    return found.pose, E, second_pk(deformation_gradient(E), s), s
+
+
+def is_admissible(found, cell):
+    contacts = find_contacts(found.pose, cell.weave, cell.wire, 0.6)
+    assert contacts.min_gap.min() >= -1e-9
+    assert contacts.links_intact.all()
+    np.testing.assert_allclose(contacts.min_gap * cell.r1, found.gap_mm, atol=1e-12)
+
+
+def test_a_locked_strain_gives_back_the_locked_rings(states, table):
+    pose, E, _, _ = table
+    found = localize(E, CELL, OPTIONS, states)
+    assert (found.status == "met").all()
+    assert np.abs(found.E - E).max() < 1e-4
+    assert np.abs(shares(found.pose) - shares(pose)).max() < 1e-4
+    # The tilts of rings that slide on each other are softer than the strain: 1e-4 of strain turns them by 1e-2.
+    assert np.abs(found.pose.normals - pose.normals).max() < 1e-2
+    is_admissible(found, CELL)
+    again = localize(states.E, CELL, OPTIONS, states)
+    assert np.abs(again.E - states.E).max() < 1e-4
+    assert np.abs(again.pose.normals - states.pose.normals).max() < 2e-3
+
+
+def test_too_large_a_strain_comes_back_to_the_locked_state_it_left_along_the_normal(states, table):
+    """Springs find by projection on the admissible strains what line loads find by equilibrium."""
+    _, E, S, _ = table
+    normal = S / np.sqrt(S**2 @ WEIGHTS)[:, None]
+    found = localize(E + 0.02 * normal, CELL, OPTIONS, states)
+    assert (found.status == "beyond").all()
+    assert np.abs(found.E - E).max() < 1e-6
+    largest = 0.5 * (normal[:, 0] + normal[:, 2]) + np.hypot(0.5 * (normal[:, 0] - normal[:, 2]), normal[:, 1])
+    np.testing.assert_allclose(found.short, 0.02 * largest, atol=1e-6)
+    assert found.fold.max() < 1e-6
+    is_admissible(found, CELL)
+
+
+def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, table):
+    _, E, _, _ = table
+    rng = np.random.default_rng(5)
+    share = rng.dirichlet(np.ones(len(E)), 20)
+    inside = localize(0.9 * share @ E, CELL, OPTIONS, states)
+    assert (inside.status == "met").all()
+    assert np.maximum(inside.short, inside.fold).max() < 1e-3
+    wild = localize(rng.uniform(-0.5, 0.8, (20, 3)) * [1.0, 0.5, 1.0], CELL, OPTIONS, states)
+    is_admissible(wild, CELL)
+    assert np.isfinite(wild.E).all()
+    assert {"beyond", "folded"} <= set(wild.status)
+
+
+def test_a_mesh_drawn_together_hangs_in_folds(states):
+    """Pulled along x the mesh can be no wider than locked: what the curtain lacks in width is the fold, to 2e-3."""
+    pose = locked(np.array([0.0]), np.array([2.0]), CELL, OPTIONS.direct)[0].pose
+    E = lattice_strain(pose.lattice, states.sides)[0]
+    found = localize(E - [0.0, 0.0, 0.03], CELL, OPTIONS, states)
+    assert found.status.tolist() == ["folded"]
+    assert found.fold[0] == pytest.approx(0.03, abs=2e-3)
+    assert found.short[0] < 1e-3
+    is_admissible(found, CELL)
+
+
+def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, table):
+    _, E, _, _ = table
+    found, image = (localize(E * [1.0, sign, 1.0], CELL, OPTIONS, states) for sign in (1.0, -1.0))
+    assert np.abs(found.E * [1.0, -1.0, 1.0] - image.E).max() < 1e-12
+    assert np.abs(found.pose.normals * [-1.0, 1.0, 1.0] - image.pose.normals).max() < 1e-12
+    assert found.solves < len(E) + 1
+    is_admissible(image, CELL)
+
+
+def test_company_does_not_matter(states, table):
+    _, E, _, _ = table
+    together = localize(E[:6], CELL, OPTIONS, states)
+    alone = localize(E[4:5], CELL, OPTIONS, states)
+    assert np.abs(together.pose.normals[4] - alone.pose.normals[0]).max() < 1e-9
+
+
+def sheet(F, E, S, turn):
+    """A square of 8 triangles with uniform deformation F and strain E in weave axes, everything turned by `turn`."""
+    x, y = np.meshgrid(np.linspace(-40.0, 40.0, 3), np.linspace(-40.0, 40.0, 3))
+    X = np.column_stack([x.ravel(), y.ravel()])
+    squares = np.array([[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]])
+    triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    own = np.tile(E, (8, 1))
+    loads = np.full(8, 1.0)
+    return Curtain(
+        X @ turn.T, X @ F.T @ turn.T, triangles, np.arange(8), own, np.tile(S, (8, 1)), loads, np.full(8, 2, dtype=int)
+    )
+
+
+@pytest.mark.parametrize("hang", [0.0, 90.0, 33.0])
+@pytest.mark.parametrize("grain", ["x", "y"])
+def test_a_uniform_curtain_gets_the_rings_of_one_locked_cell(states, table, hang, grain):
+    """Every gap and every link of hundreds of rings in space, for a strained, sheared, turned sheet of turned weave."""
+    _, E, S, _ = table
+    found = localize(E[3:4], CELL, OPTIONS, states)
+    angle = np.radians(20.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    F = turn @ deformation_gradient(found.E)[0]
+    cell = replace(CELL, grain=grain)
+    axes = axes_of_weave(cell, hang)
+    curtain = sheet(F, E[3], S[3], axes)
+    sites = find_sites(curtain, cell, states.sides, axes)
+    rings = place_rings(curtain, sites, found, np.zeros(len(sites.X), dtype=int), cell, axes)
+    density = 2.0 / (25.0 * states.sides[0] * states.sides[1])
+    assert len(sites.X) == pytest.approx(80.0**2 * density, rel=0.15)
+    fit = fit_of(rings, cell)
+    assert fit.links == fit.linked > 100
+    assert not fit.broken.any()
+    assert fit.gap_mm.min() == pytest.approx(found.gap_mm[0], abs=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(rings.normal, axis=1), 1.0, atol=1e-12)
+
+
+def test_neighbouring_cells_meet_whatever_their_strains(states, table):
+    """Centres follow the deformation of the curtain, which is continuous, and not the strain of each cell."""
+    _, E, S, _ = table
+    flat = sheet(np.eye(2), np.zeros(3), S[0], np.eye(2))
+    bent = replace(flat, x=flat.X + 0.1 * np.abs(flat.X[:, :1]) * [0.0, 1.0])  # linear in every triangle
+    sites = find_sites(bent, CELL, states.sides, np.eye(2))
+    found = localize(E[:8], CELL, OPTIONS, states)
+    rings = place_rings(bent, sites, found, sites.cell, CELL, np.eye(2))
+    expected = sites.X + 0.1 * np.abs(sites.X[:, :1]) * [0.0, 1.0]
+    np.testing.assert_allclose(rings.centre[:, :2], expected, atol=1e-3)
+
+
+def test_every_lattice_point_belongs_to_one_triangle():
+    curtain = sheet(np.eye(2), np.zeros(3), np.zeros(3), np.eye(2))
+    sites = find_sites(curtain, CELL, (2.0, 2.0), np.eye(2))
+    assert len(np.unique(sites.index, axis=0)) == len(sites.index)
+    # Points (10 i, 10 j) with |x|, |y| <= 40, and those shifted by half a cell.
+    assert (sites.index[:, 0] == 0).sum() == 81
+    assert (sites.index[:, 0] == 1).sum() == 64
+    window = find_sites(curtain, CELL, (2.0, 2.0), np.eye(2), (0.0, 0.0, 10.0, 20.0))
+    assert (window.index[:, 0] == 0).sum() == 6
+
+
+def test_contact_forces_add_up_to_the_line_load_and_balance_every_ring(table):
+    _, _, _, s = table
+    for load in 3.7 * s[::4]:
+        found = cell_forces(load, CELL)
+        assert found.status == "converged"
+        np.testing.assert_allclose(found.virial, load, atol=1e-8 * np.abs(load).max())
+        push = found.force[:, None] * found.normal
+        # Contacts are listed once per lattice: ring a feels -push, ring b, seen from its own centre, +push.
+        centre_a = (found.a[:, 0] == 1)[:, None] * _centre_of_second(found)
+        arm_a = found.point - centre_a
+        arm_b = arm_a - found.branch
+        for ring in (0, 1):
+            a, b = found.a[:, 0] == ring, found.b[:, 0] == ring
+            np.testing.assert_allclose(push[b].sum(axis=0) - push[a].sum(axis=0), 0.0, atol=1e-8)
+            moment = np.cross(arm_b, push)[b].sum(axis=0) - np.cross(arm_a, push)[a].sum(axis=0)
+            np.testing.assert_allclose(moment, 0.0, atol=1e-7)
+
+
+def _centre_of_second(found):
+    """Centre of ring (1, 0, 0) from ring (0, 0, 0): the branch of their contact."""
+    row = np.flatnonzero((found.a == 0).all(axis=1) & (found.b == [1, 0, 0]).all(axis=1))[0]
+    return found.branch[row]
+
+
+def test_forces_of_rounded_directions_are_those_of_the_cell(table):
+    loads = np.array([2.0 * cauchy_line_load([30.0], [20.0])[0], [0.0, 0.0, 0.0], cauchy_line_load([30.0], [20.4])[0]])
+    largest = largest_forces(loads, CELL)
+    exact = cell_forces(loads[0], CELL)
+    assert largest[0].max() == pytest.approx(exact.force.max(), rel=1e-8)
+    assert np.all(largest[1] == 0.0)
+    np.testing.assert_allclose(largest[2], 0.5 * largest[0], rtol=1e-12)
+
+
+def test_directions_are_those_of_the_load(table):
+    _, _, S, s = table
+    alpha, beta, size = directions(1.5 * s)
+    np.testing.assert_allclose(size[:, None] * cauchy_line_load(alpha, beta), 1.5 * s, atol=1e-14)
+    _, E, _, _ = table
+    np.testing.assert_allclose(cauchy_of(S, E), s, atol=1e-12)
+
+
+def test_six_in_one_has_poses_too():
+    cell = Cell(8.0, 1.0, SIX_IN_ONE)
+    states = locked_states(cell, OPTIONS)
+    found = localize(states.E[:12], cell, OPTIONS, states)
+    assert (found.status == "met").all()
+    is_admissible(found, cell)
+
+
+def test_vtu_of_rings_is_read_by_others(tmp_path):
+    import pyvista
+
+    centre = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
+    normal = np.array([[0.0, 0.6, 0.8], [0.0, 0.0, 1.0]])
+    data = {"ring": np.array([0, 1]), "N": np.array([0.5, 2.0]), "ij": np.array([[0, 1], [2, 3]])}
+    write_ring_vtu(tmp_path / "lines.vtu", (centre, normal), (5.0, 0.5), data, (32, 0))
+    lines = pyvista.read(tmp_path / "lines.vtu")
+    assert lines.n_cells == 2
+    assert lines.cell_data["N"].tolist() == [0.5, 2.0]
+    assert lines.cell_data["ij"].tolist() == [[0, 1], [2, 3]]
+    points = np.asarray(lines.points).reshape(2, 32, 3)
+    np.testing.assert_allclose(np.linalg.norm(points - centre[:, None], axis=2), 5.0, atol=1e-5)
+    write_ring_vtu(tmp_path / "tubes.vtu", (centre, normal), (5.0, 0.5), data, (64, 16))
+    surface = pyvista.read(tmp_path / "tubes.vtu").extract_surface(algorithm="dataset_surface").triangulate()
+    assert surface.volume == pytest.approx(2 * 2 * np.pi**2 * 5.0 * 0.5**2, rel=0.04)
+    read = meshio.read(tmp_path / "tubes.vtu")
+    assert read.cells_dict["quad"].shape == (2 * 64 * 16, 4)
+
+
+def test_tubes_lie_on_the_torus():
+    points, quads = tubes(np.array([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.6, 0.8]]), (5.0, 0.5), (12, 6))
+    d = points - [1.0, 2.0, 3.0]
+    height = d @ [0.0, 0.6, 0.8]
+    around = np.sqrt((d**2).sum(axis=1) - height**2) - 5.0
+    np.testing.assert_allclose(np.hypot(around, height), 0.5, atol=1e-12)
+    assert sorted(np.bincount(quads.ravel())) == [4] * 72
+
+
+# The whole way, by the command line.
+
+
+def curtain_folder(folder, scene):
+    """The files of macro_fem for a scene."""
+    from macro_fem.cli import main as macro_fem
+
+    (folder / "scene.toml").write_text(scene)
+    arguments = ["run", str(folder / "scene.toml"), "--out", str(folder), "--no-picture"]
+    assert CliRunner().invoke(macro_fem, arguments).exit_code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def hung(tmp_path_factory):
+    """A small curtain hung by its corners."""
+    scene = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = 4\n[support]\nkind = "corners"\n'
+    return curtain_folder(tmp_path_factory.mktemp("hung"), scene)
+
+
+@pytest.mark.parametrize("weave", ["y", "x"])
+def test_a_hanging_strip_has_the_rings_of_one_locked_cell(tmp_path, weave):
+    """Hung along y from the held top, or along x from a rail, the strain is one locked state everywhere.
+
+    Every drawn ring then clears its neighbours by what its cell allows, and the rings of the top carry the weight.
+    """
+    kind = "top" if weave == "y" else "rail"
+    scene = f'[curtain]\nwidth = 50.0\nheight = 60.0\nhang = "{weave}"\n[mesh]\ncells = 4\n[support]\nkind = "{kind}"\n'
+    folder = curtain_folder(tmp_path, scene)
+    result = run(folder / "curtain.vtu", "--out", folder / "rings", "--no-picture")
+    assert result.exit_code == 0, result.output
+    summary = json.loads((folder / "rings" / "localize.json").read_text())
+    assert list(summary["cells_by_status"]) == ["met"]
+    assert summary["links_intact"] == summary["links"] > 30
+    assert summary["drawn_gap_mm_quantiles_0_5_25_50"]["met"][0] > -0.02
+    sheet_load = json.loads((folder / "summary.json").read_text())["total_load_N"][1] / -50.0
+    largest = summary["worst_cell"]["largest_principal_line_load_N_per_mm"]
+    assert 0.7 * sheet_load < largest < sheet_load
+    pull = summary["worst_cell"]["cauchy_line_load_11_12_22_N_per_mm"]
+    # A pull along one axis of the weave: per reference length it is the line load above.
+    assert abs(pull[1]) < 1e-2 * max(pull)
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["localize", *(str(a) for a in arguments)])
+
+
+def test_rings_of_a_curtain_from_the_command_line(hung, tmp_path):
+    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--no-picture")
+    assert result.exit_code == 0, result.output
+    out = tmp_path / "rings"
+    assert {p.name for p in out.iterdir()} == {"rings.vtu", "worst_cell.csv", "localize.json"}
+    summary = json.loads((out / "localize.json").read_text())
+    assert summary["rings"] == pytest.approx(70.0 * 60.0 * 2.0 / (11.0 * 12.646), rel=0.15)
+    assert summary["smallest_gap_in_a_cell_mm"] >= 0.0
+    assert 0.9 * summary["links"] < summary["links_intact"] <= summary["links"]
+    assert sum(summary["cells_by_status"].values()) == summary["cells"] <= 64
+    assert summary["largest_strain_short"] < 2e-3
+    worst = summary["worst_cell"]
+    np.testing.assert_allclose(
+        worst["line_load_of_contacts_11_12_22_N_per_mm"], worst["cauchy_line_load_11_12_22_N_per_mm"], atol=1e-8
+    )
+    with (out / "worst_cell.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == worst["contacts"] > 0
+    assert max(float(row["force_N"]) for row in rows) == pytest.approx(worst["largest_force_N"])
+    import pyvista
+
+    drawn = pyvista.read(out / "rings.vtu")
+    assert drawn.n_cells == summary["rings"]
+    x = np.asarray(drawn.points)[:, 0]
+    # The curtain and its lattice are symmetric, so the rings are.
+    assert x.min() + x.max() == pytest.approx(70.0, abs=0.1)
+
+
+def test_a_window_and_the_picture(hung, tmp_path):
+    result = run(hung / "curtain.vtu", "--out", tmp_path, "--window", "0,20,40,60", "--tubes")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "rings.png").read_bytes()[:4] == b"\x89PNG"
+    summary = json.loads((tmp_path / "localize.json").read_text())
+    points = meshio.read(tmp_path / "rings.vtu").points
+    assert len(points) == summary["rings"] * 28 * 8
+    assert points[:, 0].max() < 60.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--window", "0,0,1"], "--window"),
+        (["--window", "5000,5000,6000,6000"], "not one ring"),
+        (["--max-rings", "3"], "--max-rings"),
+        (["--r2", "2"], "jams"),
+        (["--weave", "felt"], "felt"),
+        (["--grain", "x"], "grain"),
+        (["--hang", "nan"], "hang"),
+    ],
+)
+def test_bad_options_end_in_one_sentence(hung, tmp_path, arguments, words):
+    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", *arguments)
+    assert_one_sentence(result, words)
+    assert not (tmp_path / "rings").exists()
+
+
+def assert_one_sentence(result, words):
+    assert result.exit_code == 2, result.output
+    message = result.stderr.strip()
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+    assert words in message
+
+
+def spoiled(hung, folder, change):
+    data = meshio.read(hung / "curtain.vtu")
+    change(data)
+    data.write(folder / "curtain.vtu")
+    (folder / "summary.json").write_bytes((hung / "summary.json").read_bytes())
+    return folder / "curtain.vtu"
+
+
+def test_bad_files_end_in_one_sentence(hung, tmp_path):
+    out = tmp_path / "rings"
+    assert_one_sentence(run(tmp_path / "none.vtu", "--out", out), "none.vtu")
+    (tmp_path / "words.vtu").write_text("no curtain")
+    assert_one_sentence(run(tmp_path / "words.vtu", "--out", out), "words.vtu")
+    half = (hung / "curtain.vtu").read_bytes()
+    (tmp_path / "half.vtu").write_bytes(half[: len(half) // 2])
+    assert_one_sentence(run(tmp_path / "half.vtu", "--out", out), "half.vtu")
+    for change, words in (
+        (lambda data: data.cell_data.pop("E_11_12_22"), "E_11_12_22"),
+        (lambda data: data.point_data.pop("reference_mm"), "reference_mm"),
+        (lambda data: data.cell_data["S_11_12_22_N_per_mm"][0].__setitem__((0, 0), np.nan), "S_11_12_22"),
+        (lambda data: data.points.__setitem__((0, 0), np.inf), "not finite"),
+        (lambda data: data.point_data["reference_mm"].__setitem__(slice(None), 0.0), "no area"),
+    ):
+        assert_one_sentence(run(spoiled(hung, tmp_path, change), "--out", out), words)
+    assert not out.exists()
+
+
+def test_the_summary_beside_the_curtain(hung, tmp_path):
+    vtu = tmp_path / "curtain.vtu"
+    vtu.write_bytes((hung / "curtain.vtu").read_bytes())
+    out = tmp_path / "rings"
+    assert_one_sentence(run(vtu, "--out", out), "--r1")
+    assert_one_sentence(run(vtu, "--out", out, "--r1", "5", "--r2", "0.5"), "--hang")
+    result = run(vtu, "--out", out, "--r1", "5", "--r2", "0.5", "--hang", "0", "--no-picture", "--window", "0,0,30,30")
+    assert result.exit_code == 0, result.output
+    for text, words in (
+        ("{", "JSON"),
+        ("[1]", "table"),
+        ('{"rings": 3}', "rings"),
+        ('{"rings": {"r1_mm": "a"}}', "r1"),
+    ):
+        (tmp_path / "summary.json").write_text(text)
+        assert_one_sentence(run(vtu, "--out", out), words)
+
+
+def test_a_folder_that_cannot_be_made(hung, tmp_path):
+    (tmp_path / "file").write_text("here already")
+    assert_one_sentence(run(hung / "curtain.vtu", "--out", tmp_path / "file" / "rings", "--no-picture"), "--out")
+
+
+def test_reading_keeps_tension_tensile(hung):
+    curtain = read_curtain(hung / "curtain.vtu")
+    mean, radius = (
+        0.5 * (curtain.S[:, 0] + curtain.S[:, 2]),
+        np.hypot(0.5 * (curtain.S[:, 0] - curtain.S[:, 2]), curtain.S[:, 1]),
+    )
+    assert (mean - radius).min() > -1e-9
+    with pytest.raises(InputError, match="nowhere"):
+        read_curtain(hung / "nowhere.vtu")
+
+
+def test_a_pose_in_a_mirror_keeps_its_links(states):
+    from rve.localize import mirrored
+
+    pose = Pose(states.pose.lattice, states.pose.centres, states.pose.normals)
+    contacts = find_contacts(mirrored(pose), CELL.weave, CELL.wire, 0.6)
+    assert contacts.links_intact.all()
+    np.testing.assert_allclose(contacts.min_gap, find_contacts(pose, CELL.weave, CELL.wire, 0.6).min_gap, atol=1e-12)
