@@ -430,3 +430,20 @@ def test_a_pose_in_a_mirror_keeps_its_links(states):
     contacts = find_contacts(mirrored(pose), CELL.weave, CELL.wire, 0.6)
     assert contacts.links_intact.all()
     np.testing.assert_allclose(contacts.min_gap, find_contacts(pose, CELL.weave, CELL.wire, 0.6).min_gap, atol=1e-12)
+
+
+def test_line_loads_are_averaged_by_area(tmp_path):
+    """Two triangles, the second of three times the area: their shared corners see (1 * 4 + 3 * 8) / 4 = 7."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [3, 1, 0]])
+    loads = np.array([[4.0, 0, 0], [8.0, 0, 0]])
+    names = {"E_11_12_22": np.zeros((2, 3)), "S_11_12_22_N_per_mm": loads, "line_load_1_N_per_mm": loads[:, 0]}
+    names["state_0_slack_1_wrinkled_2_taut"] = np.ones(2)
+    data = meshio.Mesh(
+        points,
+        [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))],
+        point_data={"reference_mm": points},
+        cell_data={name: [values] for name, values in names.items()},
+    )
+    data.write(tmp_path / "two.vtu")
+    S = read_curtain(tmp_path / "two.vtu").S
+    np.testing.assert_allclose(S[:, 0], [(4 + 7 + 7) / 3, (7 + 8 + 7) / 3])
