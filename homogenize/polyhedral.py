@@ -55,6 +55,10 @@ class PolyhedralLaw:
         S = from_disc(np.vstack([np.zeros((1, 2)), 0.5 * ring, ring]))
         return HalfSpaces(S, self.support(S))
 
+    def facets(self) -> HalfSpaces:
+        """All half-spaces of the law; those that others imply are among them."""
+        return HalfSpaces(self.S, self.h)
+
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
         worst, _ = self._body(len(E)).worst(np.ascontiguousarray(E.T))

@@ -26,7 +26,9 @@ def main() -> None:
 @click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib).")
-def run(scene: Path, law_path: Path | None, out: Path, picture: bool) -> None:
+@click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
+@click.option("--force", multiple=True, help="Use this feature (or all) though the scene does not need it.")
+def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: bool, force: tuple[str, ...]) -> None:
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
 
     Exit code 0: converged; 1: files are written, but the solver did not converge and says why; 2: bad input.
@@ -34,7 +36,7 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool) -> None:
     from macro_fem.job import run_scene
 
     try:
-        summary = run_scene(scene, law_path, out, picture=picture)
+        summary = run_scene(scene, law_path, out, picture=picture, force=force)
     except InputError as error:
         raise BadInput(str(error)) from error
     click.echo(f"{summary['status']}: {summary['message']}")
@@ -46,5 +48,8 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool) -> None:
         f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
+    if explain:
+        for feature in summary["features"]:
+            click.echo(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)

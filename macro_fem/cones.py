@@ -10,10 +10,12 @@ is concave in F with gradient -F S. Points carry different numbers of half-space
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from homogenize.law import Array, MembraneLaw
+from homogenize.law import Array, HalfSpaces, MembraneLaw
+from macro_fem.turned import TurnedLaw
 
 LAW_CHUNK = 20_000
 """Points per call of `law.cut`: keeps its (points, half-spaces) table inside some 100 MB."""
@@ -84,7 +86,11 @@ def ddot(A: Array, B: Array) -> Array:
 
 def first_cones(law: MembraneLaw, n_points: int) -> Cones:
     """The half-spaces the law starts with, at each of `n_points` points."""
-    start = law.half_spaces()
+    return same_cones(law.half_spaces(), n_points)
+
+
+def same_cones(start: HalfSpaces, n_points: int) -> Cones:
+    """The same half-spaces at each of `n_points` points."""
     m = len(start.h)
     return Cones(
         np.repeat(np.arange(n_points), m),
@@ -92,6 +98,23 @@ def first_cones(law: MembraneLaw, n_points: int) -> Cones:
         np.tile(start.h, n_points),
         np.arange(n_points) * m,
     )
+
+
+@runtime_checkable
+class Faceted(Protocol):
+    """A law with finitely many half-spaces."""
+
+    def facets(self) -> HalfSpaces:
+        """All of them."""
+        ...
+
+
+def facets_of(law: MembraneLaw) -> HalfSpaces | None:
+    """All half-spaces of a law, in the frame of the curtain; None if they are not a finite list."""
+    if isinstance(law, TurnedLaw):
+        own = facets_of(law.law)
+        return None if own is None else HalfSpaces(own.S @ law.to_curtain.T, own.h)
+    return law.facets() if isinstance(law, Faceted) else None
 
 
 def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cones, np.ndarray]:

@@ -7,7 +7,7 @@ through T. With no ties T only picks the free components, and matrices are assem
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,14 @@ class SupportedFem:
     x_held: Array
     free: np.ndarray
     tie: sparse.csc_matrix | None = None
+
+    def tied(self) -> SupportedFem:
+        """The same curtain with its free components picked by a matrix T, as if bars tied them; itself if some do."""
+        if self.tie is not None:
+            return self
+        free = np.flatnonzero(self.free)
+        one = (np.ones(len(free)), (free, np.arange(len(free))))
+        return replace(self, tie=sparse.csc_matrix(one, shape=(self.free.size, len(free))))
 
     @property
     def d(self) -> int:

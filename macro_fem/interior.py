@@ -259,11 +259,12 @@ def mean_product(program: Program, state: State) -> float:
     return float((program.w * state.s.dot(state.y)).sum() / program.w.sum())
 
 
-def search(program: Program, state: State, now: Measure, least_gap: float) -> Step | None:
+def search(program: Program, state: State, now: Measure, least_gap: float, *, corrector: bool = True) -> Step | None:
     """A predictor-corrector step and its lengths; None if rounding leaves none.
 
     The aim is no closer than `least_gap` (relative to the scale): with gaps far below the residuals Newton's matrix
-    would lose its digits to them, and steps get stuck.
+    would lose its digits to them, and steps get stuck. Without the second-order term of the `corrector` it is a plain
+    Newton step towards the same aim.
     """
     try:
         newton = _Newton(program, state, now)
@@ -275,7 +276,7 @@ def search(program: Program, state: State, now: Measure, least_gap: float) -> St
     affine = newton.direction(square * -1.0, 0.0)
     reach = min(step_lengths(state, affine, 1.0))
     sigma = (1.0 - reach) ** 3
-    second = soc.product(newton.W.undo(affine.ds), newton.W.apply(affine.dy))
+    second = soc.product(newton.W.undo(affine.ds), newton.W.apply(affine.dy)) * float(corrector)
     least = min(mu, least_gap * program.scale / float(program.w.sum()))
     step = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):

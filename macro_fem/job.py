@@ -9,6 +9,7 @@ from typing import Any
 from homogenize.law import Array, InputError, MembraneLaw, default_law, load_law
 from macro_fem.adapt import Level, levels
 from macro_fem.bounds import Bounds
+from macro_fem.explain import decisions
 from macro_fem.mesh import build_mesh
 from macro_fem.output import (
     bounds_summary,
@@ -18,34 +19,56 @@ from macro_fem.output import (
     write_summary,
     write_vtu,
 )
-from macro_fem.scene import Scene, load_scene
+from macro_fem.scene import FEATURES, Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
 from macro_fem.solvers import solve_problem
 
 
-def run_scene(scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True) -> dict[str, Any]:
-    """Solves the scene, writes its files into `out` and returns the summary.
+def run_scene(
+    scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True, force: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Solves the scene, writes its files into `out` and returns the summary; `force` adds to that of the scene.
 
     curtain.vtu and curtain.png show the full load; with more than one load step curtain.pvd lists one VTU per step.
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
     """
-    scene = load_scene(scene_path)
+    scene = with_force(load_scene(scene_path), force)
     law = default_law() if law_path is None else load_law(law_path)
     if picture:
         require_matplotlib()
     early = [_solved(scene, law, step / scene.load.steps) for step in range(1, scene.load.steps)]
-    final = _with_bounds(scene, law) if scene.solver.bounds or scene.solver.adapt else []
+    final = _with_bounds(scene, law) if asks_bounds(scene) else []
     solution = final[-1].solution if final else _solved(scene, law, 1.0)
     bounds = final[-1].bounds if final else None
     summary = summarize(solution)
     if final:
         summary |= {"bounds": bounds_summary(final[-1]), "levels": [bounds_summary(level) for level in final]}
+    summary["features"] = [decision.to_dict() for decision in decisions(solution, bounds=bool(final), picture=picture)]
     if early:
         summary["steps"] = [_step_line(one, step, scene.load.steps) for step, one in enumerate([*early, solution], 1)]
     prepare_folder(out)
     _write(out, [*early, solution], bounds, picture=picture)
     write_summary(out, summary)
     return summary
+
+
+def with_force(scene: Scene, force: tuple[str, ...]) -> Scene:
+    """The scene with more features forced; InputError for those that are not known or do not go with it."""
+    if not force:
+        return scene
+    for name in force:
+        if name not in (*FEATURES, "all"):
+            raise InputError(f"--force = {name!r}: known are all, {', '.join(FEATURES)}")
+    wider = replace(scene, solver=replace(scene.solver, force=(*scene.solver.force, *force)))
+    check_solver(wider, scene.source)
+    return wider
+
+
+def asks_bounds(scene: Scene) -> bool:
+    """Whether bounds of the continuous curtain are wanted."""
+    solver = scene.solver
+    fits = solver.kind == "rigid" and scene.mesh.element == "P1"
+    return solver.bounds or solver.adapt > 0 or (fits and solver.forces("bounds"))
 
 
 def _solved(scene: Scene, law: MembraneLaw, factor: float) -> CurtainSolution:

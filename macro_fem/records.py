@@ -132,6 +132,20 @@ def polygons(default: Any = MISSING) -> Any:
     return _entry(check, default)
 
 
+def words(*names: str) -> Any:
+    """A list of some words, none by default."""
+
+    def check(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list | tuple):
+            raise _BadValue("is not a list of words")
+        for name in value:
+            if name not in names:
+                raise _BadValue(f"holds {name!r}, which is not one of {', '.join(names)}")
+        return tuple(value)
+
+    return _entry(check, ())
+
+
 def custom(check: Check, default: Any = MISSING) -> Any:
     """A value with a check of its own, which raises ValueError with what is wrong."""
     return _entry(check, default)

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from homogenize.law import InputError
-from macro_fem.records import choice, custom, flag, number, polygon, polygons, read_record, text, vector, whole
+from macro_fem.records import choice, custom, flag, number, polygon, polygons, read_record, text, vector, whole, words
 
 HANG_ANGLES = {"y": 0.0, "x": 90.0}
 ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
 MAX_CELLS = 20_000
+FEATURES = ("third-coordinate", "all-half-spaces", "ties", "coarse-start", "bounds")
+"""What a scene leaves out where it can; see `macro_fem.explain`."""
 
 
 def _hang(value: Any) -> float:
@@ -166,7 +168,8 @@ class Solver:
 
     `tolerance` is relative to the problem's energy scale, total load times size. `spread` adds an even tension of this
     part of (total load / size) everywhere, which opens out what hangs slack and has no shape of its own; the bounds in
-    the summary allow for it, 0 switches it off.
+    the summary allow for it, 0 switches it off. `force` names features, or all, that are used though the scene does not
+    need them.
     """
 
     kind: str = choice("rigid", "conic", "newton", default="rigid")
@@ -175,6 +178,11 @@ class Solver:
     spread: float = number(1e-6, least=0.0, most=1e-2)
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
+    force: tuple[str, ...] = words("all", *FEATURES)
+
+    def forces(self, feature: str) -> bool:
+        """Whether a feature is to be used in any case."""
+        return feature in self.force or "all" in self.force
 
 
 @dataclass(frozen=True)
@@ -222,7 +230,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         source=Path(source),
     )
     _check_shape(scene.curtain, source)
-    _check_solver(scene, source)
+    check_solver(scene, source)
     return scene
 
 
@@ -280,11 +288,18 @@ def _check_shape(curtain: Curtain, source: str | Path) -> None:
         raise InputError(f'{source}: [curtain] holes: are not used by shape = "file"')
 
 
-def _check_solver(scene: Scene, source: str | Path) -> None:
+def check_solver(scene: Scene, source: str | Path) -> None:
+    """InputError if the solver does not go with the mesh or the shape."""
     element, shape, solver = scene.mesh.element, scene.curtain.shape, scene.solver
     if element in ("Q1", "Q2") and (shape not in ("rectangle", "file") or scene.curtain.holes):
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
     if solver.kind == "newton" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'newton'")
+    if solver.kind != "rigid":
+        for feature in ("third-coordinate", "all-half-spaces", "bounds"):
+            if feature in solver.force:
+                raise InputError(f"{source}: [solver] force = {feature!r}: needs kind = 'rigid', not {solver.kind!r}")
+    if "bounds" in solver.force and element != "P1":
+        raise InputError(f"{source}: [solver] force = 'bounds': needs element = 'P1', not {element!r}")
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

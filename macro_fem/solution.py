@@ -44,7 +44,7 @@ class CurtainSolution:
 
     x (n_nodes, d) positions, mm; at the points F, E, P = F S (nq, d, 2) in N per mm of reference length, and S; primal
     and dual values of the potential -sum force . (x - X), N mm; residual: unbalanced force relative to the load;
-    reactions (n_nodes, d), N.
+    reactions (n_nodes, d), N. `tension` is the even tension in N/mm that P balances besides the load.
     """
 
     problem: Problem
@@ -61,6 +61,7 @@ class CurtainSolution:
     wall_s: float
     cones: Cones | None = field(default=None, repr=False)
     history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
+    tension: float = 0.0
 
     @property
     def E(self) -> Array:
@@ -75,7 +76,8 @@ class CurtainSolution:
     @property
     def reactions(self) -> Array:
         """Forces of the supports on the curtain (n_nodes, d), N."""
-        balance = internal_force(self.problem.disc, self.P) - self.problem.force
+        own = self.P - self.tension * unit_tensors(self.problem)
+        balance = internal_force(self.problem.disc, own) - self.problem.force
         return np.where(self.problem.supports.mask, balance, 0.0)
 
     def mean_height(self) -> float:
@@ -132,6 +134,22 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
 def spread_tension(problem: Problem) -> float:
     """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
     return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
+
+
+def spread_allowance(problem: Problem, tension: float) -> float:
+    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
+
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
+    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    """
+    half = np.array([[0.5, 0.0, 0.5]])
+    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
+    return tension * largest * float(problem.disc.weight.sum())
+
+
+def unit_tensors(problem: Problem) -> Array:
+    """The unit tensor at every point (nq, d, 2)."""
+    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
 
 
 def gathered_start(problem: Problem) -> Array:

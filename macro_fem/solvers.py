@@ -8,19 +8,31 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from homogenize.law import Array, InputError, MembraneLaw
-from macro_fem.cones import Cones, taken_from
+from homogenize.law import InputError, MembraneLaw
+from macro_fem.cones import Cones, facets_of, same_cones, taken_from
 from macro_fem.conic import ConicOptions, solve_conic
 from macro_fem.elastic import solve_elastic
+from macro_fem.fem import SupportedFem
 from macro_fem.mesh import build_mesh
 from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
 from macro_fem.scene import Scene
-from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension
+from macro_fem.solution import (
+    CurtainSolution,
+    Problem,
+    gathered_start,
+    make_problem,
+    spread_allowance,
+    spread_tension,
+    unit_tensors,
+)
+from macro_fem.space import in_space, padded
 from macro_fem.turned import TurnedLaw
 
 COARSE_FROM = 4000
 """Points from which a coarse curtain is solved first."""
 COARSE_TOLERANCE = 1e-4
+MOST_CONES = 2_000_000
+"""Half-spaces that may be forced in: some 2 GB."""
 
 
 def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
@@ -40,6 +52,8 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
 
 def solve_problem(problem: Problem) -> CurtainSolution:
     """The curtain of a discrete problem, by the solver its scene names."""
+    if problem.scene.solver.forces("ties"):
+        problem = replace(problem, fem=problem.fem.tied())
     if problem.scene.solver.kind == "newton":
         return solve_elastic(problem, coarse_cones(problem))
     return solve_locked(problem)
@@ -49,16 +63,52 @@ def solve_locked(problem: Problem) -> CurtainSolution:
     """The rigid curtain of a discrete problem, by our own interior-point method or, for "conic", by clarabel."""
     begin = time.perf_counter()
     spec = problem.scene.solver
-    fem = problem.fem
     tension = spread_tension(problem)
-    load = fem.gather(problem.force) + fem.force(tension * _unit(problem))
     if spec.kind == "conic":
+        fem = problem.fem
+        load = fem.gather(problem.force) + fem.force(tension * unit_tensors(problem))
         result = solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=spec.tolerance))
     else:
-        violation = max(RigidOptions.violation, 10.0 * spec.tolerance)
-        options = RigidOptions(spec.tolerance, violation, spec.max_iterations, cones=coarse_cones(problem))
-        result = solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
-    return _solution(problem, result, tension, time.perf_counter() - begin)
+        fem, result = _solved_rigid(problem, tension)
+    return _solution(problem, fem, result, tension, time.perf_counter() - begin)
+
+
+def _solved_rigid(problem: Problem, tension: float) -> tuple[SupportedFem, RigidResult]:
+    """The discretisation, in space if that is forced, and the result of our own interior-point method."""
+    spec, fem = problem.scene.solver, problem.fem
+    start, force = gathered_start(problem), problem.force
+    if spec.forces("third-coordinate"):
+        fem, start, force = in_space(fem), padded(start), padded(force)
+    load = fem.gather(force) + fem.force(tension * unit_tensors(replace(problem, fem=fem)))
+    violation = max(RigidOptions.violation, 10.0 * spec.tolerance)
+    options = RigidOptions(spec.tolerance, violation, spec.max_iterations, cones=coarse_cones(problem))
+    if spec.forces("all-half-spaces"):
+        options = replace(options, cones=all_cones(problem), drop_idle=False)
+    return fem, solve_rigid(fem, problem.law, load, fem.unknowns(start), problem.mesh.size, options)
+
+
+def all_cones(problem: Problem) -> Cones:
+    """All half-spaces of the law at every point; InputError if they are too many, or not a finite list."""
+    facets = facets_of(problem.law)
+    source, points = problem.scene.source, problem.disc.n_points
+    if facets is None:
+        raise InputError(
+            f"{source}: [solver] force = 'all-half-spaces': the law {problem.law.name!r} has no finite list of them"
+        )
+    if len(facets.h) * points > MOST_CONES:
+        raise InputError(
+            f"{source}: [solver] force = 'all-half-spaces': {len(facets.h)} at {points} points are more than "
+            f"{MOST_CONES}; use fewer cells"
+        )
+    return same_cones(facets, points)
+
+
+def starts_coarse(problem: Problem) -> bool:
+    """Whether a coarser curtain is solved first: it pays on large meshes, and not every mesh has a coarser one."""
+    scene = problem.scene
+    pays = problem.disc.n_points >= COARSE_FROM or scene.solver.forces("coarse-start")
+    possible = scene.curtain.shape != "file" and not scene.solver.adapt and scene.mesh.cells >= 8
+    return pays and possible
 
 
 def coarse_cones(problem: Problem) -> Cones | None:
@@ -66,16 +116,11 @@ def coarse_cones(problem: Problem) -> Cones | None:
 
     They are half as many as the law's own first ones and nearly the right ones, so that few rounds remain.
     """
-    scene = problem.scene
-    if (
-        problem.disc.n_points < COARSE_FROM
-        or scene.curtain.shape == "file"
-        or scene.solver.adapt
-        or scene.mesh.cells < 8
-    ):
+    if not starts_coarse(problem):
         return None
+    scene = problem.scene
     law = problem.law.law if isinstance(problem.law, TurnedLaw) else problem.law
-    loose = replace(scene.solver, tolerance=max(COARSE_TOLERANCE, scene.solver.tolerance))
+    loose = replace(scene.solver, tolerance=max(COARSE_TOLERANCE, scene.solver.tolerance), force=())
     coarse = replace(scene, mesh=replace(scene.mesh, cells=scene.mesh.cells // 4), solver=loose)
     try:
         solution = solve_locked(make_problem(coarse, law, build_mesh(coarse, law.cell), problem.factor))
@@ -87,31 +132,21 @@ def coarse_cones(problem: Problem) -> Cones | None:
     return taken_from(solution.cones, nearest)
 
 
-def spread_allowance(problem: Problem, tension: float) -> float:
-    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
-
-    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
-    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
-    """
-    half = np.array([[0.5, 0.0, 0.5]])
-    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
-    return tension * largest * float(problem.disc.weight.sum())
-
-
-def _unit(problem: Problem) -> Array:
-    """The unit tensor at every point (nq, d, 2)."""
-    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
-
-
-def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: float) -> CurtainSolution:
+def _solution(
+    problem: Problem, fem: SupportedFem, result: RigidResult, tension: float, wall_s: float
+) -> CurtainSolution:
     """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
-    fem = problem.fem
-    x = fem.positions(result.z)
+    x = fem.positions(result.z)[:, :2]
     primal = -float((problem.force * (x - problem.disc.nodes)).sum())
-    own_load = fem.gather(problem.force)
+    own_load = fem.gather(problem.force if fem.d == 2 else padded(problem.force))
     shift = primal + float(own_load @ result.z)  # what supports and the choice of origin add to -l.z
     held_part = float(
-        (fem.weight[:, None, None] * tension * _unit(problem) * fem.gradient(np.zeros_like(result.z))).sum()
+        (
+            fem.weight[:, None, None]
+            * tension
+            * unit_tensors(replace(problem, fem=fem))
+            * fem.gradient(np.zeros_like(result.z))
+        ).sum()
     )
     allowance = spread_allowance(problem, tension) + held_part
     return CurtainSolution(
@@ -119,8 +154,8 @@ def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: flo
         status=result.status,
         message=result.message,
         x=x,
-        F=problem.fem.gradient(result.z),
-        P=result.P,
+        F=fem.gradient(result.z)[:, :2],
+        P=result.P[:, :2],
         S=result.S,
         primal=primal,
         dual=result.dual + shift - allowance,
@@ -129,4 +164,5 @@ def _solution(problem: Problem, result: RigidResult, tension: float, wall_s: flo
         wall_s=wall_s,
         cones=result.cones,
         history=result.history,
+        tension=tension,
     )
