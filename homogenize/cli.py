@@ -48,15 +48,14 @@ def main() -> None:
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
 @click.option("--kind", default=None, help="smooth, outer, inner, interpolated or net; default: see docs/homogenize.md")
 @click.option("--noise", default=None, type=float, help="strain error to allow in the normality test (default 1e-8)")
+@click.option("--resolution", default=None, type=float, help="facets of the refined law; 1e-5 suits a --graded table")
 @plain_errors
-def fit(table: Path, out: Path, kind: str | None, noise: float | None) -> None:
+def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
     """Fits a law to TABLE, writes it and prints how wrong it can be."""
     from homogenize.fit import FitOptions, fit_table
 
-    options = FitOptions()
-    if kind is not None or noise is not None:
-        options = FitOptions(kind or options.kind, options.normality if noise is None else noise)
-    result = fit_table(table, options)
+    asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
+    result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
     click.echo(result.report.text())
     click.echo(f"law written to {out}")

@@ -26,7 +26,10 @@ RIM_STEP = np.radians(2.5)
 NEWS = 3e-5
 """A prediction less than this strain below the rows' outer bound tells nothing new: the rows meet in a vertex there."""
 FINE, MOST_PARTS = 1e-4, 10
-"""Ways between rows are cut in sqrt(gap / FINE) parts, gap the distance of the bounds, and in MOST_PARTS at most."""
+"""Ways between rows are cut in sqrt(gap / FINE) parts, gap the distance of the bounds, and in MOST_PARTS at most.
+`Parts.of` makes them finer with the resolution."""
+FINEST = 1e-7
+"""The least resolution that makes sense: a hundred thousand half-spaces and more."""
 COARSE = 2e-3
 """Bounds farther apart than this have rows between which the slope turns unevenly: cubics are not trusted there."""
 SHARE = 0.2
@@ -71,16 +74,34 @@ def nodes_of(rows: Rows) -> Nodes:
     return Nodes(disc(both.S[first]), both.h[first], both.E, of_row.ravel())
 
 
-def refined_half_spaces(rows: Rows, news: float = NEWS) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class Parts:
+    """How finely ways between rows are cut: in sqrt(gap / `fine`) parts, `most` at most."""
+
+    fine: float = FINE
+    most: int = MOST_PARTS
+
+    @staticmethod
+    def of(resolution: float) -> Parts:
+        """Parts that go with a resolution: finer, or coarser, in the same measure."""
+        share = resolution / NEWS
+        return Parts(FINE * share, max(3, round(MOST_PARTS / np.sqrt(share))))
+
+    def count(self, gap: Array, least: int) -> Index:
+        """Parts of ways with these distances of the bounds, (k,)."""
+        return np.clip(np.ceil(np.sqrt(np.maximum(gap, 0.0) / self.fine)), least, self.most).astype(np.intp)
+
+
+def refined_half_spaces(rows: Rows, news: float = NEWS, parts: Parts = Parts()) -> tuple[Array, Array]:
     """Half-spaces S (m, 3), h (m,): those of the rows, their mirror images, and predictions between neighbours.
 
     Predictions that are not `news` below the outer bound of the rows are left out, except on the rim.
     """
     bounds, nodes = bounds_of(rows), nodes_of(rows)
     triangles = triangles_of(nodes)
-    x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds)
+    x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds, parts)
     x_centre, h_centre = in_triangles(nodes, triangles)
-    x_coarse = coarse_lattice(nodes, triangles, bounds)
+    x_coarse = coarse_lattice(nodes, triangles, bounds, parts)
     x_rim, h_rim = on_arcs(nodes)
     S = from_disc(np.vstack([x_chord, x_centre, x_coarse, x_rim]))
     h = np.concatenate([h_chord, h_centre, np.full(len(x_coarse), np.inf), h_rim])
@@ -92,7 +113,7 @@ def refined_half_spaces(rows: Rows, news: float = NEWS) -> tuple[Array, Array]:
     return np.vstack([from_disc(nodes.x), S, mirror(S)]), np.concatenate([nodes.h, h, h])
 
 
-def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds) -> Array:
+def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds, parts: Parts) -> Array:
     """Loads (k, 2) on a lattice in every triangle in which the bounds are far apart; finer, the farther."""
 
     def gap(x: Array) -> Array:
@@ -101,8 +122,8 @@ def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds) -> Array:
 
     centre_gap = gap(nodes.x[triangles].mean(axis=1))
     found = [np.zeros((0, 2))]
-    for k in np.flatnonzero(centre_gap > 0.5 * COARSE):
-        n = int(np.clip(np.ceil(np.sqrt(centre_gap[k] / FINE)), 3, MOST_PARTS))
+    wide = np.flatnonzero(centre_gap > 0.5 * COARSE)
+    for k, n in zip(wide, parts.count(centre_gap[wide], 3), strict=True):
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
         found.append(np.stack([i, j, n - i - j], axis=1) / n @ nodes.x[triangles[k]])
     x = np.vstack(found)
@@ -142,7 +163,7 @@ def in_triangles(nodes: Nodes, triangles: Index) -> tuple[Array, Array]:
     return nodes.x[triangles].mean(axis=1), (corners + 3.0 * beside + 6.0 * middle) / 27.0
 
 
-def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds) -> tuple[Array, Array]:
+def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds, cut: Parts) -> tuple[Array, Array]:
     """Loads between the pairs as points of the disc (k, 2), and their predicted support (k,).
 
     The farther the bounds are apart half-way, the more loads: the error of the polyhedron between two of them falls
@@ -150,8 +171,7 @@ def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds) -> tuple[Array, Array]
     """
     middle = from_disc(0.5 * (nodes.x[pairs[:, 0]] + nodes.x[pairs[:, 1]]))
     gap = bounds.upper(middle) - bounds.lower(middle)
-    parts = np.clip(np.ceil(np.sqrt(np.maximum(gap, 0.0) / FINE)), 2, MOST_PARTS).astype(int)
-    chord, t = subdivision(parts)
+    chord, t = subdivision(cut.count(gap, 2))
     i, j = pairs[chord].T
     way = from_disc(nodes.x[j]) - from_disc(nodes.x[i])
     ends = nodes.slope(i, way, last=False), nodes.slope(j, way, last=True)

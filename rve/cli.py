@@ -92,6 +92,21 @@ def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, 
         return solve_table(*directions, mesh, DirectOptions(force=checked_force(how["force"])), progress=bar.update)
 
 
+def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
+    """The load directions asked for: a file, the graded set, or a grid."""
+    from rve.ranges import graded_grid, grid, parse_angles, read_loads
+
+    if (loads is not None) + graded + (alpha is not None or beta is not None) > 1:
+        raise InputError("--loads, --graded and --alpha with --beta are three ways to say which loads: give one")
+    if loads is not None:
+        return read_loads(loads)
+    return (
+        graded_grid()
+        if graded
+        else grid(parse_angles(alpha or "0:45:5", "--alpha"), parse_angles(beta or "0:90:5", "--beta"))
+    )
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
     """Where a periodic cell of rigid interlinked rings locks under each line load."""
@@ -99,9 +114,10 @@ def main() -> None:
 
 @main.command()
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write.")
-@click.option("--alpha", default="0:45:5", show_default=True, help="Principal angles in degrees.")
-@click.option("--beta", default="0:90:5", show_default=True, help="Ratio angles in degrees.")
+@click.option("--alpha", help="Principal angles in degrees.  [default: 0:45:5]")
+@click.option("--beta", help="Ratio angles in degrees.  [default: 0:90:5]")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
+@click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
 @click.option("--method", default="direct", show_default=True, help="direct or stewart-trinkle.")
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Folder to resume from (stewart-trinkle).")
 @click.option(
@@ -112,9 +128,8 @@ def main() -> None:
 @_feature_options
 @_cell_options
 @_one_sentence
-def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **rest: Any) -> None:
+def table(out: Path, method: str, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
-    from rve.ranges import grid, parse_angles, read_loads
     from rve.span import with_span
     from rve.st_table import with_compliance
     from rve.table import write_table
@@ -123,8 +138,9 @@ def table(out: Path, alpha: str, beta: str, loads: Path | None, method: str, **r
     stiffness, span, explain = rest.pop("compliance"), rest.pop("span"), rest.pop("explain")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
+    asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = _cell(**rest)
-    directions = read_loads(loads) if loads else grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
+    directions = _directions(**asked)
     if not out.parent.is_dir():
         raise InputError(f"--out = {out}: the folder {out.parent} does not exist")
     found = _solved(method, directions, mesh, how)

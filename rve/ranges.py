@@ -47,6 +47,17 @@ def grid(alpha: Array, beta: Array) -> tuple[Array, Array]:
     return a.ravel(), b.ravel()
 
 
+def graded_grid() -> tuple[Array, Array]:
+    """403 load directions, close where the strain changes fast: beta near 0 and 90, alpha beyond 30 degrees.
+
+    There it moves by 0.05 within half a degree of beta; elsewhere the steps are 5 degrees, as in the paper.
+    """
+    near = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
+    far = np.array([82.5, 85.0, 86.0, 87.0, 88.0, 88.5, 89.0, 90.0])
+    alpha = np.concatenate([np.arange(0.0, 30.0, 5.0), np.arange(30.0, 46.0, 2.5)])
+    return grid(alpha, np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
+
+
 def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
     columns = read_columns(path, ("alpha_deg", "beta_deg"))

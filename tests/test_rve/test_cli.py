@@ -50,6 +50,7 @@ def test_case_prints_json_and_draws(tmp_path):
         (["--r2", "nan"], "r2 = nan"),
         (["--alpha", "0:10"], "--alpha"),
         (["--loads", "missing.csv"], "missing.csv"),
+        (["--graded", "--beta", "10"], "--graded"),
         (["--weave", "felt"], "felt"),
         (["--method", "magic"], "magic"),
         (["--grain", "z"], "grain"),
