@@ -80,9 +80,9 @@ def _trail(s: Array, equations: Equations, options: DirectOptions) -> list[Equil
 
 
 def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
-    """Equilibria under the uniaxial loads s (n, 3) that are limits for a vanishing second principal load.
+    """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
 
-    The smallest three second loads whose extrapolation Newton's method confirms count; status "no-limit" if none do.
+    The smallest three additions whose extrapolation Newton's method confirms count; status "no-limit" if none do.
     """
     trail = _trail(s, equations, options)
     result = replace(trail[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
@@ -181,12 +181,12 @@ def with_limits(
 ) -> tuple[Equilibrium, NDArray[np.bool_]]:
     """Equilibria with non-unique rows replaced by their limits, and the flags `unique` (n,).
 
-    Uniaxial loads that have stalled are tried on the same way. A row whose limit cannot be found keeps one of its
-    equilibria and gets the status "no-limit".
+    Uniaxial and nearly uniaxial loads that have stalled are approached on the same way, from inside the tensile cone.
+    A row whose limit cannot be found keeps one of its equilibria and gets the status "no-limit".
     """
     unique = strain_is_unique(equations, found, s)
-    uniaxial = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < 1e-12 * (s[:, 0] + s[:, 2]) ** 2
-    stalled = (found.status == "stalled") & uniaxial
+    slender = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < _SIZES[0] * (s[:, 0] + s[:, 2]) ** 2
+    stalled = (found.status == "stalled") & slender
     rows = np.flatnonzero(~unique | stalled)
     if not len(rows):
         return found, unique
@@ -194,4 +194,7 @@ def with_limits(
     good = limit.status == "converged"
     found = replace(found, status=np.where(unique, found.status, "no-limit"))
     found = found.put(rows[good], limit.take(np.flatnonzero(good)))
-    return found, unique & ~(stalled & (found.status == "converged"))
+    reached = rows[good & stalled[rows]]
+    if len(reached):
+        unique[reached] = strain_is_unique(equations, found.take(reached), s[reached])
+    return found, unique
