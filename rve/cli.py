@@ -100,11 +100,10 @@ def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str |
         raise InputError("--loads, --graded and --alpha with --beta are three ways to say which loads: give one")
     if loads is not None:
         return read_loads(loads)
-    return (
-        graded_grid()
-        if graded
-        else grid(parse_angles(alpha or "0:45:5", "--alpha"), parse_angles(beta or "0:90:5", "--beta"))
-    )
+    if graded:
+        return graded_grid()
+    alpha, beta = "0:45:5" if alpha is None else alpha, "0:90:5" if beta is None else beta
+    return grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
