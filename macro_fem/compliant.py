@@ -130,6 +130,19 @@ def measure(program: Program, state: State) -> Measure:
     )
 
 
+def least_potential(program: Program, state: State, now: Measure) -> float:
+    """A lower bound of -l.z + sum w e:D^-1:e / 2 over all states within REACH sizes of this one, N mm: the dual value.
+
+    Forces that do not balance count with what they can do over that distance.
+    """
+    F0 = program.fem.gradient(np.zeros_like(state.z))
+    fixed = program.map(F0, np.zeros_like(state.eps))
+    locked = state.y.head * program.c + soc.row_dot(state.y.tail, fixed.tail)
+    strain = program.pull(state.y)[1]
+    dual = -float((program.w * locked).sum()) - 0.5 * float(program.fem.weight @ soc.row_dot(strain, strain))
+    return dual - float(now.r_x @ state.z) - REACH * now.unbalanced * program.scale
+
+
 def excess(program: Program, state: State) -> float:
     """A lower bound of the relative stretch that ideal locking lacks to reach the supports; 0 where none is proved.
 
@@ -167,10 +180,11 @@ class _Newton:
             H[:, a + 1, a] += S[:, 1]
             H[:, a + 1, a + 1] += S[:, 2]
         H[:, range(3), range(3)] += 1.0
-        self.inverse: Array = np.asarray(np.linalg.inv(H[:, :3, :3]))
-        self.couple = H[:, :3, 3:]
-        A = H[:, 3:, 3:] - self.couple.swapaxes(1, 2) @ (self.inverse @ self.couple)
-        self.solve = program.fem.factorize((0.5 * (A + A.swapaxes(1, 2))).reshape(-1, d, 2, d, 2))
+        # By Cholesky's factor, for an explicit inverse would lose the square of its digits; rows are L^-1 [couple | .].
+        self.root: Array = np.asarray(np.linalg.cholesky(H[:, :3, :3]))
+        self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :3, 3:]))
+        A = H[:, 3:, 3:] - self.couple.swapaxes(1, 2) @ self.couple
+        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2))
 
     def direction(self, aim: Vectors, keep: float) -> tuple[Array, Array, Vectors, Vectors]:
         """Changes of z, eps, s, y to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`."""
@@ -178,11 +192,11 @@ class _Newton:
         r_s = now.r_s * (1.0 - keep)
         aimed = W.undo(soc.divide(self.point, aim))
         force, strain = program.pull(aimed + W.undo(W.undo(r_s)))
-        eps_alone = _times(self.inverse, strain + (1.0 - keep) * now.r_e)
-        back = _times(self.couple.swapaxes(1, 2), eps_alone).reshape(force.shape)
+        half = _solved(self.root, strain + (1.0 - keep) * now.r_e)
+        back = _times(self.couple.swapaxes(1, 2), half).reshape(force.shape)
         dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force - back))
         dF = program.fem.gradient_change(dz)
-        deps = eps_alone - _times(self.inverse, _times(self.couple, dF.reshape(len(dF), -1)))
+        deps = _solved(self.root.swapaxes(1, 2), half - _times(self.couple, dF.reshape(len(dF), -1)))
         ds = program.map(dF, deps) - r_s
         return dz, deps, ds, aimed - W.undo(W.undo(ds))
 
@@ -242,6 +256,10 @@ def _length(state: State, ds: Vectors, dy: Vectors, boundary: float) -> float:
 
 def _times(A: Array, x: Array) -> Array:
     return np.einsum("nij,nj->ni", A, x)
+
+
+def _solved(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[:, :, None]))[:, :, 0]
 
 
 def _sum_of_squares(cones: Cones, v: Array, weight: Array) -> Array:

@@ -31,7 +31,7 @@ def rings(stiffness):
 
 
 def hanging_strip(locked, stiffness, height, per_mm2):
-    """Mean height and potential per width of a strip whose stretch t has (t^2 - 1)/2 = locked + S/k, t S = weight below.
+    """Mean height and potential per width of a strip: stretch t, (t^2 - 1)/2 = locked + S/k, t S = weight below.
 
     The cubic is solved at Gauss points; 40 of them integrate the smooth stretch to round-off.
     """
@@ -199,7 +199,7 @@ def test_interior_points_do_not_see_which_way_the_plane_lies(seed):
         s = program.slack(z, eps)
         s = replace(s, head=np.linalg.norm(s.tail, axis=1) + program.c)
         y = compliant.soc.inverse(s, 10.0 * program.scale / float(program.w.sum()))
-        state, now, status, _ = compliant.follow(program, compliant.State(z, eps, s, y), 1e-9, 60)
+        state, _, status, _ = compliant.follow(program, compliant.State(z, eps, s, y), 1e-9, 60)
         assert status == "converged"
         energy.append(-float(load @ state.z) + 0.5 * float(disc.weight @ (state.eps**2).sum(axis=1)))
         stress.append(program.stress(state.y))
