@@ -47,8 +47,8 @@ class LocalizeOptions:
 
     tolerance: float = 1e-3
     ladder: tuple[tuple[float, float, float, float], ...] = (
-        (1e-2, 1e-1, 3e-2, 1e-3),
-        (1e-2, 1e-3, 1e-3, 1e-5),
+        (1e-2, 3e-1, 3e-2, 1e-3),
+        (1e-2, 1e-2, 1e-3, 1e-5),
         (1e-2, 1e-4, 1e-5, 1e-7),
         (1e-3, 1e-5, 1e-7, 1e-9),
         (1e-3, 1e-6, 1e-9, 1e-11),

@@ -92,6 +92,8 @@ def draw(folder: Path) -> None:
     plotter.set_background("white")
     plotter.subplot(0, 0)
     around = (24, 6) if len(centre) < 6000 else (14, 4)
+    # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
+    thick = max(radii[1], 0.6e-3 * float(np.ptp(centre, axis=0).max()))
     bar = {
         "title": "largest contact force on the ring, N",
         "width": 0.6,
@@ -103,7 +105,7 @@ def draw(folder: Path) -> None:
         "title_font_size": 22,
         "label_font_size": 20,
     }
-    add_rings(plotter, (centre, normal), radii, force, (around, top, bar))
+    add_rings(plotter, (centre, normal), (radii[0], thick), force, (around, top, bar))
     half = 8.0 * radii[0]
     # The worst cell is often a corner: the window stays inside the curtain.
     low, high = centre.min(axis=0), centre.max(axis=0)
