@@ -14,7 +14,18 @@ import numpy as np
 from homogenize.law import Array, MembraneLaw
 from macro_fem import soc
 from macro_fem.cones import law_cut, only, with_cuts
-from macro_fem.interior import LIFT, Measure, Program, State, Step, gathered_root, lifted, make_program, mean_product
+from macro_fem.interior import (
+    BOUNDARY,
+    LIFT,
+    Measure,
+    Program,
+    State,
+    Step,
+    gathered_root,
+    lifted,
+    make_program,
+    mean_product,
+)
 from macro_fem.soc import Vectors
 
 NEAR = 0.9
@@ -82,7 +93,8 @@ def joined(program: Program, state: State, found: Found) -> Joined:
     """The program with all missing half-spaces, at the same unknowns.
 
     Dual vectors are those of the central path for the distance at hand. Where that is small or negative the cone vector
-    is lifted, so that the half-space does not take more than SHARE of what its point carries.
+    is lifted, so that the half-space does not take more than SHARE of what its point carries; all dual vectors of the
+    point are then lowered together until it carries what it did, which unbalances forces least.
     """
     new = np.flatnonzero(found.is_missing)
     cones, order = with_cuts(program.cones, new, found.S[new], found.h[new])
@@ -95,7 +107,12 @@ def joined(program: Program, state: State, found: Found) -> Joined:
     tail = gathered_root(program.fem.gradient(state.z), cones.point[fresh], wider.L[fresh])
     s = lifted(Vectors(c, tail), np.minimum(LIFT, 0.5 * mu / (SHARE * load)) * c)
     y = soc.inverse(s, mu)
-    return Joined(wider, State(state.z, _merged(state.s, s, order), _merged(state.y, y, order)), order, old)
+    eased = np.ones(len(cones.first))
+    eased[new] = 1.0 / (1.0 + y.head * c / load)
+    factor = eased[cones.point]
+    dual = _merged(state.y, y, order)
+    dual = Vectors(dual.head * factor, dual.tail * factor[:, None])
+    return Joined(wider, State(state.z, _merged(state.s, s, order), dual), order, old)
 
 
 def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
@@ -105,26 +122,24 @@ def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
 
 
 def widened(step: Step, into: Joined) -> Step:
-    """The step for the wider program: old lengths and changes, and of the new cones the primal part alone."""
+    """The step for the wider program: the old changes, of the new cones the primal part alone, and lengths for both."""
     fresh, program, state = into.fresh, into.program, into.state
-    F = program.fem.gradient_change(step.dz)
-    d_tail = gathered_root(F, program.cones.point[fresh], program.L[fresh])
-    wanted = Vectors(
-        program.c[fresh],
-        gathered_root(program.fem.gradient(state.z), program.cones.point[fresh], program.L[fresh]),
-    )
-    left = (_chosen(state.s, fresh) - wanted) * (1.0 - step.keep)
+    point, L = program.cones.point[fresh], program.L[fresh]
+    d_tail = gathered_root(program.fem.gradient_change(step.dz), point, L)
+    wanted = Vectors(program.c[fresh], gathered_root(program.fem.gradient(state.z), point, L))
+    s = _chosen(state.s, fresh)
+    left = (s - wanted) * (1.0 - step.keep)
     ds = Vectors(-left.head, d_tail - left.tail)
-    reach = soc.largest_step(_chosen(state.s, fresh), ds)
-    none = Vectors(np.zeros(len(fresh)), np.zeros((len(fresh), ds.tail.shape[1])))
+    none = Vectors(np.zeros(len(fresh)), np.zeros_like(d_tail))
+    dy = _merged(step.dy, none, into.order)
     return Step(
-        step.dz,
-        _merged(step.ds, ds, into.order),
-        _merged(step.dy, none, into.order),
-        _merged(Vectors(step.ds.head, step.d_tail), Vectors(ds.head, d_tail), into.order).tail,
-        step.keep,
-        min(step.primal, 0.98 * reach),
-        step.dual,
+        dz=step.dz,
+        ds=_merged(step.ds, ds, into.order),
+        dy=dy,
+        d_tail=_merged(Vectors(step.ds.head, step.d_tail), Vectors(ds.head, d_tail), into.order).tail,
+        keep=step.keep,
+        primal=min(step.primal, BOUNDARY * soc.largest_step(s, ds)),
+        dual=min(step.dual, BOUNDARY * soc.largest_step(state.y, dy)),
     )
 
 

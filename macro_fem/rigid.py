@@ -53,7 +53,7 @@ ANEW = 2
 SETTLED = 1e-2
 """Only below this error must every few steps make progress: far from the answer gap and residuals take turns."""
 PATIENCE = 15
-"""Steps in a row without a new least error after which rounding is said to rule."""
+"""Steps without a new least error or half-space, since the last such error, after which rounding is said to rule."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,13 @@ class RigidOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
     `violation` (relative to h + tr S/2) is what the last step may leave before the answer is drawn back inside.
-    `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles;
-    `drop_idle`: whether those that are far away are dropped on the way. `corrector`: whether steps are corrected to
-    second order; without it they are as cheap and twice as many.
+    `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles.
     """
 
     gap: float = 1e-9
     violation: float = 1e-8
     max_iterations: int = 400
     cones: Cones | None = None
-    drop_idle: bool = True
-    corrector: bool = True
 
 
 @dataclass(frozen=True)
@@ -137,25 +133,22 @@ def solve_rigid(
         if _is_closed(now, options) and -_law_slack(law, fem.gradient(state.z)) < options.violation:
             status = "converged"
             break
-        step = (
-            None
-            if waited > PATIENCE
-            else search(program, state, now, LEAST_GAP * options.gap, corrector=options.corrector)
-        )
+        step = None if waited > PATIENCE else search(program, state, now, LEAST_GAP * options.gap)
         if step is None or max(step.primal, step.dual) == 0.0:
             status = "stalled"
             break
+        known = len(program.c)
         taken = _taken(program, state, now, step, law, may_wait=held < ANEW)
         program, state = taken.program, taken.state
         history.append(Iteration(now.gap, now.unbalanced, now.outside, taken.primal, taken.dual, len(program.c)))
         held = 0 if taken.dual > 0.0 else held + 1
         if taken.room > inner.room and inner.room < INSIDE:
             inner = _Inner(state.z, taken.room)
-        if options.drop_idle and prunes < len(PRUNED_AT) and now.gap < PRUNED_AT[prunes]:
+        if prunes < len(PRUNED_AT) and now.gap < PRUNED_AT[prunes]:
             program, state = pruned(program, state)
             prunes += 1
         now = measure(program, state)
-        waited += now.error < SETTLED and not held
+        waited += now.error < SETTLED and len(program.c) == known
         if now.error < best[2].error:
             best, waited = (program, state, now), 0
     if status in ("stalled", "iterations"):
