@@ -1,0 +1,1 @@
+"""Error against run time: rings, contact search, laws, curtains, and the whole chain."""

@@ -1,0 +1,88 @@
+"""The laws of the report: errors against directions solved on their own, which fall with the rows of the table."""
+
+import numpy as np
+import pytest
+
+from benchmarks.work_precision.law import (
+    GRADED_RESOLUTION,
+    errors_of,
+    kind_table,
+    made,
+    near_surface,
+    parameters,
+    seconds_per_point,
+    spacing_rows,
+    spacing_table,
+    uniform_table,
+    unseen_directions,
+)
+from homogenize.bounds import bounds_of
+from homogenize.law import diagonal_net
+from homogenize.rows import rows_from_table
+from rve.sweep import solve_table
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    return unseen_directions(80)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return uniform_table(15.0)
+
+
+def test_directions_are_unseen_and_their_own(unseen, coarse):
+    again = solve_table(unseen.alpha_deg[:3], unseen.beta_deg[:3])
+    np.testing.assert_allclose(again.E, unseen.E[:3], atol=1e-12)
+    assert unseen.converged.all()
+    assert len(coarse) == 4 * 7
+    apart = np.hypot(unseen.alpha_deg[:, None] - coarse.alpha_deg, unseen.beta_deg[:, None] - coarse.beta_deg).min()
+    assert apart > 0.0
+
+
+def test_errors_fall_with_the_rows_and_stay_inside_the_bounds(unseen, coarse):
+    finer = uniform_table(7.5)
+    (first, wide), (second, close) = spacing_rows([("15", coarse, 1.0, 3e-5), ("7.5", finer, 1.0, 3e-5)], unseen)
+    assert close.h_mean < 0.4 * wide.h_mean
+    assert close.E_mean < 0.7 * wide.E_mean
+    for got, row in ((wide, first), (close, second)):
+        gap = row[10]
+        assert got.h_max < gap  # truth and law lie between the same two bounds
+        assert 0.0 <= got.above <= 1.0
+    assert spacing_table([first, second]).rows[1][1] == len(finer)
+
+
+def test_a_law_is_right_where_it_was_fitted_and_a_wrong_one_is_seen(coarse):
+    law, _ = made(coarse)
+    at_home = errors_of(law, coarse)
+    assert at_home.h_max < 1e-10
+    net = errors_of(diagonal_net(1.1), unseen_directions(5))
+    assert net.h_max > 0.1
+    assert np.isnan(net.E_max) or net.E_max > 0.1
+
+
+def test_points_lie_beyond_the_surface_by_their_offset(coarse):
+    law, _ = made(coarse)
+    E = rows_from_table(coarse).E
+    X = near_surface(law, E, 1e-3, 500)
+    beyond = law.cut(X).violation
+    assert beyond.min() > -1e-9
+    assert 2e-4 < np.median(beyond) < 2e-3
+    assert seconds_per_point(law, E, 1e-3, 500) > 0.0
+
+
+def test_a_finer_resolution_has_more_half_spaces_within_the_bounds(coarse, unseen):
+    plain, fine = made(coarse)[0], made(coarse, resolution=GRADED_RESOLUTION)[0]
+    assert parameters(fine) > parameters(plain)
+    bounds = bounds_of(rows_from_table(coarse))
+    h = fine.support(unseen.S)
+    assert (h >= bounds.lower(unseen.S) - 1e-12).all()
+    assert (h <= bounds.upper(unseen.S) + 1e-12).all()
+
+
+def test_the_baseline_without_a_law_is_named(coarse, unseen):
+    inside = unseen_directions(5)
+    note = kind_table([], coarse, inside).note
+    assert "linear mean" in note
+    assert "cubic mean" in note

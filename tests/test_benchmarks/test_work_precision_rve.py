@@ -1,0 +1,124 @@
+"""The rings of the report: one problem for all methods, a reference that two agree on, ladders that fall."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from benchmarks.work_precision import peers
+from benchmarks.work_precision.generic import SOLVERS, Programme
+from benchmarks.work_precision.rve import (
+    PUBLISHED,
+    direct_alone,
+    direct_batch,
+    extrapolated,
+    generic,
+    problem,
+    run_of,
+    scheme,
+)
+from rve.load import second_pk
+
+LOADS = ((0.0, 45.0), (20.0, 30.0))
+
+
+@pytest.fixture(scope="module")
+def given():
+    return problem(LOADS)
+
+
+def programme(given, case):
+    F = given.deformation(given.found.pose)
+    S = second_pk(F, given.s) * given.sides[0] * given.sides[1]
+    return Programme(S[case], given.equations, given.sides)
+
+
+def test_the_reference_is_agreed_by_the_scheme(given):
+    """The scheme extrapolated to rigid contact shares only the contact search with the direct solver."""
+    assert (given.found.status == "converged").all()
+    soft, stiff = extrapolated(given, (1e4, 1e5))
+    assert soft.solved == stiff.solved == len(LOADS)
+    assert stiff.error < 5e-9
+    assert stiff.error < 0.05 * soft.error  # second order in 1/k
+
+
+def test_ladders_of_the_direct_solver_fall_to_round_off(given):
+    for ladder in (direct_batch(given, (1e-4, 1e-7, 1e-10, 1e-13)), direct_alone(given, (1e-4, 1e-7))):
+        errors = [run.error for run in ladder]
+        assert all(run.solved == run.cases for run in ladder)
+        assert all(fine < 0.01 * coarse for coarse, fine in pairwise(errors))
+    assert direct_batch(given, (1e-13,))[0].error < 1e-10
+
+
+def test_the_scheme_errs_like_its_compliance(given):
+    runs = scheme(given, "k", [(f"{k:g}", replace(PUBLISHED, stiffness=k)) for k in (1e4, 1e5)])
+    assert runs[0].error / runs[1].error == pytest.approx(10.0, rel=0.02)
+
+
+@pytest.mark.parametrize("case", range(len(LOADS)))
+def test_the_programme_is_the_same_cell_and_load(given, case):
+    """In its chart: the answer's strain, gaps that are closed or open, derivatives, and a loss that nothing beats."""
+    other = programme(given, case)
+    q = other.coordinates(given.found.pose, case)
+    np.testing.assert_allclose(other.strain(q)[0], given.E[case], atol=1e-12)
+    gap, slope = other.gaps(q)
+    assert abs(gap.min()) < 1e-10
+    assert (gap < 1e-8).sum() >= 4
+    step = 1e-6 * np.random.default_rng(case).normal(size=9)
+    smooth = gap < 0.5  # far pairs may have no isolated minimum
+    ahead, behind = other.gaps(q + step)[0], other.gaps(q - step)[0]
+    np.testing.assert_allclose((ahead - behind)[smooth], 2.0 * (slope @ step)[smooth], atol=2e-10)
+    assert other.loss(q + step) - other.loss(q - step) == pytest.approx(2.0 * other.slope(q) @ step, abs=1e-11)
+    found = SOLVERS["SLSQP"](other, q + 1e-3, 1e-14)
+    assert other.loss(found) == pytest.approx(other.loss(q), abs=1e-7)
+
+
+def test_generic_runs_count_only_what_is_right(given):
+    (run,) = generic(given, "SLSQP", "near", (1e-12,))
+    assert run.cases == len(LOADS)
+    assert run.solved < run.cases or run.error < 0.1
+    assert run.work > 0
+
+
+def test_failures_do_not_count():
+    errors, good = np.array([1e-3, 5.0, 1e-4]), np.array([True, True, False])
+    run = run_of(("method", "setting"), errors, good, 3.0, (9, "steps"))
+    assert (run.solved, run.cases, run.error, run.seconds) == (1, 3, 1e-3, 1.0)
+    assert np.isnan(run_of(("m", "s"), errors, ~good & False, 1.0, (1, "steps")).error)
+
+
+def test_mujoco_nears_the_same_state(given):
+    """The more capsules, the nearer; the start is our slack pose, before any load. It is an optional peer."""
+    if peers.mujoco_version() == "absent":
+        with pytest.raises(ImportError):
+            peers.run_mujoco(given.cell, (1.0, 1.0), peers.MujocoOptions(24, 100))
+        return
+    reference = given.found.pose.lattice[0, :2] * given.cell.r1
+    off = []
+    for capsules in (24, 96):
+        answer = peers.run_mujoco(given.cell, (0.5**0.5, 0.5**0.5), peers.MujocoOptions(capsules, 10_000, dt=0.02))
+        off.append(np.abs(np.array([answer.x2_mm, answer.y3_mm]) - reference).max())
+    assert off[1] < 0.25 * off[0]
+    assert off[1] < 0.1
+    still = peers.run_mujoco(given.cell, (0.0, 0.0), peers.MujocoOptions(24, 100))
+    start = given.cell.r1 * given.cell.weave.start_lattice[:2]
+    np.testing.assert_allclose([still.x2_mm, still.y3_mm], start, atol=1e-9)
+
+
+def test_yade_nears_the_same_state(given, tmp_path):
+    if peers.yade_command() is None:  # an optional peer
+        with pytest.raises(RuntimeError, match="not installed"):
+            peers.run_yade(given.cell, (1.0, 1.0), 48, 1e-2, tmp_path)
+        return
+    answer = peers.run_yade(given.cell, (0.5**0.5, 0.5**0.5), 48, 1e-2, tmp_path)
+    assert answer.status == "converged"
+    reference = given.found.pose.lattice[0, :2] * given.cell.r1
+    assert np.abs(np.array([answer.x2_mm, answer.y3_mm]) / reference - 1.0).max() < 0.06
+
+
+def test_absent_peers_are_named(monkeypatch, tmp_path, given):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert peers.yade_version() == "absent"
+    with pytest.raises(RuntimeError, match="not installed"):
+        peers.run_yade(given.cell, (1.0, 1.0), 48, 1e-2, tmp_path)
