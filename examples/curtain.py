@@ -34,7 +34,7 @@ class Setting:
     cells: tuple[int, ...]
 
 
-DEFAULT = Setting(5.0, (16,))
+DEFAULT = Setting(5.0, (32,))
 SETTINGS = {1e-2: Setting(15.0, (4,)), 1e-3: Setting(9.0, (16,)), 1e-4: Setting(5.0, (8, 16))}
 """What holds a relative accuracy of the mean height, by measurement."""
 SCENE = """[curtain]
@@ -136,7 +136,7 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder for files."
 )
-@click.option("--cells", type=click.IntRange(1, 400), help="Cells along the width of the curtain.  [default: 16]")
+@click.option("--cells", type=click.IntRange(1, 400), help="Cells along the width of the curtain.  [default: 32]")
 @click.option("--accuracy", type=ACCURACY, help="Relative accuracy of the mean height: 1e-2, 1e-3, 1e-4.")
 def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     """From ten rings to a curtain, with files and pictures in one folder."""
