@@ -61,13 +61,17 @@ class RigidOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
     `violation` (relative to h + tr S/2) is what the last step may leave before the answer is drawn back inside.
-    `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles.
+    `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles;
+    `drop_idle`: whether those that are far away are dropped on the way. `corrector`: whether steps are corrected to
+    second order.
     """
 
     gap: float = 1e-9
     violation: float = 1e-8
     max_iterations: int = 400
     cones: Cones | None = None
+    drop_idle: bool = True
+    corrector: bool = True
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,9 @@ def solve_rigid(
         if _is_closed(now, options) and -_law_slack(law, fem.gradient(state.z)) < options.violation:
             status = "converged"
             break
-        step = None if waited > PATIENCE else search(program, state, now, LEAST_GAP * options.gap)
+        step = None
+        if waited <= PATIENCE:
+            step = search(program, state, now, LEAST_GAP * options.gap, corrector=options.corrector)
         if step is None or max(step.primal, step.dual) == 0.0:
             status = "stalled"
             break
@@ -144,7 +150,7 @@ def solve_rigid(
         held = 0 if taken.dual > 0.0 else held + 1
         if taken.room > inner.room and inner.room < INSIDE:
             inner = _Inner(state.z, taken.room)
-        if prunes < len(PRUNED_AT) and now.gap < PRUNED_AT[prunes]:
+        if options.drop_idle and prunes < len(PRUNED_AT) and now.gap < PRUNED_AT[prunes]:
             program, state = pruned(program, state)
             prunes += 1
         now = measure(program, state)
