@@ -21,11 +21,13 @@ from rve.cell import Contacts, Pose, find_contacts
 from rve.equilibrium import DirectOptions, follow
 from rve.errors import NotConverged
 from rve.spring import Spring, lattice_strain
-from rve.sweep import BLOCK, Cell, locked, reference_sides
+from rve.sweep import Cell, locked, reference_sides
 from rve.system import Equations
 
 Array = NDArray[np.float64]
 
+# Cells advanced together: the ladder is long, and stragglers cost as much alone as in company.
+_BLOCK = 1024
 # What a cell is called, and what that means.
 MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
@@ -145,7 +147,7 @@ def localize(
     upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
     _, first, back = np.unique(np.round(upright / options.merge), axis=0, return_index=True, return_inverse=True)
     targets = upright[first]
-    blocks = [_settled(targets[i : i + BLOCK], cell, options, states) for i in range(0, len(targets), BLOCK)]
+    blocks = [_settled(targets[i : i + _BLOCK], cell, options, states) for i in range(0, len(targets), _BLOCK)]
     pose = Pose(*(np.concatenate([getattr(p, name) for p, _, _ in blocks]) for name in vars(blocks[0][0])))
     gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
     known = np.concatenate([settled for _, _, settled in blocks])
@@ -181,7 +183,9 @@ def _settled(
     rows = states.arrangement(E)
     start, good = None, np.zeros(len(E), dtype=bool)
     for stage, (fold, weak, first, last) in enumerate(options.ladder):
-        equations = Equations.of(cell.weave, cell.wire, load=Spring(states.sides, fold, weak))
+        springs = Spring(states.sides, fold, weak)
+        # Weak springs leave weak contact forces, whose curvature counts all the same.
+        equations = replace(Equations.of(cell.weave, cell.wire, load=springs), idle_curvature=True)
         # Only the first stage starts far away, where another start pose may help.
         quick = replace(
             options.direct,
