@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response
+from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
 from homogenize.tensor import WEIGHT, double_dot, dyad, trace
 
 STEEL_KG_PER_MM3 = 7.85e-6
@@ -51,6 +51,7 @@ class NetLaw:
         The condition that I + 2E is positive semidefinite, which every deformation obeys, belongs to the set; without
         it a net would not bound a load outside the plane of its two fibre dyads.
         """
+        check_finite(S, "line loads")
         C = self.collapsed()
         return 0.5 * (np.maximum(double_dot(S, C[0]), double_dot(S, C[1])) - trace(S))
 
@@ -64,6 +65,7 @@ class NetLaw:
         max over S of unit trace of S:E - h(S) = min over t of the largest eigenvalue of E - E(t) (von Neumann), and
         the eigenvalue of a pencil of 2 x 2 tensors is minimised in closed form. At an inner t the answer is a fibre.
         """
+        check_finite(E)
         E_ends = 0.5 * (self.collapsed() - np.array([1.0, 0.0, 1.0]))
         D = E_ends[1] - E_ends[0]
         d = np.array([0.5 * (D[0] - D[2]), D[1]])
@@ -86,6 +88,7 @@ class NetLaw:
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent of the elastic net: each taut fibre is a linear spring in its own Green strain."""
+        check_finite(E)
         N = dyad(self.directions)
         excess = np.maximum(E @ (N * WEIGHT).T - 0.5 * (self.limit**2 - 1.0), 0.0)
         S = self.stiffness * excess @ N

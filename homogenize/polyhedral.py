@@ -46,6 +46,7 @@ class PolyhedralLaw:
 
     def support(self, S: Array) -> Array:
         """h(S) = max over the vertices of S:E, (n,)."""
+        check_finite(S, "line loads")
         return highest(S, self.vertices)
 
     def half_spaces(self) -> HalfSpaces:
@@ -61,6 +62,7 @@ class PolyhedralLaw:
 
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
+        check_finite(E)
         worst, _ = self._body(len(E)).worst(np.ascontiguousarray(E.T))
         S, h = self.S[worst], self.h[worst]
         return Cut(S, h, double_dot(S, E) - h)

@@ -19,11 +19,11 @@ class InputError(ValueError):
     """Something the user gave cannot be used; the message is one sentence that names file, key and value."""
 
 
-def check_finite(E: Array) -> None:
-    """InputError that names the first row of E (n, 3) that is not three finite numbers."""
-    bad = np.flatnonzero(~np.isfinite(E).all(axis=1))
+def check_finite(values: Array, what: str = "strains") -> None:
+    """InputError that names the first row of `values` (n, 3) that is not three finite numbers."""
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
-        raise InputError(f"strains are finite numbers, row {bad[0]} of {len(E)} is {E[bad[0]].tolist()}")
+        raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")
 
 
 @dataclass(frozen=True)

@@ -172,6 +172,7 @@ class SmoothLaw:
 
     def support(self, S: Array) -> Array:
         """h(S) by proximal steps of growing length, each the closest point to one far out along S; (n,)."""
+        check_finite(S, "line loads")
         size = trace(S)
         n = np.column_stack([np.ones(len(S)), disc(S / size[:, None])])
         x = np.column_stack([-self._height(np.zeros((len(S), 2))), np.zeros((len(S), 2))])
@@ -191,6 +192,7 @@ class SmoothLaw:
 
     def cut(self, E: Array) -> Cut:
         """The half-space each E violates most: the surface is lifted by t along the identity until it holds E."""
+        check_finite(E)
         x = E @ TO_TDG.T
         t = x[:, 0] + self._height(x[:, 1:])
         _, slope, _ = log_sum(np.column_stack([x[:, 0] - t, x[:, 1:]]), self.patches)

@@ -99,7 +99,7 @@ def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> NDArray[np.bool_]
     """
     c = dot(n_a, n_b)
     in_plane = n_a - c[:, None] * n_b  # gradient in the plane of B of the height above plane A
-    length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-300))
+    length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-30))  # parallel planes: x stays a number
     e = in_plane / length[:, None]
     x = -dot(n_a, d) / length  # height above plane A is length * x in the frame (e, f) of circle B
     inside = r1**2 - x**2
