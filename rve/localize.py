@@ -186,14 +186,8 @@ def _settled(
         springs = Spring(states.sides, fold, weak)
         # Weak springs leave weak contact forces, whose curvature counts all the same.
         equations = replace(Equations.of(cell.weave, cell.wire, load=springs), idle_curvature=True)
-        # Only the first stage starts far away, where another start pose may help.
         quick = replace(
-            options.direct,
-            mu_start=first,
-            mu_end=last,
-            tolerance=max(last, 1e-9),
-            attempts=1 if stage else 3,
-            max_iterations=50,
+            options.direct, mu_start=first, mu_end=last, tolerance=max(last, 1e-9), attempts=1, max_iterations=50
         )
         found = follow(rows, equations, quick, start)
         start = found.pose
