@@ -290,6 +290,11 @@ def moved(state: State, step: Step) -> State:
     return State(state.z + step.primal * step.dz, state.s + step.ds * step.primal, state.y + step.dy * step.dual)
 
 
+def is_inside(state: State) -> bool:
+    """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
+    return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0)
+
+
 def first_state(program: Program, z: Array, gap: float) -> State:
     """A state at z on the central path of relative gap `gap`; cone vectors of violated cones are lifted inside."""
     s = lifted(program.slack(z), LIFT * program.c)

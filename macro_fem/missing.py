@@ -32,6 +32,8 @@ NEAR = 0.9
 """A missing half-space is taken in when it is nearer than this part of the distance to the nearest known one."""
 SHARE = 0.3
 """A half-space that is violated enters with at most this part of the load that its point carries."""
+ROUNDED = 1e-13
+"""Least relative distance from the boundary that double precision can tell from none."""
 STRAY = 1e-2
 """A point asks for no more half-spaces while a cone vector of its own is off by more than this part of its radius."""
 IDLE = 0.03
@@ -105,7 +107,7 @@ def joined(program: Program, state: State, found: Found) -> Joined:
     load = program.cones.sum(state.y.head * program.c)[new]
     c = wider.c[fresh]
     tail = gathered_root(program.fem.gradient(state.z), cones.point[fresh], wider.L[fresh])
-    s = lifted(Vectors(c, tail), np.minimum(LIFT, 0.5 * mu / (SHARE * load)) * c)
+    s = lifted(Vectors(c, tail), np.clip(0.5 * mu / (SHARE * load), ROUNDED, LIFT) * c)
     y = soc.inverse(s, mu)
     eased = np.ones(len(cones.first))
     eased[new] = 1.0 / (1.0 + y.head * c / load)

@@ -25,6 +25,7 @@ from macro_fem.interior import (
     Step,
     first_state,
     is_certificate,
+    is_inside,
     make_program,
     measure,
     moved,
@@ -79,7 +80,8 @@ class RigidResult:
     """Free unknowns z, stress and multipliers of the rigid curtain, with a status and the numbers that prove it.
 
     `primal` is -l.z, an upper bound of the least potential of this discretisation, `dual` a lower bound of it, N mm,
-    without the constant that supports add. P (nq, d, 2) is the equilibrated stress in N per mm of reference length,
+    without the constant that supports add. `room` is the relative slack in the law of the roomiest state that was met.
+    P (nq, d, 2) is the equilibrated stress in N per mm of reference length,
     y_tail (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i
     S_i with P = F S at the exact answer.
     """
@@ -97,6 +99,7 @@ class RigidResult:
     residual: float
     iterations: int
     history: tuple[Iteration, ...] = field(repr=False)
+    room: float = 0.0
 
     @property
     def converged(self) -> bool:
@@ -153,6 +156,9 @@ def solve_rigid(
         if options.drop_idle and prunes < len(PRUNED_AT) and now.gap < PRUNED_AT[prunes]:
             program, state = pruned(program, state)
             prunes += 1
+        if not is_inside(state):
+            status = "stalled"
+            break
         now = measure(program, state)
         waited += now.error < SETTLED and len(program.c) == known
         if now.error < best[2].error:
@@ -245,4 +251,5 @@ def _result(
         residual=now.unbalanced,
         iterations=len(history),
         history=tuple(history),
+        room=inner.room,
     )

@@ -26,6 +26,7 @@ from macro_fem.solution import (
     unit_tensors,
 )
 from macro_fem.space import in_space, padded
+from macro_fem.taut import is_taut, solve_taut
 from macro_fem.turned import TurnedLaw
 
 COARSE_FROM = 4000
@@ -84,7 +85,11 @@ def _solved_rigid(problem: Problem, tension: float) -> tuple[SupportedFem, Rigid
     options = RigidOptions(spec.tolerance, violation, spec.max_iterations, cones=coarse_cones(problem))
     if spec.forces("all-half-spaces"):
         options = replace(options, cones=all_cones(problem), drop_idle=False)
-    return fem, solve_rigid(fem, problem.law, load, fem.unknowns(start), problem.mesh.size, options)
+    z, size = fem.unknowns(start), problem.mesh.size
+    result = solve_rigid(fem, problem.law, load, z, size, options)
+    if is_taut(result):
+        result = solve_taut(fem, problem.law, load, z, size, options) or result
+    return fem, result
 
 
 def all_cones(problem: Problem) -> Cones:

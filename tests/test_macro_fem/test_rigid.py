@@ -151,6 +151,38 @@ def test_supports_just_within_reach_are_solved(scene_tables):
     assert_certified(solution, ring_net(RINGS))
 
 
+LIMIT = 18.0 / 11.0
+"""The gather at which the chains of the net are straight along the whole top edge."""
+
+
+def test_supports_at_the_very_limit_are_named_and_bounded(scene_tables):
+    """No state has room there, and the pull is unlimited: the answer lets rings give 1e-5, the bound does not."""
+    law = ring_net(RINGS)
+    solution = solve(scene_tables(support={"kind": "top", "gather": LIMIT}), law)
+    assert solution.status == "taut"
+    assert "as far apart as the mesh can stretch" in solution.message
+    top = np.isclose(solution.problem.disc.nodes[:, 1], 100.0)
+    assert solution.x[top, 1] == pytest.approx(100.0, abs=1e-9)
+    assert np.ptp(solution.x[top, 0]) == pytest.approx(100.0 * LIMIT, rel=1e-9)
+    # it leaves the law by the 1e-5 it says in stretch, 2e-5 of the squares, and would not reach without
+    assert 1e-6 < -law_cut(law, solution.F)[2].min() < 4e-5
+    # the answers for less gather come up to it from below as the square root of what is missing; the bound, which
+    # holds for rings that do not give, lies between the two
+    below = [solve(scene_tables(support={"kind": "top", "gather": LIMIT * (1.0 - e)}), law) for e in (4e-3, 1e-3)]
+    assert [b.status for b in below] == ["converged"] * 2
+    limit = 2.0 * below[1].primal - below[0].primal
+    assert solution.primal == pytest.approx(limit, rel=0.02)
+    assert solution.dual == pytest.approx(limit, rel=0.02)
+    assert below[1].primal < solution.primal < solution.dual
+
+
+@pytest.mark.parametrize(
+    ("gather", "status"), [(LIMIT * (1.0 - 2e-4), "converged"), (LIMIT * (1.0 + 2e-4), "infeasible")]
+)
+def test_a_little_less_is_solved_and_a_little_more_refuted(scene_tables, gather, status):
+    assert solve(scene_tables(support={"kind": "top", "gather": gather}), ring_net(RINGS)).status == status
+
+
 def test_options_are_heeded(ring_like, scene_tables):
     problem = problem_of(scene_tables(support={"kind": "corners"}), ring_like)
     load, z = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
