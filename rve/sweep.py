@@ -132,8 +132,11 @@ def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     The symmetry is imposed. From r1/r2 of about 30 on rings may slide over each other instead (docs/random_loads.md),
     but side by side stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
     """
-    equations = Equations.of(cell.weave, cell.wire, mirror_modes(cell.weave) if cell.weave.is_mirrored else None)
-    found = solve_equilibrium(np.array([[0.0, 0.0, 1.0]]), equations, options)
+    modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
+    along = np.array([[0.0, 0.0, 1.0]])
+    found = solve_equilibrium(along, Equations.of(cell.weave, cell.wire, modes), options)
+    if unlisted_gap(found.pose, cell.weave, cell.wire)[0] < 0.0:
+        found = solve_equilibrium(along, Equations.of(widened(cell.weave), cell.wire, modes), options)
     if found.status[0] != "converged":
         raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")
     x2, x3 = lattice_mm(found.pose, cell)

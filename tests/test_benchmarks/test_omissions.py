@@ -1,0 +1,81 @@
+"""What the report says of a trial follows from its numbers, and every section's small pieces work."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.omissions import motion, outputs, rings
+from benchmarks.omissions.compare import LEFT_OUT, Trial, at_most, bars, table, verdict
+from benchmarks.omissions.curtains import by_option, forced
+from benchmarks.omissions.imports import PROBE, helps, probe
+from benchmarks.pages.model import shown
+from homogenize.law import default_law
+from macro_fem.rigid import RigidOptions
+from rve.explain import FEATURES
+from rve.sweep import Cell, solve_table
+
+SAME = Trial("far-pairs", "rings", LEFT_OUT, 1.0, 1.5, 3e-12, 1e-9)
+CHANGED = replace(SAME, feature="asymmetry", change=2e-9)
+FAILED = replace(SAME, feature="inertia", ok=False)
+
+
+def test_a_change_above_the_tolerance_and_a_failure_are_told():
+    rows = table("Features", (SAME, CHANGED, FAILED)).rows
+    assert [row[-1] for row in rows] == ["yes", "no", "no"]
+    assert rows[2][6] == "failed"
+    said = verdict((SAME, CHANGED, FAILED))
+    assert said.startswith("1 of 3 ")
+    assert "`asymmetry` (rings), `inertia` (rings)" in said
+    assert "Not the same" not in verdict((SAME,))
+
+
+def test_round_off_keeps_its_decade():
+    assert at_most(2e-16) == at_most(9e-15) == "<= 1e-14"
+    assert at_most(1.1e-9) == "<= 1e-8"
+    assert at_most(float("nan")) == "-"
+
+
+def test_bars_stand_at_their_feature():
+    diagram = bars("key", "title", (SAME, CHANGED, replace(CHANGED, scene="other")))
+    assert [(curve.label, curve.x) for curve in diagram.curves] == [("rings", (0.0, 1.0)), ("other", (1.0,))]
+    assert len(diagram.ticks) == 2
+
+
+def test_all_features_of_rings_are_in_the_report():
+    assert {*motion.TERMS, *rings.FORCED} == set(FEATURES)
+
+
+@pytest.mark.parametrize("feature", rings.FORCED)
+def test_a_feature_of_rings_forced(feature):
+    loads = np.array([20.0, 10.0]), np.array([30.0, 60.0])
+    plain = solve_table(*loads, Cell()), 1.0
+    trial = rings.forced(feature, "two loads", Cell(), plain, loads)
+    assert trial.is_same
+    assert trial.by_itself == LEFT_OUT
+
+
+def test_supports_across_the_plane_carry_nothing():
+    largest = [float(str(row[2]).removeprefix("<= ")) for row in motion.support_across().rows]
+    assert len(largest) == 3
+    assert max(largest) < 1e-7
+
+
+def test_features_of_curtains_forced():
+    law = default_law()
+    assert forced(law, "third-coordinate", "corners", 3).is_same
+    trial = by_option(law, "corrector", 3, RigidOptions(corrector=False), RigidOptions())
+    assert trial.is_same
+    assert trial.by_itself == "used"
+
+
+def test_outputs_move_no_number(tmp_path):
+    assert [trial.is_same for trial in outputs.curtain(tmp_path, 4)] == [True, True]
+
+
+def test_imports_are_told_by_what_they_load():
+    assert ("rve", ["table", "--help"]) in helps()
+    seconds, heavy, absent = probe(PROBE.format(names=("meshio", "no_such_package"), heavy=("meshio", "skfem")), 1)
+    assert seconds > 0.0
+    assert (heavy, absent) == (["meshio"], ["no_such_package"])
+    assert shown(seconds, ".2f") != "-"
