@@ -186,9 +186,10 @@ def _ring_body(name: str, ring: list[int], cell: Cell, options: MujocoOptions) -
         f'<joint name="{name}{tilt}" type="hinge" axis="{way}" damping="{cell.r1**2}"/>'
         for tilt, way in (("u", "1 0 0"), ("v", "0 1 0"))
     )
+    lean = -math.degrees(_tilt(cell, kind))
     return (
         f'<body pos="{i * x2} {j * y3} 0">{slides}<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-6 1e-6 1e-6"/>'
-        f'<body euler="{-math.degrees(_tilt(cell, kind))} 0 0">{tilts}{_ring_shape(cell, options)}</body></body>'
+        f'<body name="{name}" euler="{lean} 0 0">{tilts}{_ring_shape(cell, options)}</body></body>'
     )
 
 

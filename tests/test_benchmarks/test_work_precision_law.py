@@ -1,5 +1,7 @@
 """The laws of the report: errors against directions solved on their own, which fall with the rows of the table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,12 @@ def test_a_law_is_right_where_it_was_fitted_and_a_wrong_one_is_seen(coarse):
     net = errors_of(diagonal_net(1.1), unseen_directions(5))
     assert net.h_max > 0.1
     assert np.isnan(net.E_max) or net.E_max > 0.1
+
+
+def test_errors_do_not_depend_on_the_size_of_the_load(coarse, unseen):
+    law, _ = made(coarse)
+    one, seven = errors_of(law, unseen), errors_of(law, replace(unseen, S=7.0 * unseen.S))
+    assert seven.h_max == pytest.approx(one.h_max, rel=1e-9)
 
 
 def test_points_lie_beyond_the_surface_by_their_offset(coarse):

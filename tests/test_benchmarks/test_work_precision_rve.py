@@ -106,6 +106,26 @@ def test_mujoco_nears_the_same_state(given):
     np.testing.assert_allclose([still.x2_mm, still.y3_mm], start, atol=1e-9)
 
 
+def test_mujoco_keeps_the_lattice(given):
+    """Rings of one class keep their places in the lattice and one tilt, but for ties that give while they speed up."""
+    if peers.mujoco_version() == "absent":
+        return
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(peers.mujoco_xml(given.cell, peers.MujocoOptions(24)))
+    data = mujoco.MjData(model)
+    data.qfrc_applied[[model.joint(name).dofadr[0] for name in "XY"]] = 3.0, 2.0
+    mujoco.mj_step(model, data, 200)
+    moved = np.array([data.joint(name).qpos[0] for name in "XY"])
+    assert np.abs(moved).min() > 0.15
+    side = given.cell.r1 * given.cell.weave.start_lattice[:2] + moved
+    for kind, i, j in given.cell.weave.rings.tolist():
+        ring, first = data.body(f"ring{kind}{i}{j}"), data.body(f"ring{kind}00")
+        place = [i * side[0], j * side[1], 0.0]
+        np.testing.assert_allclose(ring.xpos - first.xpos, place, atol=0.02)
+        np.testing.assert_allclose(ring.xmat, first.xmat, atol=0.01)
+
+
 def test_yade_nears_the_same_state(given, tmp_path):
     if peers.yade_command() is None:  # an optional peer
         with pytest.raises(RuntimeError, match="not installed"):
