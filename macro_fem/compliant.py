@@ -30,7 +30,9 @@ WEIGHT = np.array([1.0, 2.0, 1.0])
 BOUNDARY = 0.98
 """Part of the way to the boundary of the cones that a step may go."""
 REACH = 4.0
-"""No point of an admissible state is farther than this many sizes from its place in the elastic one."""
+"""No point of an admissible state is farther than this many sizes from its place in another one."""
+ROUNDING = 1e-6
+"""A smaller relative excess proves nothing."""
 
 
 @dataclass(frozen=True)
@@ -147,15 +149,19 @@ def excess(program: Program, state: State) -> float:
     """A lower bound of the relative stretch that ideal locking lacks to reach the supports; 0 where none is proved.
 
     For any admissible z' and y1 the sum of w (|y1| c + y1:F(z') L) is not negative. At the elastic z it falls short of
-    that by more than the forces B^T w y1 L can do over the distance between the two: then there is no admissible z'.
+    that by more than the forces B^T w y1 L can do over the distance between the two, which the largest stretch of the
+    elastic state adds to: then there is no admissible z'.
     """
     tail = state.y.tail[:, 1:]
     size = np.sqrt(soc.row_dot(tail, tail))
-    FL = times_root(program.fem.gradient(state.z)[program.cones.point], program.L)
+    F = program.fem.gradient(state.z)
+    FL = times_root(F[program.cones.point], program.L)
     short = -float((program.w * (size * program.c + soc.row_dot(tail, FL))).sum())
     forces = float(np.abs(program.fem.force(program.pull(state.y)[0])).sum())
-    lacking = short - REACH * forces * program.scale / program.total
-    return lacking / float((program.w * size * program.c).sum()) if lacking > 0.0 else 0.0
+    stretch = float(np.sqrt(np.einsum("nij,nij->n", F, F).max()))
+    lacking = short - (REACH + 2.0 * stretch) * forces * program.scale / program.total
+    needed = float((program.w * size * program.c).sum())
+    return lacking / needed if lacking > ROUNDING * needed else 0.0
 
 
 class _Newton:

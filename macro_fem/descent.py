@@ -17,9 +17,6 @@ from macro_fem.softened import CompliantLaw, SoftenedLaw
 MAX_TRIALS = 20
 """Calls of the law in one line search; the best fall found counts. More only burns time where round-off rules."""
 
-IDLE_STEPS = 15
-"""Steps in a row with neither a fall of the potential beyond round-off nor a new least residual: nothing more comes."""
-
 
 @dataclass(eq=False)
 class Work:
@@ -199,7 +196,7 @@ def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> t
     balance = balance_of(work, state, stage.load)
     idle, least = 0, balance.relative
     while balance.relative > balance.tolerance - work.options.rtol + stage.rtol:
-        if idle == IDLE_STEPS:
+        if idle == work.options.idle_steps:
             return _stalled(balance), state, count
         if count >= limit:
             return NewtonStatus.ITERATION_LIMIT, state, count

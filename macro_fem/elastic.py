@@ -54,6 +54,8 @@ OUT_OF_STEPS = "stopped after {n} iterations before the half-spaces were found: 
 CLOSED = "the gap between upper and lower bound is closed"
 POLISH = 40
 """Steps of Newton's method: it takes a handful, or kinks of what hangs slack keep it busy for nothing."""
+IDLE_STEPS = 3
+"""Its steps in a row without progress after which the interior-point answer is as good."""
 CERTIFIED = 1e-7
 """Gap over load times size below which the interior-point answer stands where Newton's method balances less well."""
 
@@ -271,7 +273,7 @@ def _polished(problem: Problem, found: Approach, most: int) -> CurtainSolution:
     membrane = newton.Membrane(
         problem.disc, problem.law, fixed, supports.positions - nodes, problem.force, supports.tie
     )
-    options = newton.NewtonOptions(max_iterations=most, soften_after=most)
+    options = newton.NewtonOptions(max_iterations=most, soften_after=most, idle_steps=IDLE_STEPS)
     answer = newton.solve(membrane, options, start=problem.fem.positions(found.z) - nodes)
     last = answer.steps[-1]
     F = deformation_gradient(problem.disc, last.u)

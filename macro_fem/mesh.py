@@ -6,6 +6,8 @@ A mesh comes with its named boundary edges: "top", "bottom", "left", "right" of 
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +17,14 @@ import numpy as np
 import skfem
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from homogenize.law import Array, CellInfo, InputError
 from macro_fem.outline import distance_to_polygon, mesh_outline, regular_polygon
 from macro_fem.scene import Curtain, Mesh, Scene
+
+MAX_TRIANGLES = 4_000_000
+"""More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,7 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     if curtain.shape == "file":
         return read_mesh(curtain, scene.source)
     aspect = weave_aspect(cell)
+    _refuse_too_many(scene, aspect)
     if curtain.shape == "rectangle" and not curtain.holes:
         return rectangle(curtain, scene.mesh, aspect)
     if curtain.shape == "disk":
@@ -66,6 +73,31 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
         raise InputError(f"{scene.source}: [curtain] {error}") from error
     mesh = skfem.MeshTri(points.T.copy(), cells.T.copy())
     return CurtainMesh(mesh, "aligned", named_edges(mesh, holes, is_box=curtain.shape == "rectangle"))
+
+
+def _refuse_too_many(scene: Scene, aspect: float) -> None:
+    """InputError if the box around the shape is a thread, or would hold more than `MAX_TRIANGLES` cells."""
+    curtain, cells = scene.curtain, scene.mesh.cells
+    if curtain.shape == "rectangle":
+        assert curtain.width is not None
+        assert curtain.height is not None
+        slender = curtain.height / curtain.width
+    elif curtain.shape == "outline":
+        width, height = np.ptp(np.array(curtain.outline), axis=0)
+        slender = float(height / width) if width > 0.0 else 0.0  # no width: refused as an outline without area
+    else:
+        slender = 1.0
+    if 0.0 < slender < 1e-6:
+        raise InputError(
+            f"{scene.source}: [curtain] is {slender:.3g} times as high as wide: check the units of its sides"
+        )
+    least_row = min(1.0, aspect, 1.0 / aspect)
+    count = 4.0 * cells * max(1.0, cells * slender / least_row)
+    if count > MAX_TRIANGLES:
+        raise InputError(
+            f"{scene.source}: [mesh] cells = {cells}: makes up to {count:.3g} triangles on a curtain {slender:.3g} "
+            f"times as high as wide, at most {MAX_TRIANGLES:.3g} are allowed; use fewer cells or check its units"
+        )
 
 
 def weave_aspect(cell: CellInfo | None) -> float:
@@ -161,20 +193,48 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
     where = f"{source}: [curtain] file = {curtain.file!r}:"
     if not path.is_file():
         raise InputError(f"{where} there is no such file")
+    said = io.StringIO()  # meshio prints a sentence of its own and exits
     try:
-        data = meshio.read(path)
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            data = meshio.read(path)
     except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:
-        raise InputError(f"{where} meshio cannot read it: {error or type(error).__name__}") from error
+        what = str(error) if str(error) not in ("", "1") else "it is not what its ending says"
+        raise InputError(f"{where} meshio cannot read it: {what}") from error
     kinds = [kind for kind in ("triangle", "quad") if len(data.cells_dict.get(kind, ()))]
     if len(kinds) != 1:
         raise InputError(f"{where} needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
     cells = np.asarray(data.cells_dict[kinds[0]], dtype=np.int64)
-    points = _plane_points(data.points, where)
-    _check_cells(points, cells, where)
+    outside = np.flatnonzero((cells < 0).any(axis=1) | (cells >= len(data.points)).any(axis=1))
+    if len(outside):
+        raise InputError(
+            f"{where} cell {outside[0]} names a point that is not among the {len(data.points)} of the file"
+        )
     used, cells = np.unique(cells, return_inverse=True)
+    cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
+    points = _plane_points(data.points[used], where)
+    _check_cells(points, cells, where)
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
-    mesh = mesh_type(points[used].T.copy(), cells.reshape(-1, 3 if kinds[0] == "triangle" else 4).T.copy())
+    mesh = mesh_type(points.T.copy(), cells.T.copy())
+    _check_sides(mesh, where)
     return CurtainMesh(mesh, "file", named_edges(mesh, [], is_box=True))
+
+
+def _check_sides(mesh: Any, where: str) -> None:
+    """InputError if more than two cells share a side, or a corner of one cell lies on the side of another."""
+    sides = np.bincount(mesh.t2f.ravel(), minlength=mesh.facets.shape[1])
+    if sides.max() > 2:
+        (x, y) = mesh.p[:, mesh.facets[:, sides.argmax()]].mean(axis=1)
+        raise InputError(f"{where} {sides.max()} cells share the side around ({x:g}, {y:g})")
+    rim = mesh.boundary_facets()
+    a, b = mesh.p[:, mesh.facets[0, rim]].T, mesh.p[:, mesh.facets[1, rim]].T
+    corners = mesh.p[:, np.unique(mesh.facets[:, rim])].T
+    length = np.linalg.norm(b - a, axis=1)
+    near = cKDTree(corners).query_ball_point(0.5 * (a + b), 0.499999 * length)
+    for side, numbers in enumerate(near):
+        along = (b[side] - a[side]) / length[side]
+        for x, y in corners[numbers]:
+            if abs(along[0] * (y - a[side, 1]) - along[1] * (x - a[side, 0])) < 1e-9 * length[side]:
+                raise InputError(f"{where} the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
 
 
 def _plane_points(points: Array, where: str) -> Array:
@@ -192,12 +252,22 @@ def _check_cells(points: Array, cells: np.ndarray, where: str) -> None:
     for bad, what in (
         (area < -1e-12 * scale, "is inverted against most others"),
         (np.abs(area) <= 1e-12 * scale, "has no area"),
+        (_least_corner(points, cells) <= 0.0, "is not convex"),
     ):
         if bad.any():
             raise InputError(f"{where} cell {int(np.flatnonzero(bad)[0])} {what} ({int(bad.sum())} such cells)")
     _, first, counts = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_counts=True)
     if counts.max() > 1:
         raise InputError(f"{where} cell {int(first[counts > 1][0])} is there {int(counts.max())} times")
+
+
+def _least_corner(points: Array, cells: np.ndarray) -> Array:
+    """The smallest area (n_cells,) that two neighbouring sides span: not positive where a corner points inwards."""
+    p = points[cells]
+    side = np.roll(p, -1, axis=1) - p
+    before = np.roll(side, 1, axis=1)
+    turn = before[..., 0] * side[..., 1] - before[..., 1] * side[..., 0]
+    return np.asarray((turn * np.sign(signed_areas(points, cells))[:, None]).min(axis=1))
 
 
 def signed_areas(points: Array, cells: np.ndarray) -> Array:

@@ -53,6 +53,8 @@ class NewtonOptions:
     soften_after: iterations of the plain attempt before the law is softened and hardened again by `soften_ratio`, each
     stage to `soften_rtol`, in at most `soften_iterations`. Larger ratios or tolerances take more iterations in the end.
     soften_warm: largest softness when a stress to remember is given to `solve`.
+    idle_steps: steps in a row, with neither a fall of the potential beyond round-off nor a new least residual, that end
+    the search.
     predictor_order: highest order of extrapolation over past load steps (0: the tangent is used each time).
     """
 
@@ -66,6 +68,7 @@ class NewtonOptions:
     soften_rtol: float = 1e-3
     soften_iterations: int = 150
     soften_warm: float = 30.0
+    idle_steps: int = 15
     linear: LinearOptions = field(default_factory=LinearOptions)
 
     def __post_init__(self) -> None:
@@ -80,7 +83,7 @@ class NewtonOptions:
         for name, bound in least.items():
             if not getattr(self, name) > bound:
                 raise ValueError(f"{name} = {getattr(self, name)} must be greater than {bound:g}")
-        for name in ("max_iterations", "predictor_order", "soften_after"):
+        for name in ("max_iterations", "predictor_order", "soften_after", "idle_steps"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)} must not be negative")
 

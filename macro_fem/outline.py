@@ -108,12 +108,20 @@ def _check_polygons(outline: Array, holes: list[Array]) -> None:
             raise ValueError(f"{name}: has two equal corners in a row")
         if _crosses(polygon, polygon, same=True):
             raise ValueError(f"{name}: crosses itself")
+        if abs(_area(polygon)) <= 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2:
+            raise ValueError(f"{name}: has no area, its corners lie on a line")
     for k, hole in enumerate(holes, start=1):
         if not np.all(_in_polygon(hole, outline)) or _crosses(hole, outline, same=False):
             raise ValueError(f"holes: hole {k} is not inside the outline")
         for j, other in enumerate(holes[: k - 1], start=1):
             if _crosses(hole, other, same=False) or _in_polygon(hole[:1], other)[0] or _in_polygon(other[:1], hole)[0]:
                 raise ValueError(f"holes: hole {k} and hole {j} overlap")
+
+
+def _area(polygon: Array) -> float:
+    """Signed area."""
+    x, y = (polygon - polygon[0]).T
+    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
 def _crosses(one: Array, two: Array, *, same: bool) -> bool:

@@ -28,9 +28,13 @@ def _entry(check: Check, default: Any) -> Any:
 def _as_number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise _BadValue("is not a number")
-    if not math.isfinite(value):
+    try:
+        x = float(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        x = math.inf
+    if not math.isfinite(x):
         raise _BadValue("is not a finite number")
-    return float(value)
+    return x
 
 
 def number(

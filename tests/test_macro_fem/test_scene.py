@@ -111,6 +111,10 @@ BAD = [
     ("width = 100.0", "width = -1.0", ["[curtain]", "width", "-1.0"]),
     ("width = 100.0", "width = nan", ["[curtain]", "width", "nan"]),
     ("width = 100.0", 'width = "wide"', ["width", "wide"]),
+    ("width = 100.0", "width = 1" + "0" * 400, ["width", "is not a finite number"]),
+    ("width = 100.0", "width = 1e9", ["[curtain]", "8e-08", "units"]),
+    ("height = 80.0", "height = 1e9", ["[mesh]", "cells = 6", "triangles", "units"]),
+    ("cells = 6", "cells = 20000", ["[mesh]", "cells = 20000", "triangles", "use fewer"]),
     ("height = 80.0", "", ["[curtain]", "height", "missing"]),
     ("height = 80.0", "height = 80.0\nradius = 5.0", ["radius", "5.0"]),
     ("height = 80.0", "height = 80.0\nlength = 5.0", ["length", "5.0", "unknown key"]),
@@ -245,6 +249,7 @@ edge = "hole 1"
     [
         ([[[40, 30], [160, 30], [60, 50]]], "hole 1 is not inside"),
         ([[[40, 30], [60, 50], [60, 30], [40, 50]]], "hole 1: crosses itself"),
+        ([[[40, 30], [50, 30], [60, 30]]], "hole 1: has no area"),
         ([[[40, 30], [60, 30], [50, 50]], [[45, 32], [70, 32], [50, 60]]], "hole 2 and hole 1 overlap"),
     ],
 )
@@ -280,6 +285,50 @@ def test_bad_mesh_files_are_explained(tmp_path, cells, words):
     scene = write_mesh(tmp_path, SQUARE, cells)
     with pytest.raises(InputError, match=words):
         build_mesh(scene, None)
+
+
+@pytest.mark.parametrize(
+    ("points", "cells", "words"),
+    [
+        (
+            [[0, 0], [1, 0], [0.5, 1], [0.5, 0.5], [0.5, -1]],
+            [[0, 1, 2], [0, 1, 3], [1, 0, 4]],
+            "3 cells share the side",
+        ),
+        (
+            [[0, 0], [2, 0], [2, 2], [0, 2], [2, 1], [4, 1]],
+            [[0, 1, 2], [0, 2, 3], [1, 5, 4], [4, 5, 2]],
+            r"\(2, 1\) lies",
+        ),
+        ([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 9]], "cell 1 names a point"),
+    ],
+)
+def test_cells_that_do_not_fit_together_are_explained(tmp_path, points, cells, words):
+    scene = write_mesh(tmp_path, np.array(points, float), cells)
+    with pytest.raises(InputError, match=words):
+        build_mesh(scene, None)
+
+
+def test_bent_quadrilaterals_are_refused(tmp_path):
+    scene = write_mesh(tmp_path, np.array([[0.0, 0.0], [9.0, 0.0], [2.0, 2.0], [0.0, 9.0]]), [[0, 1, 2, 3]], "quad")
+    with pytest.raises(InputError, match="cell 0 is not convex"):
+        build_mesh(scene, None)
+
+
+def test_points_that_no_cell_uses_do_not_matter(tmp_path):
+    """Not even where they are not plane, as generators leave them."""
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [5.0, 5.0, 9.0]])
+    meshio.Mesh(points, [("triangle", np.array([[0, 1, 2]]))]).write(tmp_path / "mesh.vtu")
+    tables = {"curtain": {"shape": "file", "file": "mesh.vtu", "areal_mass": 1.0}, "support": {"kind": "top"}}
+    assert build_mesh(read_scene(tables, tmp_path / "scene.toml"), None).mesh.p.shape == (2, 3)
+
+
+def test_what_is_no_mesh_is_refused_in_one_line(tmp_path, capfd):
+    (tmp_path / "mesh.vtu").write_text("hello")
+    tables = {"curtain": {"shape": "file", "file": "mesh.vtu", "areal_mass": 1.0}, "support": {"kind": "top"}}
+    with pytest.raises(InputError, match=r"mesh\.vtu.* meshio cannot read it"):
+        build_mesh(read_scene(tables, tmp_path / "scene.toml"), None)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_piece_that_hangs_on_nothing_is_found(tmp_path):
