@@ -57,18 +57,20 @@ def read_curtain(path: Path) -> Curtain:
     if kinds not in (["triangle"], ["quad"]):
         raise InputError(f"{path}: needs cells of one kind, triangle or quad, it has {kinds}")
     cells = np.asarray(data.cells[0].data, dtype=np.intp)
-    points = {name: _field(path, data.point_data, name, 3, len(data.points)) for name in ("reference_mm",)}
+    reference = _field(path, data.point_data, "reference_mm", 3, len(data.points))
     fields = {key: _field(path, data.cell_data, *names, len(cells)) for key, names in _CELL_FIELDS.items()}
-    x, X = np.asarray(data.points, dtype=float)[:, :2], points["reference_mm"][:, :2]
-    if not np.isfinite(x).all():
+    at, X = np.asarray(data.points, dtype=float), reference[:, :2]
+    if not np.isfinite(at).all():
         raise InputError(f"{path}: a point is not finite")
+    if np.abs(at[:, 2:]).max(initial=0.0) > 1e-9 * np.abs(at).max():
+        raise InputError(f"{path}: is not plane, z reaches {np.abs(at[:, 2]).max():g} mm")
     triangles, owner = cells, np.arange(len(cells))
     if kinds == ["quad"]:
         triangles, owner = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(owner, 2)
     _check_triangles(path, X, triangles, owner)
     S = _recovered(fields["S"], X, cells, triangles, owner)
     state = fields["state"].astype(int)
-    return Curtain(X, x, triangles, owner, fields["E"], S, fields["line_load"], state)
+    return Curtain(X, at[:, :2], triangles, owner, fields["E"], S, fields["line_load"], state)
 
 
 def _first_line(error: BaseException) -> str:

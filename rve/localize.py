@@ -143,7 +143,7 @@ def localize(
     states = states or locked_states(cell, options)
     E = np.asarray(E, dtype=float).reshape(-1, 3)
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
-    flip = (E[:, 1] < 0.0) & cell.weave.is_mirrored
+    flip = (E[:, 1] < 0.0) & (cell.weave.is_mirrored and cell.weave.classes == 2)
     upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
     _, first, back = np.unique(np.round(upright / options.merge), axis=0, return_index=True, return_inverse=True)
     targets = upright[first]

@@ -30,7 +30,7 @@ from rve.ring_field import (
     place_rings,
     turns,
 )
-from rve.ring_files import write_forces_csv, write_ring_vtu
+from rve.ring_files import LINE, TUBE, write_forces_csv, write_ring_vtu
 from rve.ring_forces import CellForces, cauchy_of, cell_forces, largest_forces
 from rve.sweep import Cell, versions
 from rve.weave import WEAVES
@@ -90,8 +90,8 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     force = largest_forces(loads, cell)[row, sites.index[:, 0]]
     worst = _worst(curtain, cell, how, locked, axes)
     data = _ring_data(curtain, sites, states, row, (fit, force), cell.r1)
-    around = (28, 8) if options.tubes else (32, 0)
-    write_ring_vtu(out / "rings.vtu", (rings.centre, rings.normal), (cell.r1, cell.r2), data, around)
+    kind = TUBE if options.tubes else LINE
+    write_ring_vtu(out / "rings.vtu", (rings.centre, rings.normal), (cell.r1, cell.r2), data, kind)
     write_forces_csv(out / "worst_cell.csv", worst.forces, worst.turn)
     summary = _summary(vtu, cell, hang_deg, states, (fit, force, states.status[row]))
     summary |= {"worst_cell": _worst_lines(curtain, worst)}

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 _VTK_TYPES = {"f4": "Float32", "f8": "Float64", "i4": "Int32", "u1": "UInt8"}
 _POLY_LINE, _QUAD = 4, 9
 
+LINE, TUBE = (32, 0), (28, 8)
+"""Points along and around a ring in the files: centre lines, tori."""
+
 
 def circles(centre: Array, normal: Array, r1: float, count: int) -> tuple[Array, Array]:
     """Points (n, count, 3) of the centre circles, and the unit vectors from the centre to them."""

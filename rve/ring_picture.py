@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.files import atomic_path
-from rve.ring_files import tubes
+from rve.ring_files import TUBE, tubes
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,8 @@ def read_rings(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     ring = np.asarray(mesh.cell_data["ring"])
     first = np.unique(ring, return_index=True)[1]
     points = np.asarray(mesh.points, dtype=float).reshape(len(first), -1, 3)
-    if len(first) < mesh.n_cells:  # tubes: 8 points around the wire
-        points = points.reshape(len(first), -1, 8, 3).mean(axis=2)
+    if len(first) < mesh.n_cells:  # tubes: more than one cell per ring
+        points = points.reshape(len(first), *TUBE, 3).mean(axis=2)
     centre = points.mean(axis=1)
     quarter = points.shape[1] // 4
     normal = np.cross(points[:, 0] - centre, points[:, quarter] - centre)

@@ -12,9 +12,10 @@ from click.testing import CliRunner
 from rve.cell import Pose, find_contacts
 from rve.cli import main
 from rve.curtain_state import Curtain, read_curtain
-from rve.errors import InputError
+from rve.errors import InputError, NotConverged
 from rve.load import cauchy_line_load, deformation_gradient, second_pk
-from rve.localize import LocalizeOptions, localize, locked_states, shares
+from rve.localize import LocalizeOptions, localize, locked_states, mirrored, shares
+from rve.localize_job import draw
 from rve.ring_field import axes_of_weave, find_sites, fit_of, place_rings
 from rve.ring_files import tubes, write_ring_vtu
 from rve.ring_forces import cauchy_of, cell_forces, directions, largest_forces
@@ -383,6 +384,7 @@ def test_bad_files_end_in_one_sentence(hung, tmp_path):
         (lambda data: data.point_data.pop("reference_mm"), "reference_mm"),
         (lambda data: data.cell_data["S_11_12_22_N_per_mm"][0].__setitem__((0, 0), np.nan), "S_11_12_22"),
         (lambda data: data.points.__setitem__((0, 0), np.inf), "not finite"),
+        (lambda data: data.points.__setitem__((0, 2), 1.0), "not plane"),
         (lambda data: data.point_data["reference_mm"].__setitem__(slice(None), 0.0), "no area"),
     ):
         assert_one_sentence(run(spoiled(hung, tmp_path, change), "--out", out), words)
@@ -424,12 +426,16 @@ def test_reading_keeps_tension_tensile(hung):
 
 
 def test_a_pose_in_a_mirror_keeps_its_links(states):
-    from rve.localize import mirrored
-
     pose = Pose(states.pose.lattice, states.pose.centres, states.pose.normals)
     contacts = find_contacts(mirrored(pose), CELL.weave, CELL.wire, 0.6)
     assert contacts.links_intact.all()
     np.testing.assert_allclose(contacts.min_gap, find_contacts(pose, CELL.weave, CELL.wire, 0.6).min_gap, atol=1e-12)
+
+
+def test_a_renderer_that_fails_is_named_and_leaves_no_picture(tmp_path):
+    with pytest.raises(NotConverged, match="the renderer ended with code 1"):
+        draw(tmp_path)
+    assert not (tmp_path / "rings.png").exists()
 
 
 def test_line_loads_are_averaged_by_area(tmp_path):
