@@ -151,6 +151,24 @@ def test_a_uniform_curtain_gets_the_rings_of_one_locked_cell(states, table, hang
     np.testing.assert_allclose(np.linalg.norm(rings.normal, axis=1), 1.0, atol=1e-12)
 
 
+def test_a_ring_taken_out_of_the_net_is_missed(states, table):
+    """Four links lost, five rings concerned, and a ring pushed through its neighbour's wire has a negative gap."""
+    _, E, S, _ = table
+    found = localize(E[3:4], CELL, OPTIONS, states)
+    curtain = sheet(deformation_gradient(found.E)[0], E[3], S[3], np.eye(2))
+    sites = find_sites(curtain, CELL, states.sides, np.eye(2))
+    rings = place_rings(curtain, sites, found, np.zeros(len(sites.X), dtype=int), CELL, np.eye(2))
+    whole = fit_of(rings, CELL)
+    inner = int(np.argmin((sites.X**2).sum(axis=1)))
+    out = rings.centre.copy()
+    out[inner, 2] += 15.0
+    apart = fit_of(replace(rings, centre=out), CELL)
+    assert (whole.linked - apart.linked, int(apart.broken.sum())) == (4, 5)
+    near = rings.centre.copy()
+    near[inner, 2] += 0.3
+    assert fit_of(replace(rings, centre=near), CELL).gap_mm[inner] < -0.05
+
+
 def test_neighbouring_cells_meet_whatever_their_strains(states, table):
     """Centres follow the deformation of the curtain, which is continuous, and not the strain of each cell."""
     _, E, S, _ = table
@@ -286,7 +304,7 @@ def test_a_hanging_strip_has_the_rings_of_one_locked_cell(tmp_path, weave):
     summary = json.loads((folder / "rings" / "localize.json").read_text())
     assert list(summary["cells_by_status"]) == ["met"]
     assert summary["links_intact"] == summary["links"] > 30
-    assert summary["drawn_gap_mm_quantiles_0_5_25_50"]["met"][0] > -0.02
+    assert summary["drawn_gap_mm_quantiles_0_5_25_50"]["met"][0] > -1e-3
     sheet_load = json.loads((folder / "summary.json").read_text())["total_load_N"][1] / -50.0
     largest = summary["worst_cell"]["largest_principal_line_load_N_per_mm"]
     assert 0.7 * sheet_load < largest < sheet_load
