@@ -271,15 +271,14 @@ def run_table(title: str, runs: Sequence[Run], note: str = "") -> Table:
 
 
 def curves(runs: Sequence[Run]) -> tuple[Curve, ...]:
-    """Error and seconds per case of every method, in the order of its ladder; where nothing is solved is no point."""
-    return tuple(
-        Curve(
-            name,
-            tuple(max(run.error, 1e-13) for run in runs if run.method == name),
-            tuple(run.seconds for run in runs if run.method == name),
-        )
-        for name in dict.fromkeys(run.method for run in runs)
-    )
+    """Error and seconds per case of every method that solves something, in the order of its ladder; failures named."""
+    out = []
+    for name in dict.fromkeys(run.method for run in runs if run.solved):
+        mine = [run for run in runs if run.method == name]
+        fewest = min(mine, key=lambda run: run.solved / run.cases)
+        label = name if fewest.solved == fewest.cases else f"{name} ({fewest.solved} of {fewest.cases})"
+        out.append(Curve(label, tuple(run.error for run in mine), tuple(run.seconds for run in mine)))
+    return tuple(out)
 
 
 def scheme_runs(given: Problem, full: bool) -> list[Run]:

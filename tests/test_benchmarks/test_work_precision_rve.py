@@ -10,6 +10,7 @@ from benchmarks.work_precision import peers
 from benchmarks.work_precision.generic import SOLVERS, Programme
 from benchmarks.work_precision.rve import (
     PUBLISHED,
+    curves,
     direct_alone,
     direct_batch,
     extrapolated,
@@ -142,3 +143,15 @@ def test_absent_peers_are_named(monkeypatch, tmp_path, given):
     assert peers.yade_version() == "absent"
     with pytest.raises(RuntimeError, match="not installed"):
         peers.run_yade(given.cell, (1.0, 1.0), 48, 1e-2, tmp_path)
+
+
+def test_the_diagram_names_failures_and_leaves_out_who_solves_nothing():
+    bad, good = np.array([1e-3, 5.0]), np.array([1e-3, 1e-4])
+    runs = [
+        run_of(("half", ""), bad, bad < 9.0, 2.0, (1, "steps")),
+        run_of(("all", ""), good, good < 1.0, 2.0, (1, "x")),
+    ]
+    runs.append(run_of(("none", ""), bad, bad > 9.0, 2.0, (1, "steps")))
+    half, whole = curves(runs)
+    assert (half.label, half.x, half.y) == ("half (1 of 2)", (1e-3,), (1.0,))
+    assert (whole.label, whole.x) == ("all", (1e-3,))
