@@ -129,7 +129,7 @@ def _solved(s: Array, cell: Cell, options: DirectOptions, weave: Weave) -> tuple
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain, symmetric in the grain.
 
-    The symmetry is imposed. From r1/r2 of about 30 on rings may slide over each other instead (docs/random_loads.md),
+    The symmetry is imposed. From r1/r2 of about 30 on rings may slide over each other instead (docs/theory.md, 3),
     but side by side stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
     """
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None

@@ -1,0 +1,42 @@
+"""What every section says in the same words: outcomes, decades, refusals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+
+def outcomes(status: Any) -> str:
+    """Statuses and how many of each, "converged" first.
+
+    >>> outcomes(["stalled", "converged", "converged"])
+    '2 converged, 1 stalled'
+    """
+    names, counts = np.unique(np.asarray(status), return_counts=True)
+    found = {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+    order = sorted(found, key=lambda name: (name != "converged", name))
+    return ", ".join(f"{found[name]} {name}" for name in order)
+
+
+def decade(x: float) -> str:
+    """The power of ten that bounds |x| from above: the same text when round-off moves the last digits.
+
+    >>> decade(-3e-13), decade(0.0)
+    ('<= 1e-12', '0')
+    """
+    size = abs(float(x))
+    if not math.isfinite(size):
+        return "-"
+    return "0" if size == 0.0 else f"<= 1e{math.ceil(math.log10(size) - 1e-9)}"
+
+
+def refusal(act: Callable[[], object]) -> str:
+    """The one sentence with which input is refused, or "accepted"."""
+    try:
+        act()
+    except ValueError as error:
+        return str(error)
+    return "accepted"
