@@ -86,7 +86,10 @@ class Envelope:
         """Enters the highest of all planes into index and best."""
         for start in range(0, len(points), SEARCH_BLOCK):
             part = points[start : start + SEARCH_BLOCK]
-            height = np.stack([D[part], G[part], np.ones(len(part))], axis=1) @ self.planes.T
+            # no matrix product: three columns are not worth waking the threads of BLAS, 20 ms against 3 ms
+            height = D[part, None] * self.planes[:, 0]
+            height += G[part, None] * self.planes[:, 1]
+            height += self.planes[:, 2]
             index[part] = height.argmax(axis=1)
             best[part] = height[np.arange(len(part)), index[part]]
 

@@ -54,6 +54,23 @@ def test_two_matrices_of_one_pattern_are_each_solved(problem, method):
             np.testing.assert_allclose(solution.x, exact, atol=1e-7 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize("method", [*DIRECT, "jacobi"])
+def test_no_blas_threads_are_woken_for_sums(problem, method, monkeypatch):
+    """np.linalg.norm and products of two vectors end in BLAS, whose threads cost ten times the solve."""
+
+    class Watched(np.ndarray):
+        def __matmul__(self, other):
+            raise AssertionError("a product of vectors by BLAS")
+
+    def refused(*_args, **_options):
+        raise AssertionError("a norm by BLAS")
+
+    _, pattern, data_of = problem
+    factor = analyze(pattern, LinearOptions(method=method)).factorize(data_of(np.ones(problem[0].n_points)))
+    monkeypatch.setattr(np.linalg, "norm", refused)
+    assert factor.solve(np.ones(pattern.n).view(Watched)).residual < 1e-9
+
+
 @pytest.mark.parametrize("method", DIRECT)
 def test_an_indefinite_matrix_is_refused(problem, method):
     disc, pattern, data_of = problem
