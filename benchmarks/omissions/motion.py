@@ -21,10 +21,10 @@ from rve.symmetry import solve_equilibrium_symmetric
 from rve.system import Equations
 from rve.table import StrainTable
 
-# A vertex, an equibiaxial load, two in between; (45, 0), the slowest of all, in the full form.
-LOADS = ((20.0, 30.0), (0.0, 45.0), (10.0, 60.0), (0.0, 90.0))
+LOADS = tuple((float(alpha), float(beta)) for alpha in range(0, 46, 15) for beta in range(15, 91, 15))
+# The slowest of all in the paper, beside the vertices of the grid above.
 SLOW = (45.0, 0.0)
-ONE = LOADS[1]
+ONE = (0.0, 45.0)
 TOLERANCE = 1e-9
 """Of a strain: gaps of working contacts end at mu_end / force, 1e-13 over forces of 1e-4 and more."""
 
@@ -37,8 +37,9 @@ def measure(full: bool) -> Section:
         "A locked state has no speeds, so the direct solver solves its equations without inertia, damping and "
         "gyroscopic torques. Forced on (`rve case --force inertia`), the terms carry the rings from the slack pose "
         "into the locked one as in the paper, and Newton's method then closes the contacts, compliant on the way. "
-        "`constraints` writes out all ten rings, 60 velocities with their bilateral constraints. Loads (alpha, beta) "
-        f"are {shown(loads)}; with constraints, {shown((ONE,))} alone. r1/r2 = 10."
+        "`constraints` writes out all ten rings, 60 velocities with their bilateral constraints, for the equibiaxial "
+        f"load alone; the others for {len(loads)} loads, alpha 0:45:15 and beta 15:90:15"
+        f"{', and (45, 0), the slowest' if full else ''}. r1/r2 = 10."
     )
     moving, steps = inside_the_motion(loads)
     across = support_across()
@@ -58,11 +59,6 @@ def measure(full: bool) -> Section:
     )
 
 
-def shown(loads: tuple[tuple[float, float], ...]) -> str:
-    """Loads as text."""
-    return ", ".join(f"({alpha:g}, {beta:g})" for alpha, beta in loads)
-
-
 def table_of(loads: tuple[tuple[float, float], ...], force: tuple[str, ...] = ()) -> StrainTable:
     """The strain table of these loads."""
     alpha, beta = np.array(loads).T
@@ -75,7 +71,9 @@ def forced(term: str, loads: tuple[tuple[float, float], ...]) -> Trial:
     moved, with_it = least_seconds(lambda: table_of(loads, motion_terms((term,))), repeats=1)
     change = float(np.abs(moved.E - plain.E).max())
     ok = bool(moved.converged.all() and plain.converged.all())
-    return Trial(term, f"{len(loads)} loads", LEFT_OUT, without, with_it, change, TOLERANCE, ok=ok)
+    return Trial(
+        term, f"{len(loads)} load{'s' if len(loads) > 1 else ''}", LEFT_OUT, without, with_it, change, TOLERANCE, ok=ok
+    )
 
 
 def inside_the_motion(loads: tuple[tuple[float, float], ...]) -> tuple[Table, dict[str, int]]:
