@@ -34,7 +34,7 @@ BOUND_GAP = 2e-5
 
 
 BOUND_VIOLATION = 5e-3
-"""Violation of the law that ends the rounds of the dual program: a half-space left out weakens the bound, too."""
+"""Violation of the law that the dual program may leave: a half-space left out weakens the bound, too."""
 INWARD = 0.05
 """How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has
 room left, and the first steps get stuck."""
