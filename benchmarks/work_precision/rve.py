@@ -391,8 +391,8 @@ def conclusion(
             + ", ".join(f"{max(run.solved for run in runs)} of {runs[0].cases} ({name})" for name, runs in by_name)
             + ": without knowing rings they step through the wire into states that are none."
         )
-    if strange:
-        best = {run.method: run for run in sorted(strange, key=lambda run: -run.error)}
+    best = {run.method: run for run in sorted(strange, key=lambda run: -run.error) if run.solved}
+    if best:
         lines.append(
             "Best error of the peers: "
             + ", ".join(

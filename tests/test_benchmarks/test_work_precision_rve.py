@@ -138,6 +138,16 @@ def test_yade_nears_the_same_state(given, tmp_path):
     assert np.abs(np.array([answer.x2_mm, answer.y3_mm]) / reference - 1.0).max() < 0.06
 
 
+def test_a_peer_without_an_answer_stays_in_the_table(given, tmp_path, monkeypatch):
+    broken = tmp_path / "yade"
+    broken.write_text("#!/bin/sh\nexit 3\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    answer = peers.run_yade(given.cell, (1.0, 1.0), 48, 1e-2, tmp_path)
+    assert answer.status == "ended with code 3"
+    assert np.isnan([answer.x2_mm, answer.y3_mm, answer.seconds]).all()
+
+
 def test_absent_peers_are_named(monkeypatch, tmp_path, given):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert peers.yade_version() == "absent"
