@@ -130,7 +130,6 @@ def measure(full: bool) -> Section:
             f"Derivatives are numbers in {finite} of {len(named)} named pairs. Of {near[1]:,} minima nearer than "
             f"{near[0]:g} r1 "
             f"in random pairs {near[2]} are missed and {near[3]} counted twice; of {missed[-1][1]:,} nearer than "
-            f"{missed[-1][0]:g} r1, {missed[-1][2]} are missed: shallow second minima in narrow basins, far from "
-            "the wire."
+            f"{missed[-1][0]:g} r1, {missed[-1][2]} are missed."
         ),
     )

@@ -6,8 +6,17 @@ from benchmarks.pages.model import Column, Section, Table
 
 HERE = "tests/test_benchmarks/test_stability_features.py"
 EQUILIBRIUM = "tests/test_rve/test_equilibrium.py"
+CONTACT = "tests/test_rve/test_contact.py"
 # Extreme, feature, where the feature lives, what happens without it, file and name of the test.
 FEATURES = (
+    (
+        "a shallow second minimum in a basin narrower than the samples",
+        "a closer look where the slope is least without changing sign",
+        "rve/contact.py",
+        "the contact is lost",
+        CONTACT,
+        "test_minima_in_basins_narrower_than_the_samples_are_found",
+    ),
     (
         "two contacts of a pair merge (beta near 8 degrees)",
         "both twins of a soft minimum are found, the saddle between them is none",
@@ -134,7 +143,7 @@ def measure(full: bool) -> Section:
         "features",
         "What tames the extremes",
         "Each test solves the extreme, then switches the feature off and asserts that the same input fails: run "
-        f"`python -m pytest {HERE} {EQUILIBRIUM}`, and with `-m slow` the long ones.",
+        f"`python -m pytest {HERE} {EQUILIBRIUM} {CONTACT}`, and with `-m slow` the long ones.",
         (Table("Features and their tests", columns, rows),),
         conclusion=f"{len(FEATURES)} features are each shown to be needed by a test that fails without them.",
     )

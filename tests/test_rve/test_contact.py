@@ -47,6 +47,20 @@ def test_every_close_minimum_is_found():
     assert compared > 300
 
 
+def test_minima_in_basins_narrower_than_the_samples_are_found(monkeypatch):
+    """Their slope keeps its sign from sample to sample and is least beside them: that is where to look closer."""
+    pairs = random_pairs(np.random.default_rng(11), 4000)
+
+    def counts(samples):
+        return np.bincount(local_minima(*pairs, 1.0, reach=0.9, samples=samples).pair, minlength=4000)
+
+    truth = counts(1536)
+    np.testing.assert_array_equal(counts(48), truth)
+    empty = np.zeros(0, int), np.zeros(0)
+    monkeypatch.setattr("rve.contact._shoulders", lambda *_: empty)
+    assert (counts(48) < truth).any()
+
+
 def test_twins_closer_than_the_samples_are_both_found():
     # Two taut rings in planes at the angle chi: one contact for |cos chi| < 1 - d', two beyond; here just beyond.
     wire = 0.1
