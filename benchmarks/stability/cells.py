@@ -86,12 +86,11 @@ def random_starts(count: int, seed: int, wire: float) -> Pose:
 
 
 def start_row(name: str, start: Pose, loads: np.ndarray) -> tuple[Value, ...]:
-    """Every start under every load: how far the locked lattices of one load lie apart, in r1."""
-    n = len(start.lattice)
+    """Starts, as many for each load in turn: how far the locked lattices of one load lie apart, in r1."""
+    n = len(start.lattice) // len(loads)
     s = np.repeat(cauchy_line_load(*loads.T), n, axis=0)
-    many = start.take(np.tile(np.arange(n), len(loads)))
     equations = Equations.of(FOUR_IN_ONE, WIRE)
-    found = solve_equilibrium(s, equations, DirectOptions(), many)
+    found = solve_equilibrium(s, equations, DirectOptions(), start)
     truth = solve_equilibrium(cauchy_line_load(*loads.T), equations)
     good = found.status == "converged"
     apart = np.abs(found.pose.lattice - np.repeat(truth.pose.lattice, n, axis=0)).max(axis=1)
@@ -116,12 +115,14 @@ def measure(full: bool) -> Section:
     """Ratios of radii, and starts."""
     ratios = [ratio_row(weave, ratio) for weave in (FOUR_IN_ONE, SIX_IN_ONE) for ratio in RATIOS[weave.name]]
     starts = [
-        start_row(f"{name}, least gap {gap:.0e} r1", squeezed(sense, gap, WIRE), UNIQUE)
+        start_row(
+            f"{name}, least gap {gap:.0e} r1", squeezed(sense, gap, WIRE).take(np.zeros(len(UNIQUE), int)), UNIQUE
+        )
         for name, sense in (("nearly closed", -1.0), ("nearly open", 1.0))
         for gap in (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
     ]
-    count = 1500 if full else 150
-    starts.append(start_row(f"{count} random poses", random_starts(count, 7, WIRE), UNIQUE))
+    count = (1500 if full else 150) * len(UNIQUE)
+    starts.append(start_row(f"{count:,} random poses", random_starts(count, 7, WIRE), UNIQUE))
     ratio_columns = (
         Column("weave"),
         Column("r1/r2", ".6g"),
