@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import decade, outcomes, refusal
+from benchmarks.stability.words import GAP_NOISE, R_NOISE, decade, outcomes, refusal
 from rve.cell import Pose, find_contacts, moved, start_pose
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.load import cauchy_line_load
@@ -45,8 +45,8 @@ def ratio_row(weave: Weave, ratio: float) -> tuple[Value, ...]:
         ratio,
         outcomes(table.status),
         float(np.median(table.iterations)),
-        decade(np.nanmax(table.R)),
-        "none" if worst >= 0.0 else decade(worst),
+        decade(max(R_NOISE, float(np.nanmax(table.R)))),
+        decade(max(GAP_NOISE, -worst)),
         "yes" if work > -1e-8 else f"no, {work:.0e}",
     )
 

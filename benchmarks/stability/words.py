@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+R_NOISE, GAP_NOISE = 1e-11, 1e-12
+"""Weighted residual, and overlap in mm, below which digits are round-off: shown as this bound."""
+
 
 def outcomes(status: Any) -> str:
     """Statuses and how many of each, "converged" first.
