@@ -108,8 +108,8 @@ def fit_law(table: Path, out: Path) -> Path:
     return out / "law.json"
 
 
-def hang_curtain(law: Path, out: Path, cells: int) -> dict[str, object]:
-    """Hang the corner-held curtain with this law."""
+def hang_curtain(law: Path, out: Path, cells: int) -> float:
+    """Hang the corner-held curtain with this law; its mean height in mm."""
     from macro_fem.job import run_scene
 
     scene = out / "scene.toml"
@@ -117,7 +117,7 @@ def hang_curtain(law: Path, out: Path, cells: int) -> dict[str, object]:
     summary = run_scene(scene, law, out / "curtain", picture=True)
     click.echo(f"  {summary['status']}: {summary['message']}")
     click.echo(f"  {cells} cells along the width: mean height {summary['mean_height_mm']:.2f} mm")
-    return summary
+    return float(summary["mean_height_mm"])
 
 
 def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
@@ -125,7 +125,7 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
     out.mkdir(parents=True, exist_ok=True)
     law = fit_law(make_table(out, setting.spacing), out)
     click.echo("3 curtain")
-    heights = [float(hang_curtain(law, out, cells)["mean_height_mm"]) for cells in setting.cells]
+    heights = [hang_curtain(law, out, cells) for cells in setting.cells]
     answer = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
     (out / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
     click.echo(f"  mean height {answer['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,12 @@ def svg(diagram: Diagram) -> str:
     matplotlib.use("svg")
     import matplotlib.pyplot as plt
 
-    settings = {"svg.hashsalt": diagram.key, "svg.fonttype": "none", "font.size": 10, "axes.axisbelow": True}
+    settings: dict[Any, Any] = {
+        "svg.hashsalt": diagram.key,
+        "svg.fonttype": "none",
+        "font.size": 10,
+        "axes.axisbelow": True,
+    }
     with plt.rc_context(settings):
         figure, ax = plt.subplots(figsize=(7.6, 4.6), layout="constrained")
         (_bars if diagram.bars else _curves)(ax, diagram)
@@ -41,7 +47,7 @@ def _own_names(text: str, key: str) -> str:
     return text
 
 
-def _curves(ax, diagram: Diagram) -> None:
+def _curves(ax: Any, diagram: Diagram) -> None:
     for i, curve in enumerate(diagram.curves):
         x, y = np.array(curve.x, dtype=float), np.array(curve.y, dtype=float)
         kept = np.isfinite(x) & np.isfinite(y) & (x > 0.0) & (y > 0.0)
@@ -49,7 +55,7 @@ def _curves(ax, diagram: Diagram) -> None:
         ax.loglog(x[kept], y[kept], marker=marker, ms=5, lw=1.4, color=f"C{i % 10}", label=curve.label)
 
 
-def _bars(ax, diagram: Diagram) -> None:
+def _bars(ax: Any, diagram: Diagram) -> None:
     width = 0.8 / len(diagram.curves)
     for i, curve in enumerate(diagram.curves):
         places = np.array(curve.x, dtype=float) + (i - 0.5 * (len(diagram.curves) - 1)) * width

@@ -8,7 +8,7 @@ rings to curtain, and what they were promised to hold is compared with what they
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def contact_ladder() -> list[Step]:
     steps = []
     for gap in GAPS:
         options = DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap)
-        table, seconds = least_seconds(lambda options=options: table_of(BASE_SPACING, options), long=0.0)
+        table, seconds = least_seconds(partial(table_of, BASE_SPACING, options), long=0.0)
         try:
             height = height_of(fit(table, FitOptions(normality=10.0 * gap)).law)
         except InputError:
@@ -74,7 +74,7 @@ def table_ladder() -> list[Step]:
     exact = height_of(law_of(FINE_SPACING))
     steps = []
     for spacing in SPACINGS:
-        table, seconds = least_seconds(lambda spacing=spacing: table_of(spacing), long=0.0)
+        table, seconds = least_seconds(partial(table_of, spacing), long=0.0)
         height = height_of(fit(table).law)
         steps.append((f"{spacing:g} deg, {len(table)} rows", (height - exact) / HEIGHT, seconds, height))
     return steps
@@ -86,7 +86,7 @@ def law_ladder() -> list[Step]:
     steps = []
     for kind in LAWS:
         law = law_of(BASE_SPACING, kind)
-        height, seconds = least_seconds(lambda law=law: height_of(law), long=0.0)
+        height, seconds = least_seconds(partial(height_of, law), long=0.0)
         steps.append((kind, (height - exact) / HEIGHT, seconds, height))
     return steps
 
@@ -96,7 +96,7 @@ def mesh_ladder(sizes: tuple[int, ...], reference: float) -> list[Step]:
     law = law_of(BASE_SPACING)
     steps, before, spent = [], math.nan, 0.0
     for cells in sizes:
-        height, seconds = least_seconds(lambda cells=cells: height_of(law, cells), long=0.0)
+        height, seconds = least_seconds(partial(height_of, law, cells), long=0.0)
         steps.append((f"{cells} cells", (height - reference) / HEIGHT, seconds, height))
         if math.isfinite(before):
             pair = extrapolated(before, height)
@@ -118,7 +118,7 @@ def recommendation(reference: float, ladders: dict[str, list[Step]]) -> Table:
     """What each accuracy takes: the parts' errors by the ladders, the error that came out, and the time."""
     rows = []
     for accuracy, setting in SETTINGS.items():
-        height, seconds = least_seconds(lambda setting=setting: from_rings(setting), long=0.0)
+        height, seconds = least_seconds(partial(from_rings, setting), long=0.0)
         error = abs(height - reference) / HEIGHT
         spacing = next((s for s in ladders["table"] if s[0].startswith(f"{setting.spacing:g} deg")), None)
         part = abs(spacing[1]) if spacing else math.nan
@@ -141,7 +141,7 @@ def recommendation(reference: float, ladders: dict[str, list[Step]]) -> Table:
 def measure(full: bool) -> Section:
     """The section; `full` goes to meshes twice as fine."""
     sizes = (4, 8, 16, 32, 64) if full else (4, 8, 16, 32)
-    mesh_reference, doubt = _mesh_reference(sizes)
+    mesh_reference, doubt = reference_height(sizes[-1])
     ladders = {
         "contact": contact_ladder(),
         "table": table_ladder(),
@@ -181,11 +181,6 @@ def measure(full: bool) -> Section:
         (picture,),
         _conclusion(ladders),
     )
-
-
-def _mesh_reference(sizes: tuple[int, ...]) -> tuple[float, float]:
-    """Limit of the base law's meshes in mm, and how well two pairs of meshes agree about it."""
-    return reference_height(sizes[-1])
 
 
 def _text() -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -103,7 +103,7 @@ def run(problem: Problem, way: Way, cells: int, reference: float) -> Run:
     """One point of a ladder; a scene that the element or the solver refuses says so in its status."""
     try:
         scene = scene_of(problem, way, cells)
-        solution, seconds = least_seconds(lambda: solve_scene(scene, problem.law), repeats=2, long=0.5)
+        solution, seconds = least_seconds(partial(solve_scene, scene, problem.law), repeats=2, long=0.5)
     except InputError as refusal:
         return Run(way.name, cells, 0, math.nan, 0, math.nan, str(refusal).split(":")[-1].strip())
     good = solution.status == "converged"
@@ -158,10 +158,11 @@ def reference_height(cells: int) -> tuple[float, float]:
 def certified(problem: Problem, cells: int, adapt: int) -> list[tuple[Level, float]]:
     """Levels with bounds and the seconds each took, upper and lower bound together; all of the ladder runs once."""
     scene = scene_of(problem, Way("P1"), cells, bounds=True, adapt=adapt)
-    found, spent = [], 0.0
+    found: list[tuple[Level, float]] = []
+    spent = 0.0
     steps = levels(scene, problem.law)
     while True:
-        level, seconds = least_seconds(lambda: next(steps, None), long=0.0)
+        level, seconds = least_seconds(partial(next, steps, None), long=0.0)
         if level is None:
             return found
         spent += seconds
@@ -272,7 +273,7 @@ def _conclusion(table: Table) -> str:
     """What the corner-hung ladder says about the default."""
     finest = {row[0]: row for row in table.rows}
     p1, p2 = finest["P1 aligned"], finest["P2 aligned"]
-    ratio = abs(float(p1[3])) / abs(float(p2[3]))
+    ratio = abs(float(str(p1[3]))) / abs(float(str(p2[3])))
     return (
         f"With as many unknowns P2 is {ratio:.0f} times as accurate as P1: where one number matters, ask for "
         '`element = "P2"` and half the cells, as `examples/curtain.py` does. The default stays P1 with edges along '
