@@ -30,6 +30,7 @@ def svg(diagram: Diagram) -> str:
         (_bars if diagram.bars else _curves)(ax, diagram)
         ax.set(xlabel=diagram.x_label, ylabel=diagram.y_label)
         ax.set_title(diagram.title, loc="left", fontsize=11)
+        ax.set_axisbelow(True)
         ax.grid(visible=True, which="major", alpha=0.35)
         ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
         out = io.StringIO()
