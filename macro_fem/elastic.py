@@ -2,9 +2,9 @@
 
 Newton's method alone meets a kink wherever a point changes its half-spaces, and the more the stiffer the rings and the
 finer the mesh. The interior-point iteration of `macro_fem.compliant` passes them by, whatever the mesh and the
-compliance. It works in rounds as `macro_fem.rigid` does, each with the half-spaces that the law finds missing; when
-none is missed by more than a small part of the elastic strain, Newton's method is in its region of quadratic
-convergence and needs a handful of steps, whose energy, residual and bound are those of the law.
+compliance. It works in rounds, each with the half-spaces that the law finds missing; when none is missed by more than a
+small part of the elastic strain, Newton's method is in its region of quadratic convergence and needs a handful of
+steps, whose energy, residual and bound are those of the law.
 """
 
 from __future__ import annotations
