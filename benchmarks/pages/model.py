@@ -40,11 +40,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Curve:
-    """One method's ladder, in the order of the ladder; pairs that are not finite are left out of the picture."""
+    """One method's ladder, in the order of the ladder; pairs that are not finite are left out of the picture.
+
+    `joined` by a line, or a choice of things that are no ladder.
+    """
 
     label: str
     x: tuple[float, ...]
     y: tuple[float, ...]
+    joined: bool = True
 
 
 @dataclass(frozen=True)
@@ -159,7 +163,7 @@ def _table(data: dict[str, Any]) -> Table:
 
 def _diagram(data: dict[str, Any]) -> Diagram:
     curves = tuple(
-        Curve(curve["label"], *(tuple(math.nan if v is None else v for v in curve[axis]) for axis in ("x", "y")))
+        Curve(**{**curve, **{axis: tuple(math.nan if v is None else v for v in curve[axis]) for axis in ("x", "y")}})
         for curve in data["curves"]
     )
     return Diagram(**{**data, "curves": curves, "ticks": tuple(data["ticks"])})

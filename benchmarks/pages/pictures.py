@@ -53,7 +53,8 @@ def _curves(ax: Any, diagram: Diagram) -> None:
         x, y = np.array(curve.x, dtype=float), np.array(curve.y, dtype=float)
         kept = np.isfinite(x) & np.isfinite(y) & (x > 0.0) & (y > 0.0)
         marker = MARKERS[i % len(MARKERS)]
-        ax.loglog(x[kept], y[kept], marker=marker, ms=5, lw=1.4, color=f"C{i % 10}", label=curve.label)
+        line = "-" if curve.joined else ""
+        ax.loglog(x[kept], y[kept], line, marker=marker, ms=5, lw=1.4, color=f"C{i % 10}", label=curve.label)
 
 
 def _bars(ax: Any, diagram: Diagram) -> None:

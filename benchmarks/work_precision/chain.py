@@ -30,6 +30,7 @@ BASE_CELLS = 8
 GAPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 SPACINGS = (22.5, 15.0, 9.0, 5.0, 3.0)
 LAWS = ("net", "inner", "outer", "smooth", "refined")
+PAIR, REFERENCE = "extrapolated", ": the reference"
 PARTS = ("contact", "table", "law", "mesh")
 Step = tuple[str, float, float, float]
 """Setting in words, error of the mean height over the height (signed), seconds, and the height itself in mm."""
@@ -100,9 +101,7 @@ def mesh_ladder(sizes: tuple[int, ...], reference: float) -> list[Step]:
         steps.append((f"{cells} cells", (height - reference) / HEIGHT, seconds, height))
         if math.isfinite(before):
             pair = extrapolated(before, height)
-            words = f"{cells // 2} and {cells} cells, extrapolated"
-            if cells == sizes[-1]:
-                words += ": the reference"
+            words = f"{cells // 2} and {cells} cells, {PAIR}" + (REFERENCE if cells == sizes[-1] else "")
             steps.append((words, (pair - reference) / HEIGHT, spent + seconds, pair))
         before, spent = height, seconds
     return steps
@@ -122,7 +121,7 @@ def recommendation(reference: float, ladders: dict[str, list[Step]]) -> Table:
         error = abs(height - reference) / HEIGHT
         spacing = next((s for s in ladders["table"] if s[0].startswith(f"{setting.spacing:g} deg")), None)
         part = abs(spacing[1]) if spacing else math.nan
-        words = " and ".join(str(cells) for cells in setting.cells) + (", extrapolated" if setting.cells[1:] else "")
+        words = " and ".join(str(cells) for cells in setting.cells) + (f", {PAIR}" if setting.cells[1:] else "")
         held = "yes" if error <= accuracy else "NO"
         rows.append((f"{accuracy:.2%}", f"{setting.spacing:g}", words, _decade(part), _decade(error), held, seconds))
     columns = (
@@ -162,16 +161,12 @@ def measure(full: bool) -> Section:
         "Seconds: of the table for contact and table, of the curtain for law and mesh. The mesh's limit is known to "
         f"{doubt / HEIGHT:.0e}."
     )
-    curves = tuple(
-        Curve(part, tuple(s[2] for s in ladders[part]), tuple(max(abs(s[1]), 1e-9) for s in ladders[part]))
-        for part in PARTS
-    )
     picture = Diagram(
         "chain",
-        "Mean height of the corner-hung square metre: error by part",
-        "processor time of the part (s)",
+        "Mean height of the corner-hung square metre: what an error costs",
         "error of the mean height / height",
-        curves,
+        "processor time (s)",
+        curves_of(ladders, recommended),
     )
     return Section(
         "chain",
@@ -181,6 +176,25 @@ def measure(full: bool) -> Section:
         (picture,),
         _conclusion(ladders),
     )
+
+
+def curves_of(ladders: dict[str, list[Step]], recommended: Table) -> tuple[Curve, ...]:
+    """A curve for each part, single and extrapolated meshes apart, and one for the whole chain as recommended."""
+    parts = [
+        ("contact tolerance (time of the table)", ladders["contact"], True),
+        ("table spacing", ladders["table"], True),
+        ("kind of law (time of the curtain)", ladders["law"], False),
+        ("mesh", [step for step in ladders["mesh"] if PAIR not in step[0]], True),
+        ("two meshes, extrapolated", [s for s in ladders["mesh"] if PAIR in s[0] and REFERENCE not in s[0]], True),
+    ]
+    curves = [Curve(name, _column(steps, 1), _column(steps, 2), joined) for name, steps, joined in parts]
+    seconds = tuple(float(row[-1] or 0.0) for row in recommended.rows)
+    return (*curves, Curve("rings to curtain: recommended for 1, 0.1, 0.01 %", tuple(SETTINGS), seconds))
+
+
+def _column(steps: list[Step], place: int) -> tuple[float, ...]:
+    """Sizes of one number of the steps."""
+    return tuple(abs(float(step[place])) for step in steps)
 
 
 def _text() -> str:
@@ -193,7 +207,7 @@ def _text() -> str:
 
 def _conclusion(ladders: dict[str, list[Step]]) -> str:
     finest = {part: min(abs(step[1]) for step in ladders[part] if math.isfinite(step[1])) for part in PARTS[:2]}
-    single = min(abs(step[1]) for step in ladders["mesh"] if "extra" not in step[0])
+    single = min(abs(step[1]) for step in ladders["mesh"] if PAIR not in step[0])
     return (
         f"The mesh decides ({_decade(single)} at the finest single one), then the table; contacts cost little to close "
         f"to round-off (error {_decade(finest['contact'])} at {GAPS[-1]:.0e}). Two meshes extrapolated are worth more "
