@@ -90,7 +90,7 @@ def bars(key: str, title: str, trials: Sequence[Trial]) -> Diagram:
         places = tuple(float(features.index(trial.feature)) for trial in here)
         curves.append(Curve(scene, places, tuple(trial.ratio for trial in here)))
     ticks = tuple(feature.replace("-", "-\n", 1).replace(" ", "\n") for feature in features)
-    return Diagram(key, title, "feature", "time with / time without", tuple(curves), bars=True, ticks=ticks)
+    return Diagram(key, title, "feature", "time with / time without", tuple(curves), bars=True, ticks=ticks, base=1.0)
 
 
 def verdict(trials: Sequence[Trial]) -> str:

@@ -53,7 +53,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Diagram:
-    """Curves over logarithmic axes, or (`bars`) one bar for each x = 0, 1, 2... with the names of `ticks`."""
+    """Curves over logarithmic axes, or (`bars`) one bar for each x = 0, 1, 2... with the names of `ticks`.
+
+    Bars stand on `base`: 1 where they are ratios, so that those below 1 hang.
+    """
 
     key: str
     title: str
@@ -62,6 +65,7 @@ class Diagram:
     curves: tuple[Curve, ...]
     bars: bool = False
     ticks: tuple[str, ...] = ()
+    base: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -53,14 +53,16 @@ def _curves(ax: Any, diagram: Diagram) -> None:
         x, y = np.array(curve.x, dtype=float), np.array(curve.y, dtype=float)
         kept = np.isfinite(x) & np.isfinite(y) & (x > 0.0) & (y > 0.0)
         marker = MARKERS[i % len(MARKERS)]
-        line = "-" if curve.joined else ""
-        ax.loglog(x[kept], y[kept], line, marker=marker, ms=5, lw=1.4, color=f"C{i % 10}", label=curve.label)
+        line = "-" if curve.joined else "none"
+        style = {"linestyle": line, "marker": marker, "color": f"C{i % 10}"}
+        ax.loglog(x[kept], y[kept], ms=5, lw=1.4, label=curve.label, **style)
 
 
 def _bars(ax: Any, diagram: Diagram) -> None:
     width = 0.8 / len(diagram.curves)
     for i, curve in enumerate(diagram.curves):
         places = np.array(curve.x, dtype=float) + (i - 0.5 * (len(diagram.curves) - 1)) * width
-        ax.bar(places, np.nan_to_num(np.array(curve.y, dtype=float)), width, color=f"C{i % 10}", label=curve.label)
+        height = np.nan_to_num(np.array(curve.y, dtype=float), nan=diagram.base) - diagram.base
+        ax.bar(places, height, width, bottom=diagram.base, color=f"C{i % 10}", label=curve.label)
     ax.set_yscale("log")
     ax.set_xticks(range(len(diagram.ticks)), diagram.ticks)

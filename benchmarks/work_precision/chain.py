@@ -181,15 +181,15 @@ def measure(full: bool) -> Section:
 def curves_of(ladders: dict[str, list[Step]], recommended: Table) -> tuple[Curve, ...]:
     """A curve for each part, single and extrapolated meshes apart, and one for the whole chain as recommended."""
     parts = [
-        ("contact tolerance (time of the table)", ladders["contact"], True),
+        ("contact tolerance", ladders["contact"], True),
         ("table spacing", ladders["table"], True),
-        ("kind of law (time of the curtain)", ladders["law"], False),
+        ("kind of law", ladders["law"], False),
         ("mesh", [step for step in ladders["mesh"] if PAIR not in step[0]], True),
-        ("two meshes, extrapolated", [s for s in ladders["mesh"] if PAIR in s[0] and REFERENCE not in s[0]], True),
+        ("mesh, extrapolated", [s for s in ladders["mesh"] if PAIR in s[0] and REFERENCE not in s[0]], True),
     ]
     curves = [Curve(name, _column(steps, 1), _column(steps, 2), joined) for name, steps, joined in parts]
     seconds = tuple(float(row[-1] or 0.0) for row in recommended.rows)
-    return (*curves, Curve("rings to curtain: recommended for 1, 0.1, 0.01 %", tuple(SETTINGS), seconds))
+    return (*curves, Curve("rings to curtain", tuple(SETTINGS), seconds))
 
 
 def _column(steps: list[Step], place: int) -> tuple[float, ...]:
