@@ -293,3 +293,19 @@ def test_poses_are_put_and_taken():
     back = contacts.put(rows, part)
     np.testing.assert_array_equal(back.minima.pair, contacts.minima.pair)
     np.testing.assert_array_equal(back.gap, contacts.gap)
+
+
+def test_locked_strains_have_a_dent_that_no_other_start_removes():
+    """Between the 5 degree rows (40, 90) and (45, 90) the locked strains lie up to 1e-3 inside their convex hull."""
+    alpha = np.arange(40.0, 45.1, 0.5)
+    beta = np.full(len(alpha), 90.0)
+    found, s, _ = locked(alpha, beta, Cell(), DirectOptions())
+    table = solve_table(alpha, beta)
+    slack = np.einsum("ik,ijk->ij", table.S * [1, 2, 1], table.E[:, None] - table.E[None])
+    assert table.converged.all()
+    assert -1e-3 < slack.min() < -1e-5
+    dented = np.flatnonzero(slack.min(axis=1) < -1e-8)
+    assert 0 < len(dented) < 8
+    start = found.pose.take(slack[dented].argmin(axis=1))  # the pose that would do more work
+    again = solve_equilibrium(s[dented], Equations.of(FOUR_IN_ONE, 0.1), start=start)
+    np.testing.assert_allclose(again.pose.lattice, found.pose.lattice[dented], atol=1e-8)
