@@ -1,4 +1,4 @@
-"""README's numbers and first picture: `python -m benchmarks.measured` writes them between its marks, and docs/curtain.png.
+"""README's numbers and first picture: `python -m benchmarks.measured` writes them, and docs/curtain.png.
 
 Rings, law and curtain in one run on one core, times as the least of several runs, machine and versions below.
 """
