@@ -215,7 +215,13 @@ def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> t
 def _has_fallen(work: Work, load: LoadStep, before: State, after: State) -> bool:
     """Whether the potential fell by more than round-off; term by term, for the work would swallow what is stored."""
     fall = before.stored - after.stored + load.force * float((work.membrane.force * (after.u - before.u)).sum())
-    return fall > 1e-13 * (abs(before.stored) + abs(after.stored))
+    return fall > _noise(work, before) + _noise(work, after)
+
+
+def _noise(work: Work, state: State) -> float:
+    """Round-off in the stored energy: of its sum, and of strains of order one, which a stiff law's stress multiplies."""
+    borne = float(work.membrane.disc.weight @ np.abs(state.response.S).sum(axis=1))
+    return 1e-13 * abs(state.stored) + 2.0 * float(np.finfo(float).eps) * borne
 
 
 def _stalled(balance: Balance) -> NewtonStatus:
@@ -290,7 +296,7 @@ def _line_search(
         slope = float((there.residual * p).sum())
         # Term by term: the work of the load would swallow what a stiff sheet stores.
         rise = trial.stored - state.stored - t * gain
-        noise = 1e-13 * (abs(trial.stored) + abs(state.stored))
+        noise = _noise(work, trial) + _noise(work, state)
         is_lower = trial.is_finite and rise <= 1e-4 * t * slope_0 + noise
         if is_lower and rise < least:
             best, least = (t, trial, there), rise
