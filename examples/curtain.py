@@ -16,6 +16,7 @@ The checked number (tests/test_examples.py): the curtain's mean height lies insi
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ import click
 import numpy as np
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 @dataclass(frozen=True)
@@ -133,15 +135,15 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
 
 
 @click.command()
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder for files."
-)
+@click.option("--out", type=FOLDER, default=Path("out"), show_default=True, help="Folder for files.")
 @click.option("--cells", type=click.IntRange(1, 400), help="Cells along the width of the curtain.  [default: 32]")
 @click.option("--accuracy", type=ACCURACY, help="Relative accuracy of the mean height: 1e-2, 1e-3, 1e-4.")
 def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     """From ten rings to a curtain, with files and pictures in one folder."""
     if cells and accuracy:
         raise click.UsageError("--accuracy chooses the mesh: give --cells or --accuracy, not both")
+    if accuracy is not None and math.isnan(accuracy):  # FloatRange lets it through
+        raise click.BadParameter("nan is not in the range 0.0001<=x<=1.0.", param_hint="--accuracy")
     setting = setting_for(accuracy) if accuracy else Setting(DEFAULT.spacing, (cells,) if cells else DEFAULT.cells)
     began = time.perf_counter()
     run(out, setting)

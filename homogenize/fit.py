@@ -43,6 +43,8 @@ class FitOptions:
     def __post_init__(self) -> None:
         if not FINEST <= self.resolution <= 1.0:
             raise InputError(f"resolution = {self.resolution}: must lie between {FINEST:g} and 1, as a strain")
+        if self.resolution != NEWS and self.kind != DEFAULT_KIND:
+            raise InputError(f"resolution = {self.resolution}: belongs to kind {DEFAULT_KIND!r}, not {self.kind!r}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,7 +72,11 @@ def _coarse_start(solution: CurtainSolution) -> Decision:
         return Decision("coarse-start", True, f"forced: a coarser curtain comes first, though {points} points are few")
     if used:
         return Decision("coarse-start", True, f"{points} points: a coarser curtain tells the first half-spaces")
-    why = f"{points} points are fewer than {COARSE_FROM}" if points < COARSE_FROM else "this mesh has no coarser one"
+    solver = solution.problem.scene.solver
+    if solver.kind == "conic":
+        return Decision("coarse-start", False, "clarabel takes no start")
+    small = points < COARSE_FROM and not solver.forces("coarse-start")
+    why = f"{points} points are fewer than {COARSE_FROM}" if small else "this mesh has no coarser one"
     return Decision("coarse-start", False, why)
 
 

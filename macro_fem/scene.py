@@ -299,6 +299,8 @@ def check_solver(scene: Scene, source: str | Path) -> None:
         for feature in ("third-coordinate", "all-half-spaces", "bounds"):
             if feature in solver.force:
                 raise InputError(f"{source}: [solver] force = {feature!r}: needs kind = 'rigid', not {solver.kind!r}")
+    if solver.kind == "conic" and "coarse-start" in solver.force:
+        raise InputError(f"{source}: [solver] force = 'coarse-start': needs kind = 'rigid' or 'newton', not 'conic'")
     if "bounds" in solver.force and element != "P1":
         raise InputError(f"{source}: [solver] force = 'bounds': needs element = 'P1', not {element!r}")
     if (solver.bounds or solver.adapt) and element != "P1":

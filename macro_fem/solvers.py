@@ -109,11 +109,11 @@ def all_cones(problem: Problem) -> Cones:
 
 
 def starts_coarse(problem: Problem) -> bool:
-    """Whether a coarser curtain is solved first: it pays on large meshes, and not every mesh has a coarser one."""
+    """Whether a coarser curtain is solved first: it pays on large meshes; clarabel and some meshes cannot use one."""
     scene = problem.scene
     pays = problem.disc.n_points >= COARSE_FROM or scene.solver.forces("coarse-start")
     possible = scene.curtain.shape != "file" and not scene.solver.adapt and scene.mesh.cells >= 8
-    return pays and possible
+    return pays and possible and scene.solver.kind != "conic"
 
 
 def coarse_cones(problem: Problem) -> Cones | None:

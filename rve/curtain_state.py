@@ -48,10 +48,12 @@ def read_curtain(path: Path) -> Curtain:
     from meshio import ReadError, vtu
 
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+        raise InputError(f"{path}: {'is a folder, not a VTU' if path.is_dir() else 'there is no such file'}")
     try:
         data = vtu.read(path)  # meshio.read would print and exit
     except (ReadError, OSError, ValueError, KeyError, IndexError, ParseError, zlib.error) as error:
+        if isinstance(error, ReadError) and not str(error):  # what is not XML, or ends early, comes without words
+            raise InputError(f"{path}: is not a VTU, or not all of one") from error
         raise InputError(f"{path}: cannot be read as VTU: {_first_line(error)}") from error
     kinds = [block.type for block in data.cells if len(block.data)]
     if kinds not in (["triangle"], ["quad"]):
@@ -128,6 +130,12 @@ class WeaveOfCurtain:
     sides: tuple[float, float] | None
 
 
+def _number(source: Path | str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{source}: {key} = {value!r}: is not a finite number")
+    return float(value)
+
+
 def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
     """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows."""
     path = vtu.parent / "summary.json"
@@ -151,9 +159,7 @@ def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | 
         value = given if given is not None else table.get(key)
         if value is None:
             raise InputError(f"{path}: does not tell {key}; give {option}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise InputError(f"{path if given is None else option}: {key} = {value!r}: is not a finite number")
-        values[key] = float(value)
+        values[key] = _number(path if given is None else option, key, value)
     is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
-    sides = (float(rings["b_x_mm"]), float(rings["b_y_mm"])) if is_own else None
+    sides = (_number(path, "b_x_mm", rings["b_x_mm"]), _number(path, "b_y_mm", rings["b_y_mm"])) if is_own else None
     return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides)

@@ -66,6 +66,7 @@ def test_accuracy_chooses_the_cheapest_setting_that_holds_it():
     ("arguments", "word"),
     [
         (["--accuracy", "1e-5"], "range"),
+        (["--accuracy", "nan"], "range"),
         (["--accuracy", "1e-3", "--cells", "8"], "not both"),
         (["--cells", "0"], "range"),
     ],
@@ -75,3 +76,11 @@ def test_what_no_setting_holds_is_refused(arguments, word, tmp_path):
     assert done.exit_code == 2
     assert word in done.output
     assert not (tmp_path / "out").exists()
+
+
+def test_a_file_is_no_folder_for_results(tmp_path):
+    (tmp_path / "out").write_text("here already")
+    done = CliRunner().invoke(main, ["--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "is a file" in done.output
+    assert (tmp_path / "out").read_text() == "here already"

@@ -99,7 +99,12 @@ def command(report: Report, measures: Mapping[str, Measure]) -> click.Command:
     @click.command(help=report.text)
     @click.option("--full/--quick", default=False, show_default=True, help="more and finer cases, or under ten minutes")
     @click.option("--only", multiple=True, type=click.Choice(list(measures)), help="these sections; others are kept")
-    @click.option("--out", type=click.Path(path_type=Path), default=FOLDER, help="folder  [default: docs/reports]")
+    @click.option(
+        "--out",
+        type=click.Path(path_type=Path, file_okay=False),
+        default=FOLDER,
+        help="folder  [default: docs/reports]",
+    )
     def main(full: bool, only: tuple[str, ...], out: Path) -> None:
         before = read(report.key, out)
         kept = {section.key: section for section in before.sections} if before else {}

@@ -96,6 +96,16 @@ def test_only_keeps_the_other_sections(tmp_path):
     assert again.sections[0].machine.startswith("Machine:")
 
 
+def test_a_file_is_no_folder_for_reports_and_is_told_before_anything_is_measured(tmp_path):
+    (tmp_path / "out").write_text("here already")
+    measured = []
+    main = command(replace(REPORT, sections=()), {"rings": measured.append})
+    done = CliRunner().invoke(main, ["--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "is a file" in done.output
+    assert measured == []
+
+
 @pytest.mark.slow
 def test_browser_shows_the_page(tmp_path):
     """The page as it is in docs, in headless Chromium: pictures drawn, names unique, nothing fetched, nothing cut."""

@@ -112,3 +112,8 @@ def test_a_graded_table_resolves_the_kinks():
 def test_a_resolution_that_makes_no_sense_is_refused(resolution):
     with pytest.raises(InputError, match="resolution"):
         FitOptions(resolution=resolution)
+
+
+def test_a_resolution_for_another_law_is_refused_and_not_ignored():
+    with pytest.raises(InputError, match="resolution = 1e-05: belongs to kind 'refined', not 'outer'"):
+        FitOptions(kind="outer", resolution=1e-5)

@@ -85,6 +85,21 @@ def test_nodes_that_may_leave_the_plane_stay_in_it_and_a_push_takes_them_out():
     assert out_of_plane(fem, pushed.z) > 0.1 * plane.mesh.height
 
 
+def test_a_coarse_start_that_cannot_be_is_not_told_as_used():
+    told = said(solve_problem(problem(cells=4, force=["coarse-start"])))["coarse-start"]
+    assert not told.used
+    assert told.why == "this mesh has no coarser one"
+
+
+def test_the_other_solver_has_no_coarse_start():
+    pytest.importorskip("clarabel")
+    conic = problem(cells=8, kind="conic")
+    told = said(solve_problem(problem(cells=8, kind="conic", force=["all"])))["coarse-start"]
+    assert (told.used, told.why) == (False, "clarabel takes no start")
+    with pytest.raises(InputError, match=r"force = 'coarse-start': needs kind = 'rigid' or 'newton', not 'conic'"):
+        with_force(conic.scene, ("coarse-start",))
+
+
 def test_half_spaces_agree_with_the_cones():
     plain, forced = solve_problem(problem()), solve_problem(problem(force=["all-half-spaces"]))
     all_of = len(facets_of(LAW).h)

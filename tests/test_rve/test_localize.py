@@ -393,7 +393,8 @@ def test_bad_files_end_in_one_sentence(hung, tmp_path):
     out = tmp_path / "rings"
     assert_one_sentence(run(tmp_path / "none.vtu", "--out", out), "none.vtu")
     (tmp_path / "words.vtu").write_text("no curtain")
-    assert_one_sentence(run(tmp_path / "words.vtu", "--out", out), "words.vtu")
+    assert_one_sentence(run(tmp_path / "words.vtu", "--out", out), "words.vtu: is not a VTU, or not all of one")
+    assert_one_sentence(run(tmp_path, "--out", out), "is a folder")
     half = (hung / "curtain.vtu").read_bytes()
     (tmp_path / "half.vtu").write_bytes(half[: len(half) // 2])
     assert_one_sentence(run(tmp_path / "half.vtu", "--out", out), "half.vtu")
@@ -422,6 +423,8 @@ def test_the_summary_beside_the_curtain(hung, tmp_path):
         ("[1]", "table"),
         ('{"rings": 3}', "rings"),
         ('{"rings": {"r1_mm": "a"}}', "r1"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": "a", "b_y_mm": 12.6}}', "b_x_mm = 'a'"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": NaN}}', "b_y_mm = nan"),
     ):
         (tmp_path / "summary.json").write_text(text)
         assert_one_sentence(run(vtu, "--out", out), words)
