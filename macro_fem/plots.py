@@ -160,19 +160,36 @@ def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: 
     from macro_fem.assembly import cell_mean
 
     top = float(np.quantile(values[:, 0], 0.995))
-    cells = np.flatnonzero(values[:, 0] > 0.02 * top)[:: max(1, len(values) // ARROWS)]
+    mesh = solution.problem.mesh.mesh
+    middle = mesh.p.T[mesh.t.T].mean(axis=1)
+    cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * top), ARROWS)
     if not len(cells):
         return
     F = cell_mean(solution.problem.disc, solution.F)[cells]
     along = np.einsum("cij,cj->ci", F, direction[cells])
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-    mesh = solution.problem.mesh.mesh
     centre = corner_positions(solution)[mesh.t.T[cells]].mean(axis=1)
     length = 0.02 * solution.problem.mesh.size * np.sqrt(np.minimum(values[cells, 0] / top, 1.0))
     half = 0.5 * along * length[:, None]
     ax.add_collection(
         LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors="0.15", linewidths=0.6)
     )
+
+
+def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
+    """Of the chosen points (n, 2), the one next to the middle of each of about `number` squares around all points.
+
+    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
+    [1, 2]
+    """
+    low = points.min(axis=0)
+    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
+    place = (points[chosen] - low) / side
+    square = np.floor(place).astype(np.int64)
+    away = ((place - square - 0.5) ** 2).sum(axis=1)
+    order = np.lexsort((away, square[:, 1], square[:, 0]))
+    first = np.unique(square[order], axis=0, return_index=True)[1]
+    return np.sort(chosen[order][first])
 
 
 def _supports(solution: CurtainSolution, ax: Axes) -> None:
