@@ -31,7 +31,8 @@ def main() -> None:
 def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: bool, force: tuple[str, ...]) -> None:
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
 
-    Exit code 0: converged; 1: files are written, but the solver did not converge and says why; 2: bad input.
+    Exit code 0: converged; 1: files are written, but status and message say why the answer is not that of the scene
+    as it stands (not converged, or taut: supports at the mesh's limit); 2: bad input.
     """
     from macro_fem.job import run_scene
 

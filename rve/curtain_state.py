@@ -150,16 +150,15 @@ def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | 
     rings = known.get("rings") or {}
     if not isinstance(rings, dict):
         raise InputError(f"{path}: rings = {rings!r}: is not a table of names and values")
+    asked = (("--r1", r1, "r1_mm", rings), ("--r2", r2, "r2_mm", rings), ("--hang", hang_deg, "hang_deg", known))
+    missing = [(option, key) for option, given, key, table in asked if given is None and table.get(key) is None]
+    if missing:
+        options, keys = (", ".join(names) for names in zip(*missing, strict=True))
+        says = "does not tell" if path.is_file() else "there is no such file to tell"
+        raise InputError(f"{path}: {says} {keys}; give {options}")
     values = {}
-    for option, given, key, table in (
-        ("--r1", r1, "r1_mm", rings),
-        ("--r2", r2, "r2_mm", rings),
-        ("--hang", hang_deg, "hang_deg", known),
-    ):
-        value = given if given is not None else table.get(key)
-        if value is None:
-            raise InputError(f"{path}: does not tell {key}; give {option}")
-        values[key] = _number(path if given is None else option, key, value)
+    for option, given, key, table in asked:
+        values[key] = _number(path, key, table[key]) if given is None else _number(option, key, given)
     is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
     sides = (_number(path, "b_x_mm", rings["b_x_mm"]), _number(path, "b_y_mm", rings["b_y_mm"])) if is_own else None
     return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides)

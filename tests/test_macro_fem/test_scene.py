@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.law import InputError, diagonal_net, save_law
+from homogenize.law import CellInfo, InputError, diagonal_net, ring_net, save_law
 from macro_fem.cli import main
 from macro_fem.mesh import build_mesh, signed_areas
 from macro_fem.scene import Bar, Corners, Hooks, load_scene, read_scene
@@ -161,6 +161,16 @@ def test_a_solver_that_gives_up_says_so(tmp_path, law_file):
     assert result.exit_code == 1
     assert "raise solver.max_iterations" in result.output
     assert json.loads((out / "summary.json").read_text())["status"] == "iterations"
+
+
+def test_supports_at_the_limit_end_in_an_answer_and_exit_code_1(tmp_path):
+    save_law(ring_net(CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)), tmp_path / "net.json")
+    toml = SCENE.replace("height = 80.0", "height = 100.0").replace('"corners"', '"top"\ngather = 1.6363636363636365')
+    result, out = run(tmp_path, toml, "--law", str(tmp_path / "net.json"))
+    assert result.exit_code == 1
+    assert result.output.startswith("taut: the supports are as far apart as the mesh can stretch")
+    assert json.loads((out / "summary.json").read_text())["status"] == "taut"
+    assert (out / "curtain.vtu").is_file()
 
 
 def test_missing_files_end_in_one_sentence(tmp_path, law_file):

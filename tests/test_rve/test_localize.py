@@ -414,15 +414,17 @@ def test_the_summary_beside_the_curtain(hung, tmp_path):
     vtu = tmp_path / "curtain.vtu"
     vtu.write_bytes((hung / "curtain.vtu").read_bytes())
     out = tmp_path / "rings"
-    assert_one_sentence(run(vtu, "--out", out), "--r1")
-    assert_one_sentence(run(vtu, "--out", out, "--r1", "5", "--r2", "0.5"), "--hang")
+    missing = "summary.json: there is no such file to tell"
+    assert_one_sentence(run(vtu, "--out", out), f"{missing} r1_mm, r2_mm, hang_deg; give --r1, --r2, --hang")
+    assert_one_sentence(run(vtu, "--out", out, "--r1", "5", "--r2", "0.5"), f"{missing} hang_deg; give --hang")
     result = run(vtu, "--out", out, "--r1", "5", "--r2", "0.5", "--hang", "0", "--no-picture", "--window", "0,0,30,30")
     assert result.exit_code == 0, result.output
     for text, words in (
         ("{", "JSON"),
         ("[1]", "table"),
         ('{"rings": 3}', "rings"),
-        ('{"rings": {"r1_mm": "a"}}', "r1"),
+        ('{"rings": {"r1_mm": 5}}', "does not tell r2_mm, hang_deg; give --r2, --hang"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": "a", "r2_mm": 0.5}}', "r1_mm = 'a'"),
         ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": "a", "b_y_mm": 12.6}}', "b_x_mm = 'a'"),
         ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": NaN}}', "b_y_mm = nan"),
     ):
