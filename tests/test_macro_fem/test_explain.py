@@ -92,7 +92,6 @@ def test_a_coarse_start_that_cannot_be_is_not_told_as_used():
 
 
 def test_the_other_solver_has_no_coarse_start():
-    pytest.importorskip("clarabel")
     conic = problem(cells=8, kind="conic")
     told = said(solve_problem(problem(cells=8, kind="conic", force=["all"])))["coarse-start"]
     assert (told.used, told.why) == (False, "clarabel takes no start")
