@@ -219,7 +219,7 @@ def _has_fallen(work: Work, load: LoadStep, before: State, after: State) -> bool
 
 
 def _noise(work: Work, state: State) -> float:
-    """Round-off in the stored energy: of its sum, and of strains of order one, which a stiff law's stress multiplies."""
+    """Round-off of the stored energy: of its sum, and of strains of order one, which a stiff law makes much of."""
     borne = float(work.membrane.disc.weight @ np.abs(state.response.S).sum(axis=1))
     return 1e-13 * abs(state.stored) + 2.0 * float(np.finfo(float).eps) * borne
 
