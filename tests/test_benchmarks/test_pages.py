@@ -30,7 +30,7 @@ const seen = {
   pictures: document.querySelectorAll("svg").length,
   ids: document.querySelectorAll("[id]").length - new Set([...document.querySelectorAll("[id]")].map(e => e.id)).size,
   dangling: [...document.querySelectorAll("nav a")].filter(a => !document.querySelector(a.getAttribute("href"))).length,
-  wider: document.documentElement.scrollWidth - window.innerWidth,
+  wider: Math.max(0, document.documentElement.scrollWidth - window.innerWidth),
   fetched: performance.getEntriesByType("resource").length,
   images: document.querySelectorAll("img").length,
 };
