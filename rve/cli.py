@@ -227,6 +227,8 @@ def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) 
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
     click.echo(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
     click.echo(f"{found['links_intact']} of {found['links']} links intact as drawn")
+    if found["curtain_status"] not in ("converged", "unknown"):
+        click.echo(f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)")
     worst = found["worst_cell"]
     click.echo(f"worst cell {worst['cell']}: {worst['contacts']} contacts, at most {worst['largest_force_N']:.4g} N")
     for name in found["cells_by_status"]:

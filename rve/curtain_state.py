@@ -122,12 +122,16 @@ def _recovered(
 
 @dataclass(frozen=True)
 class WeaveOfCurtain:
-    """Radii in mm, angle from the vertical to the weave's y axis, sides (b_x, b_y) in mm if the summary names them."""
+    """Radii in mm, angle from the vertical to the weave's y axis, sides (b_x, b_y) in mm if the summary names them.
+
+    `solved`: how the solver of the curtain ended, as the summary says.
+    """
 
     r1: float
     r2: float
     hang_deg: float
     sides: tuple[float, float] | None
+    solved: str
 
 
 def _number(source: Path | str, key: str, value: Any) -> float:
@@ -161,4 +165,5 @@ def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | 
         values[key] = _number(path, key, table[key]) if given is None else _number(option, key, given)
     is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
     sides = (_number(path, "b_x_mm", rings["b_x_mm"]), _number(path, "b_y_mm", rings["b_y_mm"])) if is_own else None
-    return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides)
+    solved = str(known.get("status", "unknown"))
+    return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides, solved)

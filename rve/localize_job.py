@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.curtain_state import Curtain, read_curtain, read_weave
+from rve.curtain_state import Curtain, WeaveOfCurtain, read_curtain, read_weave
 from rve.errors import InputError, NotConverged
 from rve.files import write_text
 from rve.localize import MEANINGS, LocalizeOptions, LockedStates, RingStates, localize, locked_states
@@ -74,11 +74,11 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     if options.picture and find_spec("pyvista") is None:
         raise InputError("rings.png needs pyvista: pip install 'ring-mesh[three-d]', or ask for --no-picture")
     curtain = read_curtain(vtu)
-    cell, hang_deg, sides = _mesh_of(vtu, options)
+    cell, weave = _mesh_of(vtu, options)
     how = LocalizeOptions()
     locked = locked_states(cell, how)
-    _check_sides(vtu, cell, locked, sides)
-    axes = axes_of_weave(cell, hang_deg)
+    _check_sides(vtu, cell, locked, weave.sides)
+    axes = axes_of_weave(cell, weave.hang_deg)
     sites = find_sites(curtain, cell, locked.sides, axes, options.window)
     _check_count(vtu, sites, options)
     _make(out)
@@ -93,7 +93,7 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     kind = TUBE if options.tubes else LINE
     write_ring_vtu(out / "rings.vtu", (rings.centre, rings.normal), (cell.r1, cell.r2), data, kind)
     write_forces_csv(out / "worst_cell.csv", worst.forces, worst.turn)
-    summary = _summary(vtu, cell, hang_deg, states, (fit, force, states.status[row]))
+    summary = _summary(vtu, cell, weave, states, (fit, force, states.status[row]))
     summary |= {"worst_cell": _worst_lines(curtain, worst)}
     summary |= {"wall_s": round(time.perf_counter() - began, 3), "versions": versions()}
     write_text(out / "localize.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
@@ -102,12 +102,12 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     return summary
 
 
-def _mesh_of(vtu: Path, options: JobOptions) -> tuple[Cell, float, tuple[float, float] | None]:
-    """Cell, angle of the weave, and the reference sides that the summary names for it."""
+def _mesh_of(vtu: Path, options: JobOptions) -> tuple[Cell, WeaveOfCurtain]:
+    """Cell, and what the summary or the options say of its weave."""
     if options.weave not in WEAVES:
         raise InputError(f"--weave = {options.weave!r}: known are {', '.join(WEAVES)}")
     weave = read_weave(vtu, options.r1, options.r2, options.hang_deg)
-    return Cell(weave.r1, weave.r2, WEAVES[options.weave], options.grain), weave.hang_deg, weave.sides
+    return Cell(weave.r1, weave.r2, WEAVES[options.weave], options.grain), weave
 
 
 def _check_sides(vtu: Path, cell: Cell, locked: LockedStates, sides: tuple[float, float] | None) -> None:
@@ -171,7 +171,7 @@ def _ring_data(
 
 
 def _summary(
-    vtu: Path, cell: Cell, hang_deg: float, states: RingStates, found: tuple[Fit, Array, NDArray[np.str_]]
+    vtu: Path, cell: Cell, weave: WeaveOfCurtain, states: RingStates, found: tuple[Fit, Array, NDArray[np.str_]]
 ) -> dict[str, Any]:
     """The numbers of a job, ready for JSON; found: how the rings fit, their contact forces and statuses (n,)."""
     fit, force, status = found
@@ -179,11 +179,12 @@ def _summary(
     gap = np.minimum(fit.gap_mm, NEAR * cell.r1)
     return {
         "curtain": str(vtu),
+        "curtain_status": weave.solved,
         "weave": cell.weave.name,
         "grain": cell.grain,
         "r1_mm": cell.r1,
         "r2_mm": cell.r2,
-        "hang_deg": hang_deg,
+        "hang_deg": weave.hang_deg,
         "rings": len(force),
         "cells": len(states.E),
         "solves": states.solves,

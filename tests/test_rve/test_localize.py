@@ -476,3 +476,16 @@ def test_line_loads_are_averaged_by_area(tmp_path):
     data.write(tmp_path / "two.vtu")
     S = read_curtain(tmp_path / "two.vtu").S
     np.testing.assert_allclose(S[:, 0], [(4 + 7 + 7) / 3, (7 + 8 + 7) / 3])
+
+
+def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
+    for name in ("curtain.vtu", "summary.json"):
+        (tmp_path / name).write_bytes((hung / name).read_bytes())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    for status, is_said in ((summary["status"], False), ("iterations", True)):
+        (tmp_path / "summary.json").write_text(json.dumps(summary | {"status": status}))
+        arguments = ["localize", str(tmp_path / "curtain.vtu"), "--out", str(tmp_path / "rings"), "--no-picture"]
+        done = CliRunner().invoke(main, arguments)
+        assert done.exit_code == 0, done.output
+        assert ("not solved: its status is iterations" in done.output) is is_said
+        assert json.loads((tmp_path / "rings" / "localize.json").read_text())["curtain_status"] == status
