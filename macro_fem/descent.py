@@ -215,7 +215,7 @@ def descend(work: Work, stage: Stage, state: State, count: int, limit: int) -> t
 def _has_fallen(work: Work, load: LoadStep, before: State, after: State) -> bool:
     """Whether the potential fell by more than round-off; term by term, for the work would swallow what is stored."""
     fall = before.stored - after.stored + load.force * float((work.membrane.force * (after.u - before.u)).sum())
-    return fall > _noise(work, before) + _noise(work, after)
+    return fall > 1e-13 * (abs(before.stored) + abs(after.stored))
 
 
 def _noise(work: Work, state: State) -> float:
