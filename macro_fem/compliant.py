@@ -178,7 +178,7 @@ class _Newton:
         w1L = times_root(w.tail[:, 1:].reshape(-1, d, 2), program.L)
         # W^-2 seen through `map`: eta^-2 (2 q q^T + |F L|^2), the squares of the two n cancel.
         q = np.column_stack([(w.head - w.tail[:, 0])[:, None] * program.N, -w1L])
-        H = _sum_of_squares(cones, q, 2.0 * inv2)
+        H = np.ascontiguousarray(cones.sum_of_squares(q, 2.0 * inv2))
         S = cones.stress(inv2)
         for a in range(3, 3 + 2 * d, 2):
             H[:, a, a] += S[:, 0]
@@ -266,14 +266,3 @@ def _times(A: Array, x: Array) -> Array:
 
 def _solved(A: Array, b: Array) -> Array:
     return np.asarray(np.linalg.solve(A, b[:, :, None]))[:, :, 0]
-
-
-def _sum_of_squares(cones: Cones, v: Array, weight: Array) -> Array:
-    """Sum over the cones of each point of weight v v^T, (nq, m, m) for v (nc, m); the lower half is computed once."""
-    m = v.shape[1]
-    out = np.empty((len(cones.first), m, m))
-    for i in range(m):
-        scaled = weight * v[:, i]
-        for j in range(i + 1):
-            out[:, i, j] = out[:, j, i] = cones.sum(scaled * v[:, j])
-    return out

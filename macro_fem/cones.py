@@ -20,6 +20,9 @@ from macro_fem.turned import TurnedLaw
 LAW_CHUNK = 20_000
 """Points per call of `law.cut`: keeps its (points, half-spaces) table inside some 100 MB."""
 
+FLAT = 0.05
+"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
+
 
 @dataclass(frozen=True)
 class Cones:
@@ -54,6 +57,16 @@ class Cones:
     def sum(self, values: Array) -> Array:
         """Sums over the half-spaces of each point: (nc, ...) to (nq, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
+
+    def sum_of_squares(self, v: Array, weight: Array) -> Array:
+        """Sums of weight v v^T over the half-spaces of each point, (nq, m, m) for v (nc, m); one half is computed."""
+        m = v.shape[1]
+        out = np.empty((m, m, len(self.first)))
+        for i in range(m):
+            scaled = weight * v[:, i]
+            for j in range(i + 1):
+                out[i, j] = out[j, i] = self.sum(scaled * v[:, j])
+        return out.transpose(2, 0, 1)
 
     def stress(self, lam: Array) -> Array:
         """S_q = sum of lam_i S_i (nq, 3)."""
@@ -155,6 +168,13 @@ def taken_from(cones: Cones, source: np.ndarray) -> Cones:
     point = np.repeat(np.arange(len(source)), count)
     old = np.repeat(cones.first[source], count) + np.arange(len(point)) - first[point]
     return Cones(point, cones.S[old], cones.h[old], first)
+
+
+def steadied(cones: Cones, keep: np.ndarray) -> np.ndarray:
+    """`keep` (nc,) and what Newton's matrix needs to stay definite: at every point one well-conditioned S, or all."""
+    det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
+    roundest = np.maximum.reduceat(det, cones.first)[cones.point]
+    return np.asarray(keep | (det >= roundest) | (roundest < FLAT))
 
 
 def only(cones: Cones, keep: np.ndarray) -> Cones:

@@ -18,7 +18,7 @@ from homogenize.law import Array, MembraneLaw
 from macro_fem import newton, soc
 from macro_fem.assembly import deformation_gradient
 from macro_fem.compliant import Program, State, excess, follow, least_potential, make_program, measure
-from macro_fem.cones import Cones, first_cones, green_strain, only, times_triple, with_cuts
+from macro_fem.cones import Cones, first_cones, green_strain, only, steadied, times_triple, with_cuts
 from macro_fem.interior import Iteration
 from macro_fem.soc import Vectors
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, spread_allowance, spread_tension, unit_tensors
@@ -41,8 +41,6 @@ PRUNED_ROUNDS = 4
 """After these first rounds idle half-spaces are dropped; not later, lest rounds go in circles."""
 IDLE = 0.03
 """A half-space is idle below this part of a point's load and beyond this relative distance."""
-FLAT = 0.05
-"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
 NO_LOAD = 1e-6
 """N/mm2: sets the energy scale of a curtain without load."""
 REFUSED = (
@@ -139,13 +137,8 @@ def _total(load: Array, weight: Array) -> float:
 
 def _first_state(program: Program, z: Array) -> State:
     eps = np.zeros((len(program.fem.weight), 3))
-    s = _lifted(program.slack(z, eps), 0.1 * program.c)
+    s = program.slack(z, eps).lifted(0.1 * program.c)
     return State(z, eps, s, soc.inverse(s, FIRST_GAP * program.scale / float(program.w.sum())))
-
-
-def _lifted(s: Vectors, least: Array) -> Vectors:
-    """s with heads raised where they are less than `least` (n,) inside their cones."""
-    return Vectors(np.maximum(s.head, np.sqrt(soc.row_dot(s.tail, s.tail)) + least), s.tail)
 
 
 def _violation(law: MembraneLaw, E: Array) -> Array:
@@ -182,11 +175,7 @@ def _pruned(program: Program, state: State) -> tuple[Program, State]:
     cones = program.cones
     load = (state.y.head + state.y.tail[:, 0]) * program.c
     keep = load > IDLE * np.add.reduceat(load, cones.first)[cones.point]
-    keep |= state.s.margin() / program.c < IDLE
-    # one well-conditioned S, or else all of them, keeps Newton's matrix definite at every point
-    det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
-    roundest = np.maximum.reduceat(det, cones.first)[cones.point]
-    keep |= (det >= roundest) | (roundest < FLAT)
+    keep = steadied(cones, keep | (state.s.margin() / program.c < IDLE))
     few = replace(program, cones=only(cones, keep), L=program.L[keep], c=program.c[keep], N=program.N[keep])
     return few, State(state.z, state.eps, _rows(state.s, keep), _rows(state.y, keep))
 
@@ -203,7 +192,7 @@ def _extended(
     cones, order = with_cuts(program.cones, point, S, h)
     wider = make_program(program.fem, program.load, cones, compliance, program.scale, program.total)
     share = float(np.clip(5.0 * violation, LEAST_SHARE, 0.5))
-    s = _lifted(wider.slack(state.z, state.eps), share * wider.c)
+    s = wider.slack(state.z, state.eps).lifted(share * wider.c)
     central = soc.inverse(s, share * program.scale / float(wider.w.sum()))
     head = np.concatenate([state.y.head, np.zeros(len(point))])[order]
     tail = np.concatenate([state.y.tail, np.zeros((len(point), state.y.tail.shape[1]))])[order]

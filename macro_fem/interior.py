@@ -140,17 +140,6 @@ def _root_row(x: Array, y: Array, L: Array, out: Array) -> None:
     out[1] += y * L[:, 2]
 
 
-def _sum_of_squares(cones: Cones, v: Array, weight: Array) -> Array:
-    """Sum over the cones of each point of weight v v^T, (nq, m, m) for v (nc, m); the lower half is computed once."""
-    m = v.shape[1]
-    out = np.empty((m, m, len(cones.first)))
-    for i in range(m):
-        scaled = weight * v[:, i]
-        for j in range(i + 1):
-            out[i, j] = out[j, i] = cones.sum(scaled * v[:, j])
-    return out.transpose(2, 0, 1)
-
-
 def symmetric_roots(S: Array) -> Array:
     """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
     det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))
@@ -225,7 +214,7 @@ class _Newton:
         d = state.s.tail.shape[1] // 2
         inv2 = 1.0 / self.W.eta**2
         w1L = times_root(self.W.w.tail.reshape(-1, d, 2), program.L)
-        A = _sum_of_squares(cones, w1L, 2.0 * inv2).reshape(-1, d, 2, d, 2)
+        A = cones.sum_of_squares(w1L, 2.0 * inv2).reshape(-1, d, 2, d, 2)
         S = cones.stress(inv2)
         for a in range(d):
             A[:, a, 0, a, 0] += S[:, 0]
@@ -297,13 +286,8 @@ def is_inside(state: State) -> bool:
 
 def first_state(program: Program, z: Array, gap: float) -> State:
     """A state at z on the central path of relative gap `gap`; cone vectors of violated cones are lifted inside."""
-    s = lifted(program.slack(z), LIFT * program.c)
+    s = program.slack(z).lifted(LIFT * program.c)
     return State(z, s, soc.inverse(s, gap * program.scale / float(program.w.sum())))
-
-
-def lifted(s: Vectors, least: Array) -> Vectors:
-    """s with heads raised where they are less than `least` (n,) inside their cones."""
-    return Vectors(np.maximum(s.head, np.sqrt(soc.row_dot(s.tail, s.tail)) + least), s.tail)
 
 
 def is_certificate(program: Program, state: State, now: Measure) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from homogenize.law import Array, MembraneLaw
 from macro_fem import soc
-from macro_fem.cones import law_cut, only, with_cuts
+from macro_fem.cones import law_cut, only, steadied, with_cuts
 from macro_fem.interior import (
     BOUNDARY,
     LIFT,
@@ -22,7 +22,6 @@ from macro_fem.interior import (
     State,
     Step,
     gathered_root,
-    lifted,
     make_program,
     mean_product,
 )
@@ -38,8 +37,6 @@ STRAY = 1e-2
 """A point asks for no more half-spaces while a cone vector of its own is off by more than this part of its radius."""
 IDLE = 0.03
 """A half-space is idle below this part of a point's load and above this relative distance."""
-FLAT = 0.05
-"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ def joined(program: Program, state: State, found: Found) -> Joined:
     load = program.cones.sum(state.y.head * program.c)[new]
     c = wider.c[fresh]
     tail = gathered_root(program.fem.gradient(state.z), cones.point[fresh], wider.L[fresh])
-    s = lifted(Vectors(c, tail), np.clip(0.5 * mu / (SHARE * load), ROUNDED, LIFT) * c)
+    s = Vectors(c, tail).lifted(np.clip(0.5 * mu / (SHARE * load), ROUNDED, LIFT) * c)
     y = soc.inverse(s, mu)
     eased = np.ones(len(cones.first))
     eased[new] = 1.0 / (1.0 + y.head * c / load)
@@ -150,11 +147,7 @@ def pruned(program: Program, state: State) -> tuple[Program, State]:
     distance = state.s.margin() / program.c
     load = state.y.head * program.c
     cones = program.cones
-    keep = (load > IDLE * cones.sum(load)[cones.point]) | (distance < IDLE)
-    # one well-conditioned S, or else all of them, keeps Newton's matrix definite at every point
-    det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
-    roundest = np.maximum.reduceat(det, cones.first)[cones.point]
-    keep |= (det >= roundest) | (roundest < FLAT)
+    keep = steadied(cones, (load > IDLE * cones.sum(load)[cones.point]) | (distance < IDLE))
     few = make_program(program.fem, program.load, only(cones, keep), program.scale, program.total)
     which = np.flatnonzero(keep)
     return few, State(state.z, _chosen(state.s, which), _chosen(state.y, which))

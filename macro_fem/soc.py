@@ -44,6 +44,10 @@ class Vectors:
         size = np.sqrt(row_dot(self.tail, self.tail))
         return (self.head - size) * (self.head + size)
 
+    def lifted(self, least: Array) -> Vectors:
+        """The vectors with heads raised where they are less than `least` (n,) inside their cones."""
+        return Vectors(np.maximum(self.head, np.sqrt(row_dot(self.tail, self.tail)) + least), self.tail)
+
 
 def row_dot(a: Array, b: Array) -> Array:
     """Sums over the last axis of products (n,)."""
