@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Curve, Diagram, Table
 
+NOISE = 1e-14
+"""Changes below are round-off and shown by this bound."""
 USED, LEFT_OUT = "used", "left out"
 COLUMNS = (
     Column("feature"),
@@ -51,17 +53,6 @@ class Trial:
         return self.with_it / self.without
 
 
-def at_most(value: float, least: float = 1e-14) -> str:
-    """The least power of ten that is no smaller, as text: what is round-off keeps its decade from run to run.
-
-    >>> at_most(3.2e-12), at_most(0.0)
-    ('<= 1e-11', '<= 1e-14')
-    """
-    if not math.isfinite(value):
-        return "-"
-    return f"<= 1e{max(math.ceil(math.log10(max(value, least))), math.ceil(math.log10(least)))}"
-
-
 def table(title: str, trials: Sequence[Trial], note: str = "") -> Table:
     """The trials as rows."""
     rows = [
@@ -72,7 +63,7 @@ def table(title: str, trials: Sequence[Trial], note: str = "") -> Table:
             trial.without,
             trial.with_it,
             trial.ratio,
-            f"{at_most(trial.change)} {trial.unit}" if trial.ok else "failed",
+            f"{at_most(trial.change, NOISE)} {trial.unit}" if trial.ok else "failed",
             f"{trial.tolerance:.1e} {trial.unit}",
             "yes" if trial.is_same else "no",
         )

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.omissions.compare import LEFT_OUT, USED, Trial, bars, table, verdict
+from benchmarks.pages.measuring import least_seconds
 from benchmarks.pages.model import Column, Section, Table
-from benchmarks.work_precision.timing import least_seconds
 from homogenize.law import MembraneLaw, default_law
 from macro_fem.mesh import build_mesh
 from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.omissions.compare import LEFT_OUT, Trial, bars, table, verdict
+from benchmarks.pages.measuring import least_seconds
 from benchmarks.pages.model import Section
-from benchmarks.work_precision.timing import least_seconds
 from macro_fem.job import run_scene
 from rve.plots import draw_case, save
 from rve.ranges import grid

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import GAP_NOISE, R_NOISE, decade, outcomes, refusal
+from benchmarks.stability.words import GAP_NOISE, R_NOISE, outcomes, refusal
 from rve.cell import Pose, find_contacts, moved, start_pose
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.load import cauchy_line_load
@@ -45,8 +46,8 @@ def ratio_row(weave: Weave, ratio: float) -> tuple[Value, ...]:
         ratio,
         outcomes(table.status),
         float(np.median(table.iterations)),
-        decade(max(R_NOISE, float(np.nanmax(table.R)))),
-        decade(max(GAP_NOISE, -worst)),
+        at_most(max(R_NOISE, float(np.nanmax(table.R)))),
+        at_most(max(GAP_NOISE, -worst)),
         "yes" if work > -1e-8 else f"no, {work:.0e}",
     )
 
@@ -97,12 +98,12 @@ def start_row(name: str, start: Pose, loads: np.ndarray) -> tuple[Value, ...]:
     gap = find_contacts(start, FOUR_IN_ONE, WIRE, 0.6).min_gap
     return (
         name,
-        decade(gap.min()),
+        at_most(gap.min()),
         len(s),
         outcomes(found.status),
         _attempts(found),
         float(np.median(found.iterations)),
-        decade(max(1e-10, float(apart[good].max()))),
+        at_most(max(1e-10, float(apart[good].max()))),
         int((apart[good] > 1e-6).sum()),
     )
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import splu
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import decade
 from homogenize.law import InputError, MembraneLaw, default_law
 from homogenize.polyhedral import PolyhedralLaw
 from macro_fem.assembly import stiffness
@@ -116,8 +116,8 @@ def row(name: str, given: Scene, law: MembraneLaw) -> tuple[Value, ...]:
         found.status if is_answer else f"{found.status}: {found.message}",
         found.problem.disc.n_cells,
         found.iterations,
-        decade(max(found.residual, 1e-12)) if is_answer else "-",
-        decade(max(gap, 1e-12)) if is_answer else "-",
+        at_most(max(found.residual, 1e-12)) if is_answer else "-",
+        at_most(max(gap, 1e-12)) if is_answer else "-",
         found.mean_height() if is_answer else None,
         _exponent(raw),
         _exponent(scaled),
@@ -220,6 +220,6 @@ def conclusion(rows: list[tuple[Value, ...]], springs: list[tuple[Value, ...]]) 
         f"{len(good)} of {len(rows)} extreme curtains converge; the others end in a sentence: "
         f"{'; '.join(rest) or 'none'}. "
         f"{len(soft)} of {len(springs) - 1} stiffnesses converge, and the stiffest hangs within "
-        f"{decade(max(off, 1e-6))} mm of "
+        f"{at_most(max(off, 1e-6))} mm of "
         "ideal locking."
     )

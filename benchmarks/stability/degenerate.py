@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import decade
 from rve.cell import find_contacts, start_pose
 from rve.contact import Minima, are_linked, distance_gradient, distance_hessian, local_minima
 from rve.weave import FOUR_IN_ONE, SIX_IN_ONE
@@ -49,8 +49,8 @@ def pair_row(
         name,
         what,
         len(found.distance),
-        decade(max(1e-15, least)),
-        decade(max(1e-15, other)),
+        at_most(max(1e-15, least)),
+        at_most(max(1e-15, other)),
         "yes" if _finite(found, n_a, n_b) else "NO",
         "yes" if are_linked(d, n_a, n_b, 1.0)[0] else "no",
     )
@@ -71,7 +71,7 @@ def jammed_rows() -> list[tuple[Value, ...]]:
         touching = gap[np.abs(gap) < 1e-6]
         links = "yes" if contacts.links_intact[0] else "NO"
         rows.append(
-            (f"{weave.name} at r1/r2 = {weave.jamming_ratio:.5f}", len(touching), decade(touching.max()), links)
+            (f"{weave.name} at r1/r2 = {weave.jamming_ratio:.5f}", len(touching), at_most(touching.max()), links)
         )
     return rows
 

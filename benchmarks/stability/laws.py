@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import decade, refusal
+from benchmarks.stability.words import refusal
 from homogenize.law import Array, MembraneLaw, default_law, ring_net
 from homogenize.polyhedral import PolyhedralLaw
 from homogenize.smooth import smooth_law
@@ -69,10 +70,10 @@ def row(name: str, place: str, law: MembraneLaw, E: Array) -> tuple[Value, ...]:
         place,
         len(E),
         "yes" if all(np.isfinite(part).all() for part in numbers) else "NO",
-        decade(max(1e-14, -push)),
-        decade(max(1e-14, float(metric.max()))),
-        decade(max(1e-14, float(left.max()))),
-        decade(max(1e-12, float(balance.max()))),
+        at_most(max(1e-14, -push)),
+        at_most(max(1e-14, float(metric.max()))),
+        at_most(max(1e-14, float(left.max()))),
+        at_most(max(1e-12, float(balance.max()))),
     )
 
 

@@ -6,8 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import GAP_NOISE, R_NOISE, decade, outcomes, refusal
+from benchmarks.stability.words import GAP_NOISE, R_NOISE, outcomes, refusal
 from rve.errors import SENTENCES
 from rve.sweep import Cell, solve_table
 from rve.table import StrainTable
@@ -49,8 +50,8 @@ def row(name: str, tables: list[StrainTable]) -> tuple[Value, ...]:
         int(sum((~t.unique & t.converged).sum() for t in tables)),
         float(np.median(iterations)),
         int(iterations.max()),
-        decade(max([R_NOISE, *(float(np.nanmax(t.R)) for t in tables)])),
-        decade(max(GAP_NOISE, -gap)),
+        at_most(max([R_NOISE, *(float(np.nanmax(t.R)) for t in tables)])),
+        at_most(max(GAP_NOISE, -gap)),
         sum(contradicting(t) for t in tables),
         sum(float(t.provenance["wall_s"]) for t in tables),
     )

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import decade, outcomes
+from benchmarks.stability.words import outcomes
 from rve.compliance import soften
 from rve.equilibrium import solve_equilibrium
 from rve.load import cauchy_line_load
@@ -101,7 +102,7 @@ def soft_rows(full: bool) -> list[tuple[Value, ...]]:
         good = soft.status == "converged"
         left = float(soft.R[good].max()) if good.any() else None
         deepest = float(-5.0 * soft.contacts.min_gap[good].min()) if good.any() else None
-        out.append((10.0**e, outcomes(soft.status), "-" if left is None else decade(max(left, 1e-11)), deepest))
+        out.append((10.0**e, outcomes(soft.status), "-" if left is None else at_most(max(left, 1e-11)), deepest))
     return out
 
 

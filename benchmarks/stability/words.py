@@ -1,8 +1,7 @@
-"""What every section says in the same words: outcomes, decades, refusals."""
+"""What every section says in the same words: outcomes, refusals, what is noise."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -22,18 +21,6 @@ def outcomes(status: Any) -> str:
     found = {str(name): int(count) for name, count in zip(names, counts, strict=True)}
     order = sorted(found, key=lambda name: (name != "converged", name))
     return ", ".join(f"{found[name]} {name}" for name in order)
-
-
-def decade(x: float) -> str:
-    """The power of ten that bounds |x| from above: the same text when round-off moves the last digits.
-
-    >>> decade(-3e-13), decade(0.0)
-    ('<= 1e-12', '0')
-    """
-    size = abs(float(x))
-    if not math.isfinite(size):
-        return "-"
-    return "0" if size == 0.0 else f"<= 1e{math.ceil(math.log10(size) - 1e-9)}"
 
 
 def refusal(act: Callable[[], object]) -> str:

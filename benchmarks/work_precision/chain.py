@@ -12,9 +12,9 @@ from functools import cache, partial
 
 import numpy as np
 
+from benchmarks.pages.measuring import least_seconds
 from benchmarks.pages.model import Column, Curve, Diagram, Section, Table
 from benchmarks.work_precision.curtain import converged, reference_height
-from benchmarks.work_precision.timing import least_seconds
 from examples.curtain import SETTINGS, Setting, extrapolated, grid_of, scene_text
 from homogenize.fit import FitOptions, fit
 from homogenize.law import InputError, MembraneLaw

@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pages.measuring import decade, least_seconds
 from benchmarks.pages.model import Column, Curve, Diagram, Section, Table
-from benchmarks.work_precision.timing import decade, least_seconds
 from rve.contact import are_linked, local_minima, tangent_frame
 from rve.projection import alternating_projection
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.pages.measuring import least_seconds
 from benchmarks.pages.model import Column, Curve, Diagram, Section, Table
-from benchmarks.work_precision.timing import least_seconds
 from homogenize.law import InputError, MembraneLaw, default_law, diagonal_net
 from macro_fem.adapt import Level, levels
 from macro_fem.scene import Scene, read_scene

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.pages.measuring import least_seconds
 from benchmarks.pages.model import Column, Curve, Diagram, Section, Table, Value
-from benchmarks.work_precision.timing import least_seconds
 from homogenize import refine
 from homogenize.bounds import bounds_of
 from homogenize.fit import STATED_STIFFNESS, builder, cell_of

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pages.measuring import decade, least_seconds
 from benchmarks.pages.model import Column, Curve, Diagram, Section, Table, Value
 from benchmarks.work_precision import peers
 from benchmarks.work_precision.generic import SOLVERS, Programme
-from benchmarks.work_precision.timing import decade, least_seconds
 from rve import stewart_trinkle as st
 from rve.cell import Pose
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium

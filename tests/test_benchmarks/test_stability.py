@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.pages.measuring import at_most
 from benchmarks.pages.model import Report, differences
 from benchmarks.stability import cells, curtains, degenerate, features, laws, loads, stepping
-from benchmarks.stability.words import decade, outcomes, refusal
+from benchmarks.stability.words import outcomes, refusal
 from homogenize.law import default_law
 from rve.cell import find_contacts
 from rve.weave import FOUR_IN_ONE
@@ -18,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize(("x", "said"), [(1e-12, "<= 1e-12"), (1.1e-12, "<= 1e-11"), (-3.0, "<= 1e1"), (np.nan, "-")])
 def test_decades_bound_from_above(x, said):
-    assert decade(x) == said
+    assert at_most(x) == said
 
 
 def test_outcomes_begin_with_what_converged():

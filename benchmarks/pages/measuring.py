@@ -1,4 +1,4 @@
-"""Seconds and decades, as every section of this report writes them."""
+"""Seconds, first digits and decades, as the sections of all reports write them."""
 
 from __future__ import annotations
 
@@ -40,3 +40,15 @@ def decade(error: float, floor: float = 1e-12) -> str:
     if not math.isfinite(error):
         return "-"
     return f"<= {floor:.0e}" if error <= floor else f"{error:.0e}"
+
+
+def at_most(value: float, least: float = 0.0) -> str:
+    """The power of ten that bounds |value| from above, no less than `least`: the same text when round-off moves digits.
+
+    >>> at_most(-3e-13), at_most(3.2e-12, 1e-14), at_most(0.0, 1e-14), at_most(0.0)
+    ('<= 1e-12', '<= 1e-11', '<= 1e-14', '0')
+    """
+    size = max(abs(float(value)), least)
+    if not math.isfinite(value):
+        return "-"
+    return f"<= 1e{math.ceil(math.log10(size) - 1e-9)}" if size else "0"
