@@ -10,19 +10,20 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from homogenize.files import write_text
-from homogenize.io import UNITS
-from homogenize.net import ring_cell
+from homogenize.io import SCHEMA, UNITS, cell_from_dict, check_format
 from homogenize.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedral_law
 from homogenize.protocol import Array, CellInfo, InputError
 from homogenize.report import Misfit, misfit_of, random_loads
+from rve.reading import read_json_object
+from rve.rings import check_rings, ring_volume
+from rve.values import checked, list_of, mapping
 
-SCHEMA = 1
 NEIGHBOURS = 3
+MOST_MEMBERS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,7 @@ class LawFamily:
         """The law of rings of these radii; InputError outside the family's ratios."""
         if not (r1_mm > 0.0 and r2_mm > 0.0):
             raise InputError(f"r1 = {r1_mm}, r2 = {r2_mm}: radii are positive numbers of mm")
+        check_rings({"r1_mm": r1_mm, "r2_mm": r2_mm}, "the asked rings:")
         x = r2_mm / r1_mm
         if not self.ratio[0] * (1.0 - 1e-12) <= x <= self.ratio[-1] * (1.0 + 1e-12):
             raise InputError(
@@ -48,17 +50,18 @@ class LawFamily:
         return polyhedral_law(S, h, nearest.stiffness, self.cell_at(r1_mm, r2_mm))
 
     def cell_at(self, r1_mm: float, r2_mm: float) -> CellInfo:
-        """The reference cell, its sides over r1 interpolated like the supports."""
+        """The reference cell of the members' material, its sides over r1 interpolated like the supports."""
         x = r2_mm / r1_mm
         near = nearest_members(self.ratio, x)
         cells = [cell_of_member(self.members[k]) for k in near]
         sides = np.array([[cell.b_x_mm / cell.r1_mm, cell.b_y_mm / cell.r1_mm] for cell in cells])
-        b_x, b_y = lagrange(self.ratio[near], x) @ sides * r1_mm
-        return ring_cell(r1_mm, r2_mm, float(b_x), float(b_y))
+        b_x, b_y = (float(side) for side in lagrange(self.ratio[near], x) @ sides * r1_mm)
+        mass = mass_per_volume(cells[0]) * ring_volume(r1_mm, r2_mm) / (b_x * b_y)
+        return CellInfo(r1_mm, r2_mm, b_x, b_y, mass)
 
 
 def family_of(laws: list[PolyhedralLaw]) -> LawFamily:
-    """The family of laws of distinct radius ratios; InputError for fewer than three, or two of one ratio."""
+    """The family of laws of distinct radius ratios; InputError for fewer than three, equal ratios or two materials."""
     ratio = np.array([cell_of_member(law).r2_mm / cell_of_member(law).r1_mm for law in laws])
     order = np.argsort(ratio)
     ratio, members = ratio[order], tuple(laws[k] for k in order)
@@ -66,6 +69,12 @@ def family_of(laws: list[PolyhedralLaw]) -> LawFamily:
         raise InputError(f"a family needs tables of at least {NEIGHBOURS} radius ratios, got {len(ratio)}")
     if np.diff(ratio).min() < 1e-9:
         raise InputError(f"two tables of a family have the same r1/r2 = {1.0 / ratio[int(np.diff(ratio).argmin())]:g}")
+    mass = np.array([mass_per_volume(cell_of_member(law)) for law in members])
+    if np.ptp(mass) > 1e-6 * mass.max():
+        raise InputError(
+            f"the members of a family are of one material and weave: the mass of a cell over the volume of a ring is "
+            f"{mass.min():.6g} kg/mm3 for one and {mass.max():.6g} for another; make their tables with one --density"
+        )
     checks = []
     for k in range(1, len(ratio) - 1):
         rest = [j for j in range(len(ratio)) if j != k]
@@ -99,6 +108,11 @@ def cell_of_member(law: PolyhedralLaw) -> CellInfo:
     return law.cell
 
 
+def mass_per_volume(cell: CellInfo) -> float:
+    """Mass of a reference cell over the volume of one ring in kg/mm3: density times rings per cell."""
+    return 1e-6 * cell.areal_mass_kg_per_m2 * cell.b_x_mm * cell.b_y_mm / ring_volume(cell.r1_mm, cell.r2_mm)
+
+
 def save_family(family: LawFamily, path: str | Path) -> None:
     """Writes the family as JSON, whole or not at all."""
     members = [{"cell": asdict(cell_of_member(law)), "parameters": law.to_dict()} for law in family.members]
@@ -109,19 +123,16 @@ def save_family(family: LawFamily, path: str | Path) -> None:
 
 def load_family(path: str | Path) -> LawFamily:
     """The family in the file `path`; InputError if it is none that this version reads."""
-    path = Path(path)
+    record = read_json_object(path)
+    check_format(record, str(path), ("family",))
+    members = checked(record, "members", list_of(mapping, "members", least=NEIGHBOURS, most=MOST_MEMBERS), f"{path}:")
+    laws = []
+    for number, member in enumerate(members):
+        where = f"{path}: member {number}:"
+        cell = cell_from_dict(checked(member, "cell", mapping, where), f"{where} cell")
+        parameters = checked(member, "parameters", mapping, where)
+        laws.append(polyhedral_from_dict(parameters, cell, f"{where} parameters"))
     try:
-        record: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON: {error}") from error
-    if not isinstance(record, dict) or record.get("kind") != "family" or record.get("schema") != SCHEMA:
-        raise InputError(f"{path}: not a family of laws with schema = {SCHEMA}")
-    try:
-        laws = [polyhedral_from_dict(one["parameters"], CellInfo(**one["cell"])) for one in record["members"]]
-    except KeyError as error:
-        raise InputError(f"{path}: key {error} is missing") from error
-    except TypeError as error:
+        return family_of(laws)
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return family_of(laws)

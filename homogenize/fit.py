@@ -19,6 +19,7 @@ from homogenize.refine import FINEST, NEWS, Parts, refined_half_spaces
 from homogenize.report import ErrorReport, error_report, sampled_cone
 from homogenize.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table
 from homogenize.stiffness import stiffness_of
+from rve.rings import STEEL_KG_PER_MM3, check_rings
 
 if TYPE_CHECKING:
     from rve.table import StrainTable
@@ -130,8 +131,16 @@ def builder(
 
 
 def cell_of(table: StrainTable) -> CellInfo:
-    """Radii and reference cell of a table; InputError names a missing entry of its sidecar file."""
-    try:
-        return ring_cell(*(float(table.provenance[key]) for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")))
-    except KeyError as error:
-        raise InputError(f"the sidecar file of the table has no {error}") from error
+    """Radii, reference cell and areal mass of a table; InputError names a missing or impossible entry of its sidecar.
+
+    Without an areal mass the cell is that of the 4-in-1 weave with the sidecar's density, or of steel.
+    """
+    where = "the sidecar file of the table:"
+    known = check_rings(table.provenance, where)
+    for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm"):
+        if key not in known:
+            raise InputError(f"{where} {key}: is missing")
+    r1, r2, b_x, b_y = (known[key] for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm"))
+    cell = ring_cell(r1, r2, b_x, b_y, known.get("density_kg_per_mm3", STEEL_KG_PER_MM3))
+    mass = known.get("areal_mass_kg_per_m2", cell.areal_mass_kg_per_m2)
+    return replace(cell, areal_mass_kg_per_m2=mass)

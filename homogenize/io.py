@@ -13,10 +13,13 @@ from homogenize.net import net_from_dict
 from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
 from homogenize.smooth import smooth_from_dict
+from rve.reading import read_json
+from rve.rings import check_rings
+from rve.values import checked, mapping, numbers, optional, read_record, shown
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
-READERS: dict[str, Callable[[dict[str, Any], CellInfo | None], MembraneLaw]] = {
+READERS: dict[str, Callable[[dict[str, Any], CellInfo | None, str], MembraneLaw]] = {
     "net": net_from_dict,
     "polyhedral": polyhedral_from_dict,
     "smooth": smooth_from_dict,
@@ -66,17 +69,13 @@ def load_law(path: str | Path) -> MembraneLaw:
 
 def read_law_file(path: str | Path) -> LawFile:
     """The law in the file `path` with its provenance; InputError as in `load_law`."""
-    path = Path(path)
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON: {error}") from error
+    record = read_json(path)
     law = law_from_record(record, str(path))
     provenance = record.get("provenance", {})
     if not isinstance(provenance, dict):
-        raise InputError(f"{path}: provenance = {provenance!r} is not an object")
+        raise InputError(f"{path}: provenance = {shown(provenance)}: is not a table of names and values")
+    if "sampled_loads" in provenance:
+        checked(provenance, "sampled_loads", optional(numbers(None, 2)), f"{path}: provenance")
     return LawFile(law, provenance)
 
 
@@ -84,17 +83,25 @@ def law_from_record(record: Any, source: str) -> MembraneLaw:
     """The law of a parsed file; `source` names it in the messages of InputError."""
     if not isinstance(record, dict):
         raise InputError(f"{source}: a law file holds one JSON object, this one holds a {type(record).__name__}")
-    if record.get("schema") != SCHEMA:
-        raise InputError(f"{source}: schema = {record.get('schema')!r}, this version reads schema = {SCHEMA}")
-    if record.get("units") != UNITS:
-        raise InputError(f"{source}: units = {record.get('units')!r}, this version reads {UNITS}")
-    kind = record.get("kind")
-    if kind not in READERS:
-        raise InputError(f"{source}: kind = {kind!r}, this version reads {', '.join(sorted(READERS))}")
-    try:
-        cell = None if record["cell"] is None else CellInfo(**{k: float(v) for k, v in record["cell"].items()})
-        return READERS[kind](record["parameters"], cell)
-    except KeyError as error:
-        raise InputError(f"{source}: key {error} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{source}: {error}") from error
+    check_format(record, source, tuple(sorted(READERS)))
+    cell = checked(record, "cell", optional(mapping), f"{source}:")
+    parameters = checked(record, "parameters", mapping, f"{source}:")
+    return READERS[record["kind"]](
+        parameters, None if cell is None else cell_from_dict(cell, f"{source}: cell"), f"{source}: parameters"
+    )
+
+
+def check_format(record: dict[str, Any], source: str, kinds: tuple[str, ...]) -> None:
+    """InputError unless schema, units and kind of a file are those that this version reads."""
+    for key, known in (("schema", SCHEMA), ("units", UNITS)):
+        if record.get(key) != known:
+            raise InputError(f"{source}: {key} = {shown(record.get(key))}, this version reads {key} = {known}")
+    if record.get("kind") not in kinds:
+        raise InputError(f"{source}: kind = {shown(record.get('kind'))}, this version reads {', '.join(kinds)}")
+
+
+def cell_from_dict(table: dict[str, Any], where: str) -> CellInfo:
+    """The rings that a file describes; `where` names file and table in the messages of InputError."""
+    cell = read_record(CellInfo, table, where)
+    check_rings(table, where)
+    return cell

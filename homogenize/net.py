@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
+from homogenize.protocol import STIFFNESS, Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
 from homogenize.tensor import WEIGHT, double_dot, dyad, trace
+from rve.rings import STEEL_KG_PER_MM3, areal_mass
+from rve.values import checked, finite, numbers
 
-STEEL_KG_PER_MM3 = 7.85e-6
 STATED_STIFFNESS = 1000.0
 """N/mm: the contact stiffness 1e6 kg/s2 of the paper, one contact per ring and pitch; a stand-in for the compliance."""
 
@@ -107,12 +108,13 @@ class NetLaw:
         return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
 
 
-def net_from_dict(data: dict[str, Any], cell: CellInfo | None) -> NetLaw:
-    """The net law that `NetLaw.to_dict` wrote; KeyError names a missing entry."""
-    law = NetLaw(np.array(data["directions"], float), float(data["limit"]), float(data["stiffness_N_per_mm"]), cell)
-    if law.directions.shape != (2, 2) or not (law.limit > 0.0 and law.stiffness > 0.0):
-        raise InputError(f"a net law needs two directions, limit and stiffness > 0, got limit = {law.limit}")
-    return law
+def net_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> NetLaw:
+    """The net law that `NetLaw.to_dict` wrote; InputError names a missing or impossible entry."""
+    directions = checked(data, "directions", numbers(2, 2), where)
+    if np.abs((directions**2).sum(axis=1) - 1.0).max() > 1e-6 or abs(np.linalg.det(directions)) < 1e-6:
+        raise InputError(f"{where} directions = {directions.tolist()}: must be two different unit vectors")
+    limit = checked(data, "limit", finite(least=1e-3, most=1e3), where)
+    return NetLaw(directions, limit, checked(data, "stiffness_N_per_mm", STIFFNESS, where), cell)
 
 
 def diagonal_net(limit: float = 1.0, stiffness: float = STATED_STIFFNESS) -> NetLaw:
@@ -120,10 +122,12 @@ def diagonal_net(limit: float = 1.0, stiffness: float = STATED_STIFFNESS) -> Net
     return NetLaw(np.array([[1.0, 1.0], [1.0, -1.0]]) / math.sqrt(2.0), limit, stiffness)
 
 
-def ring_cell(r1_mm: float, r2_mm: float, b_x_mm: float, b_y_mm: float) -> CellInfo:
-    """The cell of steel rings: two tori of volume 2 pi^2 r1 r2^2 on every b_x times b_y."""
-    volume = 2.0 * math.pi**2 * r1_mm * r2_mm**2
-    return CellInfo(r1_mm, r2_mm, b_x_mm, b_y_mm, 2.0 * volume * STEEL_KG_PER_MM3 * 1e6 / (b_x_mm * b_y_mm))
+def ring_cell(
+    r1_mm: float, r2_mm: float, b_x_mm: float, b_y_mm: float, density_kg_per_mm3: float = STEEL_KG_PER_MM3
+) -> CellInfo:
+    """The cell of the 4-in-1 weave: two rings of this density, steel by default, on every b_x times b_y."""
+    mass = areal_mass(r1_mm, r2_mm, 0.5 * b_x_mm * b_y_mm, density_kg_per_mm3)
+    return CellInfo(r1_mm, r2_mm, b_x_mm, b_y_mm, mass)
 
 
 def ring_net(cell: CellInfo, stiffness: float = STATED_STIFFNESS) -> NetLaw:

@@ -15,15 +15,29 @@ import numpy as np
 from homogenize.bounds import highest, outer_vertices
 from homogenize.net import STATED_STIFFNESS
 from homogenize.projection import Polyhedron, polyhedron_of, respond
-from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
+from homogenize.protocol import (
+    Array,
+    CellInfo,
+    Cut,
+    HalfSpaces,
+    InputError,
+    Response,
+    check_finite,
+    stiffness_matrix,
+)
 from homogenize.rows import Rows, with_mirror
 from homogenize.tensor import IDENTITY, WEIGHT, double_dot, dyad, eigenvalues, from_disc, trace
+from rve.values import checked, numbers
 
 RIM = 720
 COLLAPSED = 0.05
 """Vertices with an eigenvalue of C = I + 2E below this are cells drawn to a line: they stay off the map."""
 
 
+MOST_HALF_SPACES = 50_000
+"""In a law file. A table of 403 rows gives some 5,000; reading takes longer in proportion."""
+MOST_STRAIN = 1e3
+"""Bound of h and of the components of S in a law file; strains of rings are below 1."""
 MAP_PAYS = 300
 """Points per call from which a map of the half-spaces is made, in half a second for four thousand of them."""
 
@@ -133,8 +147,17 @@ def inner_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None 
     return polyhedral_law(S, highest(S, E), stiffness, cell)
 
 
-def polyhedral_from_dict(data: dict[str, Any], cell: CellInfo | None) -> PolyhedralLaw:
-    """The law that `PolyhedralLaw.to_dict` wrote."""
-    return polyhedral_law(
-        np.array(data["S"], float), np.array(data["h"], float), np.array(data["stiffness_N_per_mm"], float), cell
-    )
+def polyhedral_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> PolyhedralLaw:
+    """The law that `PolyhedralLaw.to_dict` wrote; InputError names a missing or impossible entry."""
+    S = checked(data, "S", numbers(None, 3, least=-MOST_STRAIN, most=MOST_STRAIN, longest=MOST_HALF_SPACES), where)
+    h = checked(data, "h", numbers(None, least=-MOST_STRAIN, most=MOST_STRAIN), where)
+    if len(h) != len(S):
+        raise InputError(f"{where} h: has {len(h)} numbers for {len(S)} half-spaces S")
+    size = trace(S)
+    bad = np.flatnonzero(~(size > 1e-6) | (eigenvalues(S)[0] < -1e-9 * size))
+    if len(bad):
+        raise InputError(f"{where} S: half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
+    try:
+        return polyhedral_law(S, h, stiffness_matrix(data, where), cell)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where} {error}") from error

@@ -12,11 +12,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.errors import InputError
+from rve.rings import RING_CHECKS
+from rve.values import checked, entry, finite, numbers
+
 Array = NDArray[np.float64]
 
-
-class InputError(ValueError):
-    """Something the user gave cannot be used; the message is one sentence that names file, key and value."""
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
+"""N/mm, of every strain. A wider range leaves no digits between stress and energy."""
+STIFFNESS = finite(least=LEAST_STIFFNESS, most=MOST_STIFFNESS)
+_WEIGHT = np.array([1.0, 2.0, 1.0])
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -26,15 +31,36 @@ def check_finite(values: Array, what: str = "strains") -> None:
         raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")
 
 
+def stiffness_matrix(data: dict[str, Any], where: str) -> Array:
+    """The entry stiffness_N_per_mm (3, 3) of a law file; InputError unless it is symmetric and positive definite.
+
+    In tensor components: with W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
+    """
+    M: Array = checked(data, "stiffness_N_per_mm", numbers(3, 3, least=-MOST_STIFFNESS, most=MOST_STIFFNESS), where)
+    Q = _WEIGHT[:, None] * M
+    if np.abs(Q - Q.T).max() > 1e-9 * np.abs(Q).max():
+        raise InputError(f"{where} stiffness_N_per_mm = {M.tolist()}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
+    least = float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
+    if not least >= LEAST_STIFFNESS:
+        raise InputError(
+            f"{where} stiffness_N_per_mm = {M.tolist()}: is not positive definite, its least stiffness is {least:g} "
+            f"N/mm; {LEAST_STIFFNESS:g} is needed"
+        )
+    return M
+
+
 @dataclass(frozen=True)
 class CellInfo:
-    """The rings behind a law: what a scene needs to know of them, in mm and kg/m2."""
+    """The rings behind a law: what a scene needs to know of them, in mm and kg/m2.
 
-    r1_mm: float
-    r2_mm: float
-    b_x_mm: float
-    b_y_mm: float
-    areal_mass_kg_per_m2: float
+    b_x_mm, b_y_mm: sides of the reference cell, one primitive cell.
+    """
+
+    r1_mm: float = entry(RING_CHECKS["r1_mm"])
+    r2_mm: float = entry(RING_CHECKS["r2_mm"])
+    b_x_mm: float = entry(RING_CHECKS["b_x_mm"])
+    b_y_mm: float = entry(RING_CHECKS["b_y_mm"])
+    areal_mass_kg_per_m2: float = entry(RING_CHECKS["areal_mass_kg_per_m2"])
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,23 @@ import numpy as np
 
 from homogenize.net import STATED_STIFFNESS
 from homogenize.projection import ProjectionError
-from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, Response, check_finite
+from homogenize.protocol import (
+    Array,
+    CellInfo,
+    Cut,
+    HalfSpaces,
+    InputError,
+    Response,
+    check_finite,
+    stiffness_matrix,
+)
 from homogenize.tensor import WEIGHT, disc, double_dot, from_disc, trace
+from rve.values import checked, numbers
 
 TO_TDG = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, -0.5], [0.0, 1.0, 0.0]])
 BLOCK = 2048
+MOST_PATCHES, MOST_THETA = 1_000, 1e6
+"""In a law file: more patches than a fit makes, and larger parameters than change anything."""
 TOLERANCE = 1e-12
 MAX_STEPS = 200
 GROWTH = np.concatenate([10.0 ** np.arange(-1, 5), [1e4, 1e4, 1e4]])
@@ -257,9 +269,10 @@ class SmoothLaw:
         return {"theta": self.theta.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
 
 
-def smooth_from_dict(data: dict[str, Any], cell: CellInfo | None) -> SmoothLaw:
-    """The law that `SmoothLaw.to_dict` wrote."""
-    return smooth_law(np.array(data["theta"], float), np.array(data["stiffness_N_per_mm"], float), cell)
+def smooth_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> SmoothLaw:
+    """The law that `SmoothLaw.to_dict` wrote; InputError names a missing or impossible entry."""
+    theta = checked(data, "theta", numbers(None, 8, least=-MOST_THETA, most=MOST_THETA, longest=MOST_PATCHES), where)
+    return smooth_law(theta, stiffness_matrix(data, where), cell)
 
 
 def smooth_law(theta: Array, stiffness: Array | None = None, cell: CellInfo | None = None) -> SmoothLaw:

@@ -6,19 +6,66 @@ from (0, 0) to (width, height), a disk is centred at (0, 0).
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from homogenize.law import InputError
-from macro_fem.records import choice, custom, flag, number, polygon, polygons, read_record, text, vector, whole, words
+from rve.reading import read_toml
+from rve.values import (
+    MISSING,
+    choice,
+    entry,
+    finite,
+    flag,
+    list_of,
+    number,
+    read_record,
+    shown,
+    shown_key,
+    text,
+    whole,
+    words,
+)
 
 HANG_ANGLES = {"y": 0.0, "x": 90.0}
 ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
 MAX_CELLS = 20_000
 FEATURES = ("third-coordinate", "all-half-spaces", "ties", "coarse-start", "bounds")
 """What a scene leaves out where it can; see `macro_fem.explain`."""
+
+
+MAX_CORNERS = 5_000
+"""Corners of the outline and its holes together: every one is compared with every other."""
+MAX_ENTRIES = 1_000
+"""Supports, or loads of one kind."""
+LEAST_MM, MOST_MM = 1e-6, 1e9
+"""Lengths and coordinates: their squares and ratios must stay numbers."""
+MOST_FORCE = 1e12
+
+
+def length(default: Any = MISSING) -> Any:
+    """A field for a length in mm."""
+    return number(default, least=LEAST_MM, most=MOST_MM)
+
+
+def _pair(size: float) -> Any:
+    component = finite(least=-size, most=size)
+
+    def check(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            raise ValueError("is not a pair of numbers [x, y]")
+        return component(value[0]), component(value[1])
+
+    return check
+
+
+_corners = list_of(_pair(MOST_MM), "points [x, y]", least=3, most=MAX_CORNERS)
+
+
+def vector(default: Any = MISSING, *, most: float = MOST_MM) -> Any:
+    """A field for a pair [x, y] with components up to `most` in size: mm, or N."""
+    return entry(_pair(most), default)
 
 
 def _hang(value: Any) -> float:
@@ -34,14 +81,14 @@ class Curtain:
     """The sheet. `hang` is read as the angle from the vertical to the weave's y axis: "y" is 0, "x" is 90 degrees."""
 
     shape: str = choice("rectangle", "disk", "outline", "file", default="rectangle")
-    width: float | None = number(None, above=0.0)
-    height: float | None = number(None, above=0.0)
-    radius: float | None = number(None, above=0.0)
-    outline: tuple[tuple[float, float], ...] | None = polygon(None)
-    holes: tuple[tuple[tuple[float, float], ...], ...] = polygons(())
+    width: float | None = length(None)
+    height: float | None = length(None)
+    radius: float | None = length(None)
+    outline: tuple[tuple[float, float], ...] | None = entry(_corners, None)
+    holes: tuple[tuple[tuple[float, float], ...], ...] = entry(list_of(_corners, "polygons", most=MAX_ENTRIES), ())
     file: str | None = text(None)
-    hang: float = custom(_hang, 0.0)
-    areal_mass: float | None = number(None, least=0.0)
+    hang: float = entry(_hang, 0.0)
+    areal_mass: float | None = number(None, least=0.0, most=1e6)
 
 
 @dataclass(frozen=True)
@@ -57,7 +104,7 @@ class Mesh:
 class Corners:
     """Both top corners held; `gather` narrows their distance."""
 
-    gather: float = number(1.0, above=0.0)
+    gather: float = number(1.0, above=0.0, most=1e6)
     move: tuple[float, float] = vector((0.0, 0.0))
 
 
@@ -65,7 +112,7 @@ class Corners:
 class Top:
     """The whole top edge held; `gather` narrows it."""
 
-    gather: float = number(1.0, above=0.0)
+    gather: float = number(1.0, above=0.0, most=1e6)
     move: tuple[float, float] = vector((0.0, 0.0))
 
 
@@ -78,8 +125,8 @@ class Rail:
 class Hooks:
     """Points of the top edge every `pitch` mm, held or sliding along a rail."""
 
-    pitch: float = number(above=0.0)
-    gather: float = number(1.0, above=0.0)
+    pitch: float = length()
+    gather: float = number(1.0, above=0.0, most=1e6)
     sliding: bool = flag(False)
 
 
@@ -89,7 +136,7 @@ class Edge:
 
     edge: str = text()
     held: str = choice("both", "x", "y", default="both")
-    gather: float = number(1.0, above=0.0)
+    gather: float = number(1.0, above=0.0, most=1e6)
     move: tuple[float, float] = vector((0.0, 0.0))
 
 
@@ -118,7 +165,7 @@ class EdgeLoad:
     """Force per reference length of a named edge, N/mm."""
 
     edge: str = text()
-    force: tuple[float, float] = vector()
+    force: tuple[float, float] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
@@ -126,7 +173,7 @@ class PointLoad:
     """Force in N on the material point nearest to `at`."""
 
     at: tuple[float, float] = vector()
-    force: tuple[float, float] = vector()
+    force: tuple[float, float] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
@@ -134,15 +181,15 @@ class PatchLoad:
     """Force in N spread evenly over the reference disk of `radius` around `at`: a hand that pulls."""
 
     at: tuple[float, float] = vector()
-    radius: float = number(above=0.0)
-    force: tuple[float, float] = vector()
+    radius: float = length()
+    force: tuple[float, float] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
 class Bar:
     """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
 
-    mass: float = number(least=0.0)
+    mass: float = number(least=0.0, most=1e9)
     edge: str = text("bottom")
     straight: bool = flag(True)
 
@@ -151,7 +198,7 @@ class Bar:
 class Load:
     """Weight by `gravity` (m/s2) and the live loads; `steps` applies live loads and moves in equal steps."""
 
-    gravity: float = number(9.81)
+    gravity: float = number(9.81, least=-1e6, most=1e6)
     steps: int = whole(1, least=1, most=1000)
     edge: tuple[EdgeLoad, ...] = ()
     point: tuple[PointLoad, ...] = ()
@@ -199,14 +246,7 @@ class Scene:
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
-    path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is not TOML: {error}") from error
-    return read_scene(data, path)
+    return read_scene(read_toml(path), path)
 
 
 def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
@@ -218,7 +258,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     tables = ("curtain", "mesh", "support", "load", "solver")
     for key in data:
         if key not in tables:
-            raise InputError(f"{source}: {key}: unknown table; known are {', '.join(tables)}")
+            raise InputError(f"{source}: {shown_key(key)}: unknown table; known are {', '.join(tables)}")
     if "curtain" not in data:
         raise InputError(f"{source}: [curtain]: is missing")
     scene = Scene(
@@ -241,13 +281,15 @@ def _read_supports(tables: Any, source: str | Path) -> tuple[Support, ...]:
         raise InputError(f"{source}: [support] is not a table")
     if not tables:
         raise InputError(f"{source}: [support]: is missing, so nothing holds the curtain")
+    if len(tables) > MAX_ENTRIES:
+        raise InputError(f"{source}: [support]: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
     supports = []
     for table in tables:
         if not isinstance(table, dict):
-            raise InputError(f"{source}: [support] = {table!r}: is not a table")
+            raise InputError(f"{source}: [support] = {shown(table)}: is not a table")
         kind = table.get("kind")
         if not isinstance(kind, str) or kind not in SUPPORTS:
-            raise InputError(f"{source}: [support] kind = {kind!r}: is not one of {', '.join(SUPPORTS)}")
+            raise InputError(f"{source}: [support] kind = {shown(kind)}: is not one of {', '.join(SUPPORTS)}")
         rest = {key: value for key, value in table.items() if key != "kind"}
         supports.append(read_record(SUPPORTS[kind], rest, f"{source}: [support] ({kind})"))
     return tuple(supports)
@@ -261,13 +303,17 @@ def _read_load(table: Any, source: str | Path) -> Load:
         items = table.get(name, [])
         items = [items] if isinstance(items, dict) else items
         if not isinstance(items, list):
-            raise InputError(f"{source}: [load] {name} = {items!r}: is not a table")
+            raise InputError(f"{source}: [load] {name} = {shown(items)}: is not a table")
+        if len(items) > MAX_ENTRIES:
+            raise InputError(f"{source}: [load] {name}: has {len(items)} entries, at most {MAX_ENTRIES} are allowed")
         live[name] = tuple(read_record(cls, item, f"{source}: [load.{name}]") for item in items)
     plain = {key: value for key, value in table.items() if key not in LIVE_LOADS}
     known = ("gravity", "steps", *LIVE_LOADS)
     for key, value in plain.items():
         if key not in known:
-            raise InputError(f"{source}: [load] {key} = {value!r}: unknown key; known are {', '.join(known)}")
+            raise InputError(
+                f"{source}: [load] {shown_key(key)} = {shown(value)}: unknown key; known are {', '.join(known)}"
+            )
     base = read_record(Load, plain, f"{source}: [load]")
     return Load(base.gravity, base.steps, **live)
 
@@ -283,7 +329,12 @@ def _check_shape(curtain: Curtain, source: str | Path) -> None:
         if key in needs and value is None:
             raise InputError(f'{source}: [curtain] {key}: is missing, shape = "{curtain.shape}" needs it')
         if key not in needs and value is not None:
-            raise InputError(f'{source}: [curtain] {key} = {value!r}: is not used by shape = "{curtain.shape}"')
+            raise InputError(f'{source}: [curtain] {key} = {shown(value)}: is not used by shape = "{curtain.shape}"')
+    corners = len(curtain.outline or ()) + sum(map(len, curtain.holes))
+    if corners > MAX_CORNERS:
+        raise InputError(
+            f"{source}: [curtain] outline and holes: have {corners} corners, at most {MAX_CORNERS} are allowed"
+        )
     if curtain.holes and curtain.shape == "file":
         raise InputError(f'{source}: [curtain] holes: are not used by shape = "file"')
 

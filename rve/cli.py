@@ -34,6 +34,9 @@ def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
     for decorate in (
         click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
         click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
+        click.option(
+            "--density", type=float, default=7850.0, show_default=True, help="Density of the rings in kg/m3: steel."
+        ),
         click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
         click.option(
             "--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."
@@ -61,13 +64,16 @@ def _explain(found: Any) -> None:
         click.echo(str(decision), err=True)
 
 
-def _cell(r1: float, r2: float, grain: str, weave: str) -> Any:
+def _cell(r1: float, r2: float, density: float, grain: str, weave: str) -> Any:
+    from rve.rings import DENSITY_KG_PER_M3
     from rve.sweep import Cell
+    from rve.values import checked
     from rve.weave import WEAVES
 
     if weave not in WEAVES:
         raise InputError(f"--weave = {weave!r}: known are {', '.join(WEAVES)}")
-    return Cell(r1, r2, WEAVES[weave], grain)
+    density = checked({"--density": density}, "--density", DENSITY_KG_PER_M3, "")
+    return Cell(r1, r2, WEAVES[weave], grain, density / 1e9)
 
 
 def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, Any]) -> Any:
@@ -186,6 +192,7 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
     values = [*found.E[0], *found.S[0], *found.x2_mm[0], *found.x3_mm[0], found.R[0], found.min_gap_mm[0]]
     out: dict[str, object] = {"alpha_deg": alpha, "beta_deg": beta}
     out |= dict(zip(COLUMNS[2:14], map(float, values), strict=True))
+    out |= {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}
     out |= {"contacts": int(found.contacts[0]), "unique": int(found.unique[0]), "status": status}
     click.echo(json.dumps(out | {"iterations": int(found.iterations[0])}, indent=2))
     if plot is not None:

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
-from rve.table import numeric_column, read_columns
+from rve.table import ranged_column, read_columns
+from rve.values import shown
 
 Array = NDArray[np.float64]
 
 MOST_VALUES = 100_000
+"""Load directions of one table: more take hours, and a typing error asks for billions."""
+MOST_DEGREES = 360.0
 
 
 def parse_angles(text: str, name: str) -> Array:
@@ -27,22 +30,29 @@ def parse_angles(text: str, name: str) -> Array:
         else:
             first, last, step = (float(part) for part in text.split(":"))
             if not (np.isfinite([first, last, step]).all() and step != 0.0 and (last - first) / step >= 0.0):
-                raise InputError(f"{name} = {text!r}: the step must lead from the first to the last value")
+                raise InputError(f"{name} = {shown(text)}: the step must lead from the first to the last value")
             count = np.floor((last - first) / step + 1e-9) + 1
             if count > MOST_VALUES:
-                raise InputError(f"{name} = {text!r}: {count:.3g} values are more than {MOST_VALUES}")
+                raise InputError(f"{name} = {shown(text)}: {count:.3g} values are more than {MOST_VALUES}")
             values = first + step * np.arange(int(count))
     except InputError:
         raise
     except ValueError:
-        raise InputError(f"{name} = {text!r}: write first:last:step or a list such as 7.5,12.5") from None
+        raise InputError(f"{name} = {shown(text)}: write first:last:step or a list such as 7.5,12.5") from None
     if not np.isfinite(values).all():
-        raise InputError(f"{name} = {text!r}: angles must be finite numbers of degrees")
+        raise InputError(f"{name} = {shown(text)}: angles must be finite numbers of degrees")
+    if np.abs(values).max() > MOST_DEGREES:
+        raise InputError(f"{name} = {shown(text)}: angles must be from {-MOST_DEGREES:g} to {MOST_DEGREES:g} degrees")
     return values
 
 
 def grid(alpha: Array, beta: Array) -> tuple[Array, Array]:
-    """All combinations, beta running fastest: two arrays of alpha.size * beta.size values."""
+    """All combinations, beta running fastest: two arrays of alpha.size * beta.size values; InputError for too many."""
+    if alpha.size * beta.size > MOST_VALUES:
+        raise InputError(
+            f"{alpha.size} values of alpha times {beta.size} of beta are more than {MOST_VALUES} load directions; "
+            "take larger steps"
+        )
     a, b = np.meshgrid(alpha, beta, indexing="ij")
     return a.ravel(), b.ravel()
 
@@ -63,12 +73,14 @@ def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
     columns = read_columns(path, ("alpha_deg", "beta_deg"))
     out = []
     for name in ("alpha_deg", "beta_deg"):
-        values = numeric_column(path, columns, name)
+        values = ranged_column(path, columns, name, MOST_DEGREES)
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise InputError(
-                f"{path}: line {bad[0] + 2}, column {name}: {columns[name][bad[0]]!r} is not a finite number"
+                f"{path}: line {bad[0] + 2}, column {name}: {shown(columns[name][bad[0]])} is not a finite number"
             )
+        if len(values) > MOST_VALUES:
+            raise InputError(f"{path}: has {len(values)} load directions, at most {MOST_VALUES} are allowed")
         out.append(values)
     return out[0], out[1]
 
@@ -84,7 +96,7 @@ def parse_window(text: str | None) -> tuple[float, float, float, float] | None:
     try:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"--window = {text!r}: write x0,y0,x1,y1 in mm") from None
+        raise InputError(f"--window = {shown(text)}: write x0,y0,x1,y1 in mm") from None
     if not (np.isfinite([x0, y0, x1, y1]).all() and x0 < x1 and y0 < y1):
-        raise InputError(f"--window = {text!r}: must be finite numbers with x0 < x1 and y0 < y1")
+        raise InputError(f"--window = {shown(text)}: must be finite numbers with x0 < x1 and y0 < y1")
     return x0, y0, x1, y1

@@ -20,6 +20,7 @@ from rve.explain import Work, motion_terms
 from rve.load import cauchy_line_load, green_lagrange, second_pk
 from rve.motion import locked_by_motion
 from rve.pairs import pairs_in_reach, unlisted_gap, widened
+from rve.rings import LEAST_MM, MOST_MM, STEEL_KG_PER_MM3, areal_mass, ring_volume
 from rve.stewart_trinkle import StewartTrinkleOptions
 from rve.symmetry import solve_equilibrium_symmetric
 from rve.system import Equations, mirror_modes
@@ -29,7 +30,6 @@ from rve.weave import FOUR_IN_ONE, Weave
 
 Array = NDArray[np.float64]
 
-STEEL_KG_PER_MM3 = 7.85e-6
 # Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache.
 BLOCK = 256
 
@@ -52,7 +52,7 @@ class Cell:
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{name} = {value}: must be a positive number")
         for name, value in (("r1", self.r1), ("r2", self.r2)):
-            if not 1e-9 <= value <= 1e9:  # their powers must stay numbers
+            if not LEAST_MM <= value <= MOST_MM:
                 raise InputError(f"{name} = {value}: must lie between 1e-9 and 1e9 mm")
         if self.grain not in ("x", "y"):
             raise InputError(f"grain = {self.grain!r}: must be x or y")
@@ -71,7 +71,7 @@ class Cell:
     @property
     def ring_mass(self) -> float:
         """Mass of one ring in kg."""
-        return float(self.density * 2.0 * np.pi**2 * self.r1 * self.r2**2)
+        return self.density * ring_volume(self.r1, self.r2)
 
 
 def locked(
@@ -217,7 +217,7 @@ def table_provenance(
     """What a table by the direct solver is made of: mesh, reference sides in mm, options, outcome, wall time in s."""
     statuses, counts = np.unique(status, return_counts=True)
     b_x, b_y = sides
-    rings_per_area = cell.weave.classes / (b_x * b_y * cell.weave.repeat[0] * cell.weave.repeat[1])
+    ring_area = b_x * b_y * cell.weave.repeat[0] * cell.weave.repeat[1] / cell.weave.classes
     return {
         "format": "ring-mesh strain-load table",
         "format_version": 1,
@@ -228,7 +228,7 @@ def table_provenance(
         "b_x_mm": b_x,
         "b_y_mm": b_y,
         "density_kg_per_mm3": cell.density,
-        "areal_mass_kg_per_m2": 1e6 * rings_per_area * cell.ring_mass,
+        "areal_mass_kg_per_m2": areal_mass(cell.r1, cell.r2, ring_area, cell.density),
         "method": "direct",
         "options": asdict(options) | {"force": list(options.force)},
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},

@@ -8,6 +8,7 @@ limit from inside the tensile cone). The file is a CSV with one header line, its
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from dataclasses import dataclass, field
@@ -20,6 +21,9 @@ from numpy.typing import NDArray
 from rve.errors import InputError
 from rve.files import write_text
 from rve.load import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
+from rve.reading import MOST_CSV_BYTES, read_json_object, read_text
+from rve.rings import check_rings
+from rve.values import shown, shown_key
 
 __all__ = [
     "COLUMNS",
@@ -54,6 +58,10 @@ COLUMNS = [
 ]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
+_MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
+_MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
+MOST_CELLS = 5_000_000
+"""Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
 
 
@@ -132,12 +140,17 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a CSV file of at most MOST_CELLS cells; blank lines are skipped."""
+    rows: list[list[str]] = []
+    cells = 0
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+        for row in csv.reader(io.StringIO(read_text(path, MOST_CSV_BYTES, "a CSV text file"), newline="")):
+            cells += len(row)
+            if cells > MOST_CELLS:
+                raise InputError(f"{path}: has more than {MOST_CELLS:,} cells, which is the most that is read")
+            if row:
+                rows.append(row)
+    except csv.Error as error:
         raise InputError(f"{path}: is not a CSV text file: {error}") from error
     if not rows:
         raise InputError(f"{path}: is empty; a table needs a header line and at least one row")
@@ -154,7 +167,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
         return float(text) if text.strip() else np.nan
     except ValueError:
-        raise InputError(f"{path}: line {line}, column {name}: {text!r} is not a number") from None
+        raise InputError(f"{path}: line {line}, column {name}: {shown(text)} is not a number") from None
 
 
 def read_columns(path: str | os.PathLike[str], required: tuple[str, ...]) -> dict[str, list[str]]:
@@ -163,7 +176,7 @@ def read_columns(path: str | os.PathLike[str], required: tuple[str, ...]) -> dic
     header, rows = _read_rows(path)
     for name in required:
         if name not in header:
-            raise InputError(f"{path}: column {name} is missing; it has {', '.join(header)}")
+            raise InputError(f"{path}: column {name} is missing; it has {', '.join(map(shown_key, header[:40]))}")
     if not rows:
         raise InputError(f"{path}: has no rows")
     return {name: [row[i] for row in rows] for i, name in enumerate(header)}
@@ -177,6 +190,16 @@ def numeric_column(path: str | os.PathLike[str], columns: dict[str, list[str]], 
     return np.array([_number(Path(path), line, name, text) for line, text in enumerate(columns[name], 2)])
 
 
+def ranged_column(path: str | os.PathLike[str], columns: dict[str, list[str]], name: str, most: float) -> Array:
+    """One column as numbers, nan for empty cells; InputError for infinite ones and those above `most` in size."""
+    values = numeric_column(path, columns, name)
+    bad = np.flatnonzero(np.isinf(values) | (np.abs(values) > most))
+    if len(bad):
+        wrong = "is not finite" if np.isinf(values[bad[0]]) else f"must be from {-most:g} to {most:g}"
+        raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(columns[name][bad[0]])} {wrong}")
+    return values
+
+
 def read_table(path: str | os.PathLike[str]) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
@@ -185,14 +208,16 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     columns = read_columns(path, _REQUIRED)
 
     def column(name: str) -> Array:
-        return numeric_column(path, columns, name)
+        return ranged_column(path, columns, name, _MOST.get(name, np.inf))
 
     status = np.array([text.strip() for text in columns["status"]])
     for name in _REQUIRED[:-1]:
         bad = np.flatnonzero((status == "converged") & ~np.isfinite(column(name)))
         if len(bad):
             text = columns[name][bad[0]]
-            raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {text!r} in a converged row is not finite")
+            raise InputError(
+                f"{path}: line {bad[0] + 2}, column {name}: {shown(text)} in a converged row is not finite"
+            )
     unique = column("unique")
     compliance = None
     if all(name in columns for name in COMPLIANCE_COLUMNS):
@@ -216,12 +241,9 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
 
 
 def _read_provenance(path: Path) -> dict[str, Any]:
+    """The sidecar as it is, {} if there is none; InputError for numbers of the rings out of their range."""
     if not path.exists():
         return {}
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: is not a readable JSON file: {error}") from error
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: must hold one JSON object, not a {type(found).__name__}")
+    found = read_json_object(path)
+    check_rings(found, f"{path}:")
     return found

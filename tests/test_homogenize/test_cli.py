@@ -104,11 +104,11 @@ def test_bad_input_is_one_sentence(arguments, words, tmp_path, monkeypatch):
         (lambda record: record | {"schema": 99}, ("schema = 99",)),
         (lambda record: record | {"units": {"strain": "%"}}, ("units",)),
         (lambda record: record | {"kind": "magic"}, ("kind = 'magic'",)),
-        (lambda record: {k: v for k, v in record.items() if k != "cell"}, ("'cell' is missing",)),
+        (lambda record: {k: v for k, v in record.items() if k != "cell"}, ("cell: is missing",)),
         (lambda record: record | {"parameters": {"S": [[1, 0, 0]], "h": [1]}}, ("stiffness_N_per_mm",)),
         (
             lambda record: record | {"parameters": record["parameters"] | {"h": [float("nan")] * 3}},
-            ("half-spaces are finite",),
+            ("parameters h = [nan, nan, nan]", "not a finite number"),
         ),
         (lambda record: [1, 2], ("one JSON object",)),
     ],

@@ -87,7 +87,7 @@ def test_missing_and_truncated_files(small, tmp_path):
     path = tmp_path / "table.csv"
     write_table(small, path)
     provenance_path(path).write_text('{"r1_mm": ')
-    with pytest.raises(InputError, match="not a readable JSON"):
+    with pytest.raises(InputError, match="is not JSON"):
         read_table(path)
 
 
