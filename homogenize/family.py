@@ -19,7 +19,7 @@ from homogenize.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedra
 from homogenize.protocol import Array, CellInfo, InputError
 from homogenize.report import Misfit, misfit_of, random_loads
 from rve.reading import read_json_object
-from rve.rings import check_rings, ring_volume
+from rve.rings import areal_mass, check_rings, ring_volume
 from rve.values import checked, list_of, mapping
 
 NEIGHBOURS = 3
@@ -56,7 +56,7 @@ class LawFamily:
         cells = [cell_of_member(self.members[k]) for k in near]
         sides = np.array([[cell.b_x_mm / cell.r1_mm, cell.b_y_mm / cell.r1_mm] for cell in cells])
         b_x, b_y = (float(side) for side in lagrange(self.ratio[near], x) @ sides * r1_mm)
-        mass = mass_per_volume(cells[0]) * ring_volume(r1_mm, r2_mm) / (b_x * b_y)
+        mass = areal_mass(r1_mm, r2_mm, b_x * b_y, mass_per_volume(cells[0]))
         return CellInfo(r1_mm, r2_mm, b_x, b_y, mass)
 
 

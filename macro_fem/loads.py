@@ -23,14 +23,18 @@ FACET_ELEMENTS = {
 }
 
 
+def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
+    """Areal mass in kg/m2 and where it comes from: "scene" (`areal_mass`), else "law"; InputError if neither knows."""
+    if scene.curtain.areal_mass is not None:
+        return scene.curtain.areal_mass, "scene"
+    if cell is None:
+        raise InputError(f"{scene.source}: [curtain] areal_mass: is missing, and the law has no rings to tell it")
+    return cell.areal_mass_kg_per_m2, "law"
+
+
 def weight_per_area(scene: Scene, cell: CellInfo | None) -> float:
-    """Weight in N/mm2 of the curtain's `areal_mass`, or of the law's rings; InputError if neither is known."""
-    mass = scene.curtain.areal_mass
-    if mass is None:
-        if cell is None:
-            raise InputError(f"{scene.source}: [curtain] areal_mass: is missing, and the law has no rings to tell it")
-        mass = cell.areal_mass_kg_per_m2
-    return mass * scene.load.gravity * PER_MM2
+    """Weight of the curtain in N/mm2; InputError if its areal mass is not known."""
+    return areal_mass(scene, cell)[0] * scene.load.gravity * PER_MM2
 
 
 def nodal_forces(

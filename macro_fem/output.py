@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.law import Array, InputError, write_text, write_whole
+from homogenize.law import Array, CellInfo, InputError, write_text, write_whole
 from macro_fem.assembly import cell_mean
+from macro_fem.loads import PER_MM2, areal_mass
 from macro_fem.solution import CurtainSolution
 
 if TYPE_CHECKING:
@@ -80,13 +81,28 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "pattern": problem.mesh.pattern,
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.hang,
-        "rings": None if problem.law.cell is None else asdict(problem.law.cell),
+        "rings": rings(problem.law.cell),
+        **masses(solution),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
         "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
         "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
         "wall_s": solution.wall_s,
         "versions": versions(),
     }
+
+
+def rings(cell: CellInfo | None) -> dict[str, float] | None:
+    """Radii and reference cell of the law, without its areal mass, which a scene may replace."""
+    if cell is None:
+        return None
+    return {key: value for key, value in asdict(cell).items() if key != "areal_mass_kg_per_m2"}
+
+
+def masses(solution: CurtainSolution) -> dict[str, Any]:
+    """The areal mass that weighs the curtain, whether scene or law told it, and the mass of the whole curtain."""
+    mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
+    total = mass * PER_MM2 * float(cell_area(solution).sum())
+    return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
 
 
 def relative_gap(solution: CurtainSolution) -> float:

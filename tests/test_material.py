@@ -1,0 +1,97 @@
+"""One material from the command line to the weight of the curtain: table, law, family, scene, summary."""
+
+import json
+import math
+
+import pytest
+from click.testing import CliRunner
+
+from homogenize.cli import main as homogenize
+from homogenize.io import load_law
+from macro_fem.cli import main as macro_fem
+from rve.cli import main as rve
+
+TITANIUM = 4506.0  # kg/m3
+B_X, B_Y = 11.0, 12.646069623526  # mm, r1 = 5, r2 = 0.5, DESIGN section 2
+AREAL_MASS = TITANIUM * 2.0 * (2.0 * math.pi**2 * 5.0 * 0.5**2) / (B_X * B_Y) * 1e-3  # kg/m2: two tori in a cell
+SCENE = """
+[curtain]
+width = 300.0
+height = 200.0
+{mass}
+[mesh]
+cells = 4
+[support]
+kind = "top"
+"""
+
+
+def run(command, *arguments):
+    result = CliRunner().invoke(command, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def titanium(tmp_path_factory):
+    """Folder with table and law of titanium rings, made by the commands."""
+    folder = tmp_path_factory.mktemp("titanium")
+    table = folder / "table.csv"
+    run(rve, "table", "--out", table, "--density", TITANIUM, "--alpha", "0:45:15", "--beta", "0:90:15")
+    run(homogenize, "fit", table, "--out", folder / "law.json")
+    return folder
+
+
+def summary_of(folder, law, mass=""):
+    scene = folder / "scene.toml"
+    scene.write_text(SCENE.format(mass=mass))
+    run(macro_fem, "run", scene, "--law", law, "--out", folder / "out", "--no-picture")
+    return json.loads((folder / "out" / "summary.json").read_text())
+
+
+def test_one_density_from_the_command_line_to_the_weight_of_the_curtain(titanium):
+    sidecar = json.loads((titanium / "table.json").read_text())
+    assert sidecar["density_kg_per_mm3"] == pytest.approx(4.506e-6, rel=1e-12)
+    assert sidecar["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
+    law = titanium / "law.json"
+    assert load_law(law).cell.areal_mass_kg_per_m2 == pytest.approx(AREAL_MASS, rel=1e-6)
+    summary = summary_of(titanium, law)
+    assert summary["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
+    assert summary["areal_mass_from"] == "law"
+    assert summary["mass_kg"] == pytest.approx(AREAL_MASS * 0.3 * 0.2, rel=1e-6)
+    assert summary["total_load_N"] == pytest.approx([0.0, -9.81 * AREAL_MASS * 0.06], rel=1e-6)
+    assert "areal_mass_kg_per_m2" not in summary["rings"]
+
+
+def test_the_areal_mass_of_the_scene_wins_and_the_summary_says_so(titanium):
+    summary = summary_of(titanium, titanium / "law.json", "areal_mass = 4.0")
+    assert (summary["areal_mass_kg_per_m2"], summary["areal_mass_from"]) == (4.0, "scene")
+    assert summary["mass_kg"] == pytest.approx(4.0 * 0.06, rel=1e-9)
+    assert summary["total_load_N"] == pytest.approx([0.0, -9.81 * 4.0 * 0.06], rel=1e-9)
+
+
+def test_a_family_keeps_its_material_and_refuses_two(titanium, tmp_path):
+    tables = []
+    for r1, density in ((4.0, TITANIUM), (5.0, TITANIUM), (6.0, TITANIUM), (6.0, 7850.0)):
+        tables.append(tmp_path / f"t{r1:g}_{density:g}.csv")
+        angles = ("--alpha", "0,45", "--beta", "0,45,90")
+        run(rve, "table", "--out", tables[-1], "--r1", r1, "--density", density, *angles)
+    run(homogenize, "family", *tables[:3], "--out", tmp_path / "family.json")
+    run(homogenize, "member", tmp_path / "family.json", "--r1", 5, "--r2", 0.5, "--out", tmp_path / "law.json")
+    assert load_law(tmp_path / "law.json").cell.areal_mass_kg_per_m2 == pytest.approx(AREAL_MASS, rel=1e-6)
+    mixed = CliRunner().invoke(homogenize, ["family", *map(str, (*tables[:2], tables[3])), "--out", str(tmp_path / "x")])
+    assert mixed.exit_code == 2
+    assert "one material" in mixed.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_one_case_says_what_its_rings_weigh():
+    found = json.loads(run(rve, "case", "--alpha", 0, "--beta", 90, "--density", TITANIUM))
+    assert found["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
+
+
+@pytest.mark.parametrize("density", ["7.85", "7.85e-6", "-7850", "nan", "inf"])
+def test_a_density_in_other_units_is_refused(density):
+    result = CliRunner().invoke(rve, ["case", "--alpha", "0", "--beta", "90", "--density", density])
+    assert result.exit_code == 2
+    assert "--density" in result.stderr
