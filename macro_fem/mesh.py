@@ -6,8 +6,6 @@ A mesh comes with its named boundary edges: "top", "bottom", "left", "right" of 
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +18,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from homogenize.law import Array, CellInfo, InputError
+from macro_fem.mesh_files import read_mesh_file
 from macro_fem.outline import distance_to_polygon, mesh_outline, regular_polygon
-from macro_fem.scene import Curtain, Mesh, Scene
+from macro_fem.scene import MOST_MM, Curtain, Mesh, Scene
+from rve.values import shown
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
@@ -186,29 +186,16 @@ def named_edges(mesh: Any, holes: list[Array], *, is_box: bool) -> dict[str, np.
 
 
 def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
-    """The plane mesh in a file meshio reads; InputError for cells that are inverted, doubled, flat or not plane."""
-    import meshio
-
-    path = source.parent / str(curtain.file)
-    where = f"{source}: [curtain] file = {curtain.file!r}:"
-    if not path.is_file():
-        raise InputError(f"{where} there is no such file")
-    said = io.StringIO()  # meshio prints a sentence of its own and exits
+    """The plane mesh in a file; InputError for cells that are inverted, doubled, flat or not plane."""
+    where = f"{source}: [curtain] file = {shown(curtain.file)}:"
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            data = meshio.read(path)
-    except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:
-        what = str(error) if str(error) not in ("", "1") else "it is not what its ending says"
-        raise InputError(f"{where} meshio cannot read it: {what}") from error
+        data = read_mesh_file(source.parent / str(curtain.file))
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
     kinds = [kind for kind in ("triangle", "quad") if len(data.cells_dict.get(kind, ()))]
     if len(kinds) != 1:
         raise InputError(f"{where} needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
     cells = np.asarray(data.cells_dict[kinds[0]], dtype=np.int64)
-    outside = np.flatnonzero((cells < 0).any(axis=1) | (cells >= len(data.points)).any(axis=1))
-    if len(outside):
-        raise InputError(
-            f"{where} cell {outside[0]} names a point that is not among the {len(data.points)} of the file"
-        )
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
     points = _plane_points(data.points[used], where)
@@ -240,6 +227,8 @@ def _check_sides(mesh: Any, where: str) -> None:
 def _plane_points(points: Array, where: str) -> Array:
     if not np.all(np.isfinite(points)):
         raise InputError(f"{where} point {int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])} is not finite")
+    if np.abs(points).max() > MOST_MM:
+        raise InputError(f"{where} a coordinate is {np.abs(points).max():g} mm, at most {MOST_MM:g} are allowed")
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
         raise InputError(f"{where} is not plane, z runs from {points[:, 2].min():g} to {points[:, 2].max():g}")
     return np.ascontiguousarray(points[:, :2], dtype=float)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import json
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
+from rve.reading import read_json_object
+from rve.rings import RING_CHECKS, check_rings
+from rve.values import checked, finite, shown
+from rve.vtu import read_vtu
 
 Array = NDArray[np.float64]
 
+HANG_DEG = finite(least=-360.0, most=360.0)
+MOST_NUMBER = 1e12
+"""Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
 _CELL_FIELDS = {
     "E": ("E_11_12_22", 3),
     "S": ("S_11_12_22_N_per_mm", 3),
@@ -45,25 +49,20 @@ class Curtain:
 
 def read_curtain(path: Path) -> Curtain:
     """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise."""
-    from meshio import ReadError, vtu
-
     if not path.is_file():
         raise InputError(f"{path}: {'is a folder, not a VTU' if path.is_dir() else 'there is no such file'}")
-    try:
-        data = vtu.read(path)  # meshio.read would print and exit
-    except (ReadError, OSError, ValueError, KeyError, IndexError, ParseError, zlib.error) as error:
-        if isinstance(error, ReadError) and not str(error):  # what is not XML, or ends early, comes without words
-            raise InputError(f"{path}: is not a VTU, or not all of one") from error
-        raise InputError(f"{path}: cannot be read as VTU: {_first_line(error)}") from error
-    kinds = [block.type for block in data.cells if len(block.data)]
+    data = read_vtu(path)
+    kinds = [*data.cells, *data.other]
     if kinds not in (["triangle"], ["quad"]):
         raise InputError(f"{path}: needs cells of one kind, triangle or quad, it has {kinds}")
-    cells = np.asarray(data.cells[0].data, dtype=np.intp)
+    cells = data.cells[kinds[0]]
     reference = _field(path, data.point_data, "reference_mm", 3, len(data.points))
     fields = {key: _field(path, data.cell_data, *names, len(cells)) for key, names in _CELL_FIELDS.items()}
     at, X = np.asarray(data.points, dtype=float), reference[:, :2]
     if not np.isfinite(at).all():
         raise InputError(f"{path}: a point is not finite")
+    if np.abs(at).max() > MOST_NUMBER:
+        raise InputError(f"{path}: a coordinate is {np.abs(at).max():g} mm, at most {MOST_NUMBER:g} is allowed")
     if np.abs(at[:, 2:]).max(initial=0.0) > 1e-9 * np.abs(at).max():
         raise InputError(f"{path}: is not plane, z reaches {np.abs(at[:, 2]).max():g} mm")
     triangles, owner = cells, np.arange(len(cells))
@@ -75,19 +74,17 @@ def read_curtain(path: Path) -> Curtain:
     return Curtain(X, at[:, :2], triangles, owner, fields["E"], S, fields["line_load"], state)
 
 
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
-
-
 def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) -> Array:
     """The field as (count, width), or (count,) for width 1."""
     if name not in data:
         raise InputError(f"{path}: has no field {name}; is it the curtain.vtu of macro_fem run?")
-    found = np.asarray(data[name][0] if isinstance(data[name], list) else data[name], dtype=float)
+    found = np.asarray(data[name], dtype=float)
     if found.size != count * width:
         raise InputError(f"{path}: field {name} has {found.size} numbers, not {count} times {width}")
     if not np.isfinite(found).all():
         raise InputError(f"{path}: field {name} holds a number that is not finite")
+    if np.abs(found).max() > MOST_NUMBER:
+        raise InputError(f"{path}: field {name} reaches {np.abs(found).max():g}, at most {MOST_NUMBER:g} is allowed")
     return found.reshape((count, width) if width > 1 else count)
 
 
@@ -134,26 +131,13 @@ class WeaveOfCurtain:
     solved: str
 
 
-def _number(source: Path | str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(f"{source}: {key} = {value!r}: is not a finite number")
-    return float(value)
-
-
 def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
     """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows."""
     path = vtu.parent / "summary.json"
-    known: dict[str, Any] = {}
-    if path.is_file():
-        try:
-            known = json.loads(path.read_text(encoding="utf-8"))
-        except (ValueError, OSError) as error:
-            raise InputError(f"{path}: cannot be read as JSON: {_first_line(error)}") from error
-        if not isinstance(known, dict):
-            raise InputError(f"{path}: is not a table of names and values")
+    known = read_json_object(path) if path.is_file() else {}
     rings = known.get("rings") or {}
     if not isinstance(rings, dict):
-        raise InputError(f"{path}: rings = {rings!r}: is not a table of names and values")
+        raise InputError(f"{path}: rings = {shown(rings)}: is not a table of names and values")
     asked = (("--r1", r1, "r1_mm", rings), ("--r2", r2, "r2_mm", rings), ("--hang", hang_deg, "hang_deg", known))
     missing = [(option, key) for option, given, key, table in asked if given is None and table.get(key) is None]
     if missing:
@@ -162,8 +146,12 @@ def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | 
         raise InputError(f"{path}: {says} {keys}; give {options}")
     values = {}
     for option, given, key, table in asked:
-        values[key] = _number(path, key, table[key]) if given is None else _number(option, key, given)
+        check = HANG_DEG if key == "hang_deg" else RING_CHECKS[key]
+        values[key] = (
+            checked(table, key, check, f"{path}:") if given is None else checked({option: given}, option, check, "")
+        )
     is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
-    sides = (_number(path, "b_x_mm", rings["b_x_mm"]), _number(path, "b_y_mm", rings["b_y_mm"])) if is_own else None
+    own = check_rings(rings, f"{path}: rings") if is_own else {}
+    sides = (own["b_x_mm"], own["b_y_mm"]) if is_own else None
     solved = str(known.get("status", "unknown"))
     return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides, solved)

@@ -18,7 +18,7 @@ from rve.values import shown, shown_key
 MOST_JSON_BYTES = 32_000_000
 MOST_TOML_BYTES = 1_000_000
 MOST_CSV_BYTES = 200_000_000
-MOST_MESH_BYTES = 1_000_000_000
+MOST_MESH_BYTES = 500_000_000
 
 
 def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:

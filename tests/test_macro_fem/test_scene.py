@@ -310,7 +310,7 @@ def test_bad_mesh_files_are_explained(tmp_path, cells, words):
             [[0, 1, 2], [0, 2, 3], [1, 5, 4], [4, 5, 2]],
             r"\(2, 1\) lies",
         ),
-        ([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 9]], "cell 1 names a point"),
+        ([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 9]], "triangle 1 names a point"),
     ],
 )
 def test_cells_that_do_not_fit_together_are_explained(tmp_path, points, cells, words):
@@ -336,7 +336,7 @@ def test_points_that_no_cell_uses_do_not_matter(tmp_path):
 def test_what_is_no_mesh_is_refused_in_one_line(tmp_path, capfd):
     (tmp_path / "mesh.vtu").write_text("hello")
     tables = {"curtain": {"shape": "file", "file": "mesh.vtu", "areal_mass": 1.0}, "support": {"kind": "top"}}
-    with pytest.raises(InputError, match=r"mesh\.vtu.* meshio cannot read it"):
+    with pytest.raises(InputError, match=r"mesh\.vtu.* cannot be read as VTU: it is not XML"):
         build_mesh(read_scene(tables, tmp_path / "scene.toml"), None)
     assert capfd.readouterr() == ("", "")
 

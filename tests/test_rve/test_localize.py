@@ -393,7 +393,7 @@ def test_bad_files_end_in_one_sentence(hung, tmp_path):
     out = tmp_path / "rings"
     assert_one_sentence(run(tmp_path / "none.vtu", "--out", out), "none.vtu")
     (tmp_path / "words.vtu").write_text("no curtain")
-    assert_one_sentence(run(tmp_path / "words.vtu", "--out", out), "words.vtu: is not a VTU, or not all of one")
+    assert_one_sentence(run(tmp_path / "words.vtu", "--out", out), "words.vtu: cannot be read as VTU: it is not XML")
     assert_one_sentence(run(tmp_path, "--out", out), "is a folder")
     half = (hung / "curtain.vtu").read_bytes()
     (tmp_path / "half.vtu").write_bytes(half[: len(half) // 2])
@@ -421,7 +421,7 @@ def test_the_summary_beside_the_curtain(hung, tmp_path):
     assert result.exit_code == 0, result.output
     for text, words in (
         ("{", "JSON"),
-        ("[1]", "table"),
+        ("[1]", "one JSON object"),
         ('{"rings": 3}', "rings"),
         ('{"rings": {"r1_mm": 5}}', "does not tell r2_mm, hang_deg; give --r2, --hang"),
         ('{"hang_deg": 0, "rings": {"r1_mm": "a", "r2_mm": 0.5}}', "r1_mm = 'a'"),
