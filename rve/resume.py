@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import os
 import zipfile
 from concurrent.futures import ProcessPoolExecutor
@@ -21,15 +22,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.cell import Pose, joined_contacts
+from rve.cell import SLOTS, Pose, joined_contacts
 from rve.errors import InputError
 from rve.files import atomic_path
+from rve.reading import read_bytes
 from rve.stewart_trinkle import Motion, Progress, Settled, StewartTrinkleOptions, begin, continued, finder_of, settled
 from rve.system import Equations
 from rve.weave import Weave
 
 Array = NDArray[np.float64]
 
+MOST_CHECKPOINT_BYTES = 200_000_000
+"""A block of 48 load cases has 0.1 MB."""
+MOST_NUMBER = 1e12
 _PLAIN = ("row", "s", "v", "h", "time", "steps", "rejected", "R")
 _POSE = ("lattice", "centres", "normals")
 
@@ -70,30 +75,90 @@ def save(path: Path, progress: Progress, key: str) -> None:
         temporary.write_bytes(buffer.getvalue())
 
 
-def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: str) -> Progress:
-    """Read what `save` has written.
+def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: str, count: int) -> Progress:
+    """Read what `save` has written of `count` load cases.
 
-    Raises InputError when the file cannot be read or belongs to other loads, radii or options.
+    Raises InputError when the file cannot be read, is damaged, or belongs to other loads, radii or options.
     """
-    try:
-        content = path.read_bytes()
-        if not zipfile.is_zipfile(io.BytesIO(content)):  # numpy leaves a half-open archive behind
-            raise ValueError("not an npz archive")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = dict(file)
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: is not a checkpoint of a sweep: {error}; delete it to start anew") from error
-    if str(arrays.get("key")) != key:
-        raise InputError(f"{path}: belongs to other loads, radii or options; delete it or choose another folder")
+    arrays = _arrays(path, key)
     groups: dict[str, dict[str, Any]] = {"going": {}, "gone": {}}
     for name, value in arrays.items():
         group, _, column = name.partition("_")
         if group in groups:
             groups[group][column] = value
+    try:
+        _check_columns(groups, arrays.get("forces"), equations, count)
+    except ValueError as error:
+        raise InputError(_damaged(path, error)) from error
     going = _motion(groups["going"], equations, options)
     if not groups["gone"]:
         return Progress(going)
     return Progress(going, (_motion(groups["gone"], equations, options),), (arrays["forces"],))
+
+
+def _damaged(path: Path, error: object) -> str:
+    return f"{path}: is not a checkpoint of a sweep: {error}; delete it to start anew"
+
+
+def _arrays(path: Path, key: str) -> dict[str, NDArray[Any]]:
+    """Arrays by name of a stored npz file: none is larger than the file, and together they are not."""
+    content = read_bytes(path, MOST_CHECKPOINT_BYTES)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = archive.infolist()
+            is_stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+            if not is_stored or sum(member.file_size for member in members) > len(content):
+                raise ValueError("it holds more than its own bytes")
+            arrays = {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
+    except Exception as error:  # zipfile and the header of an array raise a dozen kinds, each for a damaged file
+        raise InputError(_damaged(path, (str(error).splitlines() or [type(error).__name__])[0])) from error
+    if str(arrays.get("key")) != key:
+        raise InputError(f"{path}: belongs to other loads, radii or options; delete it or choose another folder")
+    return arrays
+
+
+def _array(content: bytes) -> NDArray[Any]:
+    """One npy file; ValueError unless its header states as many bytes as follow."""
+    file = io.BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):
+        raise ValueError(f"npy version {version} is not read")
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    left = len(content) - file.tell()
+    if dtype.kind not in "fiU" or is_fortran or min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != left:
+        raise ValueError(f"an array of shape {shape} and type {dtype} does not fill its {left} bytes")
+    return np.frombuffer(content[file.tell() :], dtype).reshape(shape).copy()
+
+
+def _check_columns(
+    groups: dict[str, dict[str, NDArray[Any]]], forces: NDArray[Any] | None, equations: Equations, count: int
+) -> None:
+    """ValueError unless every column has its shape and finite numbers, and each of the `count` cases is there once."""
+    classes, pairs = equations.weave.classes, len(equations.weave.pairs)
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_PLAIN, ())
+    shapes |= {"s": (3,), "v": (len(equations.mass),)}
+    shapes |= {"lattice": (3,), "centres": (classes, 2), "normals": (classes, 3)}
+    rows = [columns["row"] for columns in groups.values() if "row" in columns]
+    if sorted(np.concatenate([np.zeros(0), *map(np.ravel, rows)]).tolist()) != list(range(count)):
+        raise ValueError(f"its rows are not those of {count} load cases")
+    for columns in filter(None, groups.values()):
+        size = columns["row"].size if "row" in columns else 0
+        for name, shape in shapes.items():
+            _check_array(name, columns.get(name), (size, *shape))
+        length = np.linalg.norm(columns["normals"], axis=-1)
+        if np.abs(length - 1.0).max(initial=0.0) > 1e-6:
+            raise ValueError("a normal is not of length 1")
+    if groups["gone"]:
+        _check_array("forces", forces, (groups["gone"]["row"].size, pairs, SLOTS))
+
+
+def _check_array(name: str, value: NDArray[Any] | None, shape: tuple[int, ...]) -> None:
+    kind = "i" if name in ("row", "steps", "rejected") else "f"
+    if value is None or value.shape != shape or value.dtype.kind != kind:
+        raise ValueError(f"{name} is not an array of shape {shape}")
+    wrong = np.isnan(value) if name == "R" else ~(np.abs(value) <= MOST_NUMBER)  # R is infinite before the first step
+    if wrong.any():
+        raise ValueError(f"{name} holds a number that is not finite, or beyond {MOST_NUMBER:g}")
 
 
 def _key(s: Array, wire: float, weave: Weave, options: StewartTrinkleOptions) -> str:
@@ -107,7 +172,7 @@ def _solved_block(
 ) -> Progress:
     equations, key = Equations.of(weave, wire), _key(s, wire, weave, options)
     known = path is not None and path.exists()
-    progress = load(path, equations, options, key) if path and known else begin(s, equations, options)
+    progress = load(path, equations, options, key, len(s)) if path and known else begin(s, equations, options)
     while len(progress.going.row):
         progress = continued(progress, equations, options, save_every)
         if path is not None:
