@@ -41,10 +41,10 @@ def read_mesh_file(path: Path) -> Any:
 
 
 def _from_vtu(file: VtuFile) -> Any:
+    """Cells of other kinds than vertices, lines, triangles and quads are left out."""
     import meshio
 
-    others = [(kind, np.zeros((count, 1), np.int64)) for kind, count in file.other.items()]
-    return meshio.Mesh(file.points, [*file.cells.items(), *others], point_data=file.point_data)
+    return meshio.Mesh(file.points, list(file.cells.items()), point_data=file.point_data)
 
 
 def _from_gmsh(file: GmshFile) -> Any:

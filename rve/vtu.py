@@ -74,7 +74,7 @@ def read_vtu(path: Path) -> VtuFile:
         source = _source(content)
         return _grid(source)
     except KeyError as error:
-        raise InputError(f"{path}: cannot be read as VTU: {error} is missing") from error
+        raise InputError(f"{path}: cannot be read as VTU: {shown(error.args[0])} is missing or not known") from error
     except MemoryError as error:
         raise InputError(f"{path}: cannot be read as VTU: it does not fit into memory") from error
     except ElementTree.ParseError as error:

@@ -1,0 +1,347 @@
+"""Every reader with valid files for it: what the fuzz tests mutate.
+
+A target writes its valid files into a folder and reads them again; `mutate` makes one wrong file of a valid one.
+"""
+
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+
+import meshio
+import numpy as np
+
+from homogenize.family import family_of, load_family, save_family
+from homogenize.io import load_law, save_law
+from homogenize.net import ring_cell, ring_net
+from homogenize.polyhedral import polyhedral_law
+from homogenize.smooth import smooth_law
+from macro_fem.mesh import build_mesh
+from macro_fem.scene import load_scene, read_scene
+from rve.curtain_state import read_curtain, read_weave
+from rve.load import cauchy_line_load
+from rve.ranges import parse_angles, parse_window, read_loads
+from rve.resume import SweepOptions, load, sweep
+from rve.stewart_trinkle import StewartTrinkleOptions
+from rve.sweep import solve_table
+from rve.system import Equations
+from rve.table import read_table, write_table
+from rve.weave import FOUR_IN_ONE
+from tests.fuzz.mutation import NUMBERS, mutated_bytes, mutated_json
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Target:
+    """`make(folder)` writes valid files; `read(folder)` reads them; `mutate(name, content, random)` spoils one."""
+
+    make: Callable[[Path], object]
+    read: Callable[[Path], object]
+    mutate: Callable[[str, bytes, Random], bytes] = lambda name, content, random: (
+        mutated_json(content, random) if name.endswith(".json") else mutated_bytes(content, random)
+    )
+
+
+def law(r2=0.5, mass=None):
+    """A law of 17 half-spaces: an ellipsoid's."""
+    angle = 0.25 * np.pi * np.arange(8)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    p = np.vstack([np.zeros((1, 2)), 0.5 * ring, ring])
+    S = np.stack([0.5 * (1 + p[:, 0]), 0.5 * p[:, 1], 0.5 * (1 - p[:, 0])], axis=1)
+    h = 0.05 * (S[:, 0] - S[:, 2]) + np.sqrt(0.1 * S[:, 0] ** 2 + 0.02 * S[:, 1] ** 2 + 0.08 * S[:, 2] ** 2) - r2 / 10
+    cell = ring_cell(5.0, r2, 2.0 * (5.0 + r2), 12.6 + r2)
+    return polyhedral_law(S, h, None, cell)
+
+
+def make_table(folder):
+    table = solve_table([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0])
+    write_table(table, folder / "table.csv")
+
+
+def make_checkpoint(folder):
+    s = cauchy_line_load(np.array([0.0, 20.0, 10.0]), np.array([90.0, 30.0, 45.0]))
+    sweep(s, FOUR_IN_ONE, 0.1, QUICK, SweepOptions(folder=folder, block=5))
+
+
+QUICK = StewartTrinkleOptions(max_steps=3)
+
+
+def read_checkpoint(folder):
+    path = folder / "block-0000.npz"
+    with zipfile.ZipFile(FIRST_CHECKPOINT["bytes"]) as archive:
+        key = str(np.lib.format.read_array(io.BytesIO(archive.read("key.npy"))))
+    return load(path, Equations.of(FOUR_IN_ONE, 0.1), QUICK, key, 3)
+
+
+FIRST_CHECKPOINT: dict[str, io.BytesIO] = {}
+
+
+def mutate_checkpoint(name, content, random):
+    """Bytes of the archive, or one array of it in its place with a sound checksum."""
+    FIRST_CHECKPOINT.setdefault("bytes", io.BytesIO(content))
+    if random.random() < 0.3:
+        return mutated_bytes(content, random)
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = {one: archive.read(one) for one in archive.namelist()}
+    one = random.choice([member for member in members if member != "key.npy"])
+    kind = random.randrange(6)
+    if kind == 0:
+        del members[one]
+    elif kind == 1:
+        members[one] = mutated_bytes(members[one], random)
+    else:
+        array = np.load(io.BytesIO(members[one]))
+        flat = array.ravel().copy()
+        if kind == 2 and flat.size:
+            flat[random.randrange(flat.size)] = random.choice((0, -1, 7, 2**31))
+        elif kind == 3 and flat.size and array.dtype.kind == "f":
+            flat[random.randrange(flat.size)] = random.choice((np.nan, np.inf, 1e300, -1e300, 1e-300))
+        elif kind == 4:
+            flat = flat[: random.randrange(flat.size + 1)]
+        array = flat.reshape(array.shape) if flat.size == array.size else flat
+        if kind == 5:
+            array = array.astype(random.choice(("f4", "i8", "U5", "c16", "?")))
+        buffer = io.BytesIO()
+        np.save(buffer, array)
+        members[one] = buffer.getvalue()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+        for member, data in members.items():
+            archive.writestr(member, data)
+    return buffer.getvalue()
+
+
+SCENE = """
+[curtain]
+shape = "outline"
+outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
+holes = [[[40, 30], [60, 30], [60, 50], [40, 50]]]
+areal_mass = 1.0
+hang = 12.5
+[mesh]
+cells = 14
+[[support]]
+kind = "hooks"
+pitch = 20.0
+[[support]]
+kind = "point"
+at = [0.0, 60.0]
+held = "x"
+move = [1.0, 0.0]
+[load]
+gravity = 9.81
+steps = 2
+edge = {edge = "bottom", force = [0.001, 0.0]}
+[[load.patch]]
+at = [50, 80]
+radius = 20
+force = [1, 2]
+[solver]
+kind = "rigid"
+tolerance = 1e-8
+force = ["ties"]
+"""
+
+
+def make_scenes(folder):
+    (folder / "outline.toml").write_text(SCENE)
+    for path in (ROOT / "examples").glob("*.toml"):
+        (folder / path.name).write_bytes(path.read_bytes())
+
+
+def read_scenes(folder):
+    for path in folder.glob("*.toml"):
+        load_scene(path)
+
+
+def square(kind):
+    """Points and cells of a square of 3 x 3 quadrilaterals or 18 triangles, its top edge as lines."""
+    x, y = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
+    points = np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=1)
+    number = np.arange(16).reshape(4, 4)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=2).reshape(-1, 4)
+    cells = quads if kind == "quad" else np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return points, cells, np.stack([number[:-1, 3], number[1:, 3]], axis=1)
+
+
+def make_msh_22(folder, binary):
+    points, cells, lines = square("triangle")
+    groups = [np.full(len(lines), 7), np.full(len(cells), 8)]
+    mesh = meshio.Mesh(
+        points,
+        [("line", lines), ("triangle", cells)],
+        cell_data={"gmsh:physical": groups, "gmsh:geometrical": groups},
+        field_data={"upper": np.array([7, 1]), "sheet": np.array([8, 2])},
+    )
+    meshio.write(folder / "mesh.msh", mesh, file_format="gmsh22", binary=binary)
+
+
+MSH_41 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+1 7 "upper"
+2 8 "sheet"
+$EndPhysicalNames
+$Entities
+0 1 1 0
+1 0 3 0 3 3 0 1 7 0
+1 0 0 0 3 3 0 1 8 1 1
+$EndEntities
+$Nodes
+2 16 1 16
+1 1 0 4
+4
+8
+12
+16
+0 3 0
+1 3 0
+2 3 0
+3 3 0
+2 1 0 12
+{tags}
+{points}
+$EndNodes
+$Elements
+2 21 1 21
+1 1 1 3
+1 4 8
+2 8 12
+3 12 16
+2 1 2 18
+{cells}
+$EndElements
+"""
+
+
+def msh_41():
+    """A Gmsh 4.1 file in text, with entities, sparse order of nodes and physical groups."""
+    points, cells, _ = square("triangle")
+    rest = [i for i in range(16) if i % 4 != 3]
+    return MSH_41.format(
+        tags="\n".join(str(i + 1) for i in rest),
+        points="\n".join(" ".join(f"{x:g}" for x in points[i]) for i in rest),
+        cells="\n".join(f"{k + 4} {a + 1} {b + 1} {c + 1}" for k, (a, b, c) in enumerate(cells.tolist())),
+    )
+
+
+def make_msh_41_binary(folder):
+    points, cells, _ = square("triangle")
+    entity = np.tile([2, 1], (len(points), 1))
+    mesh = meshio.Mesh(points, [("triangle", cells)], point_data={"gmsh:dim_tags": entity})
+    mesh.cell_data |= {name: [np.ones(len(cells), int)] for name in ("gmsh:physical", "gmsh:geometrical")}
+    meshio.write(folder / "mesh.msh", mesh, file_format="gmsh", binary=True)
+
+
+def make_vtu(folder, kind="triangle", **how):
+    points, cells, _ = square(kind)
+    meshio.vtu.write(folder / "mesh.vtu", meshio.Mesh(points, [(kind, cells)]), **how)
+
+
+def make_raw_vtu(folder):
+    """Appended raw data, as ParaView writes it."""
+    points, cells, _ = square("quad")
+    arrays = [points.ravel(), cells.ravel(), 4 * np.arange(1, 10), np.full(9, 9)]
+    types = ("<f8", "<i8", "<i8", "u1")
+    blocks, offsets, place = [], [], 0
+    for array, dtype in zip(arrays, types, strict=True):
+        data = array.astype(dtype).tobytes()
+        blocks.append(np.array([len(data)], "<u8").tobytes() + data)
+        offsets.append(place)
+        place += len(blocks[-1])
+    head = f"""<?xml version="1.0"?>
+<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">
+<UnstructuredGrid><Piece NumberOfPoints="16" NumberOfCells="9">
+<Points>
+<DataArray type="Float64" Name="Points" NumberOfComponents="3" format="appended" offset="{offsets[0]}"/></Points>
+<Cells><DataArray type="Int64" Name="connectivity" format="appended" offset="{offsets[1]}"/>
+<DataArray type="Int64" Name="offsets" format="appended" offset="{offsets[2]}"/>
+<DataArray type="UInt8" Name="types" format="appended" offset="{offsets[3]}"/></Cells>
+</Piece></UnstructuredGrid><AppendedData encoding="raw">_"""
+    (folder / "mesh.vtu").write_bytes(head.encode() + b"".join(blocks) + b"\n</AppendedData></VTKFile>\n")
+
+
+def read_mesh_of(name):
+    tables = {"curtain": {"shape": "file", "file": name}, "support": {"kind": "top"}}
+    return lambda folder: build_mesh(read_scene(tables, folder / "scene.toml"), None)
+
+
+def make_curtain(folder, binary):
+    points, cells, _ = square("triangle")
+    n = len(cells)
+    fields = {"E_11_12_22": np.full((n, 3), 0.1), "S_11_12_22_N_per_mm": np.tile([1.0, 0.1, 0.5], (n, 1))}
+    fields |= {"line_load_1_N_per_mm": np.ones(n), "state_0_slack_1_wrinkled_2_taut": np.full(n, 2.0)}
+    moved = points * [1.1, 0.9, 1.0]
+    mesh = meshio.Mesh(
+        moved,
+        [("triangle", cells)],
+        point_data={"displacement_mm": moved - points, "reference_mm": points},
+        cell_data={name: [values] for name, values in fields.items()},
+    )
+    meshio.vtu.write(folder / "curtain.vtu", mesh, binary=binary)
+    rings = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
+    (folder / "summary.json").write_text(json.dumps({"status": "converged", "hang_deg": 0.0, "rings": rings}))
+
+
+def read_curtain_files(folder):
+    read_curtain(folder / "curtain.vtu")
+    read_weave(folder / "curtain.vtu", None, None, None)
+
+
+def read_directions(folder):
+    """The options --alpha, --loads' rival, and --window, from a text."""
+    text = (folder / "options.txt").read_bytes().decode("utf-8", "surrogateescape")
+    first, _, second = text.partition(" ")
+    parse_angles(first, "--alpha")
+    parse_window(second)
+
+
+def mutate_directions(name, content, random):
+    parts = [random.choice([*NUMBERS, "45", "5", "0.5", "80"])[:40] for _ in range(random.randrange(1, 9))]
+    return "".join(part + random.choice((":", ",", " ", ":")) for part in parts)[:-1].encode()
+
+
+TARGETS = {
+    "table": Target(make_table, lambda folder: read_table(folder / "table.csv")),
+    "law-polyhedral": Target(
+        lambda folder: save_law(law(), folder / "law.json"), lambda folder: load_law(folder / "law.json")
+    ),
+    "law-net": Target(
+        lambda folder: save_law(ring_net(law().cell), folder / "law.json"),
+        lambda folder: load_law(folder / "law.json"),
+    ),
+    "law-smooth": Target(
+        lambda folder: save_law(smooth_law(np.zeros((3, 8)), None, law().cell), folder / "law.json"),
+        lambda folder: load_law(folder / "law.json"),
+    ),
+    "family": Target(
+        lambda folder: save_family(family_of([law(r2) for r2 in (0.3, 0.4, 0.5)]), folder / "family.json"),
+        lambda folder: load_family(folder / "family.json"),
+    ),
+    "checkpoint": Target(make_checkpoint, read_checkpoint, mutate_checkpoint),
+    "scene": Target(make_scenes, read_scenes),
+    "loads": Target(
+        lambda folder: (folder / "loads.csv").write_text("beta_deg,alpha_deg,note\n30,20,x\n60,-5,y\n"),
+        lambda folder: read_loads(folder / "loads.csv"),
+    ),
+    "directions": Target(
+        lambda folder: (folder / "options.txt").write_text("0:45:5 0,0,50,80.5"), read_directions, mutate_directions
+    ),
+    "msh-2.2-text": Target(lambda folder: make_msh_22(folder, False), read_mesh_of("mesh.msh")),
+    "msh-2.2-binary": Target(lambda folder: make_msh_22(folder, True), read_mesh_of("mesh.msh")),
+    "msh-4.1-text": Target(lambda folder: (folder / "mesh.msh").write_text(msh_41()), read_mesh_of("mesh.msh")),
+    "msh-4.1-binary": Target(make_msh_41_binary, read_mesh_of("mesh.msh")),
+    "vtu-text": Target(lambda folder: make_vtu(folder, binary=False), read_mesh_of("mesh.vtu")),
+    "vtu-zlib": Target(lambda folder: make_vtu(folder, "quad", compression="zlib"), read_mesh_of("mesh.vtu")),
+    "vtu-lzma": Target(lambda folder: make_vtu(folder, compression="lzma"), read_mesh_of("mesh.vtu")),
+    "vtu-plain": Target(lambda folder: make_vtu(folder, compression=None), read_mesh_of("mesh.vtu")),
+    "vtu-raw": Target(make_raw_vtu, read_mesh_of("mesh.vtu")),
+    "curtain-text": Target(lambda folder: make_curtain(folder, False), read_curtain_files),
+    "curtain-zlib": Target(lambda folder: make_curtain(folder, True), read_curtain_files),
+}
