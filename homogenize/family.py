@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.files import write_text
 from homogenize.io import UNITS
 from homogenize.net import ring_cell
 from homogenize.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedral_law
 from homogenize.protocol import Array, CellInfo, InputError
 from homogenize.report import Misfit, misfit_of, random_loads
+from rve.files import write_text
 
 SCHEMA = 1
 NEIGHBOURS = 3

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from homogenize.files import write_text
 from homogenize.net import net_from_dict
 from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
 from homogenize.smooth import smooth_from_dict
+from rve.files import write_text
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}

@@ -12,11 +12,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.errors import InputError
+
 Array = NDArray[np.float64]
-
-
-class InputError(ValueError):
-    """Something the user gave cannot be used; the message is one sentence that names file, key and value."""
 
 
 def check_finite(values: Array, what: str = "strains") -> None:

@@ -13,8 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
+from rve.jobs import check_belongs
 
 Array = NDArray[np.float64]
+
+CURTAIN_RECORD = "summary.json"
+"""The file that stands for a curtain's job; it lists the others by their checksums."""
 
 _CELL_FIELDS = {
     "E": ("E_11_12_22", 3),
@@ -141,8 +145,9 @@ def _number(source: Path | str, key: str, value: Any) -> float:
 
 
 def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
-    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows."""
-    path = vtu.parent / "summary.json"
+    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows, or
+    the summary is that of another VTU."""
+    path = vtu.parent / CURTAIN_RECORD
     known: dict[str, Any] = {}
     if path.is_file():
         try:
@@ -151,6 +156,7 @@ def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | 
             raise InputError(f"{path}: cannot be read as JSON: {_first_line(error)}") from error
         if not isinstance(known, dict):
             raise InputError(f"{path}: is not a table of names and values")
+        check_belongs(vtu, path, known, "run macro_fem again, or put the two files of one run side by side")
     rings = known.get("rings") or {}
     if not isinstance(rings, dict):
         raise InputError(f"{path}: rings = {rings!r}: is not a table of names and values")
