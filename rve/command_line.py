@@ -89,7 +89,7 @@ def ending(error: BaseException) -> tuple[int, str]:
     if isinstance(error, MemoryError):
         return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
     kind = type(error).__name__
-    return 1, f"unforeseen {kind}: {error or 'no message'}; please report it with what --traceback prints"
+    return 1, f"unforeseen {kind}: {str(error) or 'no message'}; please report it with what --traceback prints"
 
 
 _REMEDY = "files that were there before are unchanged"

@@ -40,8 +40,8 @@ from typing import Any
 from rve.errors import InputError
 from rve.files import AnyPath, check_out_folder, check_replaceable, checksum, write_text
 
-PLAN = ".plan.json"
-"""Inside the hidden folder: which files to remove and which to place, in this order."""
+FILES, PLAN = "files", "plan.json"
+"""Inside the hidden folder: the files of the job, and which names to remove and which to place, in this order."""
 STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -63,7 +63,8 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
                 _remove_leftovers(out, record)
                 staged = Path(tempfile.mkdtemp(prefix=f".{_tag(record)}-", suffix=".new", dir=out))
                 stack.enter_context(_locked(staged))
-            yield staged
+            (staged / FILES).mkdir()
+            yield staged / FILES
             for name in _names(staged):
                 check_replaceable(out / name, "--out", inputs)
             _publish(staged, out, record, clears=clears)
@@ -151,8 +152,8 @@ def _remove_leftovers(out: Path, record: str) -> None:
 
 
 def _names(staged: Path) -> list[str]:
-    found = (path for path in sorted(staged.rglob("*")) if path.is_file() and path.name != PLAN)
-    return [path.relative_to(staged).as_posix() for path in found]
+    files = staged / FILES
+    return [path.relative_to(files).as_posix() for path in sorted(files.rglob("*")) if path.is_file()]
 
 
 def _publish(staged: Path, out: Path, record: str, *, clears: bool) -> None:
@@ -160,7 +161,7 @@ def _publish(staged: Path, out: Path, record: str, *, clears: bool) -> None:
     names = _names(staged)
     if record in names:
         names.remove(record)
-        _sign(staged, record, names)
+        _sign(staged / FILES, record, names)
         names.append(record)
     with _locked(out), _uninterrupted():
         _place(out, record)
@@ -173,10 +174,10 @@ def _publish(staged: Path, out: Path, record: str, *, clears: bool) -> None:
         _place(out, record)
 
 
-def _sign(staged: Path, record: str, names: list[str]) -> None:
+def _sign(folder: Path, record: str, names: list[str]) -> None:
     """Add the checksums of the other files to the record."""
-    path = staged / record
-    content = json.loads(path.read_text(encoding="utf-8")) | {"files": {n: checksum(staged / n) for n in names}}
+    path = folder / record
+    content = json.loads(path.read_text(encoding="utf-8")) | {"files": {n: checksum(folder / n) for n in names}}
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
@@ -208,12 +209,12 @@ def _place(out: Path, record: str) -> None:
         plan = json.loads((ready / PLAN).read_text(encoding="utf-8"))
         if not all(_is_inside(name) for name in (*plan["remove"], *plan["place"])):
             raise ValueError(f"{PLAN} names a file outside the folder")
-        waiting = [name for name in plan["place"] if (ready / name).exists()]
+        waiting = [name for name in plan["place"] if (ready / FILES / name).exists()]
         for name in reversed((*plan["remove"], *waiting)):  # the record first
             (out / name).unlink(missing_ok=True)
         for name in waiting:
             (out / name).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(ready / name, out / name)
+            os.replace(ready / FILES / name, out / name)
         _flush_folder(out)
         (ready / PLAN).unlink()
     shutil.rmtree(ready)
