@@ -24,6 +24,11 @@ from pathlib import Path
 import click
 import numpy as np
 
+from rve.command_line import Command
+from rve.errors import require
+from rve.files import write_text
+from rve.jobs import check_out_job, job
+
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -115,7 +120,7 @@ def hang_curtain(law: Path, out: Path, cells: int) -> float:
     from macro_fem.job import run_scene
 
     scene = out / "scene.toml"
-    scene.write_text(scene_text(cells))
+    write_text(scene, scene_text(cells))
     summary = run_scene(scene, law, out / "curtain", picture=True)
     click.echo(f"  {summary['status']}: {summary['message']}")
     click.echo(f"  {cells} cells along the width: mean height {summary['mean_height_mm']:.2f} mm")
@@ -123,18 +128,23 @@ def hang_curtain(law: Path, out: Path, cells: int) -> float:
 
 
 def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
-    """The whole chain; returns what answer.json says. The files of the curtain are those of the finest mesh."""
-    out.mkdir(parents=True, exist_ok=True)
-    law = fit_law(make_table(out, setting.spacing), out)
-    click.echo("3 curtain")
-    heights = [hang_curtain(law, out, cells) for cells in setting.cells]
-    answer = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
-    (out / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")
+    """The whole chain; returns what answer.json says. The files of the curtain are those of the finest mesh.
+
+    All files appear in `out` together, at the end.
+    """
+    require("matplotlib", "plots", "examples/curtain.py")
+    check_out_job(out, "answer.json")
+    with job(out, "answer.json") as folder:
+        law = fit_law(make_table(folder, setting.spacing), folder)
+        click.echo("3 curtain")
+        heights = [hang_curtain(law, folder, cells) for cells in setting.cells]
+        answer = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
+        write_text(folder / "answer.json", json.dumps(answer) + "\n")
     click.echo(f"  mean height {answer['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))
     return answer
 
 
-@click.command()
+@click.command(cls=Command)
 @click.option("--out", type=FOLDER, default=Path("out"), show_default=True, help="Folder for files.")
 @click.option("--cells", type=click.IntRange(1, 400), help="Cells along the width of the curtain.  [default: 32]")
 @click.option("--accuracy", type=ACCURACY, help="Relative accuracy of the mean height: 1e-2, 1e-3, 1e-4.")

@@ -1,10 +1,8 @@
-"""The command line: fit, strain, support, report, plot, export. Bad input ends in one sentence and exit code 2."""
+"""The command line: fit, strain, support, report, plot, export. How commands end: `rve.command_line`."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +10,12 @@ import click
 import numpy as np
 
 from homogenize.protocol import InputError
-
-Command = Callable[..., None]
-
-
-class InputFailure(click.ClickException):
-    """One line on stderr, exit code 2."""
-
-    exit_code = 2
+from rve.command_line import Group
+from rve.errors import require
+from rve.files import check_out_file
 
 
-def plain_errors(command: Command) -> Command:
-    """Turns the sentences of InputError and of table errors into one line on stderr and exit code 2."""
-
-    @wraps(command)
-    def run(*args: Any, **kwargs: Any) -> None:
-        from homogenize.projection import ProjectionError
-        from rve.table import InputError as TableError
-
-        try:
-            command(*args, **kwargs)
-        except (InputError, TableError, ProjectionError) as error:
-            raise InputFailure(" ".join(str(error).split())) from error
-
-    return run
-
-
-@click.group()
+@click.group(cls=Group)
 def main() -> None:
     """From a strain-load table to a convex, tension-only membrane law."""
 
@@ -49,11 +26,11 @@ def main() -> None:
 @click.option("--kind", default=None, help="smooth, outer, inner, interpolated or net; default: see docs/homogenize.md")
 @click.option("--noise", default=None, type=float, help="strain error to allow in the normality test (default 1e-8)")
 @click.option("--resolution", default=None, type=float, help="facets of the refined law; 1e-5 suits a --graded table")
-@plain_errors
 def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
     """Fits a law to TABLE, writes it and prints how wrong it can be."""
     from homogenize.fit import FitOptions, fit_table
 
+    check_out_file(out, inputs=[table])
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
@@ -65,7 +42,6 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--alpha", required=True, type=float, help="principal angle of the Cauchy load, degrees")
 @click.option("--beta", required=True, type=float, help="ratio angle of the Cauchy load, degrees")
-@plain_errors
 def strain(law: Path, alpha: float, beta: float) -> None:
     """Prints the locked strain under a Cauchy load direction, in the paper's rotation rule, as one JSON object."""
     from homogenize.query import strain_answer
@@ -76,7 +52,6 @@ def strain(law: Path, alpha: float, beta: float) -> None:
 @main.command()
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--S", "load", required=True, help="S11,S12,S22: a tensile second Piola-Kirchhoff line load")
-@plain_errors
 def support(law: Path, load: str) -> None:
     """Prints h = max S:E of the law as one JSON object."""
     from homogenize.query import support_answer
@@ -88,13 +63,15 @@ def support(law: Path, load: str) -> None:
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--table", required=True, type=click.Path(path_type=Path), help="the table to show beside the law, CSV")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the folder for the pictures")
-@plain_errors
 def plot(law: Path, table: Path, out: Path) -> None:
     """Draws the locking surface, the strains over the load angles, the errors and sections of LAW."""
     from homogenize.io import load_law
-    from homogenize.plots import write_pictures
+    from homogenize.plots import PICTURES, write_pictures
+    from rve.jobs import check_out_job
     from rve.table import read_table
 
+    require("matplotlib", "plots", "homogenize plot")
+    check_out_job(out, PICTURES, inputs=[law, table])
     for path in write_pictures(load_law(law), read_table(table), out):
         click.echo(f"picture written to {path}")
 
@@ -102,7 +79,6 @@ def plot(law: Path, table: Path, out: Path) -> None:
 @main.command()
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--table", required=True, type=click.Path(path_type=Path), help="rows the law has not seen, CSV")
-@plain_errors
 def report(law: Path, table: Path) -> None:
     """Prints the error of LAW at the rows of a table, for instance one made by `rve table --loads`."""
     from homogenize.query import error_at_rows
@@ -113,12 +89,12 @@ def report(law: Path, table: Path) -> None:
 @main.command()
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source to write, *.f")
-@plain_errors
 def export(law: Path, out: Path) -> None:
     """Writes LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
     from homogenize.io import load_law
     from homogenize.umat import write_umat
 
+    check_out_file(out, inputs=[law])
     write_umat(load_law(law), out, f"law file {law.name}")
     click.echo(f"user material written to {out}")
 
@@ -126,13 +102,13 @@ def export(law: Path, out: Path) -> None:
 @main.command()
 @click.argument("tables", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the family file to write, JSON")
-@plain_errors
 def family(tables: tuple[Path, ...], out: Path) -> None:
     """Fits a law to each of TABLES, one per radius ratio, and writes them as a family with its checked error."""
     from homogenize.family import family_of, save_family
     from homogenize.fit import fit_table
     from homogenize.polyhedral import PolyhedralLaw
 
+    check_out_file(out, inputs=tables)
     laws = [fit_table(table).law for table in tables]
     made = family_of([law for law in laws if isinstance(law, PolyhedralLaw)])
     save_family(made, out)
@@ -146,19 +122,18 @@ def family(tables: tuple[Path, ...], out: Path) -> None:
 @click.option("--r1", required=True, type=float, help="radius of the rings' centre circle, mm")
 @click.option("--r2", required=True, type=float, help="radius of the wire, mm")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
-@plain_errors
 def member(family_file: Path, r1: float, r2: float, out: Path) -> None:
     """Writes the law that FAMILY gives for rings of these radii."""
     from homogenize.family import load_family
     from homogenize.io import save_law
 
+    check_out_file(out, inputs=[family_file])
     save_law(load_family(family_file).at(r1, r2), out, {"family": family_file.name})
     click.echo(f"law written to {out}")
 
 
 @main.command()
 @click.argument("table", type=click.Path(path_type=Path))
-@plain_errors
 def ship(table: Path) -> None:
     """Makes the law inside the package anew from TABLE, the 190 rows of the paper's grid for r1/r2 = 10."""
     from homogenize.ship import ship as write_shipped

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from homogenize.files import write_text
 from homogenize.io import SCHEMA, UNITS, cell_from_dict, check_format
 from homogenize.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedral_law
 from homogenize.protocol import Array, CellInfo, InputError
 from homogenize.report import Misfit, misfit_of, random_loads
+from rve.files import write_text
 from rve.reading import read_json_object
 from rve.rings import areal_mass, check_rings, ring_volume
 from rve.values import checked, list_of, mapping

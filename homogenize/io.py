@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from homogenize.files import write_text
 from homogenize.net import net_from_dict
 from homogenize.polyhedral import polyhedral_from_dict
 from homogenize.protocol import CellInfo, InputError, MembraneLaw
 from homogenize.smooth import smooth_from_dict
+from rve.files import write_text
 from rve.reading import read_json
 from rve.rings import check_rings
 from rve.values import checked, mapping, numbers, optional, read_record, shown

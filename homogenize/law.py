@@ -11,10 +11,10 @@ array([ True])
 
 from __future__ import annotations
 
-from homogenize.files import write_text, write_whole
 from homogenize.io import default_law, load_law, save_law
 from homogenize.net import NetLaw, diagonal_net, ring_net
 from homogenize.protocol import Array, CellInfo, Cut, HalfSpaces, InputError, MembraneLaw, Response
+from rve.files import write_text, write_whole
 
 __all__ = [
     "Array",

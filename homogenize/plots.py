@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.protocol import Array, InputError, MembraneLaw
+from homogenize.protocol import Array, MembraneLaw
 from homogenize.rows import Rows, rows_from_table, with_mirror
 from homogenize.strain import locked_strain
+from rve.jobs import job
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 COMPONENTS = ("E11", "E12", "E22")
 SIZE = (7.0, 5.2)
 DPI = 150
+PICTURES = "pictures"
+"""Name of the job that writes the pictures (`rve.jobs`)."""
 
 
 def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
@@ -102,7 +105,8 @@ def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
 
 
 def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path) -> list[Path]:
-    """Writes surface.png, strains.png, errors.png and sections.png into `folder`, which is made if need be."""
+    """Writes surface.png, strains.png, errors.png and sections.png into `folder`, all or none; it is made if
+    need be."""
     folder = Path(folder)
     rows = rows_from_table(table)
     pictures = {
@@ -111,19 +115,10 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path) -> 
         "errors.png": plot_errors(law, rows).figure,
         "sections.png": plot_sections(law, rows).figure,
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return [_save(figure, folder / name) for name, figure in pictures.items()]
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    """The picture, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, dpi=DPI, format="png", bbox_inches="tight")
-    part.replace(path)
-    return path
+    with job(folder, PICTURES) as staged:
+        for name, figure in pictures.items():
+            figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
+    return [folder / name for name in pictures]
 
 
 def _figure(size: tuple[float, float] = SIZE) -> Figure:

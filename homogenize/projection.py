@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from homogenize.lookup import Envelope, envelope_of
 from homogenize.protocol import Array, Response
 from homogenize.tensor import WEIGHT
+from rve.errors import NotConverged
 
 Index = NDArray[np.intp]
 
@@ -33,7 +34,7 @@ FEW = 60
 UPDATES = ((3,), (0, 3), (1, 3), (2, 3), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 
-class ProjectionError(RuntimeError):
+class ProjectionError(NotConverged):
     """The iteration did not end: half-spaces almost repeat each other, or the stiffness is nearly singular."""
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from homogenize.files import write_text
 from homogenize.polyhedral import PolyhedralLaw
 from homogenize.projection import DEGENERATE, MAX_ROUNDS, polyhedron_of
 from homogenize.protocol import Array, InputError, MembraneLaw
+from rve.files import write_text
 
 PER_STATEMENT = 40
 

@@ -6,16 +6,10 @@ from pathlib import Path
 
 import click
 
-from homogenize.law import InputError
+from rve.command_line import Group
 
 
-class BadInput(click.ClickException):
-    """Ends the program with one line, "Error: ...", and exit code 2."""
-
-    exit_code = 2
-
-
-@click.group()
+@click.group(cls=Group)
 @click.version_option(package_name="ring-mesh")
 def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
@@ -36,10 +30,7 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: b
     """
     from macro_fem.job import run_scene
 
-    try:
-        summary = run_scene(scene, law_path, out, picture=picture, force=force)
-    except InputError as error:
-        raise BadInput(str(error)) from error
+    summary = run_scene(scene, law_path, out, picture=picture, force=force)
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from homogenize.law import Array, InputError, MembraneLaw
+from homogenize.law import Array, MembraneLaw
 from macro_fem.cones import Cones, first_cones, law_cut, times_triple, with_cuts
 from macro_fem.fem import SupportedFem
 from macro_fem.interior import Iteration
 from macro_fem.rigid import STATUSES, RigidResult
+from rve.errors import require
 
 FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
@@ -107,10 +108,9 @@ def square_roots(S: Array) -> tuple[Array, np.ndarray]:
 
 
 def _clarabel() -> Any:
-    try:
-        import clarabel
-    except ImportError as error:
-        raise InputError("solver kind = 'conic' needs clarabel: pip install 'ring-mesh[cones]'") from error
+    require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    import clarabel
+
     return clarabel
 
 

@@ -13,7 +13,6 @@ from macro_fem.explain import decisions
 from macro_fem.mesh import build_mesh
 from macro_fem.output import (
     bounds_summary,
-    prepare_folder,
     summarize,
     write_series,
     write_summary,
@@ -22,6 +21,11 @@ from macro_fem.output import (
 from macro_fem.scene import FEATURES, Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
 from macro_fem.solvers import solve_problem
+from rve.errors import require
+from rve.jobs import check_out_job, complete, job
+
+RECORD = "summary.json"
+"""The file that stands for the job; it lists the others by their checksums."""
 
 
 def run_scene(
@@ -30,12 +34,20 @@ def run_scene(
     """Solves the scene, writes its files into `out` and returns the summary; `force` adds to that of the scene.
 
     curtain.vtu and curtain.png show the full load; with more than one load step curtain.pvd lists one VTU per step.
+    All files appear together, and what they replace is gone (`rve.jobs`).
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
     """
-    scene = with_force(load_scene(scene_path), force)
-    law = default_law() if law_path is None else load_law(law_path)
     if picture:
-        require_matplotlib()
+        require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
+    scene = with_force(load_scene(scene_path), force)
+    if scene.solver.kind == "conic":
+        require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
+    if mesh_file is not None:
+        complete(mesh_file.parent, RECORD)
+    inputs = [scene_path, law_path, mesh_file]
+    check_out_job(out, RECORD, inputs=inputs)
+    law = default_law() if law_path is None else load_law(law_path)
     early = [_solved(scene, law, step / scene.load.steps) for step in range(1, scene.load.steps)]
     final = _with_bounds(scene, law) if asks_bounds(scene) else []
     solution = final[-1].solution if final else _solved(scene, law, 1.0)
@@ -46,9 +58,9 @@ def run_scene(
     summary["features"] = [decision.to_dict() for decision in decisions(solution, bounds=bool(final), picture=picture)]
     if early:
         summary["steps"] = [_step_line(one, step, scene.load.steps) for step, one in enumerate([*early, solution], 1)]
-    prepare_folder(out)
-    _write(out, [*early, solution], bounds, picture=picture)
-    write_summary(out, summary)
+    with job(out, RECORD, inputs) as folder:
+        _write(folder, [*early, solution], bounds, picture=picture)
+        write_summary(folder, summary)
     return summary
 
 
@@ -120,11 +132,3 @@ def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:
     """Error per reference area of every triangle (n_cells,), N mm / mm2."""
     disc = solution.problem.disc
     return bounds.error / disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
-
-
-def require_matplotlib() -> None:
-    """InputError if pictures are asked for and matplotlib is not installed."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None:
-        raise InputError("curtain.png needs matplotlib: pip install 'ring-mesh[plots]', or ask for --no-picture")

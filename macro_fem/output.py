@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.law import Array, CellInfo, InputError, write_text, write_whole
+from homogenize.law import Array, CellInfo, write_text, write_whole
 from macro_fem.assembly import cell_mean
 from macro_fem.loads import PER_MM2, areal_mass
 from macro_fem.solution import CurtainSolution
@@ -21,16 +20,6 @@ if TYPE_CHECKING:
     from macro_fem.adapt import Level
 
 VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
-
-
-def prepare_folder(folder: Path) -> None:
-    """Makes the folder; InputError if it cannot be made or written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be made: {error.strerror}") from error
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"--out {folder}: cannot be written")
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:

@@ -1,33 +1,23 @@
-"""Command line: `python -m rve table`, `case`, `study`, `localize`. `--help` of each says what it takes."""
+"""Command line: `python -m rve table`, `case`, `study`, `localize`. `--help` of each says what it takes.
+
+How commands end: `rve.command_line`.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.errors import SENTENCES, InputError, NotConverged
+from rve.command_line import Group
+from rve.errors import SENTENCES, InputError, NotConverged, require
+from rve.files import check_out_file, check_out_folder, check_out_table
 
 METHODS = ("direct", "stewart-trinkle")
-
-
-def _one_sentence(command: Callable[..., None]) -> Callable[..., None]:
-    """Turn bad input into one line and exit code 2, a failed solve into one line and exit code 1."""
-
-    @wraps(command)
-    def run(**options: Any) -> None:
-        try:
-            command(**options)
-        except (InputError, NotConverged) as error:
-            click.echo(f"Error: {error}", err=True)
-            sys.exit(2 if isinstance(error, InputError) else 1)
-
-    return run
 
 
 def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -112,7 +102,7 @@ def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str |
     return grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 def main() -> None:
     """Where a periodic cell of rigid interlinked rings locks under each line load."""
 
@@ -132,7 +122,6 @@ def main() -> None:
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm.")
 @_feature_options
 @_cell_options
-@_one_sentence
 def table(out: Path, method: str, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.span import with_span
@@ -146,8 +135,9 @@ def table(out: Path, method: str, **rest: Any) -> None:
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = _cell(**rest)
     directions = _directions(**asked)
-    if not out.parent.is_dir():
-        raise InputError(f"--out = {out}: the folder {out.parent} does not exist")
+    check_out_table(out, inputs=[asked["loads"]])
+    if how["checkpoint"] is not None:
+        check_out_folder(how["checkpoint"], "--checkpoint")
     found = _solved(method, directions, mesh, how)
     if stiffness is not None:
         found = with_compliance(found, stiffness, mesh)
@@ -172,7 +162,6 @@ def table(out: Path, method: str, **rest: Any) -> None:
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write.")
 @_feature_options
 @_cell_options
-@_one_sentence
 def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tuple[str, ...], **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
     from rve.equilibrium import DirectOptions
@@ -180,8 +169,9 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
     from rve.sweep import solve_table
     from rve.table import COLUMNS
 
-    if plot is not None and not plot.parent.is_dir():
-        raise InputError(f"--plot = {plot}: the folder {plot.parent} does not exist")
+    if plot is not None:
+        require("matplotlib", "plots", "--plot")
+        check_out_file(plot, "--plot")
     mesh = _cell(**cell)
     found = solve_table([alpha], [beta], mesh, DirectOptions(force=checked_force(force)))
     if explain:
@@ -203,7 +193,6 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
 
 @main.command()
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
-@_one_sentence
 def study(out: Path) -> None:
     """Reproduce the paper's Figs. 9-17 for this implementation, and set its published figures beside ours."""
     from rve.study import comparison, markdown, run
@@ -224,7 +213,6 @@ def study(out: Path) -> None:
 @click.option("--tubes/--lines", default=False, show_default=True, help="Write tori, or centre lines.")
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
-@_one_sentence
 def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) -> None:
     """Find back to the rings: from CURTAIN, the curtain.vtu of macro_fem, to rings.vtu, rings.png, worst_cell.csv."""
     from rve.localize_job import JobOptions, run_localize

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
+from rve.jobs import check_belongs
 from rve.reading import read_json_object
 from rve.rings import RING_CHECKS, check_rings
 from rve.values import checked, finite, shown
@@ -17,6 +18,8 @@ from rve.vtu import read_vtu
 
 Array = NDArray[np.float64]
 
+CURTAIN_RECORD = "summary.json"
+"""The file that stands for a curtain's job; it lists the others by their checksums."""
 HANG_DEG = finite(least=-360.0, most=360.0)
 MOST_NUMBER = 1e12
 """Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
@@ -132,9 +135,12 @@ class WeaveOfCurtain:
 
 
 def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
-    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows."""
-    path = vtu.parent / "summary.json"
+    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows, or
+    the summary is that of another VTU."""
+    path = vtu.parent / CURTAIN_RECORD
     known = read_json_object(path) if path.is_file() else {}
+    if known:
+        check_belongs(vtu, path, known, "run macro_fem again, or put the two files of one run side by side")
     rings = known.get("rings") or {}
     if not isinstance(rings, dict):
         raise InputError(f"{path}: rings = {shown(rings)}: is not a table of names and values")

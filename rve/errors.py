@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 
 class InputError(ValueError):
     """Bad input; the message is one sentence that names the file, key and value."""
@@ -19,3 +21,13 @@ SENTENCES = {
     "time-step": "the time step shrank to nothing before the energy fell; allow contact curvature or a smaller h_min",
     "step-limit": "the step limit was reached before the residual; allow more steps or a larger time step",
 }
+
+
+def require(module: str, extra: str, purpose: str, instead: str = "") -> None:
+    """InputError if an optional package is missing; it says which extra brings it, and what else can be done.
+
+    >>> require("numpy", "plots", "pictures")
+    """
+    if find_spec(module) is None:
+        way_out = f", or {instead}" if instead else ""
+        raise InputError(f"{purpose} needs {module}: run pip install '.[{extra}]' in the project's folder{way_out}")

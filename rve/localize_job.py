@@ -8,16 +8,16 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.curtain_state import Curtain, WeaveOfCurtain, read_curtain, read_weave
-from rve.errors import InputError, NotConverged
+from rve.curtain_state import CURTAIN_RECORD, Curtain, WeaveOfCurtain, read_curtain, read_weave
+from rve.errors import InputError, NotConverged, require
 from rve.files import write_text
+from rve.jobs import check_out_job, complete, job
 from rve.localize import MEANINGS, LocalizeOptions, LockedStates, RingStates, localize, locked_states
 from rve.ring_field import (
     NEAR,
@@ -36,6 +36,9 @@ from rve.sweep import Cell, versions
 from rve.weave import WEAVES
 
 Array = NDArray[np.float64]
+
+RECORD = "localize.json"
+"""The file that stands for the job; it lists the others by their checksums."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +70,15 @@ class WorstCell:
 def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     """Rings of the curtain in `vtu`: rings.vtu, worst_cell.csv, localize.json and rings.png in `out`; the summary.
 
-    InputError in one sentence for a file that is not a curtain, unknown radii, a window without rings or too many of
-    them; nothing is written then. NotConverged if no locked state is found, or the picture cannot be drawn.
+    All files appear together, and what they replace is gone (`rve.jobs`). InputError in one sentence for a file that is
+    not a curtain or not that of the summary beside it, unknown radii, a window without rings or too many of them;
+    nothing is written then. NotConverged if no locked state is found, or the picture cannot be drawn.
     """
     began = time.perf_counter()
-    if options.picture and find_spec("pyvista") is None:
-        raise InputError("rings.png needs pyvista: pip install 'ring-mesh[three-d]', or ask for --no-picture")
+    if options.picture:
+        require("pyvista", "three-d", "rings.png", "ask for --no-picture")
+    check_out_job(out, RECORD, inputs=[vtu])
+    complete(vtu.parent, CURTAIN_RECORD)
     curtain = read_curtain(vtu)
     cell, weave = _mesh_of(vtu, options)
     how = LocalizeOptions()
@@ -81,7 +87,6 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     axes = axes_of_weave(cell, weave.hang_deg)
     sites = find_sites(curtain, cell, locked.sides, axes, options.window)
     _check_count(vtu, sites, options)
-    _make(out)
     used, row = np.unique(sites.cell, return_inverse=True)
     states = localize(_in_weave(curtain.E[used], axes), cell, how, locked)
     rings = place_rings(curtain, sites, states, row, cell, axes)
@@ -91,14 +96,18 @@ def run_localize(vtu: Path, out: Path, options: JobOptions) -> dict[str, Any]:
     worst = _worst(curtain, cell, how, locked, axes)
     data = _ring_data(curtain, sites, states, row, (fit, force), cell.r1)
     kind = TUBE if options.tubes else LINE
-    write_ring_vtu(out / "rings.vtu", (rings.centre, rings.normal), (cell.r1, cell.r2), data, kind)
-    write_forces_csv(out / "worst_cell.csv", worst.forces, worst.turn)
     summary = _summary(vtu, cell, weave, states, (fit, force, states.status[row]))
     summary |= {"worst_cell": _worst_lines(curtain, worst)}
     summary |= {"wall_s": round(time.perf_counter() - began, 3), "versions": versions()}
-    write_text(out / "localize.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    if options.picture:
-        draw(out)
+    with job(out, RECORD, [vtu]) as folder:
+        write_ring_vtu(folder / "rings.vtu", (rings.centre, rings.normal), (cell.r1, cell.r2), data, kind)
+        write_forces_csv(folder / "worst_cell.csv", worst.forces, worst.turn)
+        write_text(folder / RECORD, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        failure = draw(folder) if options.picture else None
+    if failure is not None:
+        raise NotConverged(
+            f"{out / 'rings.png'}: {failure}; the other files are written; install libosmesa6 or ask for --no-picture"
+        )
     return summary
 
 
@@ -222,24 +231,16 @@ def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
     }
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out = {folder}: cannot be made: {error.strerror}") from error
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"--out = {folder}: cannot be written")
+def draw(folder: Path) -> str | None:
+    """rings.png from the files in `folder`, by a process of its own: renderers without a screen may crash.
 
-
-def draw(folder: Path) -> None:
-    """rings.png from the files in `folder`, by a process of its own: renderers without a screen may crash."""
+    Returns what went wrong, None if the picture is there.
+    """
     command = [sys.executable, "-m", "rve.ring_picture", str(folder)]
     here = str(Path(__file__).resolve().parents[1])
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
     run = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths})
-    if run.returncode:
-        last = (run.stderr.strip().splitlines() or ["no message"])[-1]
-        raise NotConverged(
-            f"{folder / 'rings.png'}: the renderer ended with code {run.returncode} ({last}); the other files are "
-            "written; install libosmesa6 or ask for --no-picture"
-        )
+    if not run.returncode:
+        return None
+    last = (run.stderr.strip().splitlines() or ["no message"])[-1]
+    return f"the renderer ended with code {run.returncode} ({last})"

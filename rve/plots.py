@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rve.contact import tangent_frame
 from rve.equilibrium import DirectOptions, Equilibrium
-from rve.errors import SENTENCES, InputError, NotConverged
+from rve.errors import SENTENCES, InputError, NotConverged, require
 from rve.files import atomic_path
 from rve.sweep import Cell, locked
 from rve.system import lattice_load
@@ -28,10 +28,9 @@ FORCE_COLOUR = "#c1121f"
 
 def figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
     """An empty matplotlib figure and its axes; needs the extra `plots`. Raises InputError with the way to get it."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise InputError("pictures need matplotlib: pip install 'ring-mesh[plots]'") from None
+    require("matplotlib", "plots", "a picture")
+    import matplotlib
+
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 

@@ -12,10 +12,16 @@ import io
 import json
 import math
 import os
+import signal
+import threading
 import zipfile
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.cell import SLOTS, Pose, joined_contacts
-from rve.errors import InputError
+from rve.errors import InputError, NotConverged
 from rve.files import atomic_path
 from rve.reading import read_bytes
 from rve.stewart_trinkle import Motion, Progress, Settled, StewartTrinkleOptions, begin, continued, finder_of, settled
@@ -189,7 +195,9 @@ def sweep(
 ) -> Settled:
     """Like `stewart_trinkle.solve` for loads s (n, 3), in blocks, with files from which it can be resumed.
 
-    wire = r2/r1. Raises InputError when the folder cannot be made or one of its files belongs to another sweep.
+    wire = r2/r1. Raises InputError when the folder cannot be made or one of its files belongs to another sweep,
+    NotConverged when a worker is ended from outside. Stopped (KeyboardInterrupt), it ends its workers at once; the same
+    call goes on from the files.
     """
     options, how = options or StewartTrinkleOptions(), how or SweepOptions()
     options.validate()
@@ -203,12 +211,54 @@ def sweep(
             raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
         paths = [folder / f"block-{i:04d}.npz" for i in range(len(blocks))]
     jobs = [(block, weave, wire, options, path, how.save_every) for block, path in zip(blocks, paths, strict=True)]
-    if how.workers > 1:
-        with ProcessPoolExecutor(how.workers, mp_context=get_context("spawn")) as pool:
-            done = list(pool.map(_solved_block, *zip(*jobs, strict=True)))
-    else:
-        done = [_solved_block(*job) for job in jobs]
+    kept = "" if how.folder is None else f"what is solved is kept in {how.folder}, and the same command goes on there"
+    try:
+        done = _solved_side_by_side(jobs, how.workers) if how.workers > 1 else [_solved_block(*job) for job in jobs]
+    except BrokenProcessPool as error:
+        lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --workers"
+        raise NotConverged("; ".join(filter(None, [lost, kept]))) from error
+    except BaseException as error:
+        if kept and not isinstance(error, Exception):  # stopped
+            error.add_note(kept)
+        raise
     return _joined([settled(progress, options) for progress in done])
+
+
+def _solved_side_by_side(jobs: list[Any], workers: int) -> list[Progress]:
+    with _pool(workers) as pool:
+        return list(pool.map(_solved_block, *zip(*jobs, strict=True)))
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Worker processes that end when an error leaves the block, and when this process ends, however it does.
+
+    They wait for the end of a pipe whose other end only this process holds.
+    """
+    context = get_context("spawn")
+    watched, held = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with, initargs=(watched,))
+    try:
+        yield pool
+    except BaseException:
+        held.close()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        held.close()
+        watched.close()
+
+
+def _end_with(watched: Connection) -> None:
+    """Let this worker end at once when the pipe does; Ctrl-C is the parent's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def wait() -> None:
+        with suppress(EOFError, OSError):
+            watched.recv_bytes()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def _joined(parts: list[Settled]) -> Settled:

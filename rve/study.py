@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rve import stewart_trinkle as st
 from rve.compliance import strain
-from rve.errors import InputError
+from rve.errors import InputError, require
 from rve.files import write_text
+from rve.jobs import check_out_job, job
 from rve.load import cauchy_line_load
 from rve.ranges import grid
 from rve.stewart_trinkle import History, Settled, StewartTrinkleOptions
@@ -29,6 +30,9 @@ from rve.system import Equations
 from rve.table import StrainTable
 
 Array = NDArray[np.float64]
+
+RECORD = "study.json"
+"""The file that stands for a study in its folder; it lists the others by their checksums."""
 
 
 @dataclass(frozen=True)
@@ -222,19 +226,24 @@ def run(
     study.json and the pictures fig_09.png to fig_17.png and contacts_missed.png. Returns what was solved.
 
     Without angles these are the paper's 190 cases: about two minutes on one core. `progress` is told of each stage.
-    Raises InputError when the folder cannot be made or written.
+    All files appear together, and what they replace is gone (`rve.jobs`). Raises InputError when matplotlib is missing
+    or the folder cannot be made or written, before anything is solved.
     """
-    from rve import study_plots
-
-    folder = Path(out_dir)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
+    require("matplotlib", "plots", "the study")
+    check_out_job(out_dir, RECORD)
     tell = progress or (lambda text: None)
     tell("solving by the paper's scheme and directly")
     alpha, beta = paper_grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
     study = solve_study(alpha, beta, None, options)
+    with job(out_dir, RECORD) as folder:
+        _write(study, folder, tell)
+    return study
+
+
+def _write(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
+    """Every table and picture of a study."""
+    from rve import study_plots
+
     write_text(folder / "cases.csv", cases_csv(study))
     for pair in ((0.0, 0.0), (45.0, 90.0)):
         case = study.case(*pair)
@@ -243,6 +252,5 @@ def run(
     rows = comparison(study)
     write_text(folder / "comparison.md", markdown(rows))
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
-    write_text(folder / "study.json", json.dumps(record, indent=2) + "\n")
+    write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
     study_plots.draw_all(study, folder, tell)
-    return study

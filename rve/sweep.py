@@ -17,6 +17,7 @@ from rve.cell import Pose
 from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
 from rve.errors import SENTENCES, InputError, NotConverged
 from rve.explain import Work, motion_terms
+from rve.files import TABLE_FORMAT
 from rve.load import cauchy_line_load, green_lagrange, second_pk
 from rve.motion import locked_by_motion
 from rve.pairs import pairs_in_reach, unlisted_gap, widened
@@ -219,7 +220,7 @@ def table_provenance(
     b_x, b_y = sides
     ring_area = b_x * b_y * cell.weave.repeat[0] * cell.weave.repeat[1] / cell.weave.classes
     return {
-        "format": "ring-mesh strain-load table",
+        "format": TABLE_FORMAT,
         "format_version": 1,
         "weave": cell.weave.name,
         "grain": cell.grain,

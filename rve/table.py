@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
-from rve.files import write_text
+from rve.files import TABLE_FORMAT, check_out_table, sidecar_path, write_text
+from rve.jobs import check_belongs, complete, job
 from rve.load import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.reading import MOST_CSV_BYTES, read_json_object, read_text
 from rve.rings import check_rings
@@ -110,7 +111,7 @@ def joined_tables(tables: list[StrainTable]) -> StrainTable:
 
 def provenance_path(path: str | os.PathLike[str]) -> Path:
     """The sidecar JSON of a table file."""
-    return Path(path).with_suffix(".json")
+    return sidecar_path(path)
 
 
 def _cells(table: StrainTable) -> list[list[str]]:
@@ -132,11 +133,18 @@ def _cells(table: StrainTable) -> list[list[str]]:
 
 
 def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
-    """Write the CSV and its sidecar JSON, each whole or not at all; an unknown number is an empty cell."""
+    """Write the CSV and its sidecar JSON, both or none; an unknown number is an empty cell.
+
+    The sidecar holds the SHA-256 of the CSV, which `read_table` checks. Raises InputError where they cannot be written,
+    or would overwrite something else (`rve.files.check_out_table`).
+    """
+    check_out_table(path, "table")
+    target, sidecar = Path(path), provenance_path(path)
     header = COLUMNS + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
     lines = [",".join(header)] + [",".join(cells) for cells in _cells(table)]
-    write_text(provenance_path(path), json.dumps(table.provenance, indent=2) + "\n")
-    write_text(path, "\n".join(lines) + "\n")
+    with job(target.parent, sidecar.name, clears=False) as folder:
+        write_text(folder / target.name, "\n".join(lines) + "\n")
+        write_text(folder / sidecar.name, json.dumps({"format": TABLE_FORMAT} | table.provenance, indent=2) + "\n")
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
@@ -203,8 +211,10 @@ def ranged_column(path: str | os.PathLike[str], columns: dict[str, list[str]], n
 def read_table(path: str | os.PathLike[str]) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
-    A converged row must have finite angles, E and S. Raises InputError naming file, line, column and value.
+    A converged row must have finite angles, E and S. The sidecar must belong to the CSV: it holds its SHA-256, or is of
+    an older version and holds none. Raises InputError naming file, line, column and value.
     """
+    complete(Path(path).parent, provenance_path(path).name)
     columns = read_columns(path, _REQUIRED)
 
     def column(name: str) -> Array:
@@ -236,14 +246,23 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         status,
         np.nan_to_num(column("iterations")).astype(int),
         compliance,
-        _read_provenance(provenance_path(path)),
+        _read_provenance(Path(path)),
     )
 
 
-def _read_provenance(path: Path) -> dict[str, Any]:
-    """The sidecar as it is, {} if there is none; InputError for numbers of the rings out of their range."""
+def _read_provenance(table: Path) -> dict[str, Any]:
+    """The sidecar as it is, {} if there is none; InputError for numbers of the rings out of their range, and for a
+    sidecar that is not of this table."""
+    path = provenance_path(table)
     if not path.exists():
         return {}
     found = read_json_object(path)
     check_rings(found, f"{path}:")
-    return found
+    check_belongs(
+        table,
+        path,
+        found,
+        "make the table again, or put the two files of one table side by side; if you have edited the table on "
+        f'purpose, remove "files" from {path.name}',
+    )
+    return {key: value for key, value in found.items() if key != "files"}

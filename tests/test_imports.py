@@ -1,4 +1,4 @@
-"""The packages meet at two doors and in what all share, and importing them costs nothing that is not asked for."""
+"""The packages meet at two doors and in what all share, and importing them brings nothing heavy."""
 
 import ast
 import subprocess
@@ -8,8 +8,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SHARED = ("rve.errors", "rve.reading", "rve.rings", "rve.values", "rve.vtu")
-"""What knows nothing of poses and contacts: errors, checks of values, bounded reading, the mass of rings, VTU files."""
+SHARED = (
+    "rve.command_line",
+    "rve.errors",
+    "rve.files",
+    "rve.jobs",
+    "rve.reading",
+    "rve.rings",
+    "rve.values",
+    "rve.vtu",
+)
+"""What knows nothing of poses and contacts: ends of commands, files, checks of values, the mass of rings."""
 DOORS: dict[str, tuple[str, ...]] = {
     "rve": (),
     "homogenize": ("rve.table", *SHARED),

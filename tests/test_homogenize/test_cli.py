@@ -1,6 +1,7 @@
 """The command line: answers on real input, and one sentence with exit code 2 on bad input."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from homogenize.cli import main
 from homogenize.io import load_law
 from homogenize.law import default_law
 from homogenize.ship import SHIPPED
+from rve.table import read_table, write_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 
@@ -141,3 +143,47 @@ def test_a_table_that_cannot_be_used_is_refused(change, words, tmp_path):
 def test_export_writes_fortran(tmp_path):
     assert run("export", SHIPPED, "--out", tmp_path / "umat.f").exit_code == 0
     assert "SUBROUTINE UMAT" in (tmp_path / "umat.f").read_text()
+
+
+def copied_table(folder):
+    """A table and its sidecar under the name glove."""
+    for ending in (".csv", ".json"):
+        (folder / "glove").with_suffix(ending).write_bytes(TABLE.with_suffix(ending).read_bytes())
+    return folder / "glove.csv"
+
+
+def unchanged(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_no_command_overwrites_what_it_reads(tmp_path):
+    table = copied_table(tmp_path)
+    (tmp_path / "law.json").write_bytes(SHIPPED.read_bytes())
+    os.link(table, tmp_path / "hard.csv")
+    (tmp_path / "soft").symlink_to(table)
+    (tmp_path / "folder").mkdir()
+    before = unchanged(tmp_path)
+    law = tmp_path / "law.json"
+    for out in ("glove.json", "glove.csv", "hard.csv", "soft"):
+        assert refused(run("fit", table, "--out", tmp_path / out), "would overwrite", out)
+    assert refused(run("fit", TABLE, "--out", tmp_path / "glove.json"), "is the sidecar file of a table")
+    assert refused(run("family", table, "--out", tmp_path / "glove.json"), "would overwrite")
+    assert refused(run("export", law, "--out", law), "would overwrite")
+    assert refused(run("member", law, "--r1", 5, "--r2", 0.5, "--out", law), "would overwrite")
+    assert refused(run("fit", table, "--out", tmp_path / "folder"), "is a folder")
+    assert refused(run("fit", table, "--out", "/dev/null"), "device, pipe or socket")
+    assert refused(run("fit", table, "--out", tmp_path / ("n" * 300)), "name too long")
+    assert refused(run("plot", law, "--table", table, "--out", law), "is a file, not a folder")
+    assert unchanged(tmp_path) == before
+
+
+def test_an_edited_table_is_not_believed_without_a_word(tmp_path):
+    write_table(read_table(TABLE), tmp_path / "table.csv")
+    assert run("fit", tmp_path / "table.csv", "--out", tmp_path / "law.json", "--kind", "net").exit_code == 0
+    text = (tmp_path / "table.csv").read_text()
+    (tmp_path / "table.csv").write_text(text.replace("\n", "\r\n"))  # as a spreadsheet writes it
+    edited = run("fit", tmp_path / "table.csv", "--out", tmp_path / "other.json", "--kind", "net")
+    assert refused(
+        edited, "does not belong to", 'if you have edited the table on purpose, remove "files" from table.json'
+    )
+    assert not (tmp_path / "other.json").exists()

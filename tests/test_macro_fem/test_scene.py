@@ -1,5 +1,6 @@
 """Scenes are read as written and refused in one sentence that names file, key and value."""
 
+import hashlib
 import json
 
 import meshio
@@ -363,3 +364,32 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, law_file):
     result, _ = run(tmp_path, SCENE, "--law", str(law_file))
     assert result.exit_code == 2
     assert "--out" in result.output
+
+
+def test_a_run_with_fewer_files_leaves_none_of_the_last_one(tmp_path, law_file):
+    steps = SCENE.replace("gravity = 9.81", "gravity = 9.81\nsteps = 2")
+    (tmp_path / "scene.toml").write_text(steps)
+    out = tmp_path / "out"
+    first = CliRunner().invoke(main, ["run", str(tmp_path / "scene.toml"), "--law", str(law_file), "--out", str(out)])
+    assert first.exit_code == 0, first.output
+    assert {"curtain.pvd", "curtain_0001.vtu", "curtain_0002.vtu", "curtain.png"} < {p.name for p in out.iterdir()}
+    (out / "notes.txt").write_text("mine")
+    result, _ = run(tmp_path, SCENE, "--law", str(law_file))
+    assert result.exit_code == 0, result.output
+    assert {p.name for p in out.iterdir()} == {"summary.json", "curtain.vtu", "notes.txt"}
+    listed = json.loads((out / "summary.json").read_text())["files"]
+    assert listed == {"curtain.vtu": hashlib.sha256((out / "curtain.vtu").read_bytes()).hexdigest()}
+
+
+def test_a_run_does_not_overwrite_its_law_or_mesh_file(tmp_path, law_file):
+    result, out = run(tmp_path, SCENE, "--law", str(law_file))
+    assert result.exit_code == 0, result.output
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    shape = SCENE.replace("width = 100.0", 'shape = "file"\nfile = "out/curtain.vtu"').replace("height = 80.0\n", "")
+    again, _ = run(tmp_path, shape, "--law", str(law_file))
+    assert again.exit_code == 2
+    assert "curtain.vtu: would overwrite" in again.stderr
+    law = run(tmp_path, SCENE, "--law", str(out / "summary.json"))[0]
+    assert law.exit_code == 2
+    assert "summary.json: would overwrite" in law.stderr
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before

@@ -1,6 +1,7 @@
 """The command line as a user types it: exit codes, one sentence, nothing half-written."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -89,3 +90,28 @@ def test_compressive_rows_stay_in_the_table(tmp_path):
 def test_module_runs():
     run = subprocess.run([sys.executable, "-m", "rve", "--help"], capture_output=True, text=True, check=True)
     assert "table" in run.stdout
+
+
+def test_a_table_does_not_overwrite_its_inputs_laws_or_devices(tmp_path):
+    loads = tmp_path / "loads.csv"
+    loads.write_text("alpha_deg,beta_deg\n10,60\n")
+    (tmp_path / "law.json").write_text('{"schema": 1}')
+    os.mkfifo(tmp_path / "pipe")
+    before = {path.name for path in tmp_path.iterdir()}
+    for out, words in (
+        (tmp_path / "x.json", "is the name of the table's sidecar file"),
+        (loads, "would overwrite"),
+        (tmp_path / "law.csv", "would overwrite"),
+        (tmp_path / "pipe", "device, pipe or socket"),
+        ("/dev/null", "device, pipe or socket"),
+    ):
+        result = run("table", "--out", out, "--loads", loads)
+        assert result.exit_code == 2
+        assert words in result.stderr
+        assert result.stderr.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == before
+    result = run("table", "--out", tmp_path / "t.csv", "--checkpoint", loads, "--method", "stewart-trinkle")
+    assert result.exit_code == 2
+    assert "--checkpoint" in result.stderr
+    assert run("case", "--alpha", "0", "--beta", "45", "--plot", "/dev/null").exit_code == 2
+    assert run("study", "--out", tmp_path / "loads.csv" / "x").exit_code == 2

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from rve.cell import Pose, find_contacts
 from rve.cli import main
 from rve.curtain_state import Curtain, read_curtain
-from rve.errors import InputError, NotConverged
+from rve.errors import InputError
 from rve.load import cauchy_line_load, deformation_gradient, second_pk
 from rve.localize import LocalizeOptions, localize, locked_states, mirrored, shares
 from rve.localize_job import draw
@@ -455,10 +455,38 @@ def test_a_pose_in_a_mirror_keeps_its_links(states):
     np.testing.assert_allclose(contacts.min_gap, find_contacts(pose, CELL.weave, CELL.wire, 0.6).min_gap, atol=1e-12)
 
 
-def test_a_renderer_that_fails_is_named_and_leaves_no_picture(tmp_path):
-    with pytest.raises(NotConverged, match="the renderer ended with code 1"):
-        draw(tmp_path)
+def test_a_renderer_that_fails_is_named_and_leaves_no_picture(hung, tmp_path, monkeypatch):
+    assert "the renderer ended with code 1" in draw(tmp_path)
     assert not (tmp_path / "rings.png").exists()
+    monkeypatch.setattr("rve.localize_job.draw", lambda folder: "the renderer ended with code 1 (no screen)")
+    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--window", "0,0,30,30")
+    assert result.exit_code == 1
+    assert "rings.png: the renderer ended with code 1 (no screen); the other files are written" in result.stderr
+    assert {p.name for p in (tmp_path / "rings").iterdir()} == {"rings.vtu", "worst_cell.csv", "localize.json"}
+
+
+def test_a_curtain_of_another_run_is_not_taken_for_that_of_the_summary(hung, tmp_path):
+    for name in ("curtain.vtu", "summary.json"):
+        (tmp_path / name).write_bytes((hung / name).read_bytes())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert set(summary["files"]) >= {"curtain.vtu"}
+    vtu = tmp_path / "curtain.vtu"
+    vtu.write_text(vtu.read_text() + "\n")
+    words = "does not belong to"
+    assert_one_sentence(run(vtu, "--out", tmp_path / "rings", "--no-picture"), words)
+    assert not (tmp_path / "rings").exists()
+
+
+def test_an_interrupted_job_of_the_curtain_is_completed_before_it_is_read(hung, tmp_path):
+    """Killed when the old files were gone: the curtain is still found, in its new state."""
+    ready = tmp_path / ".summary.json.ready"
+    (ready / "files").mkdir(parents=True)
+    for name in ("curtain.vtu", "summary.json"):
+        (ready / "files" / name).write_bytes((hung / name).read_bytes())
+    (ready / "plan.json").write_text(json.dumps({"remove": [], "place": ["curtain.vtu", "summary.json"]}))
+    result = run(tmp_path / "curtain.vtu", "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")
+    assert result.exit_code == 0, result.output
+    assert {p.name for p in tmp_path.iterdir()} == {"curtain.vtu", "summary.json", "rings"}
 
 
 def test_line_loads_are_averaged_by_area(tmp_path):

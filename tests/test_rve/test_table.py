@@ -99,7 +99,7 @@ def test_nothing_half_written(tmp_path):
         raise RuntimeError
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["x.csv"]
-    with pytest.raises(InputError, match="cannot write"), atomic_path(tmp_path / "no" / "x.csv"):
+    with pytest.raises(InputError, match="cannot be written"), atomic_path(tmp_path / "no" / "x.csv"):
         pass
 
 

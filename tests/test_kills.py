@@ -1,0 +1,154 @@
+"""Every command killed at random times: what it leaves is the old or the new job, whole.
+
+Kills at each single step of a publication are in tests/test_rve/test_jobs.py.
+"""
+
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from rve.files import checksum
+from rve.jobs import complete
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"
+LAW = ROOT / "homogenize" / "data" / "rings_10.json"
+SCENE = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = {cells}\n[support]\nkind = "corners"\n'
+STEPS = SCENE + "[load]\ngravity = 9.81\nsteps = 2\n"
+STUDY = (
+    "from rve.study import run; from rve.stewart_trinkle import StewartTrinkleOptions; "
+    "run('out', {alpha}, [0.0, 45.0], StewartTrinkleOptions(max_steps=40))"
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two runs that write to one place. record: the job's JSON; key: what tells the runs apart in it."""
+
+    old: tuple[str, ...]
+    new: tuple[str, ...]
+    record: str = ""
+    key: str = ""
+
+
+def module(name, *arguments):
+    return ("-m", name, *(str(a) for a in arguments))
+
+
+CASES = {
+    "macro_fem run": Case(
+        module("macro_fem", "run", "steps.toml", "--out", "out"),
+        module("macro_fem", "run", "other.toml", "--out", "out"),
+        "summary.json",
+        "cells",
+    ),
+    "rve table": Case(
+        module("rve", "table", "--out", "out/t.csv", "--alpha", "0:20:5", "--beta", "30:60:10"),
+        module("rve", "table", "--out", "out/t.csv", "--alpha", "0:45:5", "--beta", "10:80:10"),
+        "t.json",
+        "rows",
+    ),
+    "rve localize": Case(
+        module("rve", "localize", "hung/curtain.vtu", "--out", "out", "--no-picture", "--window", "0,0,30,30"),
+        module("rve", "localize", "hung/curtain.vtu", "--out", "out", "--no-picture"),
+        "localize.json",
+        "rings",
+    ),
+    "rve study": Case(
+        ("-c", STUDY.format(alpha=[0.0, 10.0])), ("-c", STUDY.format(alpha=[5.0, 10.0])), "study.json", "files"
+    ),
+    "rve case": Case(
+        module("rve", "case", "--alpha", 0, "--beta", 45, "--plot", "out/cell.png"),
+        module("rve", "case", "--alpha", 20, "--beta", 45, "--plot", "out/cell.png"),
+    ),
+    "homogenize fit": Case(
+        module("homogenize", "fit", TABLE, "--out", "out/law.json", "--kind", "net"),
+        module("homogenize", "fit", TABLE, "--out", "out/law.json", "--kind", "outer"),
+    ),
+    "homogenize plot": Case(
+        module("homogenize", "plot", LAW, "--table", TABLE, "--out", "out"),
+        module("homogenize", "plot", "net.json", "--table", TABLE, "--out", "out"),
+        "pictures",
+    ),
+    "homogenize export": Case(
+        module("homogenize", "export", LAW, "--out", "out/umat.f"),
+        module("homogenize", "export", "outer.json", "--out", "out/umat.f"),
+    ),
+}
+
+
+def start(arguments, folder):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen([sys.executable, *arguments], cwd=folder, env=environment, stdout=quiet, stderr=quiet)
+
+
+def finish(arguments, folder):
+    """Seconds that a run takes."""
+    began = time.perf_counter()
+    assert start(arguments, folder).wait() == 0, arguments
+    return time.perf_counter() - began
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """Scenes, laws and a curtain for the commands to read."""
+    folder = tmp_path_factory.mktemp("inputs")
+    (folder / "steps.toml").write_text(STEPS.format(cells=3))
+    (folder / "other.toml").write_text(SCENE.format(cells=4))
+    finish(module("macro_fem", "run", "other.toml", "--out", "hung", "--no-picture"), folder)
+    for kind in ("net", "outer"):
+        finish(module("homogenize", "fit", TABLE, "--out", f"{kind}.json", "--kind", kind), folder)
+    return folder
+
+
+def job_in(out, case):
+    """Which job `out` holds: its content, or for a job with a record names and the key, if its checksums hold."""
+    if case.record:
+        complete(out, case.record)
+    names = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
+    if not case.key:
+        return {name: (out / name).read_bytes() for name in names}
+    record = json.loads((out / case.record).read_text())
+    assert record["files"] == {name: checksum(out / name) for name in names if name != case.record}
+    return names, len(json.dumps(record[case.key])) if case.key == "files" else record[case.key]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_a_killed_command_leaves_the_old_or_the_new_job(inputs, tmp_path, name):
+    case, seed = CASES[name], sorted(CASES).index(name)
+    chance = random.Random(seed)
+    work = tmp_path / "work"
+    shutil.copytree(inputs, work)
+    out = work / "out"
+    out.mkdir()
+    finish(case.new, work)
+    new = job_in(out, case)
+    shutil.rmtree(out)
+    out.mkdir()
+    finish(case.old, work)
+    old = job_in(out, case)
+    assert old != new
+    shutil.copytree(out, tmp_path / "old")
+    seconds = finish(case.new, work)
+    killed = 0
+    for _ in range(5):
+        shutil.rmtree(out)
+        shutil.copytree(tmp_path / "old", out)
+        process = start(case.new, work)
+        time.sleep(chance.uniform(0.3, 1.0) * seconds)
+        process.kill()
+        killed += process.wait() != 0
+        assert job_in(out, case) in (old, new), f"seed {seed}"
+    assert killed > 0
+    finish(case.new, work)
+    assert job_in(out, case) == new

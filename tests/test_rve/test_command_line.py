@@ -1,0 +1,194 @@
+"""How every command ends: one sentence and a code, whatever happens; stopped, it takes its workers along."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from homogenize.cli import main as homogenize
+from homogenize.ship import SHIPPED
+from macro_fem.cli import main as macro_fem
+from rve.cli import main as rve
+from rve.command_line import Group
+from rve.errors import InputError, NotConverged
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"
+SCENE = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = {cells}\n[support]\nkind = "corners"\n'
+
+
+def ended(error, *options):
+    """A command that raises `error`."""
+
+    @click.group(cls=Group)
+    def main():
+        pass
+
+    @main.command()
+    def go():
+        raise error
+
+    return CliRunner().invoke(main, ["go", *options])
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (InputError("x = 3: too small"), 2, "Error: x = 3: too small"),
+        (NotConverged("stalled"), 1, "Error: stalled"),
+        (ZeroDivisionError("division\nby zero"), 1, "Error: unforeseen ZeroDivisionError: division by zero"),
+        (AssertionError(), 1, "unforeseen AssertionError: no message"),
+        (RecursionError("too deep"), 1, "unforeseen RecursionError"),
+        (MemoryError(), 1, "not enough memory"),
+        (OSError(28, "No space left on device", "out.csv"), 1, "out.csv: No space left on device; make room"),
+        (FileNotFoundError(2, "No such file", "law.json"), 1, "law.json: No such file"),
+        (KeyboardInterrupt(), 130, "stopped by SIGINT"),
+    ],
+)
+def test_whatever_a_command_raises_is_one_sentence(error, code, words):
+    done = ended(error)
+    assert done.exit_code == code
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    traced = ended(error, "--traceback")
+    assert traced.exit_code == code
+    assert "Traceback (most recent call last)" in traced.stderr
+    assert "in go" in traced.stderr
+    assert traced.stderr.splitlines()[-1] == done.stderr.strip()
+
+
+@pytest.mark.parametrize("group", [rve, homogenize, macro_fem], ids=["rve", "homogenize", "macro_fem"])
+def test_every_command_has_the_option(group):
+    assert group.commands
+    for command in group.commands.values():
+        assert "--traceback" in CliRunner().invoke(command, ["--help"]).output
+
+
+def started(*arguments, limit=None):
+    """A command as a user starts it, in a session of its own; `limit`: largest file in bytes."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    small = None if limit is None else lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    command = [sys.executable, "-m", *(str(a) for a in arguments)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        command, env=environment, stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=small
+    )
+
+
+def test_a_disk_that_is_full_is_a_sentence_and_old_files_stay(tmp_path):
+    """Files may not grow beyond 1 kB: the same error path as a full disk."""
+    table, law, out = tmp_path / "t.csv", tmp_path / "law.json", tmp_path / "out"
+    (tmp_path / "scene.toml").write_text(SCENE.format(cells=2))
+    runs = [
+        ("rve", "table", "--out", table, "--alpha", "0:20:10", "--beta", "30,60"),
+        ("homogenize", "fit", TABLE, "--out", law, "--kind", "net"),
+        ("macro_fem", "run", tmp_path / "scene.toml", "--out", out, "--no-picture"),
+    ]
+    for command in runs:
+        process = started(*command)
+        assert process.wait() == 0, process.stderr.read()
+        process.communicate()
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
+    assert len(before) == 6
+    for command in runs:
+        process = started(*command, limit=200)
+        _, errors = process.communicate()
+        assert process.returncode == 1
+        assert "File too large; raise the limit" in errors
+        assert errors.count("\n") == 1
+        assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def in_session(session):
+    """Numbers of the living processes of a session."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def waited(condition, seconds=60.0):
+    for _ in range(int(seconds / 0.05)):
+        if condition():
+            return True
+        time.sleep(0.05)
+    return condition()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see the processes")
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (signal.SIGTERM, 143),
+        pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow),
+        (signal.SIGKILL, -signal.SIGKILL),
+    ],
+)
+def test_workers_end_with_their_command(tmp_path, number, code):
+    folder = tmp_path / "kept"
+    command = ["rve", "table", "--out", tmp_path / "t.csv", "--beta", "0:90:10", "--method", "stewart-trinkle"]
+    process = started(*command, "--checkpoint", folder, "--workers", 2)
+    try:
+        assert waited(lambda: len(list(folder.glob("block-*.npz"))) > 0), "no checkpoint"
+        assert len(in_session(process.pid)) >= 3
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == code
+        assert waited(lambda: in_session(process.pid) == [])
+    finally:
+        if in_session(process.pid):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert list(folder.glob("block-*.npz"))
+    assert not (tmp_path / "t.csv").exists()
+    if code > 0:
+        name = signal.Signals(number).name
+        assert (
+            errors
+            == f"Error: stopped by {name}; what is solved is kept in {folder}, and the same command goes on there\n"
+        )
+
+
+MISSING = """
+import sys
+sys.modules[{module!r}] = None
+import {package}.cli
+{package}.cli.main({arguments!r})
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "arguments"),
+    [
+        ("matplotlib", "plots", ("homogenize", "plot", SHIPPED, "--table", TABLE, "--out", "out")),
+        ("matplotlib", "plots", ("rve", "study", "--out", "out")),
+        ("matplotlib", "plots", ("rve", "case", "--alpha", "0", "--beta", "45", "--plot", "out.png")),
+        ("matplotlib", "plots", ("macro_fem", "run", "scene.toml", "--out", "out")),
+        ("pyvista", "three-d", ("rve", "localize", "curtain.vtu", "--out", "out")),
+        ("clarabel", "cones", ("macro_fem", "run", "conic.toml", "--out", "out", "--no-picture")),
+    ],
+)
+def test_what_a_command_needs_is_checked_first(tmp_path, module, extra, arguments):
+    (tmp_path / "conic.toml").write_text(SCENE.format(cells=30) + '[solver]\nkind = "conic"\n')
+    before = sorted(tmp_path.iterdir())
+    package, *rest = (str(a) for a in arguments)
+    code = MISSING.format(module=module, package=package, arguments=rest)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert run.returncode == 2
+    assert run.stdout == ""
+    assert f"needs {module}: run pip install '.[{extra}]' in the project's folder" in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
