@@ -2,8 +2,8 @@
 
 A mesh is cut where a node is missing: the cell or side around the place is divided there, so that every other side
 stays as it is, along the weave where it was, and whatever the old mesh could do the new one can. Where that would make
-a sliver a node next to the place is moved instead, inside the mesh or along a straight boundary. What would need a cell
-thinner than LEAST_SINE is refused.
+a sliver a side is bent through the place, or a node next to it is moved, inside the mesh or along the boundary. What
+would need cells with corners of less than some 3 degrees is refused.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ from macro_fem.edges import CORNER, paths
 SAME = 1e-9
 """Places nearer to a node than this part of the size of the mesh have a node."""
 LEAST_SINE = 0.05
-"""Least sine of a corner of a cell that is cut or moved, 3 degrees: thinner cells are refused."""
-MOVE_WORTH = 0.6
-"""Cells around a moved node count as this much of their least sine, as moving turns sides away from the weave."""
+"""Least sine of a corner of a cell around a new or moved node, 3 degrees. Larger: more nodes are moved, which turns sides
+away from the weave, and more places refused. Smaller: cells that are too thin for the solvers' rounding."""
 TOUCH = 1e-3
 """Places within this part of a boundary facet's length of it are on it, whether just inside or just outside."""
 NEAR_BEND = 0.25
@@ -49,7 +48,8 @@ class Sheet:
 class _Change:
     """A node at `place` (a new one, or an old one moved) with cells `removed` (k,) and `added` (j, 3 or 4) for it.
 
-    `edge`: the side that is cut. `worth`: the least sine of the added cells, less where a node is moved.
+    `edge`: the side that is cut. `sine`: the least one of the corners of the added cells. `turns`: whether old sides
+    get another direction, as a side does that is bent and all sides at a node that moves.
     """
 
     node: int
@@ -57,7 +57,8 @@ class _Change:
     removed: np.ndarray
     added: np.ndarray
     edge: tuple[int, int] | None
-    worth: float
+    sine: float
+    turns: bool = False
 
 
 def make_sheet(points: Array, cells: np.ndarray, lines: dict[str, np.ndarray] | None = None) -> Sheet:
@@ -151,13 +152,13 @@ def _best_change(sheet: Sheet, place: Array, kept: set[int], where: str) -> _Cha
     if not is_on and cell < 0:
         raise InputError(f"{where}is {away:g} mm away from the curtain, whose nearest node is at ({x:g}, {y:g})")
     changes = _on_boundary(sheet, place, sheet.rim[facet], kept) if is_on else _inside(sheet, place, cell, kept)
-    best = max(changes, key=lambda change: change.worth, default=None)
-    if best is None or best.worth < LEAST_SINE:
+    sound = [change for change in changes if change.sine >= LEAST_SINE]
+    if not sound:
         raise InputError(
             f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at ({x:g}, {y:g}); ask for "
             f"that place, or use another number of cells or triangles"
         )
-    return best
+    return max(sound, key=lambda change: (not change.turns, change.sine))
 
 
 def _nearest_facet(sheet: Sheet, place: Array) -> tuple[int, bool]:
@@ -212,14 +213,14 @@ def _inside(sheet: Sheet, place: Array, cell: int, kept: set[int]) -> list[_Chan
         added = np.array([[a, b, len(sheet.points)] for a, b in sides])
         changes.append(_change(sheet, place, len(sheet.points), np.array([cell]), added))
         in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
-        changes += [_cut_edge(sheet, place, a, b) for a, b in sides if frozenset((a, b)) not in in_lines]
+        changes += [_bent_edge(sheet, place, a, b) for a, b in sides if frozenset((a, b)) not in in_lines]
     return [change for change in changes if change is not None]
 
 
 def _moved(sheet: Sheet, place: Array, node: int) -> _Change:
     star = np.flatnonzero((sheet.cells == node).any(axis=1))
     change = _change(sheet, place, node, star, sheet.cells[star])
-    return replace(change, worth=MOVE_WORTH * change.worth)
+    return replace(change, turns=True)
 
 
 def _cut_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
@@ -230,6 +231,14 @@ def _cut_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
     new = len(sheet.points)
     added = np.concatenate([np.where(sheet.cells[beside] == old, new, sheet.cells[beside]) for old in (a, b)])
     return _change(sheet, place, new, beside, added, (a, b))
+
+
+def _bent_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
+    """The side from a to b inside the mesh cut, and bent where the place is not quite on it."""
+    along, to_place = sheet.points[b] - sheet.points[a], place - sheet.points[a]
+    off = abs(float(along[0] * to_place[1] - along[1] * to_place[0])) / float(np.linalg.norm(along))
+    change = _cut_edge(sheet, place, a, b)
+    return None if change is None else replace(change, turns=off > SAME * sheet.size)
 
 
 def _change(
