@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from homogenize.law import Array, CellInfo, InputError
 from macro_fem.edges import facets_between, inherited_edges, named_edges
 from macro_fem.outline import mesh_outline, regular_polygon
-from macro_fem.places import SAME, hook_places, make_sheet, through, with_nodes_at
+from macro_fem.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
 from macro_fem.scene import Curtain, Hooks, Point, PointLoad, Scene
 
 MAX_TRIANGLES = 4_000_000
@@ -256,6 +256,8 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
     points = _plane_points(reference_points(data)[used], where)
+    if "displacement_mm" in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
+        cells = counterclockwise(points, cells)
     _check_cells(points, cells, where)
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
     mesh = mesh_type(points.T.copy(), cells.T.copy())

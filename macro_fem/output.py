@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from homogenize.law import Array, InputError, write_text, write_whole
 from macro_fem.assembly import cell_mean
+from macro_fem.places import counterclockwise
 from macro_fem.solution import CurtainSolution, Problem
 
 if TYPE_CHECKING:
@@ -251,7 +252,7 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
     }
     document = meshio.Mesh(
         _in_space(mesh.p.T),
-        [(VTU_CELLS[disc.element], mesh.t.T)],
+        [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
         point_data={
             "displacement_mm": _in_space(corner_positions(solution) - mesh.p.T),
             "support_force_N": _in_space(corner_forces(solution.problem, solution.reactions)),

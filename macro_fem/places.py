@@ -21,8 +21,8 @@ from macro_fem.edges import CORNER, paths
 SAME = 1e-9
 """Places nearer to a node than this part of the size of the mesh have a node."""
 LEAST_SINE = 0.05
-"""Least sine of a corner of a cell around a new or moved node, 3 degrees. Larger: more nodes are moved, which turns sides
-away from the weave, and more places refused. Smaller: cells that are too thin for the solvers' rounding."""
+"""Least sine of a corner of a cell around a new or moved node, 3 degrees. Larger: more nodes are moved, which turns
+sides away from the weave, and more places refused. Smaller: cells that are too thin for the solvers' rounding."""
 TOUCH = 1e-3
 """Places within this part of a boundary facet's length of it are on it, whether just inside or just outside."""
 NEAR_BEND = 0.25
@@ -63,12 +63,17 @@ class _Change:
 
 def make_sheet(points: Array, cells: np.ndarray, lines: dict[str, np.ndarray] | None = None) -> Sheet:
     """A sheet of cells in either sense."""
-    x, y = points[cells, 0], points[cells, 1]
-    area = (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
-    cells = np.where(area[:, None] < 0.0, cells[:, ::-1], cells)
+    cells = counterclockwise(points, cells)
     pairs = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2)
     _, first, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_index=True, return_counts=True)
     return Sheet(points, cells, pairs[first[counts == 1]], lines or {})
+
+
+def counterclockwise(points: Array, cells: np.ndarray) -> np.ndarray:
+    """The cells (m, 3 or 4), those that are clockwise turned round."""
+    x, y = points[cells, 0], points[cells, 1]
+    area = (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
+    return np.where(area[:, None] < 0.0, cells[:, ::-1], cells)
 
 
 def hook_places(points: Array, pairs: np.ndarray, pitch: float, where: str) -> Array:

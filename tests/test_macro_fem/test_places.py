@@ -138,7 +138,7 @@ def test_grid_lines_of_quadrilaterals_pass_through_points(element):
     support = [{"kind": "top"}, {"kind": "point", "at": [33.0, 41.0]}]
     mesh = build_mesh(scene(support, mesh={"cells": 5, "element": element}), RINGS)
     assert has_node(mesh, [33.0, 41.0])
-    x, y = mesh.mesh.p[:, mesh.mesh.t]
+    x = mesh.mesh.p[0][mesh.mesh.t]
     assert np.allclose(np.sort(x, axis=0)[[0, 2]], np.sort(x, axis=0)[[1, 3]])
 
 
@@ -184,7 +184,7 @@ def test_hooks_are_evenly_spaced_along_an_arch():
 
 
 def test_a_node_of_two_supports_counts_once():
-    """Top and left side share a corner: the points of both together balance the load, and the corner is in both once."""
+    """Top and left side share a corner: the points of both together balance the load and have the corner once."""
     support = [{"kind": "top"}, {"kind": "edge", "edge": "left"}]
     load = {"edge": {"edge": "bottom", "force": [0.02, -0.03]}}
     solution = solve_scene(scene(support, load=load, mesh={"cells": 6}), LAW)

@@ -448,6 +448,24 @@ def test_reading_keeps_tension_tensile(hung):
         read_curtain(hung / "nowhere.vtu")
 
 
+def test_old_and_new_curtain_files_read_alike(hung, tmp_path):
+    """Points were once the deformed state, beside the reference; now they are the reference, warped by displacement."""
+    data = meshio.read(hung / "curtain.vtu")
+    reference = data.points.copy()
+    assert np.ptp(reference[:, 0]) == pytest.approx(70.0)
+    assert np.ptp(reference[:, 1]) == pytest.approx(60.0)
+    data.points = reference + data.point_data["displacement_mm"]
+    data.point_data["reference_mm"] = reference
+    data.write(tmp_path / "curtain.vtu")
+    old, new = read_curtain(tmp_path / "curtain.vtu"), read_curtain(hung / "curtain.vtu")
+    np.testing.assert_array_equal(old.X, new.X)
+    np.testing.assert_allclose(old.x, new.x, atol=1e-12)
+    np.testing.assert_array_equal(old.S, new.S)
+    sag = new.X[:, 1] - new.x[:, 1]
+    assert sag.max() > 10.0  # the upper edge between the corners
+    assert sag.max() == pytest.approx(json.loads((hung / "summary.json").read_text())["max_displacement_mm"], rel=0.2)
+
+
 def test_a_pose_in_a_mirror_keeps_its_links(states):
     pose = Pose(states.pose.lattice, states.pose.centres, states.pose.normals)
     contacts = find_contacts(mirrored(pose), CELL.weave, CELL.wire, 0.6)
