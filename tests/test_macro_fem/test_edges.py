@@ -104,6 +104,10 @@ WAVE = np.column_stack([100.0 + 1.5 * np.sin(0.3 * HEIGHTS), HEIGHTS])
             [[0, 0], [100, 0], [100, 60], [80, 80], [20, 80], [0, 60]],
             {"top": 60.0, "bottom": 100.0, "left": 60.0, "right": 60.0},
         ),
+        (
+            [[0, 0], [100, 0], [100, 60], [80, 78], [20, 78], [0, 60]],
+            {"top": 60.0, "bottom": 100.0, "left": 60.0, "right": 60.0},
+        ),
         ([[0, 0], [100, 0], [50, 173.2]], {"bottom": 100.0, "top": 2.0 * np.hypot(50.0, 173.2)}),
         ([[0, 40], [100, 0], [100, 80], [0, 80]], {"top": 100.0, "bottom": np.hypot(100, 40), "left": 40, "right": 80}),
         (
@@ -111,7 +115,18 @@ WAVE = np.column_stack([100.0 + 1.5 * np.sin(0.3 * HEIGHTS), HEIGHTS])
             {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)},
         ),
     ],
-    ids=["box", "turned left", "turned right", "step", "diamond", "chamfers", "spire", "sloping hem", "wavy side"],
+    ids=[
+        "box",
+        "turned left",
+        "turned right",
+        "step",
+        "diamond",
+        "chamfers",
+        "hips",
+        "spire",
+        "sloping hem",
+        "wavy side",
+    ],
 )
 def test_sides_of_outlines(outline, expected):
     assert outline_lengths(outline) == pytest.approx(expected)
