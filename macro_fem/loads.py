@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import skfem
-from scipy.spatial import cKDTree
 
 from homogenize.law import Array, CellInfo, InputError
 from macro_fem.assembly import Discretization, load_vector
 from macro_fem.mesh import CurtainMesh
 from macro_fem.scene import Bar, EdgeLoad, PatchLoad, PointLoad, Scene
+from macro_fem.supports import point_node
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""
@@ -48,7 +48,7 @@ def nodal_forces(
     for edge in scene.load.edge:
         live += edge_load(edge, scene, mesh, disc)
     for point in scene.load.point:
-        live += point_load(point, scene, mesh, disc)
+        live += point_load(point, scene, disc)
     for patch in scene.load.patch:
         live += patch_load(patch, scene, disc)
     return dead + factor * live
@@ -68,20 +68,15 @@ def bar_weight(bar: Bar, scene: Scene, mesh: CurtainMesh, disc: Discretization) 
 
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
     """Integral of every shape function over a named edge (n_nodes,), mm."""
-    if name not in mesh.edges:
-        raise InputError(f"{where} = {name!r}: the curtain has no such edge, only {', '.join(sorted(mesh.edges))}")
-    basis = skfem.FacetBasis(mesh.mesh, FACET_ELEMENTS[disc.element](), facets=mesh.edges[name], intorder=2)
+    facets = mesh.edge(name, where)
+    basis = skfem.FacetBasis(mesh.mesh, FACET_ELEMENTS[disc.element](), facets=facets, intorder=2)
     return skfem.LinearForm(lambda v, w: v).assemble(basis)
 
 
-def point_load(load: PointLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
-    """A force on the node nearest to a point; InputError if the point is off the curtain."""
-    distance, node = cKDTree(disc.nodes).query(np.array(load.at))
-    longest = float(np.linalg.norm(np.diff(mesh.mesh.p[:, mesh.mesh.facets], axis=1), axis=0).max())
-    if distance > longest:
-        raise InputError(f"{scene.source}: [load.point] at = {list(load.at)}: is {distance:g} mm away from the curtain")
+def point_load(load: PointLoad, scene: Scene, disc: Discretization) -> Array:
+    """A force on the node at a point; InputError if there is none."""
     force = np.zeros((disc.n_nodes, 2))
-    force[node] = load.force
+    force[point_node(load.at, disc, f"{scene.source}: [load.point]")] = load.force
     return force
 
 

@@ -1,13 +1,13 @@
 """Meshes of curtains: rectangles in rows, any outline with holes by Delaunay's rule on a lattice of the weave, files.
 
-A mesh comes with its named boundary edges: "top", "bottom", "left", "right" of a rectangle, otherwise "outline" and
-"hole 1", "hole 2", ...; "top" and "bottom" of any shape are the straight boundary pieces at its extreme heights.
+A mesh comes with its named edges, see `macro_fem.edges`, and has nodes at hooks, at held and loaded points, and at the
+centres of patches that are smaller than its cells, see `macro_fem.places`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from homogenize.law import Array, CellInfo, InputError
+from macro_fem.edges import facets_between, inherited_edges, named_edges
 from macro_fem.mesh_files import read_mesh_file
-from macro_fem.outline import distance_to_polygon, mesh_outline, regular_polygon
-from macro_fem.scene import MOST_MM, Curtain, Mesh, Scene
+from macro_fem.outline import mesh_outline, regular_polygon
+from macro_fem.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
+from macro_fem.scene import MOST_MM, Curtain, Hooks, Point, PointLoad, Scene
 from rve.values import shown
 
 MAX_TRIANGLES = 4_000_000
@@ -29,11 +31,21 @@ MAX_TRIANGLES = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class CurtainMesh:
-    """A scikit-fem mesh `mesh` and its named edges: facet numbers per name. `pattern` says how the cells lie."""
+    """A scikit-fem mesh `mesh` and its named edges: facet numbers per name. `pattern` says how the cells lie.
+
+    `hooks`: reference positions (k, 2) of the hooks of each support that has some, by its number in the scene.
+    """
 
     mesh: Any
     pattern: str
     edges: dict[str, np.ndarray] = field(repr=False)
+    hooks: dict[int, Array] = field(default_factory=dict, repr=False)
+
+    def edge(self, name: str, where: str) -> np.ndarray:
+        """Facet numbers of a named edge; InputError, which begins with `where`, if there is no such edge."""
+        if name not in self.edges:
+            raise InputError(f"{where} = {name!r}: the curtain has no such edge, only {', '.join(sorted(self.edges))}")
+        return self.edges[name]
 
     @property
     def height(self) -> float:
@@ -47,14 +59,53 @@ class CurtainMesh:
 
 
 def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
-    """The mesh a scene asks for; InputError if its outline or mesh file cannot be meshed."""
+    """The mesh a scene asks for, with nodes where it holds and loads points.
+
+    InputError if its outline or mesh file cannot be meshed, or a point lies off it or would need a flat cell.
+    """
+    mesh = _plain_mesh(scene, cell)
+    mesh = replace(mesh, hooks=_hooks(scene, mesh))
+    places, wheres = _wanted(scene, mesh)
+    if not len(places) or cKDTree(mesh.mesh.p.T).query(places)[0].max() <= SAME * mesh.size:
+        return mesh
+    lines = {name: mesh.mesh.facets[:, facets].T for name, facets in mesh.edges.items()}
+    sheet = with_nodes_at(make_sheet(mesh.mesh.p.T, mesh.mesh.t.T, lines), places, wheres)
+    cut = type(mesh.mesh)(sheet.points.T.copy(), sheet.cells.T.copy())
+    return replace(mesh, mesh=cut, edges={name: facets_between(cut, pairs) for name, pairs in sheet.lines.items()})
+
+
+def _hooks(scene: Scene, mesh: CurtainMesh) -> dict[int, Array]:
+    """Places (k, 2) of the hooks of each support that has some, by its number; none where there is no top edge."""
+    if "top" not in mesh.edges:
+        return {}
+    pairs = mesh.mesh.facets[:, mesh.edges["top"]].T
+    return {
+        number: hook_places(mesh.mesh.p.T, pairs, item.pitch, f"{scene.source}: [support]")
+        for number, item in enumerate(scene.support)
+        if isinstance(item, Hooks)
+    }
+
+
+def _wanted(scene: Scene, mesh: CurtainMesh) -> tuple[Array, list[str]]:
+    """Where nodes are needed (k, 2), and how each place is named in messages (k,)."""
+    hooks = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places in mesh.hooks.values() for x, y in places]
+    longest = float(np.linalg.norm(np.diff(mesh.mesh.p[:, mesh.mesh.facets], axis=1), axis=0).max())
+    points = [("[support] (point)", item.at) for item in scene.support if isinstance(item, Point)]
+    points += [("[load.point]", point.at) for point in scene.load.point]
+    points += [("[load.patch]", patch.at) for patch in scene.load.patch if patch.radius < longest]
+    named = hooks + [(f"{what} at = {list(at)}", at) for what, at in points]
+    return np.array([at for _, at in named]).reshape(-1, 2), [f"{scene.source}: {what}" for what, _ in named]
+
+
+def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
+    """The mesh of the curtain's shape before nodes are added for points."""
     curtain = scene.curtain
     if curtain.shape == "file":
         return read_mesh(curtain, scene.source)
     aspect = weave_aspect(cell)
     _refuse_too_many(scene, aspect)
     if curtain.shape == "rectangle" and not curtain.holes:
-        return rectangle(curtain, scene.mesh, aspect)
+        return rectangle(scene, aspect)
     if curtain.shape == "disk":
         assert curtain.radius is not None
         sides = max(8, math.ceil(math.pi * scene.mesh.cells))
@@ -68,11 +119,11 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
         outline = np.array(curtain.outline)
     holes = [np.array(hole) for hole in curtain.holes]
     try:
-        points, cells = mesh_outline(outline, holes, scene.mesh.cells, aspect, math.radians(curtain.hang))
+        points, cells = mesh_outline(outline, holes, columns(scene), aspect, math.radians(curtain.hang))
     except ValueError as error:
         raise InputError(f"{scene.source}: [curtain] {error}") from error
     mesh = skfem.MeshTri(points.T.copy(), cells.T.copy())
-    return CurtainMesh(mesh, "aligned", named_edges(mesh, holes, is_box=curtain.shape == "rectangle"))
+    return CurtainMesh(mesh, "aligned", named_edges(mesh, holes, {}))
 
 
 def _refuse_too_many(scene: Scene, aspect: float) -> None:
@@ -105,16 +156,28 @@ def weave_aspect(cell: CellInfo | None) -> float:
     return 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm
 
 
-def rectangle(curtain: Curtain, spec: Mesh, aspect: float) -> CurtainMesh:
+def columns(scene: Scene) -> int:
+    """The number of columns of a rectangle nearest to `cells` at which every hook has a node; else `cells`."""
+    curtain, cells = scene.curtain, scene.mesh.cells
+    if curtain.shape != "rectangle":
+        return cells
+    assert curtain.width is not None
+    between = [round(min(curtain.width / item.pitch, 1e9)) for item in scene.support if isinstance(item, Hooks)]
+    step = math.lcm(*(number for number in between if 1 <= number <= cells))
+    return step * max(1, round(cells / step)) if step <= cells else cells
+
+
+def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
     """Rows of equal rectangles, each cut into four ("aligned", "crossed") or two ("diagonal") triangles.
 
     The rectangles of "aligned" have the sides of the weave's cell, so that their diagonals follow both families; what
     is left of the height makes one lower row at the bottom. Off the axes of the weave no such rectangle exists and
-    "aligned" becomes "crossed".
+    "aligned" becomes "crossed". Quadrilaterals cannot be cut, so that their grid lines pass through all points.
     """
+    curtain, spec = scene.curtain, scene.mesh
     assert curtain.width is not None
     assert curtain.height is not None
-    W, H, n = curtain.width, curtain.height, spec.cells
+    W, H, n = curtain.width, curtain.height, columns(scene)
     quarter_turns = curtain.hang / 90.0
     is_aligned = spec.pattern == "aligned" and quarter_turns == round(quarter_turns)
     pattern = "crossed" if spec.pattern == "aligned" and not is_aligned else spec.pattern
@@ -124,6 +187,9 @@ def rectangle(curtain: Curtain, spec: Mesh, aspect: float) -> CurtainMesh:
     else:
         y = np.linspace(0.0, H, max(1, round(n * H / W)) + 1)
     x = np.linspace(0.0, W, n + 1)
+    if spec.element in ("Q1", "Q2"):
+        points = [item.at for item in (*scene.support, *scene.load.point) if isinstance(item, Point | PointLoad)]
+        x, y = (through(lines, np.array([at[k] for at in points])) for k, lines in enumerate((x, y)))
     quads = skfem.MeshQuad.init_tensor(x, y)
     if spec.element in ("Q1", "Q2"):
         mesh: Any = quads
@@ -131,7 +197,7 @@ def rectangle(curtain: Curtain, spec: Mesh, aspect: float) -> CurtainMesh:
         mesh = skfem.MeshTri.init_tensor(x, y)
     else:
         mesh = cut_in_four(quads)
-    return CurtainMesh(mesh, pattern, named_edges(mesh, [], is_box=True))
+    return CurtainMesh(mesh, pattern, named_edges(mesh, [], {}))
 
 
 def _rows(height: float, row: float) -> Array:
@@ -157,36 +223,14 @@ def refine(mesh: CurtainMesh, cells: np.ndarray, scene: Scene) -> CurtainMesh:
     finer = mesh.mesh.refined(np.asarray(cells))
     if not isinstance(finer, skfem.MeshTri1):
         raise InputError(f"{scene.source}: [solver] adapt: needs triangles")
-    holes = [np.array(hole) for hole in scene.curtain.holes]
-    is_box = scene.curtain.shape in ("rectangle", "file")
-    return CurtainMesh(finer, mesh.pattern, named_edges(finer, holes, is_box=is_box))
-
-
-def named_edges(mesh: Any, holes: list[Array], *, is_box: bool) -> dict[str, np.ndarray]:
-    """Boundary facets by name; see the module header."""
-    boundary = mesh.boundary_facets()
-    ends = mesh.p[:, mesh.facets[:, boundary]]
-    tiny = 1e-9 * float(np.ptp(mesh.p, axis=1).max())
-    low, high = mesh.p.min(axis=1), mesh.p.max(axis=1)
-    edges = {
-        "top": boundary[np.all(np.abs(ends[1] - high[1]) < tiny, axis=0)],
-        "bottom": boundary[np.all(np.abs(ends[1] - low[1]) < tiny, axis=0)],
-    }
-    if is_box:
-        edges["left"] = boundary[np.all(np.abs(ends[0] - low[0]) < tiny, axis=0)]
-        edges["right"] = boundary[np.all(np.abs(ends[0] - high[0]) < tiny, axis=0)]
-    middle = ends.mean(axis=1).T
-    in_hole = np.zeros(len(boundary), bool)
-    for number, hole in enumerate(holes, start=1):
-        near = distance_to_polygon(middle, hole) < 1e3 * tiny
-        edges[f"hole {number}"] = boundary[near]
-        in_hole |= near
-    edges["outline"] = boundary[~in_hole]
-    return {name: facets for name, facets in edges.items() if len(facets)}
+    return replace(mesh, mesh=finer, edges=inherited_edges(mesh.mesh, finer, mesh.edges))
 
 
 def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
-    """The plane mesh in a file; InputError for cells that are inverted, doubled, flat or not plane."""
+    """The plane mesh in a file, and its lines in physical groups as named edges.
+
+    A curtain.vtu is read as its reference state. InputError for cells that are inverted, doubled, flat or not plane.
+    """
     where = f"{source}: [curtain] file = {shown(curtain.file)}:"
     try:
         data = read_mesh_file(source.parent / str(curtain.file))
@@ -198,12 +242,45 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
     cells = np.asarray(data.cells_dict[kinds[0]], dtype=np.int64)
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
-    points = _plane_points(data.points[used], where)
+    points = _plane_points(reference_points(data)[used], where)
+    if "displacement_mm" in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
+        cells = counterclockwise(points, cells)
     _check_cells(points, cells, where)
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
     mesh = mesh_type(points.T.copy(), cells.T.copy())
     _check_sides(mesh, where)
-    return CurtainMesh(mesh, "file", named_edges(mesh, [], is_box=True))
+    return CurtainMesh(mesh, "file", named_edges(mesh, [], physical_lines(data, mesh, used, where)))
+
+
+def reference_points(data: Any) -> Array:
+    """Points (n, 2 or 3) of a mesh without load: those of the file, but `reference_mm` of an old curtain.vtu."""
+    old = data.point_data.get("reference_mm")
+    return np.asarray(data.points if old is None or np.shape(old) != data.points.shape else old, dtype=float)
+
+
+def physical_lines(data: Any, mesh: Any, used: np.ndarray, where: str) -> dict[str, np.ndarray]:
+    """Node pairs (k, 2) of the physical groups of lines in a Gmsh file, by name, or by number where they have none.
+
+    `used` are the numbers in the file of the nodes of `mesh`. InputError for a group of which only a part lies on
+    sides of cells.
+    """
+    names = {int(tag): str(name) for name, (tag, dim) in data.field_data.items() if dim == 1}
+    tags = data.cell_data.get("gmsh:physical", [])
+    found: dict[str, list[np.ndarray]] = {}
+    for block, tag in zip(data.cells, tags, strict=False):
+        for one in np.unique(tag) if block.type == "line" else ():
+            found.setdefault(names.get(int(one), str(int(one))), []).append(block.data[tag == one])
+    lines = {}
+    for name, blocks in found.items():
+        pairs = np.concatenate(blocks).astype(np.int64)
+        place = np.minimum(np.searchsorted(used, pairs), len(used) - 1)
+        place = place[(used[place] == pairs).all(axis=1)]
+        on_sides = len(facets_between(mesh, place)) if len(place) else 0
+        if 0 < on_sides < len(np.unique(np.sort(pairs, axis=1), axis=0)):
+            raise InputError(f"{where} group {name!r}: only {on_sides} of its {len(pairs)} lines are sides of cells")
+        if on_sides:
+            lines[name] = place
+    return lines
 
 
 def _check_sides(mesh: Any, where: str) -> None:

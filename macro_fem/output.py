@@ -1,7 +1,9 @@
-"""Files of a solved curtain: summary.json and curtain.vtu, each written whole or not at all."""
+"""Files of a solved curtain: summary.json, support_forces.csv and curtain.vtu, each written whole or not at all."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import platform
 from collections.abc import Sequence
@@ -10,11 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from homogenize.law import Array, CellInfo, write_text, write_whole
 from macro_fem.assembly import cell_mean
 from macro_fem.loads import PER_MM2, areal_mass
-from macro_fem.solution import CurtainSolution
+from macro_fem.places import counterclockwise
+from macro_fem.solution import CurtainSolution, Problem
 
 if TYPE_CHECKING:
     from macro_fem.adapt import Level
@@ -23,9 +27,26 @@ VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad",
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    """summary.json in `folder`; a number that is not finite is written as null."""
+    """summary.json in `folder`, where numbers that are not finite are null, and support_forces.csv beside it."""
     content = json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n"
     write_text(folder / "summary.json", content)
+    write_text(folder / "support_forces.csv", support_table(summary["support_forces"]))
+
+
+def support_table(supports: list[dict[str, Any]]) -> str:
+    """The forces of supports point by point as CSV: number and name of the support, reference position, force.
+
+    >>> print(support_table([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}]), end="")
+    support_number,support,x_mm,y_mm,force_x_N,force_y_N
+    1,top,0.0,9.0,0.5,2.0
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N"))
+    for number, support in enumerate(supports, start=1):
+        for point in support["points"]:
+            table.writerow((number, support["support"], *point["at_mm"], *point["force_N"]))
+    return text.getvalue()
 
 
 def _finite(value: Any) -> Any:
@@ -59,6 +80,8 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "max_principal_line_load_N_per_mm": float(principal.max(initial=0.0)),
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": support_forces(solution),
+        "nodes_held": int(problem.supports.mask.any(axis=1).sum()),
+        "length_held_mm": held_length(problem, [held.facets for held in problem.supports.held]),
         "potential_primal_N_mm": solution.primal,
         "potential_dual_N_mm": solution.dual,
         "relative_gap": relative_gap(solution),
@@ -102,24 +125,43 @@ def relative_gap(solution: CurtainSolution) -> float:
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
-    """Force of each support on the curtain in N; components held by two supports count for the first."""
-    reactions = solution.reactions
+    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
+
+    A component held by two supports counts for the first, so that the forces of all points balance the loads.
+    `at_mm` is the reference position. `nodes_held` and `length_held_mm` also count what an earlier support holds.
+    """
+    problem, reactions = solution.problem, solution.reactions
     taken = np.zeros(reactions.shape, bool)
     forces = []
-    for held in solution.problem.supports.held:
+    for held in problem.supports.held:
         own = np.zeros_like(taken)
         own[held.nodes] = held.mask
         own &= ~taken
         taken |= own
         part = np.where(own, reactions, 0.0)
+        nodes = held.nodes[own[held.nodes].any(axis=1)]
+        at = problem.disc.nodes[nodes]
         forces.append(
             {
                 "support": held.name,
                 "force_N": part.sum(axis=0).tolist(),
                 "largest_nodal_force_N": float(np.linalg.norm(part, axis=1).max()),
+                "nodes_held": len(held.nodes),
+                "length_held_mm": held_length(problem, [held.facets]),
+                "points": [
+                    {"at_mm": place, "force_N": force}
+                    for place, force in zip(at.tolist(), part[nodes].tolist(), strict=True)
+                ],
             }
         )
     return forces
+
+
+def held_length(problem: Problem, facets: list[np.ndarray]) -> float:
+    """Length in mm of the facets (k,) of several supports, each counted once."""
+    mesh = problem.mesh.mesh
+    ends = mesh.p[:, mesh.facets[:, np.unique(np.concatenate(facets))]]
+    return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
 
 
 def cell_area(solution: CurtainSolution) -> Array:
@@ -193,14 +235,14 @@ def corner_positions(solution: CurtainSolution) -> Array:
 
 
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
-    """The deformed curtain as VTU: displacement, strain, stress, principal line loads and taut or slack per cell.
+    """The curtain as VTU: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
-    `extra` holds more cell data (n_cells, ...), such as an error map.
+    Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
+    deformed state. `extra` holds more cell data (n_cells, ...), such as an error map.
     """
     import meshio
 
     mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
-    corners = corner_positions(solution)
     values, direction = solution.principal()
     F = cell_mean(disc, solution.F)
     in_space = np.einsum("cij,cj->ci", F, direction)
@@ -214,12 +256,33 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
     }
     document = meshio.Mesh(
-        _in_space(corners),
-        [(VTU_CELLS[disc.element], mesh.t.T)],
-        point_data={"displacement_mm": _in_space(corners - mesh.p.T), "reference_mm": _in_space(mesh.p.T)},
+        _in_space(mesh.p.T),
+        [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
+        point_data={
+            "displacement_mm": _in_space(corner_positions(solution) - mesh.p.T),
+            "support_force_N": _in_space(corner_forces(solution.problem, solution.reactions)),
+        },
         cell_data=cell_data,
     )
     write_whole(path, lambda temporary: document.write(temporary, file_format="vtu"))
+
+
+def corner_forces(problem: Problem, forces: Array) -> Array:
+    """Nodal forces (n_nodes, 2) at the corners of the mesh (n_corners, 2), with the same sum and moment.
+
+    A force at the middle of a side or cell is shared equally between its corners.
+    """
+    mesh = problem.mesh.mesh
+    tree = cKDTree(problem.disc.nodes)
+    result = np.zeros((mesh.p.shape[1], 2))
+    left = forces.copy()
+    for groups in (np.arange(mesh.p.shape[1])[None], mesh.facets, mesh.t):  # each of shape (corners, number)
+        distance, node = tree.query(mesh.p[:, groups].mean(axis=1).T)
+        here = distance < 1e-9 * problem.mesh.size
+        for corners in groups[:, here]:
+            np.add.at(result, corners, left[node[here]] / len(groups))
+        left[node[here]] = 0.0
+    return result
 
 
 def _in_space(plane: Array) -> Array:

@@ -193,8 +193,13 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
 
 
 def _supports(solution: CurtainSolution, ax: Axes) -> None:
-    """Held nodes: triangles where both components are held, circles where one slides."""
+    """What is held: lines along edges, triangles at nodes held in both components, circles where one slides."""
+    from matplotlib.collections import LineCollection
+
     mask = solution.problem.supports.mask
+    mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)
+    facets = np.unique(np.concatenate([held.facets for held in solution.problem.supports.held]))
+    ax.add_collection(LineCollection(list(corners[mesh.facets[:, facets].T]), colors="#1f4e79", linewidths=2.0))
     x = solution.x
     both, one = mask.all(axis=1), mask.any(axis=1) & ~mask.all(axis=1)
     size = 40.0 if both.sum() + one.sum() < 40 else 12.0

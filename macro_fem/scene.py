@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from homogenize.law import InputError
+from macro_fem.edges import canonical
 from rve.reading import read_toml
 from rve.values import (
     MISSING,
@@ -76,6 +77,12 @@ def _hang(value: Any) -> float:
     return float(value)
 
 
+def _edge(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError("is not the name of an edge")
+    return canonical(value)
+
+
 @dataclass(frozen=True)
 class Curtain:
     """The sheet. `hang` is read as the angle from the vertical to the weave's y axis: "y" is 0, "x" is 90 degrees."""
@@ -102,7 +109,7 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Corners:
-    """Both top corners held; `gather` narrows their distance."""
+    """Both ends of the top edge held; `gather` narrows their distance."""
 
     gather: float = number(1.0, above=0.0, most=1e6)
     move: tuple[float, float] = vector((0.0, 0.0))
@@ -123,7 +130,7 @@ class Rail:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Points of the top edge every `pitch` mm, held or sliding along a rail."""
+    """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm."""
 
     pitch: float = length()
     gather: float = number(1.0, above=0.0, most=1e6)
@@ -134,7 +141,7 @@ class Hooks:
 class Edge:
     """A named edge held, by default in both directions, and moved by `move` mm."""
 
-    edge: str = text()
+    edge: str = entry(_edge)
     held: str = choice("both", "x", "y", default="both")
     gather: float = number(1.0, above=0.0, most=1e6)
     move: tuple[float, float] = vector((0.0, 0.0))
@@ -142,7 +149,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class Point:
-    """The material point nearest to `at` held and moved by `move` mm."""
+    """The material point `at` held and moved by `move` mm."""
 
     at: tuple[float, float] = vector()
     held: str = choice("both", "x", "y", default="both")
@@ -164,13 +171,13 @@ SUPPORTS: dict[str, type[Support]] = {
 class EdgeLoad:
     """Force per reference length of a named edge, N/mm."""
 
-    edge: str = text()
+    edge: str = entry(_edge)
     force: tuple[float, float] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
 class PointLoad:
-    """Force in N on the material point nearest to `at`."""
+    """Force in N on the material point `at`."""
 
     at: tuple[float, float] = vector()
     force: tuple[float, float] = vector(most=MOST_FORCE)
@@ -190,7 +197,7 @@ class Bar:
     """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
 
     mass: float = number(least=0.0, most=1e9)
-    edge: str = text("bottom")
+    edge: str = entry(_edge, "bottom")
     straight: bool = flag(True)
 
 
@@ -270,6 +277,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         source=Path(source),
     )
     _check_shape(scene.curtain, source)
+    _check_effect(scene, data, source)
     check_solver(scene, source)
     return scene
 
@@ -337,6 +345,29 @@ def _check_shape(curtain: Curtain, source: str | Path) -> None:
         )
     if curtain.holes and curtain.shape == "file":
         raise InputError(f'{source}: [curtain] holes: are not used by shape = "file"')
+
+
+def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> None:
+    """InputError for a key that is given and changes nothing."""
+    mesh, shape = data.get("mesh", {}), scene.curtain.shape
+    for key in ("cells", "pattern"):
+        if shape == "file" and key in mesh:
+            raise InputError(f'{source}: [mesh] {key} = {mesh[key]!r}: has no effect with shape = "file"')
+    if scene.mesh.pattern != "aligned" and (shape != "rectangle" or scene.curtain.holes):
+        what = f'shape = "{shape}"' if shape != "rectangle" else "holes"
+        raise InputError(f"{source}: [mesh] pattern = {scene.mesh.pattern!r}: has no effect with {what}")
+    for item in scene.support:
+        held = getattr(item, "held", "both")
+        move = getattr(item, "move", (0.0, 0.0))
+        for axis, way in zip("xy", move, strict=True):
+            if way != 0.0 and held not in ("both", axis):
+                raise InputError(
+                    f"{source}: [support] move = {list(move)}: has no effect along {axis}, as held = {held!r}"
+                )
+    load = scene.load
+    moves = any(any(getattr(item, "move", ())) for item in scene.support)
+    if load.steps > 1 and not (moves or load.edge or load.point or load.patch):
+        raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
 
 
 def check_solver(scene: Scene, source: str | Path) -> None:

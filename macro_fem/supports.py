@@ -16,19 +16,23 @@ from homogenize.law import Array, InputError
 from macro_fem.assembly import Discretization
 from macro_fem.fem import SupportedFem
 from macro_fem.mesh import CurtainMesh, components
-from macro_fem.scene import Bar, Corners, Edge, Hooks, Point, Rail, Scene, Support, Top
+from macro_fem.scene import Bar, Corners, Edge, Hooks, Point, Rail, Scene, Top
 
 HELD = {"both": (True, True), "x": (True, False), "y": (False, True)}
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What one support holds: `nodes` (k,), `mask` (k, d) of components and their `positions` (k, d)."""
+    """What one support holds: `nodes` (k,), `mask` (k, d) of components and their `positions` (k, d).
+
+    `facets` (m,): the facets of the mesh that are held as a whole; none for corners, hooks and points.
+    """
 
     name: str
     nodes: np.ndarray
     mask: np.ndarray
     positions: Array
+    facets: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +56,7 @@ class Supports:
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
     """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""
-    if name not in mesh.edges:
-        raise InputError(f"{where} = {name!r}: the curtain has no such edge, only {', '.join(sorted(mesh.edges))}")
-    ends = mesh.mesh.p[:, mesh.mesh.facets[:, mesh.edges[name]]]
+    ends = mesh.mesh.p[:, mesh.mesh.facets[:, mesh.edge(name, where)]]
     candidates = np.concatenate([ends[:, 0].T, ends[:, 1].T, ends.mean(axis=1).T])
     distance, node = cKDTree(disc.nodes).query(candidates)
     nodes = np.unique(node[distance < 1e-9 * mesh.size])
@@ -63,7 +65,7 @@ def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -
 
 def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float = 1.0) -> Supports:
     """The supports of a scene with prescribed moves scaled by `factor` (load steps)."""
-    held = tuple(_held(item, scene, mesh, disc, factor) for item in scene.support)
+    held = tuple(_held(number, scene, mesh, disc, factor) for number in range(len(scene.support)))
     mask = np.zeros((disc.n_nodes, 2), bool)
     positions = disc.nodes.copy()
     owner = np.full((disc.n_nodes, 2), -1)
@@ -89,36 +91,45 @@ def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor
     return replace(supports, tie=_straight_bars(bars, scene, mesh, disc, mask)) if bars else supports
 
 
-def _held(item: Support, scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
-    """The nodes, components and positions of one support."""
-    X = disc.nodes
+def _held(number: int, scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
+    """The nodes, components and positions of one support; InputError if it asks for what has no effect."""
+    X, item, source = disc.nodes, scene.support[number], scene.source
+    facets = np.zeros(0, np.int64)
+    gather, move, axes = 1.0, np.zeros(2), (True, True)
     match item:
         case Corners():
             nodes, name = _top_corners(scene, mesh, disc), "corners"
-            target = _gathered(X[nodes], item.gather, mesh) + factor * np.array(item.move)
-            mask = np.ones((len(nodes), 2), bool)
-        case Top():
-            nodes, name = edge_nodes(mesh, disc, "top", f"{scene.source}: [support] kind = 'top' needs edge"), "top"
-            target = _gathered(X[nodes], item.gather, mesh) + factor * np.array(item.move)
-            mask = np.ones((len(nodes), 2), bool)
-        case Rail():
-            nodes, name = edge_nodes(mesh, disc, "top", f"{scene.source}: [support] kind = 'rail' needs edge"), "rail"
-            target, mask = X[nodes], np.tile([False, True], (len(nodes), 1))
+            gather, move = item.gather, np.array(item.move)
+        case Top() | Rail():
+            name = "top" if isinstance(item, Top) else "rail"
+            where = f"{source}: [support] kind = '{name}' needs edge"
+            nodes, facets = edge_nodes(mesh, disc, "top", where), mesh.edge("top", where)
+            if isinstance(item, Top):
+                gather, move = item.gather, np.array(item.move)
+            else:
+                axes = HELD["y"]
         case Hooks():
-            nodes, name = _hook_nodes(item, scene, mesh, disc), "hooks"
-            target = _gathered(X[nodes], item.gather, mesh)
-            mask = np.tile([not item.sliding, True], (len(nodes), 1))
+            nodes, name = _hook_nodes(number, item, scene, mesh, disc), "hooks"
+            gather, axes = item.gather, (not item.sliding, True)
         case Edge():
-            nodes = edge_nodes(mesh, disc, item.edge, f"{scene.source}: [support] edge")
-            name = f"edge {item.edge}"
-            centre = 0.5 * (X[nodes].min(axis=0) + X[nodes].max(axis=0))
-            target = centre + item.gather * (X[nodes] - centre) + factor * np.array(item.move)
-            mask = np.tile(HELD[item.held], (len(nodes), 1))
+            where = f"{source}: [support] edge"
+            nodes, facets = edge_nodes(mesh, disc, item.edge, where), mesh.edge(item.edge, where)
+            name, gather, move, axes = f"edge {item.edge}", item.gather, np.array(item.move), HELD[item.held]
         case Point():
-            nodes = _nearest(item.at, mesh, disc, f"{scene.source}: [support] (point) at")
+            nodes = point_node(item.at, disc, f"{source}: [support] (point)")
             name = f"point ({item.at[0]:g}, {item.at[1]:g})"
-            target, mask = X[nodes] + factor * np.array(item.move), np.array([HELD[item.held]])
-    return Held(name, nodes, mask, target)
+            move, axes = np.array(item.move), HELD[item.held]
+    target = _gathered_edge(X[nodes], gather) if isinstance(item, Edge) else _gathered(X[nodes], gather, mesh)
+    mask = np.tile(axes, (len(nodes), 1))
+    if gather != 1.0 and np.abs((target - X[nodes])[mask]).max() <= 1e-9 * mesh.size:
+        raise InputError(f"{source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
+    return Held(name, nodes, mask, target + factor * move, facets)
+
+
+def _gathered_edge(X: Array, gather: float) -> Array:
+    """Positions X (k, 2) of an edge narrowed about the middle of its bounding box."""
+    centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
+    return np.asarray(centre + gather * (X - centre))
 
 
 def _gathered(X: Array, gather: float, mesh: CurtainMesh) -> Array:
@@ -135,32 +146,27 @@ def _top_corners(scene: Scene, mesh: CurtainMesh, disc: Discretization) -> np.nd
     return nodes[[0, -1]]
 
 
-def _hook_nodes(item: Hooks, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> np.ndarray:
-    """The nodes of the top edge nearest to equally spaced hooks, the outermost ones at its ends."""
+def _hook_nodes(number: int, item: Hooks, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> np.ndarray:
+    """The nodes at the hooks of support `number`."""
     where = f"{scene.source}: [support] kind = 'hooks' needs edge"
     if disc.element == "CR":
         raise InputError(f"{scene.source}: [support] kind = 'hooks': element 'CR' has no nodes at hooks, use 'P1'")
-    nodes = edge_nodes(mesh, disc, "top", where)
-    x = disc.nodes[nodes, 0]
-    length = float(np.ptp(x))
-    if item.pitch > length:
-        raise InputError(f"{scene.source}: [support] pitch = {item.pitch:g}: is wider than the top edge, {length:g} mm")
-    places = np.linspace(x[0], x[-1], round(length / item.pitch) + 1)
-    chosen = np.unique(np.argmin(np.abs(x[:, None] - places), axis=0))
-    if len(chosen) < len(places):
-        raise InputError(
-            f"{scene.source}: [support] pitch = {item.pitch:g}: is finer than the mesh, whose nodes on the top edge "
-            f"are {length / max(1, len(x) - 1):g} mm apart; use more cells"
-        )
-    return nodes[chosen]
+    mesh.edge("top", where)
+    places = mesh.hooks[number]
+    hook = f"{scene.source}: [support] (hooks, pitch = {item.pitch:g})"
+    return np.concatenate([point_node((float(x), float(y)), disc, hook) for x, y in places])
 
 
-def _nearest(at: tuple[float, float], mesh: CurtainMesh, disc: Discretization, where: str) -> np.ndarray:
-    distance, node = cKDTree(disc.nodes).query(np.array(at))
-    longest = float(np.linalg.norm(np.diff(mesh.mesh.p[:, mesh.mesh.facets], axis=1), axis=0).max())
-    if distance > longest:
-        raise InputError(f"{where} = {list(at)}: is {distance:g} mm away from the curtain")
-    return np.array([int(node)])
+def point_node(at: tuple[float, float], disc: Discretization, where: str) -> np.ndarray:
+    """The number (1,) of the node at a point; InputError, which tells the nearest one, if there is none."""
+    if disc.element == "CR":
+        raise InputError(f"{where} at = {list(at)}: element 'CR' has no nodes at points, use 'P1'")
+    distance = np.linalg.norm(disc.nodes - np.array(at), axis=1)
+    node = int(np.argmin(distance))
+    if distance[node] > 1e-9 * float(np.hypot(*np.ptp(disc.nodes, axis=0))):
+        x, y = disc.nodes[node]
+        raise InputError(f"{where} at = {list(at)}: the mesh has no node there, the nearest one is at ({x:g}, {y:g})")
+    return np.array([node])
 
 
 def _straight_bars(

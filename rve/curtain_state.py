@@ -14,7 +14,7 @@ from rve.jobs import check_belongs
 from rve.reading import read_json_object
 from rve.rings import RING_CHECKS, check_rings
 from rve.values import checked, finite, shown
-from rve.vtu import read_vtu
+from rve.vtu import VtuFile, read_vtu
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,11 @@ class Curtain:
 
 
 def read_curtain(path: Path) -> Curtain:
-    """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise."""
+    """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise.
+
+    Points are the reference state and `displacement_mm` leads to the deformed one. Files of older versions have the
+    deformed state as points and the reference state as `reference_mm`, by which they are told.
+    """
     if not path.is_file():
         raise InputError(f"{path}: {'is a folder, not a VTU' if path.is_dir() else 'there is no such file'}")
     data = read_vtu(path)
@@ -59,22 +63,32 @@ def read_curtain(path: Path) -> Curtain:
     if kinds not in (["triangle"], ["quad"]):
         raise InputError(f"{path}: needs cells of one kind, triangle or quad, it has {kinds}")
     cells = data.cells[kinds[0]]
-    reference = _field(path, data.point_data, "reference_mm", 3, len(data.points))
     fields = {key: _field(path, data.cell_data, *names, len(cells)) for key, names in _CELL_FIELDS.items()}
-    at, X = np.asarray(data.points, dtype=float), reference[:, :2]
-    if not np.isfinite(at).all():
-        raise InputError(f"{path}: a point is not finite")
-    if np.abs(at).max() > MOST_NUMBER:
-        raise InputError(f"{path}: a coordinate is {np.abs(at).max():g} mm, at most {MOST_NUMBER:g} is allowed")
-    if np.abs(at[:, 2:]).max(initial=0.0) > 1e-9 * np.abs(at).max():
-        raise InputError(f"{path}: is not plane, z reaches {np.abs(at[:, 2]).max():g} mm")
+    X, at = _states(path, data)
     triangles, owner = cells, np.arange(len(cells))
     if kinds == ["quad"]:
         triangles, owner = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(owner, 2)
     _check_triangles(path, X, triangles, owner)
     S = _recovered(fields["S"], X, cells, triangles, owner)
     state = fields["state"].astype(int)
-    return Curtain(X, at[:, :2], triangles, owner, fields["E"], S, fields["line_load"], state)
+    return Curtain(X, at, triangles, owner, fields["E"], S, fields["line_load"], state)
+
+
+def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
+    """Reference and deformed positions (p, 2) of the points, told by which fields the file has."""
+    points, number = np.asarray(data.points, dtype=float), len(data.points)
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: a point is not finite")
+    if "reference_mm" in data.point_data:  # an older version: points are deformed
+        reference, deformed = _field(path, data.point_data, "reference_mm", 3, number), points
+    else:
+        reference, deformed = points, points + _field(path, data.point_data, "displacement_mm", 3, number)
+    for state in (reference, deformed):
+        if np.abs(state).max() > MOST_NUMBER:
+            raise InputError(f"{path}: a coordinate is {np.abs(state).max():g} mm, at most {MOST_NUMBER:g} is allowed")
+        if np.abs(state[:, 2:]).max(initial=0.0) > 1e-9 * np.abs(state).max():
+            raise InputError(f"{path}: is not plane, z reaches {np.abs(state[:, 2]).max():g} mm")
+    return reference[:, :2], deformed[:, :2]
 
 
 def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) -> Array:
@@ -101,7 +115,7 @@ def _check_triangles(path: Path, X: Array, triangles: NDArray[np.intp], owner: N
         raise InputError(f"{path}: a cell names point {triangles.max()}, there are {len(X)}")
     area = _areas(X, triangles)
     if not area.min() > 1e-12 * area.max():
-        raise InputError(f"{path}: cell {owner[int(np.argmin(area))]} has no area in reference_mm")
+        raise InputError(f"{path}: cell {owner[int(np.argmin(area))]} has no area in the reference state")
 
 
 def _recovered(

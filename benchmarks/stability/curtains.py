@@ -165,7 +165,7 @@ def shapes(kind: str, folder: Path) -> list[tuple[str, Scene]]:
         rows.append((f"a point load of {force:g} N", scene(square, kind, load=pull)))
     for ratio in (10.0, 1000.0):
         one = {"shape": "file", "file": sliver_mesh(folder, ratio)}
-        rows.append((f"triangles {ratio:g} : 1", scene(one, kind, source=folder / "scene.toml", **top)))
+        rows.append((f"triangles {ratio:g} : 1", scene(one, kind, source=folder / "scene.toml", mesh={}, **top)))
     return rows
 
 

@@ -98,7 +98,9 @@ def scene_of(row, folder):
     meshio.Mesh(points, [("quad" if mesh is quads else "triangle", mesh.t.T)]).write(folder / "mesh.vtu")
     curtain = {**KEYS["curtain"][row["curtain"]], "hang": KEYS["hang"][row["hang"]], "areal_mass": 2.785}
     tables = {key: KEYS[key][row[key]] for key in ("support", "load", "solver")}
-    mesh_table = {"cells": 4, "element": row["element"], "pattern": row["pattern"]}
+    mesh_table = {"element": row["element"]} | ({} if row["curtain"] == "file" else {"cells": 4})
+    if row["curtain"] == "rectangle":
+        mesh_table["pattern"] = row["pattern"]
     return read_scene({"curtain": curtain, "mesh": mesh_table, **tables}, folder / "scene.toml")
 
 

@@ -80,9 +80,9 @@ def test_a_scene_becomes_summary_and_vtu(tmp_path, law_file):
     assert summary["support_forces"][0]["force_N"] == pytest.approx([0.0, weight], abs=1e-4 * weight)
     picture = meshio.read(out / "curtain.vtu")
     assert len(picture.cells_dict["triangle"]) == summary["cells"]
-    moved = picture.points[:, :2] - picture.point_data["reference_mm"][:, :2]
+    moved = picture.point_data["displacement_mm"][:, :2]
     assert np.linalg.norm(moved, axis=1).max() == pytest.approx(summary["max_displacement_mm"])
-    assert {p.name for p in out.iterdir()} == {"summary.json", "curtain.vtu"}
+    assert {p.name for p in out.iterdir()} == {"summary.json", "support_forces.csv", "curtain.vtu"}
 
 
 def test_the_picture_is_drawn(tmp_path, law_file):
@@ -96,12 +96,47 @@ def test_the_picture_is_drawn(tmp_path, law_file):
     assert low < summary["mean_height_mm"] <= high
 
 
+def test_points_are_the_reference_and_warp_to_the_curtain_once(tmp_path, law_file):
+    """Warp By Vector adds the displacement to the points: the lowest point then is that of the summary."""
+    result, out = run(tmp_path, SCENE, "--law", str(law_file))
+    assert result.exit_code == 0, result.output
+    summary = json.loads((out / "summary.json").read_text())
+    picture = meshio.read(out / "curtain.vtu")
+    assert (picture.points.min(axis=0).tolist(), picture.points.max(axis=0).tolist()) == ([0, 0, 0], [100, 80, 0])
+    warped = picture.points + picture.point_data["displacement_mm"]
+    assert warped[:, 1].min() == pytest.approx(summary["lowest_point_mm"], abs=1e-9)
+    assert summary["lowest_point_mm"] < -1.0
+
+
+@pytest.mark.parametrize("kind", ["new", "old"])
+def test_the_mesh_of_a_solved_curtain_is_its_reference(tmp_path, law_file, kind):
+    """curtain.vtu as a mesh file gives the scene's own answer again; an old file's points are deformed."""
+    result, out = run(tmp_path, SCENE, "--law", str(law_file))
+    assert result.exit_code == 0, result.output
+    if kind == "old":
+        data = meshio.read(out / "curtain.vtu")
+        data.point_data["reference_mm"] = data.points.copy()
+        data.points = data.points + data.point_data["displacement_mm"]
+        data.cells[0].data[::3] = data.cells[0].data[::3, ::-1]  # cells were written in either sense
+        data.write(out / "curtain.vtu")
+    curtain = {"shape": "file", "file": "out/curtain.vtu", "areal_mass": 2.785}
+    again = read_scene({"curtain": curtain, "support": {"kind": "corners"}}, tmp_path / "scene.toml")
+    height = json.loads((out / "summary.json").read_text())["mean_height_mm"]
+    assert solve_scene(again, diagonal_net(1.1)).mean_height() == pytest.approx(height, abs=1e-4)
+
+
 def test_load_steps_make_a_series(tmp_path, law_file):
     text = SCENE.replace("gravity = 9.81", 'gravity = 9.81\nsteps = 3\nedge = {edge = "bottom", force = [0.001, 0.0]}')
     result, out = run(tmp_path, text, "--law", str(law_file))
     assert result.exit_code == 0, result.output
     names = {p.name for p in out.iterdir()}
-    assert names == {"summary.json", "curtain.vtu", "curtain.pvd", *(f"curtain_{k:04d}.vtu" for k in (1, 2, 3))}
+    assert names == {
+        "summary.json",
+        "support_forces.csv",
+        "curtain.vtu",
+        "curtain.pvd",
+        *(f"curtain_{k:04d}.vtu" for k in (1, 2, 3)),
+    }
     steps = json.loads((out / "summary.json").read_text())["steps"]
     assert [step["factor"] for step in steps] == pytest.approx([1 / 3, 2 / 3, 1.0])
     pulls = [meshio.read(out / f"curtain_{k:04d}.vtu").point_data["displacement_mm"][:, 0].mean() for k in (1, 2, 3)]
@@ -251,7 +286,7 @@ edge = "hole 1"
     }
     assert lengths["hole 1"] == pytest.approx(80.0)
     assert lengths["bottom"] == pytest.approx(100.0)
-    assert "top" not in lengths
+    assert lengths["top"] == pytest.approx(2.0 * np.hypot(50.0, 40.0))  # both slopes of the gable
     assert solve_scene(load_scene(path), diagonal_net(1.1)).status == "converged"
 
 

@@ -1,0 +1,214 @@
+"""Edges by direction, by hole and by physical group: lengths that can be told from the drawing."""
+
+import meshio
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from homogenize.law import InputError, diagonal_net
+from macro_fem.mesh import build_mesh, refine
+from macro_fem.outline import mesh_outline
+from macro_fem.output import held_length, summarize
+from macro_fem.scene import read_scene
+from macro_fem.solution import make_problem
+from macro_fem.solvers import solve_scene
+
+RISE = np.linspace(100.0, 0.0, 24)  # an even number: the arch has a flat facet at its apex
+ARCH = np.vstack([[[0, 0], [100, 0]], np.column_stack([RISE, 100.0 + 0.016 * RISE * (100.0 - RISE)])])
+TURN = np.linspace(0.0, np.pi, 31)
+ROUND = np.vstack([[[0, 0], [100, 0]], np.column_stack([50 + 50 * np.cos(TURN), 100 + 50 * np.sin(TURN)])])
+HOLES = [np.array([[60.0, 40], [80, 40], [80, 60], [60, 60]]), np.array([[15.0, 20], [25, 20], [25, 30], [15, 30]])]
+
+
+def arc(points):
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def scene_of(outline, folder, groups=(), support=None, holes=(), **tables):
+    """A scene of a mesh file of an outline; `groups` maps names to (tag, where on the boundary or inside)."""
+    points, cells = mesh_outline(np.array(outline, float), list(holes), 12, 1.15, 0.0)
+    blocks, tags, names = [("triangle", cells)], [np.full(len(cells), 99)], {"sheet": np.array([99, 2])}
+    pairs = np.unique(np.sort(np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1), axis=0)
+    for tag, (name, is_in) in enumerate(dict(groups).items(), start=1):
+        chosen = pairs[is_in(points[pairs]).all(axis=1)]
+        blocks.append(("line", chosen))
+        tags.append(np.full(len(chosen), tag))
+        if not name.isdigit():
+            names[name] = np.array([tag, 1])
+    data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    flat = np.column_stack([points, np.zeros(len(points))])
+    document = meshio.Mesh(flat, blocks, cell_data=data, field_data=names)
+    document.write(folder / "mesh.msh", file_format="gmsh22", binary=False)
+    curtain = {"shape": "file", "file": "mesh.msh", "areal_mass": 1.0}
+    return read_scene({"curtain": curtain, "support": support or {"kind": "top"}, **tables}, folder / "scene.toml")
+
+
+def lengths(mesh):
+    ends = {name: mesh.mesh.p[:, mesh.mesh.facets[:, facets]] for name, facets in mesh.edges.items()}
+    return {name: float(np.hypot(*(end[:, 1] - end[:, 0])).sum()) for name, end in ends.items()}
+
+
+def held(scene):
+    """The first support of a scene as its problem holds it: name, nodes, length in mm."""
+    problem = make_problem(scene, diagonal_net(1.1), build_mesh(scene, None))
+    one = problem.supports.held[0]
+    return one.name, len(one.nodes), held_length(problem, [one.facets])
+
+
+def outline_lengths(outline):
+    curtain = {"shape": "outline", "outline": [list(map(float, p)) for p in outline], "areal_mass": 1.0}
+    found = lengths(build_mesh(read_scene({"curtain": curtain, "support": {"kind": "top"}}), None))
+    return {name: length for name, length in found.items() if name != "outline"}
+
+
+def test_an_arch_is_held_along_its_whole_arch(tmp_path):
+    """Not by its flat apex alone: every point of the arch stays where it is."""
+    scene = scene_of(ARCH, tmp_path)
+    solution = solve_scene(scene, diagonal_net(1.1))
+    summary = summarize(solution)
+    assert summary["support_forces"][0]["nodes_held"] == summary["nodes_held"] == 24
+    assert summary["support_forces"][0]["length_held_mm"] == pytest.approx(arc(ARCH[2:]))
+    assert summary["length_held_mm"] == pytest.approx(arc(ARCH[2:]))
+    distance, node = cKDTree(solution.problem.disc.nodes).query(ARCH[2:])
+    assert distance.max() < 1e-9
+    assert np.abs(solution.displacement[node]).max() < 1e-9
+
+
+def test_a_round_arch_ends_where_its_sides_are_upright():
+    found = outline_lengths(ROUND)
+    assert found == pytest.approx({"top": arc(ROUND[2:]), "bottom": 100.0, "left": 100.0, "right": 100.0})
+
+
+def turned(points, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array(points, float) @ np.array([[c, s], [-s, c]])
+
+
+BOX = [[0, 0], [100, 0], [100, 80], [0, 80]]
+HEIGHTS = np.linspace(0.0, 80.0, 21)
+WAVE = np.column_stack([100.0 + 1.5 * np.sin(0.3 * HEIGHTS), HEIGHTS])
+
+
+@pytest.mark.parametrize(
+    ("outline", "expected"),
+    [
+        (BOX, {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
+        (turned(BOX, 20.0), {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
+        (turned(BOX, -20.0), {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
+        (
+            [[0, 0], [100, 0], [100, 40], [50, 40], [50, 80], [0, 80]],
+            {"top": 50.0, "bottom": 100.0, "left": 80.0, "right": 40.0},
+        ),
+        ([[50, 0], [100, 50], [50, 100], [0, 50]], {"top": 200.0 * 0.5**0.5, "bottom": 200.0 * 0.5**0.5}),
+        (
+            [[0, 0], [100, 0], [100, 60], [80, 80], [20, 80], [0, 60]],
+            {"top": 60.0, "bottom": 100.0, "left": 60.0, "right": 60.0},
+        ),
+        (
+            [[0, 0], [100, 0], [100, 60], [80, 78], [20, 78], [0, 60]],
+            {"top": 60.0, "bottom": 100.0, "left": 60.0, "right": 60.0},
+        ),
+        ([[0, 0], [100, 0], [50, 173.2]], {"bottom": 100.0, "top": 2.0 * np.hypot(50.0, 173.2)}),
+        ([[0, 40], [100, 0], [100, 80], [0, 80]], {"top": 100.0, "bottom": np.hypot(100, 40), "left": 40, "right": 80}),
+        (
+            [[0, 0], *WAVE, [0, 80]],
+            {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)},
+        ),
+    ],
+    ids=[
+        "box",
+        "turned left",
+        "turned right",
+        "step",
+        "diamond",
+        "chamfers",
+        "hips",
+        "spire",
+        "sloping hem",
+        "wavy side",
+    ],
+)
+def test_sides_of_outlines(outline, expected):
+    assert outline_lengths(outline) == pytest.approx(expected)
+
+
+def test_a_disk_has_an_upper_and_a_lower_half():
+    scene = read_scene({"curtain": {"shape": "disk", "radius": 50.0, "areal_mass": 1.0}, "support": {"kind": "top"}})
+    found = lengths(build_mesh(scene, None))
+    assert found.keys() == {"top", "bottom", "outline"}
+    assert found["top"] == pytest.approx(np.pi * 50.0, rel=0.03)
+    assert found["top"] + found["bottom"] == pytest.approx(found["outline"])
+
+
+def near(x0, y0, x1, y1):
+    """Which points lie in a box."""
+    low, high = np.array([x0, y0]) - 1e-9, np.array([x1, y1]) + 1e-9
+    return lambda points: ((points >= low) & (points <= high)).all(axis=-1)
+
+
+def test_physical_groups_are_edges(tmp_path):
+    """By name, or by number where they have none; a group comes before the side of the same name."""
+    groups = {"hem": near(0, 0, 100, 0), "top": near(0, 0, 0, 100), "3": near(100, 0, 100, 100)}
+    found = lengths(build_mesh(scene_of(ARCH, tmp_path, groups), None))
+    assert (found["hem"], found["top"], found["3"]) == pytest.approx((100.0, 100.0, 100.0))
+    support = {"kind": "edge", "edge": "hem"}
+    assert held(scene_of(ARCH, tmp_path, groups, support)) == ("edge hem", 13, pytest.approx(100.0))
+
+
+def test_holes_of_a_mesh_file_have_names(tmp_path):
+    """They are numbered from left to right; a hyphen is read as a space, and a single hole needs no number."""
+    scene = scene_of(ARCH, tmp_path, holes=HOLES, support={"kind": "edge", "edge": "hole-2"})
+    found = lengths(build_mesh(scene, None))
+    assert (found["hole 1"], found["hole 2"]) == pytest.approx((40.0, 80.0))
+    assert found["outline"] == pytest.approx(arc(np.vstack([ARCH, ARCH[:1]])))
+    assert "hole" not in found
+    assert held(scene)[2] == pytest.approx(80.0)
+    one = scene_of(ARCH, tmp_path, holes=HOLES[:1], support={"kind": "edge", "edge": "hole"})
+    assert held(one)[2] == pytest.approx(80.0)
+
+
+def test_an_unknown_edge_is_told_with_those_there_are(tmp_path):
+    scene = scene_of(ARCH, tmp_path, {"hem": near(0, 0, 100, 0)}, {"kind": "edge", "edge": "heme"})
+    with pytest.raises(InputError, match="'heme': the curtain has no such edge, only bottom, hem, left, outline"):
+        held(scene)
+
+
+def test_a_group_beside_the_sides_of_cells_is_refused(tmp_path):
+    scene = scene_of(BOX, tmp_path, {"hem": near(0, 0, 100, 0)})
+    data = meshio.read(tmp_path / "mesh.msh")
+    data.cells[1].data[0] = [0, 2]  # a line across the sheet
+    data.write(tmp_path / "mesh.msh", file_format="gmsh22", binary=False)
+    with pytest.raises(InputError, match=r"group 'hem': only 11 of its 12 lines are sides of cells"):
+        build_mesh(scene, None)
+
+
+def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
+    support = {"kind": "hooks", "pitch": 11.0}
+    scene = scene_of(ROUND, tmp_path, {"hem": near(0, 0, 100, 0)}, support, HOLES[:1])
+    mesh = build_mesh(scene, None)
+    finer = refine(mesh, np.arange(0, mesh.mesh.t.shape[1], 3), scene)
+    assert finer.mesh.t.shape[1] > 1.3 * mesh.mesh.t.shape[1]
+    assert lengths(finer) == pytest.approx(lengths(mesh))
+    assert len(finer.hooks[0]) == len(mesh.hooks[0]) == round(arc(ROUND[2:]) / 11.0) + 1
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        ({"mesh": {"cells": 32}}, 'cells = 32: has no effect with shape = "file"'),
+        ({"mesh": {"pattern": "aligned"}}, "pattern = 'aligned': has no effect"),
+        ({"load": {"steps": 3}}, "steps = 3: has no effect without live loads and moves"),
+        (
+            {"support": {"kind": "edge", "edge": "left", "held": "x", "move": [0, 5]}},
+            r"\[0.0, 5.0\]: has no effect along y",
+        ),
+        (
+            {"support": {"kind": "hooks", "pitch": 25, "sliding": True, "gather": 0.8}},
+            "gather = 0.8: has no effect on hooks",
+        ),
+    ],
+    ids=["cells", "pattern", "steps", "move", "gather"],
+)
+def test_keys_without_effect_are_refused(tmp_path, tables, words):
+    with pytest.raises(InputError, match=words):
+        held(scene_of(BOX, tmp_path, **tables))
