@@ -71,8 +71,9 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "support_forces": support_forces(solution),
         "potential_primal_N_mm": solution.primal,
         "potential_dual_N_mm": solution.dual,
-        "relative_gap": relative_gap(solution),
+        "relative_gap": solution.relative_gap,
         "residual": solution.residual,
+        "law_violation": solution.evidence.violation,
         "iterations": solution.iterations,
         "cells": disc.n_cells,
         "dofs": int(problem.fem.n),
@@ -87,13 +88,6 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "wall_s": solution.wall_s,
         "versions": versions(),
     }
-
-
-def relative_gap(solution: CurtainSolution) -> float:
-    """(primal - dual) / (total load times size): the error of the potential on the scale of the curtain."""
-    problem = solution.problem
-    scale = float(np.abs(problem.force).sum()) * problem.mesh.size
-    return (solution.primal - solution.dual) / scale if scale > 0.0 else 0.0
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
