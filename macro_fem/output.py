@@ -73,7 +73,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "potential_dual_N_mm": solution.dual,
         "relative_gap": solution.relative_gap,
         "residual": solution.residual,
-        "law_violation": solution.evidence.violation,
+        "stretch_beyond_locking": solution.stretch_excess,
         "iterations": solution.iterations,
         "cells": disc.n_cells,
         "dofs": int(problem.fem.n),

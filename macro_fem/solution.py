@@ -109,12 +109,16 @@ class CurtainSolution:
         return load_scale(self.problem.force, self.problem.disc.weight)
 
     def _violation(self) -> float:
-        """Largest relative violation of the law by the locked part of the strain, E less compliance times stress."""
-        law = self.problem.law
+        """Largest relative violation of the law; none where rings are elastic, which any strain goes with."""
         E = green_strain(self.F / (1.0 + (self.give or 0.0)))
-        if self.elastic:
-            E = E - self.S @ law.compliance.T
-        return -least_slack(law, E) if np.isfinite(E).all() else np.inf
+        if not (np.isfinite(E).all() and np.isfinite(self.P).all()):
+            return np.inf
+        return 0.0 if self.elastic else -least_slack(self.problem.law, E)
+
+    @property
+    def stretch_excess(self) -> float:
+        """Largest stretch anywhere beyond that at which the rings lock, relative; 0 where none is."""
+        return float(np.sqrt(1.0 + max(0.0, -least_slack(self.problem.law, self.E)))) - 1.0
 
     @property
     def E(self) -> Array:
