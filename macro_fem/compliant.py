@@ -31,8 +31,6 @@ BOUNDARY = 0.98
 """Part of the way to the boundary of the cones that a step may go."""
 REACH = 4.0
 """No point of an admissible state is farther than this many sizes from its place in another one."""
-ROUNDING = 1e-6
-"""A smaller relative excess proves nothing."""
 
 
 @dataclass(frozen=True)
@@ -145,25 +143,6 @@ def least_potential(program: Program, state: State, now: Measure) -> float:
     return dual - float(now.r_x @ state.z) - REACH * now.unbalanced * program.scale
 
 
-def excess(program: Program, state: State) -> float:
-    """A lower bound of the relative stretch that ideal locking lacks to reach the supports; 0 where none is proved.
-
-    For any admissible z' and y1 the sum of w (|y1| c + y1:F(z') L) is not negative. At the elastic z it falls short of
-    that by more than the forces B^T w y1 L can do over the distance between the two, which the largest stretch of the
-    elastic state adds to: then there is no admissible z'.
-    """
-    tail = state.y.tail[:, 1:]
-    size = np.sqrt(soc.row_dot(tail, tail))
-    F = program.fem.gradient(state.z)
-    FL = times_root(F[program.cones.point], program.L)
-    short = -float((program.w * (size * program.c + soc.row_dot(tail, FL))).sum())
-    forces = float(np.abs(program.fem.force(program.pull(state.y)[0])).sum())
-    stretch = float(np.sqrt(np.einsum("nij,nij->n", F, F).max()))
-    lacking = short - (REACH + 2.0 * stretch) * forces * program.scale / program.total
-    needed = float((program.w * size * program.c).sum())
-    return lacking / needed if lacking > ROUNDING * needed else 0.0
-
-
 class _Newton:
     """Newton's matrix in the scaling of a state, factorised; directions for different aims share it."""
 
@@ -231,13 +210,11 @@ def advance(program: Program, state: State, now: Measure) -> tuple[State, float]
 
 
 def follow(program: Program, state: State, tolerance: float, most: int) -> tuple[State, Measure, str, list[Iteration]]:
-    """At most `most` steps to an error below `tolerance`: "converged", "infeasible", "iterations" or "stalled"."""
+    """At most `most` steps to an error below `tolerance`: "converged", "iterations" or "stalled"."""
     history: list[Iteration] = []
     now = measure(program, state)
     best, best_state, waited = now, state, 0
     while now.error > tolerance:
-        if excess(program, state) > 0.0:
-            return state, now, "infeasible", history
         if len(history) >= most:
             return best_state, best, "iterations", history
         state, t = advance(program, state, now)

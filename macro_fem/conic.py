@@ -16,10 +16,11 @@ import numpy as np
 from scipy import sparse
 
 from homogenize.law import Array, MembraneLaw
-from macro_fem.cones import Cones, first_cones, law_cut, times_triple, with_cuts
+from macro_fem.cones import Cones, first_cones, law_cut, with_cuts
 from macro_fem.fem import SupportedFem
 from macro_fem.interior import Iteration
-from macro_fem.rigid import STATUSES, RigidResult
+from macro_fem.rigid import REACH, RigidResult, law_slack
+from macro_fem.status import FREE, Accuracy, Evidence, Reach, load_scale
 from rve.errors import require
 
 FLAT = 1e-12
@@ -28,12 +29,16 @@ FLAT = 1e-12
 
 @dataclass(frozen=True)
 class ConicOptions:
-    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain)."""
+    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain).
+
+    `attained`: relative errors that count as an answer. clarabel often ends "almost solved", short of what was asked.
+    """
 
     gap: float = 1e-10
     feasibility: float = 1e-10
-    violation: float = 1e-9
+    violation: float = 1e-8
     max_rounds: int = 30
+    attained: Accuracy = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
 
 
 def solve_conic(
@@ -43,26 +48,28 @@ def solve_conic(
 
     InputError if clarabel is not installed.
     """
-    total = float(np.abs(load).sum()) or 1.0
+    total = load_scale(load, fem.weight)
     task = _Task(fem, load, size, total, gradient_matrix(fem), fem.gradient(np.zeros(fem.n)).ravel())
     clarabel = _clarabel()
     cones = first_cones(law, len(fem.weight))
     history: list[Iteration] = []
-    for _ in range(options.max_rounds):
-        answer, lam = _solve(clarabel, task, cones, options)
-        status = str(answer.status)
-        if "Infeasible" in status or "Solved" not in status:
+    found = _solve(clarabel, task, cones, options)
+    while True:
+        if found.is_refuted:
+            stop = "infeasible"
             break
-        z = size * np.array(answer.x)
-        S, h, g = law_cut(law, fem.gradient(z))
+        S, h, g = law_cut(law, fem.gradient(found.z))
         new = np.flatnonzero(g < -options.violation)
-        gap = float(answer.obj_val - answer.obj_val_dual)
-        history.append(Iteration(gap, float(answer.r_dual), float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
-        if not len(new):
-            return _record("converged", task, cones, answer, lam, history)
+        history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
+        if not found.is_solved or not len(new):
+            stop = "closed" if found.is_solved else "stalled"
+            break
+        if len(history) == options.max_rounds:
+            stop = "iterations"
+            break
         cones, _ = with_cuts(cones, new, S[new], h[new])
-    verdict = "infeasible" if "PrimalInfeasible" in status else "iterations" if "Solved" in status else "stalled"
-    return _record(verdict, task, cones, answer, np.zeros(len(cones)), history)
+        found = _solve(clarabel, task, cones, options)
+    return _record(stop, law, task, cones, found, options, history)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +82,25 @@ class _Task:
     total: float
     B: sparse.csr_matrix
     F0: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Unknowns z (n,), multipliers lam (nc,) in N/mm and the stress P (nq, d, 2) of clarabel's last iterate.
+
+    Its bounds and unbalanced forces are computed from these, whatever clarabel says of them; `is_solved` and
+    `is_refuted` are what it says.
+    """
+
+    z: Array
+    lam: Array
+    P: Array
+    dual: float
+    gap: float
+    unbalanced: float
+    is_solved: bool
+    is_refuted: bool
+    iterations: int
 
 
 def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
@@ -114,8 +140,8 @@ def _clarabel() -> Any:
     return clarabel
 
 
-def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> tuple[Any, Array]:
-    """clarabel's answer in units of the size and the total load, and multipliers lam (nc,) in N/mm."""
+def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> _Found:
+    """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
     fem, B, size = task.fem, task.B, task.size
     d = fem.d
     L, rank = square_roots(cones.S)
@@ -143,32 +169,54 @@ def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> t
     answer = clarabel.DefaultSolver(
         sparse.csc_matrix((fem.n, fem.n)), -task.load / task.total, A, b, kinds, settings
     ).solve()
-    if not len(answer.z):
-        return answer, np.zeros(len(cones))
-    y_head = task.total * size * np.array(answer.z)[start[:-1]] / fem.weight[cones.point]
-    return answer, y_head / c
-
-
-def _record(status: str, task: _Task, cones: Cones, answer: Any, lam: Array, history: list[Iteration]) -> RigidResult:
-    fem = task.fem
-    solved = status == "converged"
-    z = task.size * np.array(answer.x) if solved else np.zeros(fem.n)
-    S = cones.stress(lam)
-    message = STATUSES[status].format(n=len(history), error=float(answer.obj_val - answer.obj_val_dual), excess=np.nan)
-    if status == "infeasible":
-        message = "the supports are farther apart than the mesh can stretch (clarabel found a certificate)"
-    return RigidResult(
-        status=status,
-        message=message,
+    is_refuted = str(answer.status) in ("PrimalInfeasible", "AlmostPrimalInfeasible")
+    x, z = np.array(answer.x), np.array(answer.z)
+    if is_refuted or not (np.isfinite(x).all() and np.isfinite(z).all()):
+        x, z = np.zeros(fem.n), np.zeros(len(b))
+    y = task.total * size * z
+    w_head, w_tail = y[start[:-1]], np.where(np.isin(np.arange(len(y)), start[:-1]), 0.0, y)
+    flat = -np.asarray(M.T @ w_tail)  # w P at the points
+    weight = fem.weight[:, None, None]
+    P = flat.reshape(-1, d, 2) / weight
+    z = size * x
+    unbalanced = float(np.abs(task.load - fem.force(P)).sum()) / task.total
+    dual = -float(w_head @ c) + float(flat @ task.F0) - REACH * unbalanced * task.total * size
+    return _Found(
         z=z,
-        lam=lam,
-        y_tail=np.zeros((len(lam), 2 * fem.d)),
-        cones=cones,
-        P=times_triple(fem.gradient(z), S),
-        S=S,
-        primal=-float(task.load @ z) if solved else np.nan,
-        dual=float(answer.obj_val_dual) * task.total * task.size if solved else np.nan,
-        residual=float(answer.r_dual),
+        lam=w_head / fem.weight[cones.point] / c,
+        P=P,
+        dual=dual,
+        gap=(-float(task.load @ z) - dual) / (task.total * size),
+        unbalanced=unbalanced,
+        is_solved=str(answer.status) in ("Solved", "AlmostSolved"),
+        is_refuted=is_refuted,
         iterations=int(answer.iterations),
+    )
+
+
+def _record(
+    stop: str,
+    law: MembraneLaw,
+    task: _Task,
+    cones: Cones,
+    found: _Found,
+    options: ConicOptions,
+    history: list[Iteration],
+) -> RigidResult:
+    fem = task.fem
+    return RigidResult(
+        stop=stop,
+        evidence=Evidence(found.gap, found.unbalanced, -law_slack(law, fem.gradient(found.z))),
+        asked=options.attained,
+        z=found.z,
+        lam=found.lam,
+        y_tail=np.zeros((len(found.lam), 2 * fem.d)),
+        cones=cones,
+        P=found.P,
+        S=cones.stress(found.lam),
+        primal=-float(task.load @ found.z),
+        dual=found.dual,
+        iterations=found.iterations,
         history=tuple(history),
+        reach=Reach(0.0, 1.0) if found.is_refuted else FREE,
     )

@@ -17,11 +17,12 @@ import numpy as np
 from homogenize.law import Array, MembraneLaw
 from macro_fem import newton, soc
 from macro_fem.assembly import deformation_gradient
-from macro_fem.compliant import Program, State, excess, follow, least_potential, make_program, measure
+from macro_fem.compliant import REACH, Program, State, follow, least_potential, make_program, measure
 from macro_fem.cones import Cones, first_cones, green_strain, only, steadied, times_triple, with_cuts
 from macro_fem.interior import Iteration
 from macro_fem.soc import Vectors
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, spread_allowance, spread_tension, unit_tensors
+from macro_fem.status import FREE, Accuracy, Reach, load_scale
 
 FIRST_GAP = 10.0
 """Gap of the first state in energy scales."""
@@ -41,21 +42,23 @@ PRUNED_ROUNDS = 4
 """After these first rounds idle half-spaces are dropped; not later, lest rounds go in circles."""
 IDLE = 0.03
 """A half-space is idle below this part of a point's load and beyond this relative distance."""
-NO_LOAD = 1e-6
-"""N/mm2: sets the energy scale of a curtain without load."""
-REFUSED = (
-    "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
-    "beyond locking; move the supports together or use a smaller gather"
-)
-
-OUT_OF_STEPS = "stopped after {n} iterations before the half-spaces were found: raise solver.max_iterations"
-CLOSED = "the gap between upper and lower bound is closed"
 POLISH = 40
 """Steps of Newton's method: it takes a handful, or kinks of what hangs slack keep it busy for nothing."""
 IDLE_STEPS = 3
 """Its steps in a row without progress after which the interior-point answer is as good."""
 CERTIFIED = 1e-7
-"""Gap over load times size below which the interior-point answer stands where Newton's method balances less well."""
+"""Relative gap, unbalanced forces and violation below which the interior-point answer is one."""
+BALANCED = 1e-7
+"""Unbalanced forces over the loads below which the answer of Newton's method is one."""
+STOPS = {
+    newton.NewtonStatus.CONVERGED: "closed",
+    newton.NewtonStatus.ITERATION_LIMIT: "iterations",
+    newton.NewtonStatus.ROUND_OFF: "stalled",
+    newton.NewtonStatus.STALLED: "stalled",
+    newton.NewtonStatus.NOT_CONVEX: "not_convex",
+    newton.NewtonStatus.NOT_FINITE: "not_finite",
+}
+"""Why Newton's method stopped, in the words of `macro_fem.status`."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,6 @@ class Approach:
     """Where the rounds ended: unknowns z (n,), stresses P (nq, d, 2) and S (nq, 3), a status as in `compliant.follow`.
 
     `lower` bounds the potential -l.z + stored energy from below, N mm; `unbalanced` forces are relative to the load.
-    `excess`: by how much ideal locking is proved to be unable to reach the supports.
     """
 
     z: Array
@@ -81,7 +83,6 @@ class Approach:
     status: str
     lower: float
     unbalanced: float
-    excess: float
     rounds: int
     history: tuple[Iteration, ...] = field(repr=False)
 
@@ -94,7 +95,7 @@ def approach(
     `cones` are half-spaces to begin with instead of the law's own few.
     """
     fem, law = problem.fem, problem.law
-    total = _total(load, fem.weight)
+    total = load_scale(load, fem.weight)
     known = first_cones(law, len(fem.weight)) if cones is None else cones
     program = make_program(fem, load, known, law.compliance, total * problem.mesh.size, total)
     state = _first_state(program, fem.unknowns(gathered_start(problem)))
@@ -124,15 +125,9 @@ def approach(
         status=status,
         lower=least_potential(program, state, now),
         unbalanced=now.unbalanced,
-        excess=excess(program, state),
         rounds=number,
         history=tuple(history),
     )
-
-
-def _total(load: Array, weight: Array) -> float:
-    """The sum of all forces, N, or what sets the scale of a curtain without any."""
-    return float(np.abs(load).sum()) or float(weight.sum()) * NO_LOAD
 
 
 def _first_state(program: Program, z: Array) -> State:
@@ -201,30 +196,39 @@ def _extended(
     return wider, State(state.z, state.eps, s, y)
 
 
-def solve_elastic(problem: Problem, cones: Cones | None = None) -> CurtainSolution:
+def solve_elastic(problem: Problem, reach: Reach = FREE, cones: Cones | None = None) -> CurtainSolution:
     """The elastic curtain of a discrete problem; `cones` are half-spaces to begin with.
 
-    Status "infeasible" where ideal locking is proved to be far from reaching the supports: an answer would be the
-    elasticity of rings drawn beyond what the law was made for.
+    `reach` tells how far apart the supports are. Out of reach by more than the loads themselves stretch the rings ends
+    as "infeasible": an answer would be the elasticity of rings drawn beyond what the law was made for.
     """
     begin = time.perf_counter()
     most = problem.scene.solver.max_iterations
     tension = spread_tension(problem)
     load = problem.fem.gather(problem.force) + problem.fem.force(tension * unit_tensors(problem))
-    found = approach(problem, load, ElasticOptions(max_iterations=most), cones)
-    certified = _certified(problem, found, load, tension)
-    is_refused = found.status == "infeasible"
-    if is_refused or (found.status == "iterations" and len(found.history) >= most):
-        message = REFUSED.format(excess=100.0 * found.excess) if is_refused else OUT_OF_STEPS.format(n=most)
-        answer = replace(certified, status=found.status, message=message)
-    else:
-        polished = _polished(problem, found, min(POLISH, most - len(found.history)))
-        gap = (certified.primal - certified.dual) / problem.mesh.size
-        is_closed = gap <= CERTIFIED * _total(load, problem.fem.weight) + 4.0 * tension * problem.mesh.size
-        is_better = polished.status != "converged" or certified.residual < polished.residual
-        answer = certified if is_closed and is_better else polished
-        answer = replace(answer, history=(*found.history, *polished.history))
-    return replace(answer, iterations=len(answer.history), wall_s=time.perf_counter() - begin)
+    if reach.is_out and reach.excess < elastic_stretch(problem):
+        reach = replace(reach, upper=1.0)
+    options = ElasticOptions(max_iterations=0 if reach.is_out else most)
+    found = approach(problem, load, options, cones)
+    answer = replace(_certified(problem, found, load, tension), reach=reach)
+    if not reach.is_out and len(found.history) < most:
+        polished = replace(_polished(problem, found, min(POLISH, most - len(found.history))), reach=reach)
+        history = (*found.history, *polished.history)
+        answer = replace(_better(answer, polished), history=history, iterations=len(history))
+    return replace(answer, wall_s=time.perf_counter() - begin)
+
+
+def _better(certified: CurtainSolution, polished: CurtainSolution) -> CurtainSolution:
+    """Newton's answer, unless the interior-point one is good enough and balances better."""
+    is_answer = certified.asked.is_met(certified.evidence)
+    is_polished = polished.asked.is_met(polished.evidence)
+    return certified if is_answer and not (is_polished and polished.residual <= certified.residual) else polished
+
+
+def elastic_stretch(problem: Problem) -> float:
+    """About how far the loads of a scene stretch its rings: load times size over area, times the mean compliance."""
+    line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
+    return line_load * float(np.trace(problem.law.compliance)) / 3.0
 
 
 def _certified(problem: Problem, found: Approach, load: Array, tension: float) -> CurtainSolution:
@@ -234,19 +238,21 @@ def _certified(problem: Problem, found: Approach, load: Array, tension: float) -
     stored = float(problem.disc.weight @ problem.law.response(green_strain(F)).energy)
     gap = stored - float(load @ found.z) - found.lower
     primal = stored - float((problem.force * (x - problem.disc.nodes)).sum())
+    allowance = 2.0 * spread_allowance(problem, tension)
+    scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     return CurtainSolution(
         problem=problem,
-        status="converged",
-        message=CLOSED,
+        stop="closed" if found.status == "converged" else found.status,
+        asked=Accuracy(CERTIFIED + 2.0 * allowance / scale, CERTIFIED, CERTIFIED),
         x=x,
         F=F,
         P=found.P,
         S=found.S,
         primal=primal,
-        dual=primal - gap - 2.0 * spread_allowance(problem, tension),
-        residual=found.unbalanced,
+        dual=primal - gap - allowance,
         iterations=len(found.history),
         wall_s=0.0,
+        elastic=True,
         history=found.history,
         tension=tension,
     )
@@ -269,16 +275,16 @@ def _polished(problem: Problem, found: Approach, most: int) -> CurtainSolution:
     S = problem.law.response(green_strain(F)).S
     return CurtainSolution(
         problem=problem,
-        status="converged" if last.status.is_solution else last.status.name.lower(),
-        message=last.status.value,
+        stop=STOPS[last.status],
+        asked=Accuracy(REACH * BALANCED, BALANCED, CERTIFIED),
         x=nodes + last.u,
         F=F,
         P=times_triple(F, S),
         S=S,
         primal=last.potential,
         dual=last.potential - last.energy_bound,
-        residual=last.residual,
         iterations=answer.statistics.iterations,
         wall_s=0.0,
+        elastic=True,
         history=answer.history,
     )

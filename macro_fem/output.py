@@ -84,8 +84,9 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "length_held_mm": held_length(problem, [held.facets for held in problem.supports.held]),
         "potential_primal_N_mm": solution.primal,
         "potential_dual_N_mm": solution.dual,
-        "relative_gap": relative_gap(solution),
+        "relative_gap": solution.relative_gap,
         "residual": solution.residual,
+        "stretch_beyond_locking": solution.stretch_excess,
         "iterations": solution.iterations,
         "cells": disc.n_cells,
         "dofs": int(problem.fem.n),
@@ -115,13 +116,6 @@ def masses(solution: CurtainSolution) -> dict[str, Any]:
     mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
     total = mass * PER_MM2 * float(cell_area(solution).sum())
     return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
-
-
-def relative_gap(solution: CurtainSolution) -> float:
-    """(primal - dual) / (total load times size): the error of the potential on the scale of the curtain."""
-    problem = solution.problem
-    scale = float(np.abs(problem.force).sum()) * problem.mesh.size
-    return (solution.primal - solution.dual) / scale if scale > 0.0 else 0.0
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:

@@ -10,12 +10,14 @@ value becomes an upper bound when the answer is drawn back, by the least amount,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from homogenize.law import Array, MembraneLaw
-from macro_fem.cones import Cones, first_cones, law_cut
+from macro_fem.cones import Cones, first_cones, green_strain, least_slack
 from macro_fem.interior import (
     Fem,
     Iteration,
@@ -32,17 +34,19 @@ from macro_fem.interior import (
     search,
 )
 from macro_fem.missing import at_rest, find, joined, pruned, widened
+from macro_fem.status import FREE, Accuracy, Evidence, Reach, Verdict, judged, load_scale
 
 REACH = 4.0
 """No point of one admissible state is farther from its place in another than this many sizes: twice the stretch."""
-ROUNDING = 1e-6
-"""An iteration that rounding stops is accepted below this relative error, which is reported."""
+COUNTED = 10.0
+"""The reported gap counts unbalanced forces REACH times and what drawing the answer inside costs: it may be this many
+times the gap that the path is asked for."""
 FIRST_GAP = 10.0
 """Gap of the first state in energy scales: 0.1 to 100 take about as many steps."""
 INSIDE = 1e-3
 """Relative room in the law from which a state is good enough to draw the answer back to; roomier ones replace less."""
-NO_LOAD = 1e-6
-"""N/mm2: sets the energy scale of a curtain without load."""
+DRAWN = 1e-3
+"""Longest part of the way to the state inside that the answer is drawn."""
 LEAST_GAP = 0.1
 """The path is not followed beyond this part of the gap that is asked for; what is left is to remove the residuals."""
 PRUNED_AT = (1e-1, 1e-2, 1e-3)
@@ -64,7 +68,8 @@ class RigidOptions:
     `violation` (relative to h + tr S/2) is what the last step may leave before the answer is drawn back inside.
     `cones` are half-spaces to begin with instead of the law's own few, say those of a curtain on the same triangles;
     `drop_idle`: whether those that are far away are dropped on the way. `corrector`: whether steps are corrected to
-    second order.
+    second order. `drawn`: whether the answer is drawn back inside; without, only its dual value is a bound. `enough`
+    ends the path as soon as it is true of the unknowns z and the dual value.
     """
 
     gap: float = 1e-9
@@ -73,21 +78,29 @@ class RigidOptions:
     cones: Cones | None = None
     drop_idle: bool = True
     corrector: bool = True
+    drawn: bool = True
+    enough: Callable[[Array, float], bool] | None = None
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """What the numbers of the answer must not exceed."""
+        return Accuracy(COUNTED * self.gap, self.gap, self.violation)
 
 
 @dataclass(frozen=True)
 class RigidResult:
-    """Free unknowns z, stress and multipliers of the rigid curtain, with a status and the numbers that prove it.
+    """Free unknowns z, stress and multipliers of the rigid curtain, with the numbers from which its status follows.
 
-    `primal` is -l.z, an upper bound of the least potential of this discretisation, `dual` a lower bound of it, N mm,
-    without the constant that supports add. `room` is the relative slack in the law of the roomiest state that was met.
-    P (nq, d, 2) is the equilibrated stress in N per mm of reference length,
-    y_tail (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i
-    S_i with P = F S at the exact answer.
+    `stop` is why the solver stopped, `evidence` the errors of the answer, `asked` what they must not exceed. `primal`
+    is -l.z, an upper bound of the least potential of this discretisation, `dual` a lower bound of it, N mm, without the
+    constant that supports add. P (nq, d, 2) is the equilibrated stress in N per mm of reference length, y_tail
+    (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second Piola-Kirchhoff line load sum of lam_i S_i with
+    P = F S at the exact answer.
     """
 
-    status: str
-    message: str
+    stop: str
+    evidence: Evidence
+    asked: Accuracy
     z: Array
     lam: Array
     y_tail: Array
@@ -96,25 +109,34 @@ class RigidResult:
     S: Array
     primal: float
     dual: float
-    residual: float
     iterations: int
     history: tuple[Iteration, ...] = field(repr=False)
-    room: float = 0.0
+    reach: Reach = FREE
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Status and message, from the numbers."""
+        return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
+
+    @property
+    def status(self) -> str:
+        """One word for how it ended."""
+        return self.verdict.status
+
+    @property
+    def message(self) -> str:
+        """The sentence of the status."""
+        return self.verdict.message
+
+    @property
+    def residual(self) -> float:
+        """Sum of the unbalanced forces over that of the loads."""
+        return self.evidence.unbalanced
 
     @property
     def converged(self) -> bool:
         """Whether the gap was closed."""
         return self.status == "converged"
-
-
-STATUSES = {
-    "converged": "the gap between upper and lower bound is closed",
-    "infeasible": "the supports are farther apart than the mesh can stretch: its rings would have to give at least "
-    "{excess:.3g} % beyond locking; move the supports together or use a smaller gather",
-    "iterations": "stopped after {n} iterations with a relative error of {error:.1e}: raise solver.max_iterations",
-    "stalled": "rounding leaves no progress at a relative error of {error:.1e}: ask for a wider solver.tolerance",
-}
-"""One status per way to end, each with what happened and what to try."""
 
 
 def solve_rigid(
@@ -125,26 +147,29 @@ def solve_rigid(
     `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. Any start will do; one that
     is well inside the law keeps the path inside and makes the primal value a bound.
     """
-    total = float(np.abs(load).sum()) or float(fem.weight.sum()) * NO_LOAD
+    total = load_scale(load, fem.weight)
     cones = first_cones(law, len(fem.weight)) if options.cones is None else options.cones
     program = make_program(fem, load, cones, total * size, total)
     state = first_state(program, start, FIRST_GAP)
     now = measure(program, state)
-    inner = _Inner(start, _law_slack(law, fem.gradient(start)))
-    best, waited, held, prunes, status = (program, state, now), 0, 0, 0, "iterations"
+    inner = _Inner(start, law_slack(law, fem.gradient(start)))
+    best, waited, held, prunes, stop = (program, state, now), 0, 0, 0, "iterations"
     history: list[Iteration] = []
     while len(history) < options.max_iterations:
         if is_certificate(program, state, now):
-            status = "infeasible"
+            stop = "infeasible"
             break
-        if _is_closed(now, options) and -_law_slack(law, fem.gradient(state.z)) < options.violation:
-            status = "converged"
+        if _is_closed(now, options) and _is_answer(program, law, state, now, inner, options):
+            stop = "closed"
+            break
+        if options.enough is not None and options.enough(state.z, _lower(program, now)):
+            stop = "closed"
             break
         step = None
         if waited <= PATIENCE:
             step = search(program, state, now, LEAST_GAP * options.gap, corrector=options.corrector)
         if step is None or max(step.primal, step.dual) == 0.0:
-            status = "stalled"
+            stop = "stalled"
             break
         known = len(program.c)
         taken = _taken(program, state, now, step, law, may_wait=held < ANEW)
@@ -157,17 +182,15 @@ def solve_rigid(
             program, state = pruned(program, state)
             prunes += 1
         if not is_inside(state):
-            status = "stalled"
+            stop = "stalled"
             break
         now = measure(program, state)
         waited += now.error < SETTLED and len(program.c) == known
         if now.error < best[2].error:
             best, waited = (program, state, now), 0
-    if status in ("stalled", "iterations"):
+    if stop in ("stalled", "iterations"):
         program, state, now = best
-    if status == "stalled" and now.error < ROUNDING:
-        status = "converged"
-    return _result(program, law, state, now, status, inner, history)
+    return _result(program, law, state, now, stop, inner, history, options)
 
 
 @dataclass(frozen=True)
@@ -206,20 +229,49 @@ def _is_closed(now: Measure, options: RigidOptions) -> bool:
     return max(now.gap, now.unbalanced, now.outside) < options.gap
 
 
-def _law_slack(law: MembraneLaw, F: Array) -> float:
+def _is_answer(
+    program: Program, law: MembraneLaw, state: State, now: Measure, inner: _Inner, options: RigidOptions
+) -> bool:
+    """Whether the answer that would be given now is as good as asked; if not, smaller residuals make it so."""
+    if -law_slack(law, program.fem.gradient(state.z)) >= options.violation:
+        return False
+    z = _answer(program, law, state, inner, options)
+    return options.accuracy.is_met(_evidence(program, law, z, now))
+
+
+def _answer(program: Program, law: MembraneLaw, state: State, inner: _Inner, options: RigidOptions) -> Array:
+    return _drawn_inside(law, program.fem, state.z, inner) if options.drawn else state.z
+
+
+def _evidence(program: Program, law: MembraneLaw, z: Array, now: Measure) -> Evidence:
+    """The errors of an answer z with the stress that `now` was measured with."""
+    gap = (-float(program.load @ z) - _lower(program, now)) / program.scale
+    return Evidence(gap, now.unbalanced, -law_slack(law, program.fem.gradient(z)))
+
+
+def _lower(program: Program, now: Measure) -> float:
+    """The dual value, N mm, lowered by what unbalanced forces could do over the curtain's size."""
+    return (now.dual - REACH * now.unbalanced) * program.scale
+
+
+def law_slack(law: MembraneLaw, F: Array) -> float:
     """The least relative slack of the whole law over all points; negative where F is not admissible."""
-    S, h, slack = law_cut(law, F)
-    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())
+    return least_slack(law, green_strain(F))
 
 
 def _drawn_inside(law: MembraneLaw, fem: Fem, z: Array, inner: _Inner) -> Array:
-    """z, or the nearest point found on the way from z to the inner state that is inside the whole law."""
+    """z, or the nearest point found on the way from z to the inner state that is inside the whole law.
+
+    z itself where that way is too long to be a correction of rounding: its violation is then reported.
+    """
     if inner.room <= 0.0:
         return z
-    share, slack = 0.0, _law_slack(law, fem.gradient(z))
-    while slack < 0.0 and share < 1.0:
-        share = min(1.0, max(1e-13, -0.5 * slack, 2.0 * share))
-        slack = _law_slack(law, fem.gradient(z + share * (inner.z - z)))
+    share, slack = 0.0, law_slack(law, fem.gradient(z))
+    while slack < 0.0:
+        share = max(1e-13, -0.5 * slack, 2.0 * share)
+        if share > DRAWN:
+            return z
+        slack = law_slack(law, fem.gradient(z + share * (inner.z - z)))
     return z + share * (inner.z - z)
 
 
@@ -228,18 +280,19 @@ def _result(
     law: MembraneLaw,
     state: State,
     now: Measure,
-    status: str,
+    stop: str,
     inner: _Inner,
     history: list[Iteration],
+    options: RigidOptions,
 ) -> RigidResult:
-    """The record; the dual value is lowered by what unbalanced forces could do over the curtain's size."""
-    z = _drawn_inside(law, program.fem, state.z, inner) if status == "converged" else state.z
+    """The record, its numbers those of the answer it holds."""
+    z = state.z if stop == "infeasible" else _answer(program, law, state, inner, options)
     lam = state.y.head / program.c
-    bound_of_excess = now.dual * program.scale / float((program.w * state.y.head * program.c).sum())
-    message = STATUSES[status].format(excess=100.0 * bound_of_excess, n=len(history), error=now.error)
+    excess = now.dual * program.scale / float((program.w * state.y.head * program.c).sum())
     return RigidResult(
-        status=status,
-        message=message,
+        stop=stop,
+        evidence=_evidence(program, law, z, now),
+        asked=options.accuracy,
         z=z,
         lam=lam,
         y_tail=state.y.tail,
@@ -247,9 +300,29 @@ def _result(
         P=-program.stress(state.y.tail),
         S=program.cones.stress(lam),
         primal=-float(program.load @ z),
-        dual=(now.dual - REACH * now.unbalanced) * program.scale,
-        residual=now.unbalanced,
+        dual=_lower(program, now),
         iterations=len(history),
         history=tuple(history),
-        room=inner.room,
+        reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
+    )
+
+
+def unsolved(fem: Fem, law: MembraneLaw, z: Array) -> RigidResult:
+    """What stands for an answer where supports are out of reach: unknowns z without stress."""
+    cones = first_cones(law, len(fem.weight))
+    P = 0.0 * fem.gradient(z)
+    return RigidResult(
+        stop="infeasible",
+        evidence=Evidence(np.inf, np.inf, np.inf),
+        asked=RigidOptions().accuracy,
+        z=z,
+        lam=np.zeros(len(cones)),
+        y_tail=np.zeros((len(cones), 2 * P.shape[1])),
+        cones=cones,
+        P=P,
+        S=np.zeros((len(P), 3)),
+        primal=np.nan,
+        dual=np.nan,
+        iterations=0,
+        history=(),
     )

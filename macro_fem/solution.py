@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from homogenize.law import Array, InputError, MembraneLaw
 from macro_fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
-from macro_fem.cones import Cones, green_strain
+from macro_fem.cones import Cones, green_strain, least_slack
 from macro_fem.fem import SupportedFem
 from macro_fem.interior import Iteration
 from macro_fem.loads import nodal_forces
 from macro_fem.mesh import CurtainMesh
 from macro_fem.newton_records import NewtonRecord
 from macro_fem.scene import Scene
+from macro_fem.status import FREE, Accuracy, Evidence, Reach, Verdict, judged, load_scale
 from macro_fem.supports import Supports, build_supports, pin_sliding
 from macro_fem.turned import turned
 
@@ -43,25 +45,80 @@ class CurtainSolution:
     """The curtain at one load step.
 
     x (n_nodes, d) positions, mm; at the points F, E, P = F S (nq, d, 2) in N per mm of reference length, and S; primal
-    and dual values of the potential -sum force . (x - X), N mm; residual: unbalanced force relative to the load;
-    reactions (n_nodes, d), N. `tension` is the even tension in N/mm that P balances besides the load.
+    and dual values of the potential -sum force . (x - X), N mm; reactions (n_nodes, d), N. `tension` is the even
+    tension in N/mm that P balances besides the load.
+
+    Status and message are not given but follow from the rest: `stop` is why the solver stopped, `asked` what the
+    numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `give` by how much the
+    rings of a relaxed problem gave beyond locking, whose bounds primal and dual then are; None for the law as it is.
+    `elastic`: P is the stress of the elastic law, else of ideal locking.
     """
 
     problem: Problem
-    status: str
-    message: str
+    stop: str
+    asked: Accuracy
     x: Array
     F: Array
     P: Array
     S: Array
     primal: float
     dual: float
-    residual: float
     iterations: int
     wall_s: float
+    reach: Reach = FREE
+    give: float | None = None
+    elastic: bool = False
     cones: Cones | None = field(default=None, repr=False)
     history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
     tension: float = 0.0
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The errors of this answer, from its own numbers: nothing that a solver reports enters but the dual value."""
+        return Evidence(self.relative_gap, self.residual, self._violation())
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Status and message: see `macro_fem.status`."""
+        return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.give)
+
+    @property
+    def status(self) -> str:
+        """One word for how it ended."""
+        return self.verdict.status
+
+    @property
+    def message(self) -> str:
+        """The sentence of the status."""
+        return self.verdict.message
+
+    @property
+    def relative_gap(self) -> float:
+        """(primal - dual) / (total load times size): the error of the potential on the scale of the curtain."""
+        return float((self.primal - self.dual) / (self._total * self.problem.mesh.size))
+
+    @cached_property
+    def residual(self) -> float:
+        """Sum of the forces on free unknowns that do not balance, over the sum of the loads."""
+        fem = self.problem.fem
+        own = self.P - self.tension * unit_tensors(self.problem)
+        return float(np.abs(fem.gather(self.problem.force) - fem.force(own)).sum()) / self._total
+
+    @property
+    def _total(self) -> float:
+        return load_scale(self.problem.force, self.problem.disc.weight)
+
+    def _violation(self) -> float:
+        """Largest relative violation of the law; none where rings are elastic, which any strain goes with."""
+        E = green_strain(self.F / (1.0 + (self.give or 0.0)))
+        if not (np.isfinite(E).all() and np.isfinite(self.P).all()):
+            return np.inf
+        return 0.0 if self.elastic else -least_slack(self.problem.law, E)
+
+    @property
+    def stretch_excess(self) -> float:
+        """Largest stretch anywhere beyond that at which the rings lock, relative; 0 where none is."""
+        return float(np.sqrt(1.0 + max(0.0, -least_slack(self.problem.law, self.E)))) - 1.0
 
     @property
     def E(self) -> Array:

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from homogenize.law import InputError, MembraneLaw
+from homogenize.law import Array, InputError, MembraneLaw
 from macro_fem.cones import Cones, facets_of, same_cones, taken_from
 from macro_fem.conic import ConicOptions, solve_conic
 from macro_fem.elastic import solve_elastic
 from macro_fem.fem import SupportedFem
 from macro_fem.mesh import build_mesh
-from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.rigid import COUNTED, RigidOptions, RigidResult, solve_rigid, unsolved
 from macro_fem.scene import Scene
 from macro_fem.solution import (
     CurtainSolution,
@@ -26,7 +26,8 @@ from macro_fem.solution import (
     unit_tensors,
 )
 from macro_fem.space import in_space, padded
-from macro_fem.taut import is_taut, solve_taut
+from macro_fem.status import Reach, load_scale
+from macro_fem.taut import Solve, reach_of, solve_taut
 from macro_fem.turned import TurnedLaw
 
 COARSE_FROM = 4000
@@ -56,40 +57,59 @@ def solve_problem(problem: Problem) -> CurtainSolution:
     if problem.scene.solver.forces("ties"):
         problem = replace(problem, fem=problem.fem.tied())
     if problem.scene.solver.kind == "newton":
-        return solve_elastic(problem, coarse_cones(problem))
+        reach = supports_reach(problem)
+        return solve_elastic(problem, reach, None if reach.is_out else coarse_cones(problem))
     return solve_locked(problem)
+
+
+def supports_reach(problem: Problem) -> Reach:
+    """How much farther apart the supports could be, by clarabel where the scene asks for it."""
+    fem, size = problem.fem, problem.mesh.size
+    by_clarabel = _by_clarabel(problem) if problem.scene.solver.kind == "conic" else None
+    return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), size, by_clarabel)
 
 
 def solve_locked(problem: Problem) -> CurtainSolution:
     """The rigid curtain of a discrete problem, by our own interior-point method or, for "conic", by clarabel."""
     begin = time.perf_counter()
-    spec = problem.scene.solver
-    tension = spread_tension(problem)
-    if spec.kind == "conic":
-        fem = problem.fem
-        load = fem.gather(problem.force) + fem.force(tension * unit_tensors(problem))
-        result = solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=spec.tolerance))
-    else:
-        fem, result = _solved_rigid(problem, tension)
-    return _solution(problem, fem, result, tension, time.perf_counter() - begin)
-
-
-def _solved_rigid(problem: Problem, tension: float) -> tuple[SupportedFem, RigidResult]:
-    """The discretisation, in space if that is forced, and the result of our own interior-point method."""
     spec, fem = problem.scene.solver, problem.fem
     start, force = gathered_start(problem), problem.force
     if spec.forces("third-coordinate"):
         fem, start, force = in_space(fem), padded(start), padded(force)
+    tension = spread_tension(problem)
     load = fem.gather(force) + fem.force(tension * unit_tensors(replace(problem, fem=fem)))
-    violation = max(RigidOptions.violation, 10.0 * spec.tolerance)
-    options = RigidOptions(spec.tolerance, violation, spec.max_iterations, cones=coarse_cones(problem))
-    if spec.forces("all-half-spaces"):
-        options = replace(options, cones=all_cones(problem), drop_idle=False)
-    z, size = fem.unknowns(start), problem.mesh.size
-    result = solve_rigid(fem, problem.law, load, z, size, options)
-    if is_taut(result):
-        result = solve_taut(fem, problem.law, load, z, size, options) or result
-    return fem, result
+    violation = max(RigidOptions.violation, COUNTED * spec.tolerance)
+    options = RigidOptions(spec.tolerance, violation, spec.max_iterations)
+    z, reach, give = fem.unknowns(start), supports_reach(problem), None
+    if reach.is_out:
+        result = unsolved(fem, problem.law, z)
+    else:
+        solve = _by_clarabel(problem) if spec.kind == "conic" else _by_interior_point(problem)
+        if reach.is_at_limit:
+            result, give = solve_taut(fem, load, z, options, reach, solve)
+        else:
+            result = solve(fem, load, z, options)
+            reach = result.reach if result.stop == "infeasible" else reach
+    return _solution(problem, fem, result, tension, reach, give, time.perf_counter() - begin)
+
+
+def _by_interior_point(problem: Problem) -> Solve:
+    """Our own solver, with the half-spaces that the scene begins with."""
+    forced = problem.scene.solver.forces("all-half-spaces")
+    cones = all_cones(problem) if forced else coarse_cones(problem)
+
+    def solve(fem: SupportedFem, load: Array, z: Array, options: RigidOptions) -> RigidResult:
+        options = replace(options, cones=cones, drop_idle=not forced)
+        return solve_rigid(fem, problem.law, load, z, problem.mesh.size, options)
+
+    return solve
+
+
+def _by_clarabel(problem: Problem) -> Solve:
+    def solve(fem: SupportedFem, load: Array, z: Array, options: RigidOptions) -> RigidResult:
+        return solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=options.gap))
+
+    return solve
 
 
 def all_cones(problem: Problem) -> Cones:
@@ -138,7 +158,13 @@ def coarse_cones(problem: Problem) -> Cones | None:
 
 
 def _solution(
-    problem: Problem, fem: SupportedFem, result: RigidResult, tension: float, wall_s: float
+    problem: Problem,
+    fem: SupportedFem,
+    result: RigidResult,
+    tension: float,
+    reach: Reach,
+    give: float | None,
+    wall_s: float,
 ) -> CurtainSolution:
     """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
     x = fem.positions(result.z)[:, :2]
@@ -153,20 +179,22 @@ def _solution(
             * fem.gradient(np.zeros_like(result.z))
         ).sum()
     )
-    allowance = spread_allowance(problem, tension) + held_part
+    allowance = spread_allowance(problem, tension)
+    scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     return CurtainSolution(
         problem=problem,
-        status=result.status,
-        message=result.message,
+        stop=result.stop,
+        asked=replace(result.asked, gap=result.asked.gap + 2.0 * allowance / scale),
         x=x,
         F=fem.gradient(result.z)[:, :2],
         P=result.P[:, :2],
         S=result.S,
         primal=primal,
-        dual=result.dual + shift - allowance,
-        residual=result.residual,
+        dual=result.dual + shift - allowance - held_part,
         iterations=result.iterations,
         wall_s=wall_s,
+        reach=reach,
+        give=give,
         cones=result.cones,
         history=result.history,
         tension=tension,

@@ -158,19 +158,20 @@ def test_supports_out_of_reach_are_refused_by_proof(scene_tables):
     pulled = [{"kind": "edge", "edge": "top", "move": [0.0, 42.0]}, {"kind": "edge", "edge": "bottom"}]
     tables = {**scene_tables(solver=NEWTON), "support": pulled}
     assert solve_scene(read_scene(tables), diagonal_net(1.0, 1e3)).status == "infeasible"  # 0.42 > sqrt(2) - 1
-    assert solve_scene(read_scene(tables), diagonal_net(1.0, 1e-3)).status == "converged"
+    soft = solve_scene(read_scene(tables), diagonal_net(1.0, 1e-3))  # its own weight stretches it by more than that
+    assert soft.status == "taut"
+    assert "by their stiffness" in soft.message
     assert solve_scene(read_scene({**tables, "solver": {}}), diagonal_net(1.0, 1e-3)).status == "infeasible"
 
 
-def test_interior_points_end_at_the_answer_and_claim_no_proof_against_it(scene_tables):
-    """Before Newton's method: the dual stress is the law's stress at the answer, and out of reach is not claimed."""
+def test_interior_points_end_at_the_answer(scene_tables):
+    """Before Newton's method: the dual stress is the law's stress at the answer."""
     tables = scene_tables(support={"kind": "corners"}, mesh={"cells": 4}, solver=NEWTON)
     scene = read_scene(tables)
     law = rings(1e3)
     problem = make_problem(scene, law, build_mesh(scene, law.cell))
     found = approach(problem, problem.fem.gather(problem.force))
     assert found.status in ("converged", "stalled")  # rounding may stop the last digits of what hangs slack
-    assert found.excess == 0.0
     answer = solve_elastic(problem)
     np.testing.assert_allclose(found.S, answer.S, atol=1e-3 * np.abs(answer.S).max())
 

@@ -1,0 +1,164 @@
+"""Random scenes: every answer has the status its numbers earn, and rigid, clarabel and elastic agree within their errors.
+
+Scene `seed` is drawn from numpy's generator of that seed, so that it is the same on every machine. What is asserted is
+recomputed here from positions, stresses and forces.
+"""
+
+import numpy as np
+
+from homogenize.law import InputError
+from macro_fem.mesh import build_mesh
+from macro_fem.scene import read_scene
+from macro_fem.solution import make_problem
+from macro_fem.solvers import solve_problem
+
+KINDS = ("rigid", "conic", "newton")
+NAMED = {"converged", "taut", "infeasible"}
+
+
+def draw(seed):
+    """Tables of a scene: shape, weave angle, mesh, one or two supports, loads."""
+    rng = np.random.default_rng(seed)
+    width, height = float(rng.choice([200.0, 500.0, 1000.0])), float(rng.choice([200.0, 500.0, 1000.0]))
+    shape = rng.choice(["rectangle", "rectangle", "rectangle", "hole", "disk", "outline"])
+    return {
+        "curtain": {**curtain(shape, width, height, rng), "hang": hang(rng)},
+        "mesh": mesh(shape, rng),
+        "support": supports(shape, width, height, rng),
+        "load": loads(shape, width, height, rng),
+    }
+
+
+def curtain(shape, w, h, rng):
+    if shape == "disk":
+        return {"shape": "disk", "radius": 0.5 * w}
+    if shape == "outline":
+        step, slant = rng.uniform(0.3, 0.7, 2)
+        points = [[0, 0], [w, 0], [w, h * step], [w * slant, h * step], [w * slant, h], [0, h]]
+        if rng.random() < 0.5:
+            points = [[0, 0], [w, 0], [w * (1.0 - 0.3 * slant), h], [0.3 * step * w, h]]
+        return {"shape": "outline", "outline": points}
+    hole = [[0.4 * w, 0.3 * h], [0.6 * w, 0.3 * h], [0.6 * w, 0.5 * h], [0.4 * w, 0.5 * h]]
+    return {"width": w, "height": h, **({"holes": [hole]} if shape == "hole" else {})}
+
+
+def hang(rng):
+    kind = rng.choice(["y", "x", "angle"])
+    return float(rng.integers(-90, 91)) if kind == "angle" else str(kind)
+
+
+def mesh(shape, rng):
+    element = str(rng.choice(["P1", "P1", "P1", "P2", "Q1"]))
+    if element == "Q1" and shape != "rectangle":
+        element = "P1"
+    return {"cells": int(rng.integers(3, 5 if element == "P2" else 8)), "element": element}
+
+
+def supports(shape, w, h, rng):
+    edges = ["outline"] if shape == "disk" else ["top", "bottom", "left", "right"]
+    if shape == "outline":
+        edges = ["outline"]
+
+    def edge():
+        held = str(rng.choice(["both", "both", "x", "y"]))
+        gather = float(rng.choice([1.0, 1.0, 0.9, 0.7]))
+        return {"kind": "edge", "edge": str(rng.choice(edges)), "held": held, "gather": gather}
+
+    def point():
+        at = [0.0, 0.0] if shape == "disk" else [float(rng.choice([0.0, w])), float(rng.choice([0.0, h]))]
+        return {"kind": "point", "at": at, "move": (0.2 * rng.standard_normal(2) * min(w, h)).round(1).tolist()}
+
+    gather = float(rng.choice([1.0, 1.0, 0.95, 0.8, 0.6, 1.2, 1.5, 1.7]))
+    plain = [{"kind": "corners", "gather": gather}, {"kind": "top", "gather": gather}, {"kind": "rail"}]
+    plain.append({"kind": "hooks", "pitch": 0.5 * w, "sliding": bool(rng.random() < 0.5)})
+    few = [edge(), point()] if shape in ("disk", "outline") else [*plain, edge(), point()]
+    return [few[rng.integers(len(few))] for _ in range(rng.integers(1, 3))]
+
+
+def loads(shape, w, h, rng):
+    load = {"gravity": float(rng.choice([9.81, 9.81, 9.81, 0.0]))}
+    corner = 0.2 if shape == "disk" else 0.5
+    force = (rng.standard_normal(2) * 10.0 ** rng.uniform(-1, 2)).round(3).tolist()
+    kind = rng.choice(["none", "none", "point", "patch", "edge", "bar"])
+    if kind == "point":
+        load["point"] = {"at": [corner * w, 0.2 * h], "force": force}
+    if kind == "patch":
+        load["patch"] = {"at": [corner * w, 0.2 * h], "radius": 0.2 * min(w, h), "force": force}
+    if kind in ("edge", "bar") and shape in ("rectangle", "hole"):
+        bar = {"mass": float(rng.uniform(0.1, 5.0)), "straight": bool(rng.random() < 0.5)}
+        load[str(kind)] = {"edge": "bottom", "force": [f / w for f in force]} if kind == "edge" else bar
+    return load
+
+
+def solutions(seed, law):
+    """What each solver makes of a scene; None where it is refused at the door, which all of them must agree on."""
+    found = {}
+    for kind in KINDS:
+        try:
+            scene = read_scene({**draw(seed), "solver": {"kind": kind}}, f"seed {seed}")
+            found[kind] = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+        except InputError as error:
+            assert str(error).startswith(f"seed {seed}: ")
+            found[kind] = None
+    assert len({one is None for one in found.values()}) == 1
+    return None if found["rigid"] is None else found
+
+
+def scale_of(solution):
+    problem = solution.problem
+    return float(np.abs(problem.force).sum()), problem.mesh.size
+
+
+def check_numbers(solution):
+    """The status is the one that gap, balance and admissibility earn."""
+    problem, fem = solution.problem, solution.problem.fem
+    total, size = scale_of(solution)
+    total = total or 1e-6 * float(problem.disc.weight.sum())
+    gap = (solution.primal - solution.dual) / (total * size)
+    free = fem.gather(problem.force) - fem.force(solution.P)
+    spread = solution.tension * np.abs(fem.force(np.eye(2) + 0.0 * solution.P)).sum() / total
+    accuracy = 3e-5 if solution.status == "taut" else 3e-6
+    assert -1e-8 < gap < 2e-5
+    assert np.abs(free).sum() / total < accuracy + spread
+    if not solution.elastic:
+        given = 1.0 + (solution.give or 0.0)
+        C = np.einsum("nki,nkj->nij", solution.F, solution.F) / given**2
+        E = 0.5 * (np.stack([C[:, 0, 0], C[:, 0, 1], C[:, 1, 1]], axis=-1) - [1.0, 0.0, 1.0])
+        assert problem.law.cut(E).violation.max() < 1e-6
+    # what supports carry is the load, in force and in moment about the origin
+    reactions = solution.reactions
+    borne = max(total, float(np.abs(reactions).sum()))
+    assert np.abs((reactions + problem.force).sum(axis=0)).max() < 1e-5 * borne
+    assert {"converged": solution.reach.is_free, "taut": solution.reach.is_at_limit}[solution.status]
+
+
+def check_agreement(found):
+    """Potentials of the three: clarabel's and ours overlap, the elastic one is lower by at most what rings store."""
+    rigid, conic, elastic = (found[kind] for kind in KINDS)
+    total, size = scale_of(rigid)
+    slack = 1e-7 * total * size
+    if rigid.give == conic.give or max(rigid.give, conic.give) < 1.1e-4:
+        assert max(rigid.dual, conic.dual) <= min(rigid.primal, conic.primal) + slack + 1e-6 * abs(rigid.primal)
+    if rigid.status == "converged":
+        D, S = rigid.problem.law.compliance, rigid.S
+        stored = 0.5 * float(rigid.problem.disc.weight @ np.einsum("ni,i,ni->n", S, [1.0, 2.0, 1.0], S @ D.T))
+        assert elastic.dual <= rigid.primal + slack
+        assert elastic.primal >= rigid.dual - stored * (1.0 + 1e-3) - slack
+
+
+def check(seed, law):
+    """The common status of a scene, or "refused", or the word of the solver that found no answer."""
+    found = solutions(seed, law)
+    if found is None:
+        return "refused"
+    for solution in found.values():
+        if solution.status in ("converged", "taut"):
+            check_numbers(solution)
+    statuses = {kind: solution.status for kind, solution in found.items()}
+    if set(statuses.values()) == {"infeasible"}:
+        return "infeasible"
+    if not set(statuses.values()) <= NAMED:
+        return f"none: {statuses}"
+    assert len(set(statuses.values())) == 1, statuses
+    check_agreement(found)
+    return statuses["rigid"]
