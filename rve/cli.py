@@ -142,6 +142,8 @@ def table(out: Path, method: str, **rest: Any) -> None:
     directions = _directions(**asked)
     if not out.parent.is_dir():
         raise InputError(f"--out = {out}: the folder {out.parent} does not exist")
+    if mesh.weave.caveat:
+        click.echo(f"Warning: {mesh.weave.caveat}", err=True)
     found = _solved(method, directions, mesh, how)
     if stiffness is not None:
         found = with_compliance(found, stiffness, mesh)
