@@ -180,7 +180,8 @@ def numeric_column(path: str | os.PathLike[str], columns: dict[str, list[str]], 
 def read_table(path: str | os.PathLike[str]) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
-    A converged row must have finite angles, E and S. Raises InputError naming file, line, column and value.
+    A converged row must have finite angles, E and S. A strain counts as unique where the column `unique` is missing or
+    its cell empty. Raises InputError naming file, line, column and value.
     """
     columns = read_columns(path, _REQUIRED)
 

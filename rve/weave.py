@@ -48,7 +48,7 @@ class Weave:
         if self.is_mirrored:
             return ""
         return (
-            f"the {self.name} weave is not its own mirror image, but homogenize fit adds the mirror image of every row, "
+            f"the {self.name} weave is not its own mirror image, but homogenize fit adds every row's mirror image, "
             "so it refuses this table (by -0.146 for 6-in-1 at r1/r2 = 10); the rows themselves are not affected"
         )
 
