@@ -17,7 +17,7 @@ from homogenize.polyhedral import inner_law, outer_law, polyhedral_law
 from homogenize.protocol import Array, CellInfo, InputError, MembraneLaw
 from homogenize.refine import FINEST, NEWS, Parts, refined_half_spaces
 from homogenize.report import ErrorReport, error_report, sampled_cone
-from homogenize.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table
+from homogenize.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table, rows_to_dict
 from homogenize.stiffness import stiffness_of
 from rve.rings import STEEL_KG_PER_MM3, check_rings
 
@@ -92,6 +92,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "rows": len(rows),
         "stiffness": origin,
         "sampled_loads": sampled_cone(rows).tolist(),
+        "table_rows": rows_to_dict(rows),
         "table_provenance": dict(table.provenance),
         "python": platform.python_version(),
         "numpy": np.__version__,

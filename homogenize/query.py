@@ -10,18 +10,21 @@ import numpy as np
 from homogenize.io import LawFile, read_law_file
 from homogenize.protocol import Array, InputError
 from homogenize.report import is_sampled, misfit_of
-from homogenize.rows import rows_from_table
+from homogenize.rows import Rows, rows_from_dict, rows_from_table
 from homogenize.strain import locked_strain
 from homogenize.tensor import double_dot, eigenvalues, trace
 
 ROUNDING = 1e-12
+NAMES = ("11", "12", "22")
 
 
 def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[str, Any]:
-    """E of the law under the Cauchy load direction, with S of unit trace, h, and what to beware of.
+    """E of the law under the Cauchy load direction, its bounds, S of unit trace, h, and what to beware of.
 
-    `unique` is false where another strain carries the same load, `extrapolated` true where the table has no load around
-    this one. InputError if the load is not tensile or no strain is found.
+    E11_min ... E22_max bound the strain at which the rings lock, as the rows of the table prove; None if the law file
+    has no rows. A row's own load is answered with the row. `unique` is false where another strain carries the same load
+    or the bounds are too wide to tell, `extrapolated` true where the table has no load around this one. InputError if
+    the load is not tensile or no strain is found.
     """
     file = read_law_file(path)
     if not (np.isfinite(alpha_deg) and np.isfinite(beta_deg)):
@@ -30,7 +33,7 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
         raise InputError(
             f"--beta {beta_deg}: rings cannot push; both line loads are tensile for beta from 0 to 90 degrees"
         )
-    found = locked_strain(file.law, np.array([alpha_deg]), np.array([beta_deg]))
+    found = locked_strain(file.law, np.array([alpha_deg]), np.array([beta_deg]), rows=rows_behind(file, path))
     if found.status[0] != "converged":
         raise InputError(
             f"{path}: no strain of this law carries --alpha {alpha_deg} --beta {beta_deg}: the direction is missed "
@@ -40,12 +43,29 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
     return {
         "alpha_deg": alpha_deg,
         "beta_deg": beta_deg,
-        **{f"E{name}": float(x) for name, x in zip(("11", "12", "22"), E, strict=True)},
-        **{f"S{name}": float(x) for name, x in zip(("11", "12", "22"), S, strict=True)},
+        **components("E{}", E),
+        **components("E{}_min", found.E_min[0]),
+        **components("E{}_max", found.E_max[0]),
+        **components("S{}", S),
         "h": float(double_dot(S, E)),
         "unique": bool(found.unique[0]),
         "extrapolated": extrapolates(file, S),
     }
+
+
+def components(key: str, values: Array) -> dict[str, float | None]:
+    """Named components of a triple (3,); None for nan, which JSON does not have."""
+    return {key.format(name): float(x) if np.isfinite(x) else None for name, x in zip(NAMES, values, strict=True)}
+
+
+def rows_behind(file: LawFile, path: str | Path) -> Rows | None:
+    """The rows of the table behind a law, None if its file has none; InputError if they are not what a fit writes."""
+    if "table_rows" not in file.provenance:
+        return None
+    try:
+        return rows_from_dict(file.provenance["table_rows"])
+    except InputError as error:
+        raise InputError(f"{path}: table_rows: {error}") from error
 
 
 def support_answer(path: str | Path, S: Array) -> dict[str, Any]:

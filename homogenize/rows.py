@@ -7,13 +7,13 @@ is not unique only the value counts. The mirror image of a row under the weave s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from homogenize.protocol import Array, InputError
-from homogenize.tensor import WEIGHT, double_dot, mirror, trace
+from homogenize.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
 
 if TYPE_CHECKING:
     from rve.table import StrainTable
@@ -117,6 +117,31 @@ def with_mirror(rows: Rows) -> Rows:
         np.concatenate([rows.source, rows.source[other]]),
         rows.dropped,
     )
+
+
+def rows_to_dict(rows: Rows) -> dict[str, Any]:
+    """Loads, strains and flags of the rows as plain lists, for a law file."""
+    return {"S": rows.S.tolist(), "E": rows.E.tolist(), "unique": rows.unique.tolist()}
+
+
+def rows_from_dict(data: Any) -> Rows:
+    """The rows that `rows_to_dict` wrote; InputError if they are not tensile loads with strains of a real cell."""
+    try:
+        S, E, unique = np.array(data["S"], float), np.array(data["E"], float), np.array(data["unique"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"needs lists S, E and unique of one length: {error}") from error
+    if not len(S) or S.shape != (len(S), 3) or E.shape != S.shape or unique.shape != (len(S),) or unique.dtype != bool:
+        raise InputError(
+            f"needs S (n, 3), E (n, 3) and n flags unique, got shapes {S.shape}, {E.shape} and {unique.shape}"
+        )
+    cell = eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
+    good = np.isfinite(S).all(axis=1) & np.isfinite(E).all(axis=1) & (np.abs(trace(S) - 1.0) < ROUNDING) & cell
+    good &= eigenvalues(S)[0] >= -ROUNDING
+    if not good.all():
+        i = int(np.argmin(good))
+        pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
+        raise InputError(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
+    return Rows(S, E, double_dot(S, E), unique, np.arange(len(S)))
 
 
 def subset(rows: Rows, keep: Mask | Index) -> Rows:

@@ -7,13 +7,15 @@ smoothly through vertices, where E stands still, and through flat faces, where S
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from homogenize.protocol import Array, MembraneLaw
-from homogenize.tensor import IDENTITY, disc, from_disc, trace
+from homogenize.rows import Rows, normality, with_mirror
+from homogenize.strain_bounds import strain_bounds
+from homogenize.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 
 FLAT = 1e-6
 """C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
@@ -28,6 +30,9 @@ RETRIES = (1.0, 3.0, 10.0)
 
 WIDTH = 0.05
 """Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
+
+SAME_LOAD = 1e-9
+"""A row answers for load directions whose unit Cauchy loads differ by less in every component."""
 
 FAR = 10.0
 """Multiple of the offset from which the closest strain is the one that locks under the normal."""
@@ -51,11 +56,14 @@ class StrainOptions:
 class LockedStrain:
     """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status`, `iterations` (n,).
 
-    status is "converged" or "no_convergence" (the residual says by how much: try a larger offset or more steps);
-    unique is false where another strain carries the same load.
+    E_min, E_max (n, 3): bounds of the rings' locked strain from the rows of the table, nan if no rows were given.
+    status is "converged" or "no_convergence" (the residual says by how much: try a larger offset or more steps).
+    unique is false where another strain carries the same load, and where the bounds are too wide to tell (`WIDTH`).
     """
 
     E: Array
+    E_min: Array
+    E_max: Array
     S: Array
     residual: Array
     unique: NDArray[np.bool_]
@@ -78,10 +86,16 @@ class _State:
 
 
 def locked_strain(
-    law: MembraneLaw, alpha_deg: Array, beta_deg: Array, options: StrainOptions | None = None
+    law: MembraneLaw,
+    alpha_deg: Array,
+    beta_deg: Array,
+    options: StrainOptions | None = None,
+    rows: Rows | None = None,
 ) -> LockedStrain:
     """Locked strain and load under the principal angle alpha and the ratio angle beta, in degrees, arrays (n,).
 
+    With the `rows` of the table behind the law the answer has bounds (a tenth of a second per load), and a load that is
+    a row's own gets this row's strain. Without them the answer is the law's alone.
     Starts where the load on the undeformed cell would lock; points that fail walk from beta = 45 degrees to theirs.
     """
     options = options or StrainOptions()
@@ -101,7 +115,41 @@ def locked_strain(
     good = state.size() <= options.tolerance
     S = state.S / np.where(good, trace(state.S), 1.0)[:, None]
     unique = face_width(law, S) < WIDTH
-    return LockedStrain(state.E, S, state.size(), unique, np.where(good, "converged", "no_convergence"), steps)
+    status = np.where(good, "converged", "no_convergence")
+    unknown = np.full(S.shape, np.nan)
+    found = LockedStrain(state.E, unknown, unknown, S, state.size(), unique, status, steps)
+    return found if rows is None else _with_rows(found, rows, alpha, beta)
+
+
+def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array) -> LockedStrain:
+    """The answer with the bounds that follow from the rows; a row's own load gets the row's strain and flag."""
+    from rve.table import cauchy_line_load
+
+    s, both, slack = cauchy_line_load(alpha, beta), with_mirror(rows), -normality(rows).slack
+    same = np.abs(s[:, None] - _cauchy_load(both)).max(axis=2)
+    at, row = np.flatnonzero(same.min(axis=1) < SAME_LOAD), same.argmin(axis=1)
+    row = row[at]
+    alone = both.unique[row]
+    low, high = np.empty(s.shape), np.empty(s.shape)
+    open_ = np.setdiff1d(np.arange(len(s)), at[alone])
+    bounds = strain_bounds(rows, s[open_])
+    low[open_], high[open_] = bounds.E_min, bounds.E_max
+    low[at[alone]] = high[at[alone]] = both.E[row[alone]]
+    E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
+    unique = found.unique & ((high - low).max(axis=1) < WIDTH)
+    E[at], S[at], unique[at], residual[at], status[at] = both.E[row], both.S[row], alone, 0.0, "converged"
+    low[at], high[at] = np.fmin(low[at], E[at]) - slack, np.fmax(high[at], E[at]) + slack
+    return replace(found, E=E, E_min=low, E_max=high, S=S, residual=residual, unique=unique, status=status)
+
+
+def _cauchy_load(rows: Rows) -> Array:
+    """Unit Cauchy loads (n, 3) of the rows, F S F^T scaled to s:s = 1."""
+    from rve.table import deformation_gradient
+
+    F = deformation_gradient(rows.E)
+    S = np.stack([rows.S[:, [0, 1]], rows.S[:, [1, 2]]], axis=1)
+    s = (F @ S @ F.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
+    return np.asarray(s / np.sqrt((s * s) @ WEIGHT)[:, None])
 
 
 def _scale(law: MembraneLaw, options: StrainOptions) -> float:

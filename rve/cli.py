@@ -138,6 +138,8 @@ def table(out: Path, method: str, **rest: Any) -> None:
     check_out_table(out, inputs=[asked["loads"]])
     if how["checkpoint"] is not None:
         check_out_folder(how["checkpoint"], "--checkpoint")
+    if mesh.weave.caveat:
+        click.echo(f"Warning: {mesh.weave.caveat}", err=True)
     found = _solved(method, directions, mesh, how)
     if stiffness is not None:
         found = with_compliance(found, stiffness, mesh)

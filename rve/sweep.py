@@ -233,6 +233,7 @@ def table_provenance(
         "method": "direct",
         "options": asdict(options) | {"force": list(options.force)},
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
+        "caveat": cell.weave.caveat,
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},
         "wall_s": round(wall, 3),
         "versions": versions(),

@@ -212,7 +212,8 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
     A converged row must have finite angles, E and S. The sidecar must belong to the CSV: it holds its SHA-256, or is of
-    an older version and holds none. Raises InputError naming file, line, column and value.
+    an older version and holds none. A strain counts as unique where the column `unique` is missing or its cell empty.
+    Raises InputError naming file, line, column and value.
     """
     complete(Path(path).parent, provenance_path(path).name)
     columns = read_columns(path, _REQUIRED)

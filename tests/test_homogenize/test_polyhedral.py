@@ -146,6 +146,20 @@ def test_contradicting_and_compressive_half_spaces_are_refused():
         polyhedral_law(S, np.array([-0.6, -0.6, -0.6]))  # beyond a cell of no size
 
 
+def test_half_spaces_of_any_size_are_the_same_law(rows):
+    """S:E <= h and 3 S:E <= 3 h are one half-space: violations are strains, and every load has unit trace."""
+    law = outer_law(rows, ANISOTROPIC)
+    size = np.random.default_rng(16).uniform(0.1, 10.0, len(law.h))
+    other = polyhedral_law(law.S * size[:, None], law.h * size, ANISOTROPIC)
+    E = np.random.default_rng(17).normal(scale=0.4, size=(MAP_PAYS + 50, 3))
+    assert np.allclose(trace(other.facets().S), 1.0, atol=1e-12)
+    assert np.allclose(trace(other.cut(E).S), 1.0, atol=1e-12)
+    assert np.allclose(other.cut(E).violation, law.cut(E).violation, atol=1e-10)
+    assert np.allclose(other.response(E).S, law.response(E).S, atol=1e-7 * ANISOTROPIC.max())
+    one = polyhedral_law(np.array([[4.0, 0.0, 0.0], [0.0, 0.0, 0.5]]), np.array([2.0, 0.1]))
+    assert one.cut(np.array([[0.7, 0.0, 0.0]])).violation[0] == pytest.approx(0.2, abs=1e-12)  # 0.7 - 2/4
+
+
 def test_law_file_keeps_every_digit(rows, tmp_path):
     law = outer_law(rows, ANISOTROPIC)
     save_law(law, tmp_path / "law.json")

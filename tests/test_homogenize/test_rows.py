@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from homogenize.polyhedral import inner_law, outer_law
 from homogenize.protocol import InputError
+from homogenize.report import random_loads
 from homogenize.rows import Rows, normality, rows_from_table, subset, with_mirror
 from homogenize.tensor import double_dot, mirror
 
@@ -81,3 +83,28 @@ def test_mirror_rows_appear_once(rows):
     assert len(both) == 2 * len(rows) - int(((np.abs(rows.S[:, 1]) < 1e-9) & (np.abs(rows.E[:, 1]) < 1e-9)).sum())
     assert np.allclose(double_dot(both.S, both.E), both.h)
     assert len(subset(rows, np.arange(3))) == 3
+
+
+def test_a_row_with_shear_in_load_or_strain_alone_has_its_mirror_image():
+    """On a flat face a load without shear may lock at a sheared strain; its image is another strain of that face."""
+    S = np.array([[0.5, 0.0, 0.5], [0.6, 0.2, 0.4], [0.7, 0.0, 0.3]])
+    E = np.array([[0.1, 0.05, 0.1], [0.1, 0.0, 0.2], [0.3, 0.0, 0.0]])
+    rows = Rows(S, E, double_dot(S, E), np.array([True, False, True]), np.array([4, 7, 9]))
+    both = with_mirror(rows)
+    pairs = {(*s, *e) for s, e in zip(both.S.tolist(), both.E.tolist(), strict=True)}
+    image = [1.0, -1.0, 1.0]
+    assert pairs == {(*s, *e) for s, e in zip((*S, *(S * image)), (*E, *(E * image)), strict=True)}
+    assert len(both) == 5
+    assert both.source.tolist() == [4, 7, 9, 4, 7]
+    assert both.unique.tolist() == [True, False, True, True, False]
+
+
+@pytest.mark.parametrize("law_of", [outer_law, inner_law])
+def test_half_a_table_gives_the_law_of_the_whole(ellipsoid, law_of):
+    """Loads with S12 >= 0 and with S12 <= 0 tell the same by weave symmetry; a user makes one half only."""
+    S = disc_grid(4, 16)
+    whole, upper, lower = (law_of(rows_of(ellipsoid, part)) for part in (S, S[S[:, 1] > -1e-9], S[S[:, 1] < 1e-9]))
+    loads = random_loads(200)
+    for half in (upper, lower):
+        assert np.allclose(half.support(loads), whole.support(loads), atol=1e-9)
+        assert np.allclose(half.support(loads), half.support(mirror(loads)), atol=1e-9)

@@ -1,14 +1,21 @@
 """The locked strain under a Cauchy load: right on known sets, at vertices, on flat faces, and honest otherwise."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from homogenize.law import default_law, diagonal_net
 from homogenize.polyhedral import outer_law, polyhedral_law
+from homogenize.protocol import InputError
 from homogenize.refine import refined_half_spaces
+from homogenize.report import random_loads
+from homogenize.rows import Rows, rows_from_dict, rows_from_table, rows_to_dict
 from homogenize.strain import StrainOptions, locked_strain
-from homogenize.tensor import dyad, trace
-from rve.table import cauchy_line_load, deformation_gradient, second_pk
+from homogenize.strain_bounds import strain_bounds
+from homogenize.tensor import double_dot, dyad, from_disc, trace
+from rve.sweep import solve_table
+from rve.table import cauchy_line_load, deformation_gradient, read_table, second_pk
 
 from .conftest import disc_grid, rows_of
 
@@ -63,3 +70,140 @@ def test_options_are_obeyed(ellipsoid):
     assert tired.status[0] == "no_convergence"
     assert tired.residual[0] > 1e-9
     assert np.isfinite(tired.E).all()
+
+
+def test_the_tolerance_decides_what_has_converged(ellipsoid):
+    """A loose tolerance stops earlier, one that round-off cannot reach is not reached; both say so in the residual."""
+    law = outer_law(rows_of(ellipsoid, disc_grid(8, 32)))
+    alpha, beta = np.linspace(-80.0, 80.0, 40), np.linspace(5.0, 85.0, 40)
+    loose = locked_strain(law, alpha, beta, StrainOptions(tolerance=1e-2))
+    usual = locked_strain(law, alpha, beta)
+    assert np.all(loose.status == "converged")
+    assert 1e-5 < loose.residual.max() <= 1e-2
+    assert usual.residual.max() <= 1e-9
+    assert loose.iterations.sum() < 0.7 * usual.iterations.sum()
+    vain = locked_strain(law, alpha[:4], beta[:4], StrainOptions(tolerance=0.0, path_steps=1, newton_steps=20))
+    assert np.all((vain.status == "converged") == (vain.residual == 0.0))
+    assert np.any(vain.status == "no_convergence")
+
+
+def known_answers(truth, S):
+    """Cauchy angles (n,) and strain (n, 3) at which the set locks under the loads S (n, 3): exact, no solver."""
+    E = truth.strain(S)
+    F = deformation_gradient(E)
+    s = F @ np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1) @ F.transpose(0, 2, 1)
+    sizes, axes = np.linalg.eigh(s)
+    alpha = np.degrees(np.arctan2(axes[:, 1, 1], axes[:, 0, 1]))
+    return alpha, np.degrees(np.arctan2(np.maximum(sizes[:, 0], 0.0), sizes[:, 1])), E
+
+
+def test_bounds_hold_the_exact_strain_and_close_with_the_rows(ellipsoid):
+    S = random_loads(20, 3)
+    S = S[np.hypot(S[:, 0] - S[:, 2], 2.0 * S[:, 1]) < 0.97]
+    alpha, beta, E = known_answers(ellipsoid, S)
+    widths = []
+    for grid in (disc_grid(3, 12), disc_grid(6, 24)):
+        bounds = strain_bounds(rows_of(ellipsoid, grid), cauchy_line_load(alpha, beta))
+        assert np.all(bounds.E_min <= E + 1e-12)
+        assert np.all(bounds.E_max >= E - 1e-12)
+        widths.append(bounds.width())
+    assert np.mean(widths[1]) < 0.7 * np.mean(widths[0])
+    assert np.mean(widths[1]) < 0.15
+
+
+def test_bounds_reach_what_the_rows_cannot_exclude(ellipsoid):
+    """The other way round: rows of another convex set that agree with the table are not shut out."""
+    few = rows_of(ellipsoid, disc_grid(3, 12))
+    law = outer_law(few)  # contains every row and obeys every half-space: the table could be this set's
+    alpha, beta = np.array([10.0, 25.0, -40.0, 70.0]), np.array([20.0, 50.0, 65.0, 35.0])
+    found = locked_strain(law, alpha, beta, rows=few)
+    assert np.all(found.status == "converged")
+    assert np.all(found.E_min <= found.E + 1e-9)
+    assert np.all(found.E_max >= found.E - 1e-9)
+
+
+TABLE = Path(__file__).parent / "data" / "table190.csv"
+
+
+def test_a_row_is_answered_with_the_row():
+    """45 degrees along one axis was 0.029 off; each row's load, its mirror image and its other names give the row."""
+    table = read_table(TABLE)
+    rows = rows_from_table(table)
+    free = np.flatnonzero(~table.unique)[:2]
+    some = np.union1d(np.flatnonzero(table.unique)[::23], np.flatnonzero(table.unique)[-1:])
+    alpha, beta = table.alpha_deg[some], table.beta_deg[some]
+    for a, b, sign in ((alpha, beta, 1), (-alpha, beta, -1), (alpha + 90.0, 90.0 - beta, 1), (alpha - 180.0, beta, 1)):
+        found = locked_strain(default_law(), a, b, rows=rows)
+        assert np.all(found.status == "converged")
+        assert np.allclose(found.E, table.E[some] * [1, sign, 1], atol=1e-8)  # rows of one load agree to the solver's R
+        assert found.unique.all()
+        assert np.all((found.E_min <= found.E) & (found.E_max >= found.E))
+        assert (found.E_max - found.E_min).max() < 1e-8
+        assert np.allclose(found.S, load_at(found.E, a, b), atol=1e-8)
+    found = locked_strain(default_law(), table.alpha_deg[free], table.beta_deg[free], rows=rows)
+    assert np.allclose(found.E, table.E[free], atol=1e-12)
+    assert not found.unique.any()
+    assert (found.E_max - found.E_min).max(axis=1).min() > 0.1  # what the load leaves free
+
+
+def test_strains_solved_off_the_grid_lie_within_the_bounds():
+    rng = np.random.default_rng(21)
+    unseen = solve_table(rng.uniform(-90.0, 90.0, 25), rng.uniform(0.0, 90.0, 25))
+    assert unseen.converged.all()
+    found = locked_strain(default_law(), unseen.alpha_deg, unseen.beta_deg, rows=rows_from_table(read_table(TABLE)))
+    width = (found.E_max - found.E_min).max(axis=1)
+    assert np.all(found.E_min <= unseen.E)
+    assert np.all(found.E_max >= unseen.E)
+    assert np.median(width) < 0.015
+    assert np.all(found.E_min <= found.E)
+    assert np.all(found.E_max >= found.E)
+    assert np.array_equal(found.unique, width < 0.05)
+
+
+@pytest.mark.slow
+def test_all_of_600_directions_and_the_dent_lie_within_the_bounds():
+    """Also between (38, 85) and (47, 90), where locked strains lie up to 6.5e-4 inside their convex hull."""
+    rng = np.random.default_rng(2027)
+    alpha = np.concatenate([rng.uniform(-90.0, 90.0, 600), rng.uniform(38.0, 47.0, 60), np.linspace(40.0, 45.0, 21)])
+    beta = np.concatenate([rng.uniform(0.0, 90.0, 600), rng.uniform(85.0, 90.0, 60), np.full(21, 90.0)])
+    unseen = solve_table(alpha, beta)
+    assert unseen.converged.all()
+    bounds = strain_bounds(rows_from_table(read_table(TABLE)), cauchy_line_load(alpha, beta))
+    assert np.all(bounds.E_min - 1e-8 <= unseen.E)
+    assert np.all(bounds.E_max + 1e-8 >= unseen.E)
+    width = bounds.width()[:600]
+    assert np.median(width) < 0.012
+    assert np.mean(width > 0.05) < 0.04
+
+
+def test_rows_with_an_error_widen_the_bounds(ellipsoid):
+    """Bounds of rows that contradict each other by 5e-3 hold the exact strain; taken at their word they would not."""
+    exact = rows_of(ellipsoid, disc_grid(6, 24))
+    noise = np.random.default_rng(8).uniform(-2e-3, 2e-3, exact.E.shape)
+    noisy = Rows(exact.S, exact.E + noise, double_dot(exact.S, exact.E + noise), exact.unique, exact.source)
+    alpha, beta, E = known_answers(ellipsoid, from_disc(np.array([[0.1, 0.2], [-0.4, 0.3], [0.5, -0.5], [0.0, 0.7]])))
+    s = cauchy_line_load(alpha, beta)
+    bounds = strain_bounds(noisy, s)
+    assert np.all((bounds.E_min <= E) & (bounds.E_max >= E))
+    assert np.all(bounds.width() > strain_bounds(exact, s).width())
+
+
+def test_rows_survive_a_file_and_false_ones_are_refused(ellipsoid):
+    rows = rows_of(ellipsoid, disc_grid(2, 6))
+    data = rows_to_dict(rows)
+    again = rows_from_dict(data)
+    assert np.array_equal(again.S, rows.S)
+    assert np.array_equal(again.h, rows.h)
+    for key, value in (("S", 2.0), ("E", float("nan")), ("E", -0.7)):
+        bad = {**data, key: [[value, 0.0, value], *data[key][1:]]}
+        with pytest.raises(InputError, match="row 0"):
+            rows_from_dict(bad)
+    for bad in (
+        [],
+        {**data, "unique": [1]},
+        {**data, "S": [[1.0, 2.0]]},
+        {"S": [], "E": [], "unique": []},
+        {**data, "E": 3},
+    ):
+        with pytest.raises(InputError, match="needs"):
+            rows_from_dict(bad)

@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from homogenize.fit import fit_table
+from homogenize.protocol import InputError
 from rve.cli import main
 
 
@@ -32,6 +34,21 @@ def test_table_and_loads(tmp_path):
     assert one.loc[0, "E11"] == pytest.approx(frame.loc[5, "E11"], abs=1e-10)
     provenance = json.loads((tmp_path / "u.json").read_text())
     assert {"r1_mm", "r2_mm", "method", "options", "versions", "wall_s"} <= provenance.keys()
+
+
+def test_a_weave_without_a_law_says_so_before_it_is_solved(tmp_path):
+    """Beside the table too: a table is made for a law, and `homogenize fit` refuses this one."""
+    six = ["table", "--weave", "6-in-1", "--alpha=-45:45:45", "--beta", "0:90:45", "--out", tmp_path / "six.csv"]
+    result = run(*six)
+    assert result.exit_code == 0, result.output
+    assert result.stderr.startswith("Warning: the 6-in-1 weave")
+    assert "homogenize fit" in result.stderr.splitlines()[0]
+    assert "homogenize fit" in json.loads((tmp_path / "six.json").read_text())["caveat"]
+    with pytest.raises(InputError, match="do not lie on one convex set"):
+        fit_table(tmp_path / "six.csv")
+    four = run("table", "--alpha", "0", "--beta", "45", "--out", tmp_path / "four.csv")
+    assert "Warning" not in four.stderr
+    assert json.loads((tmp_path / "four.json").read_text())["caveat"] == ""
 
 
 def test_case_prints_json_and_draws(tmp_path):

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rve.cell import Pose, find_contacts, moved, parallel_clearance, start_pose
+from rve.cell import Pose, find_contacts, moved, parallel_clearance, start_pose, tangent_frame
 from rve.contact import are_linked
-from rve.equilibrium import DirectOptions, solve_equilibrium
+from rve.equilibrium import DirectOptions, _accepted_step, _State, solve_equilibrium
 from rve.load import cauchy_line_load
 from rve.span import strain_span, with_span
 from rve.sweep import Cell, locked, reference_sides, solve_table
@@ -222,6 +222,42 @@ def test_rings_do_not_pass_through_each_other():
     assert clearance[1] > 0.0
 
 
+def shingled(lean):
+    """Rings of a row that overlap like shingles and lean along x by `lean`: open gaps and whole links for thin wire."""
+    pose = start_pose(FOUR_IN_ONE, 1)
+    normals = pose.normals.copy()
+    normals[:, :, 0] = lean
+    lattice, centres = pose.lattice.copy(), pose.centres.copy()
+    lattice[:, 0], centres[:, 1, 0] = 1.95, 0.975
+    return Pose(lattice, centres, normals / np.linalg.norm(normals, axis=2, keepdims=True))
+
+
+def test_a_step_of_the_solver_stops_before_rings_pass_through_each_other():
+    """Shingles that lean the other way have open gaps and whole links again, but have passed their neighbours' wire."""
+    equations = Equations.of(FOUR_IN_ONE, 0.01)
+    before, after = shingled(0.03), shingled(-0.03)
+    contacts, beyond = (equations.contacts(pose, OPTIONS.reach) for pose in (before, after))
+    for ends in (contacts, beyond):
+        assert ends.links_intact.all()
+        assert ends.min_gap[0] > 0.03
+    e1, e2 = tangent_frame(before.normals)
+    axis = np.cross(before.normals, after.normals)  # as long as the sine of the turn
+    tilts = np.stack([(axis * e1).sum(axis=2), (axis * e2).sum(axis=2)], axis=2)
+    dq = np.concatenate([np.zeros((1, 5)), tilts.reshape(1, 4)], axis=1)
+    whole = moved(before, dq)
+    np.testing.assert_allclose(whole.normals, after.normals, atol=1e-3)
+    one, none = np.ones(1), np.zeros(1)
+    lam = np.ones(contacts.gap.shape)
+    state = _State(np.arange(1), one[:, None], before, contacts, lam, one, one, one, np.zeros(1, int), one, none)
+    pose, found, length = _accepted_step(state, dq, equations, OPTIONS)
+    assert length[0] == 0.25  # half of the way has the rings in each other, a quarter of it keeps the wires apart
+    assert found.min_gap[0] > 0.0
+    assert pose.normals[0, 0, 0] > 0.0
+    short, _, length = _accepted_step(state, 0.1 * dq, equations, OPTIONS)
+    assert length[0] == 1.0
+    np.testing.assert_allclose(short.normals, moved(before, 0.1 * dq).normals, atol=1e-15)
+
+
 def test_random_starts_reach_the_same_strain():
     s = np.repeat(cauchy_line_load([10.0, 35.0], [30.0, 60.0]), 20, axis=0)
     rng = np.random.default_rng(8)
@@ -254,6 +290,46 @@ def test_options_change_the_outcome():
     assert np.isnan(stopped.R[0])
     loose = solve_equilibrium(s, equations, DirectOptions(mu_end=1e-6, tolerance=1e-3))
     assert loose.iterations[0] < solve_equilibrium(s, equations).iterations[0]
+
+
+def test_the_tolerance_bounds_the_residual_and_decides_when_to_stop():
+    """With a coarse end of the path the residual is what the tolerance leaves: just below it, far above a finer one."""
+    rng = np.random.default_rng(4)
+    s = cauchy_line_load(rng.uniform(-90.0, 90.0, 40), rng.uniform(5.0, 85.0, 40))
+    equations = Equations.of(FOUR_IN_ONE, 0.1)
+    loose, fine = (
+        solve_equilibrium(s, equations, DirectOptions(mu_start=1e-2, mu_end=1e-2, tolerance=tolerance, attempts=1))
+        for tolerance in (1e-2, 1e-5)
+    )
+    for found, tolerance in ((loose, 1e-2), (fine, 1e-5)):
+        assert (found.status == "converged").all()
+        assert found.R.max() <= tolerance
+    assert loose.R.max() > 1e-4
+    assert fine.iterations.sum() > loose.iterations.sum()
+
+
+def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
+    """A load along the chain has a limit; where its equilibrium is not confirmed the row has a status and no strain."""
+    assert solve_table([25.0], [0.0]).status[0] == "converged"
+
+    def unconfirmed(*args, **rest):
+        pose, lam, contacts, R = polish(*args, **rest)
+        return pose, lam, contacts, np.maximum(R, 1e-3)
+
+    monkeypatch.setattr("rve.uniqueness.polish", unconfirmed)
+    table = solve_table([25.0, 25.0], [0.0, 30.0])
+    assert table.status.tolist() == ["no-limit", "converged"]
+    assert table.unique.tolist() == [False, True]
+    assert np.isnan(table.E[0]).all()
+    assert np.isfinite(table.E[1]).all()
+
+
+def test_a_limit_off_its_trail_is_no_answer(monkeypatch):
+    """An extrapolation to the wrong place: Newton finds an equilibrium far from the guess, which is not the limit."""
+    monkeypatch.setattr("rve.uniqueness._WEIGHTS", np.array([10.0, 0.0, -9.0]))
+    table = solve_table([25.0], [0.0])
+    assert table.status.tolist() == ["no-limit"]
+    assert np.isnan(table.E).all()
 
 
 def test_compressive_loads_are_named():

@@ -151,6 +151,25 @@ def test_a_uniform_curtain_gets_the_rings_of_one_locked_cell(states, table, hang
     np.testing.assert_allclose(np.linalg.norm(rings.normal, axis=1), 1.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("hang", [0.0, 33.0, -20.0])
+@pytest.mark.parametrize("grain", ["x", "y"])
+def test_the_grain_runs_where_the_weave_is_turned_to(states, grain, hang):
+    """A weave turned by `hang`: rings interlace along the turned x or y axis, and lean along it, b_y apart."""
+    cell = replace(CELL, grain=grain)
+    turned = np.radians(hang) + (0.0 if grain == "x" else 0.5 * np.pi)
+    along = np.array([np.cos(turned), np.sin(turned)])
+    axes = axes_of_weave(cell, hang)
+    flat = sheet(np.eye(2), np.zeros(3), np.zeros(3), np.eye(2))
+    sites = find_sites(flat, cell, states.sides, axes)
+    at = {tuple(index): X for index, X in zip(sites.index.tolist(), sites.X, strict=True)}
+    step = at[0, 0, 1] - at[0, 0, 0]
+    np.testing.assert_allclose(step, 5.0 * states.sides[1] * along, atol=1e-9)
+    rest = localize(np.zeros((1, 3)), cell, OPTIONS, states)
+    normal = place_rings(flat, sites, rest, np.zeros(len(sites.X), dtype=int), cell, axes).normal[:, :2]
+    assert np.abs(normal @ along).min() > 0.3
+    assert np.abs(normal @ [-along[1], along[0]]).max() < 1e-3
+
+
 def test_a_ring_taken_out_of_the_net_is_missed(states, table):
     """Four links lost, five rings concerned, and a ring pushed through its neighbour's wire has a negative gap."""
     _, E, S, _ = table

@@ -49,6 +49,19 @@ def test_round_trip_to_the_last_digit(small, tmp_path):
     assert json.loads(provenance_path(path).read_text())["b_x_mm"] == pytest.approx(11.0, abs=1e-9)
 
 
+def test_a_table_that_does_not_say_whether_strains_are_unique_counts_as_unique(small, tmp_path):
+    """As documented in `read_table`: tables from elsewhere give strains that were measured or computed as they are."""
+    path = tmp_path / "table.csv"
+    write_table(small, path)
+    frame = pd.read_csv(path)
+    assert read_table(path).unique.tolist() == [True, True, True, False]
+    frame.drop(columns="unique").to_csv(path, index=False)
+    assert read_table(path).unique.tolist() == [True] * 4
+    frame["unique"] = ["1", "", "0", "0"]
+    frame.to_csv(path, index=False)
+    assert read_table(path).unique.tolist() == [True, True, False, False]
+
+
 def test_compliance_columns_round_trip(small, tmp_path):
     full = replace(small, compliance=np.random.default_rng(0).normal(size=(4, 3, 3)))
     write_table(full, tmp_path / "t.csv")
