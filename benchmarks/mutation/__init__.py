@@ -1,1 +1,1 @@
-"""Realistic one-line mistakes put into the numerics, and whether the quick tests notice: `python -m benchmarks.mutation`."""
+"""Realistic one-line mistakes in the numerics, and whether the quick tests notice them."""

@@ -9,6 +9,7 @@ runs one command for all mutants.
 from __future__ import annotations
 
 import compileall
+import contextlib
 import json
 import os
 import py_compile
@@ -39,6 +40,29 @@ SLOWDOWN, GRACE = 10.0, 20.0
 """A test may take SLOWDOWN times as long as without the mutant, plus GRACE seconds."""
 
 
+TEMPLATE = """# Mutation sample of the numerics
+
+Realistic one-line mistakes, made by `{command}`. Each runs the quick tests that execute its line, shortest first, until
+one fails. A hang counts as killed.
+
+{rates}
+
+Tests that failed without a mutant and were left out: {failed}.
+
+{minutes:.0f} min. {machine}
+
+## Not killed
+
+{left}
+
+## All mutants
+
+| state | place | change | killed by |
+|---|---|---|---|
+{table}
+"""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What became of a mutant: "killed", "survived" or "not covered"; the test that killed it, and how."""
@@ -58,17 +82,15 @@ def copy_tree(folder: Path) -> Path:
 
 def run_pytest(folder: Path, arguments: list[str], **environment: str) -> int:
     """Exit code of pytest in a folder; negative where a signal ended it. Nothing that it started stays."""
-    threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONDONTWRITEBYTECODE")}
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONDONTWRITEBYTECODE"), "1")
     env = {**os.environ, "MPLBACKEND": "Agg", **threads, **environment}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     run = subprocess.Popen([*PYTEST, *arguments], cwd=folder, env=env, start_new_session=True, **quiet)
     try:
         return run.wait()
     finally:
-        try:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(run.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
 
 
 def tests_of(mutant: Mutant, record: dict[str, Any]) -> list[str]:
@@ -141,15 +163,14 @@ def report(verdicts: list[Verdict], record: dict[str, Any], command: str, second
         if v.state != "killed":
             why = reasons.get((m.file, code_of(m), m.was, m.now), "**not explained**")
             left.append(f"- {m.file}:{m.line}, in `{_cell(code_of(m))}`: {change}, {v.tests} tests. {why}")
-    failed = ", ".join(record["failed"]) or "none"
-    return "\n".join(
-        [
-            *("# Mutation sample of the numerics", "", f"Realistic one-line mistakes, made by `{command}`. Each runs the"),
-            *("quick tests that execute its line, until one fails. A hang counts as killed.", "", *rows, ""),
-            *(f"Tests that failed without a mutant and were left out: {failed}.", "", f"{seconds / 60:.0f} min. {describe()}"),
-            *("", "## Not killed", "", *(left or ["None."]), "", "## All mutants", ""),
-            *("| state | place | change | killed by |", "|---|---|---|---|", *table, ""),
-        ]
+    return TEMPLATE.format(
+        command=command,
+        rates="\n".join(rows),
+        failed=", ".join(record["failed"]) or "none",
+        minutes=seconds / 60.0,
+        machine=describe(),
+        left="\n".join(left) or "None.",
+        table="\n".join(table),
     )
 
 
@@ -162,7 +183,7 @@ def _cell(text: str) -> str:
 @click.option("--seed", default=1, show_default=True, help="Seed of the sample.")
 @click.option("--only", default="", help="Beginning of the paths to mutate, say macro_fem/rigid.py.")
 @click.option("--workers", default=2, show_default=True, help="Mutants that run at the same time.")
-@click.option("--record", "keep", type=click.Path(path_type=Path), help="Keep the record of the tests here, or reuse it.")
+@click.option("--record", "keep", type=click.Path(path_type=Path), help="Keep or reuse the tests' record here.")
 @click.option("--out", default=ROOT / "docs/reports/mutation.md", type=click.Path(path_type=Path), help="The report.")
 def main(n: int, seed: int, only: str, workers: int, keep: Path | None, out: Path) -> None:
     """Put mistakes into the numerics and state which ones the quick tests notice."""
@@ -177,7 +198,8 @@ def main(n: int, seed: int, only: str, workers: int, keep: Path | None, out: Pat
             folder = folders.get()
             found = verdict(folder, mutant, record)
             folders.put(folder)
-            click.echo(f"{found.state:11} {mutant.file}:{mutant.line} {mutant.was} -> {mutant.now}  {found.by}", err=True)
+            change = f"{mutant.file}:{mutant.line} {mutant.was} -> {mutant.now}"
+            click.echo(f"{found.state:11} {change}  {found.by}", err=True)
             return found
 
         verdicts = list(pool.map(judged, sample(ROOT, modules(ROOT, PACKAGES, only), n, seed)))

@@ -16,7 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-OTHER = set("cli plots files io report explain errors job picture records resume ship study main init".split())
+OTHER = {
+    *("cli", "plots", "files", "io", "report", "explain", "errors", "job"),
+    *("picture", "records", "resume", "ship", "study", "main", "init"),
+}
 """Modules with one of these words in their names read, write, draw or explain: they are no numerics."""
 PAIRS = (
     *(("min", "max"), ("minimum", "maximum"), ("argmin", "argmax"), ("any", "all"), ("sin", "cos"), ("x", "y")),
@@ -69,7 +72,8 @@ def sample(root: Path, files: list[str], n: int, seed: int) -> list[Mutant]:
     lines = [found for file in files for _, found in sorted(by_line(root, file, calls).items())]
     n = min(n, len(lines))
     chosen = ((rng.random() + np.arange(n)) * len(lines) / max(n, 1)).astype(int)
-    found = (next((m for k in rng.permutation(len(lines[i])) if compiles(root, m := lines[i][k])), None) for i in chosen)
+    orders = ((lines[i][k] for k in rng.permutation(len(lines[i]))) for i in chosen)
+    found = (next((mutant for mutant in order if compiles(root, mutant)), None) for order in orders)
     return [mutant for mutant in found if mutant]
 
 
@@ -92,7 +96,7 @@ def by_line(root: Path, file: str, calls: Signatures) -> dict[int, list[Mutant]]
 
 
 def signatures(paths: list[Path]) -> Signatures:
-    """Parameters of every function and dataclass, by name, so that calls are only made wrong where nothing complains."""
+    """Parameters of every function and dataclass, by name: a call is only changed where nothing complains at once."""
     result: Signatures = {}
     for path in paths:
         for node in ast.walk(ast.parse(path.read_bytes())):
@@ -148,7 +152,8 @@ def _walk(node: ast.AST, at: _Place) -> Iterator[tuple[ast.AST, ast.AST, ast.AST
         lines = (lines[0], max(lines))
     for new in _changed(node, at):
         yield node, new, at.parent, lines
-    is_index = isinstance(node, ast.Slice) or (isinstance(node, ast.keyword) and node.arg == "axis") or (at.is_index and isinstance(node, ast.Tuple | ast.UnaryOp))
+    is_index = at.is_index and isinstance(node, ast.Tuple | ast.UnaryOp)
+    is_index |= isinstance(node, ast.Slice) or (isinstance(node, ast.keyword) and node.arg == "axis")
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list", "bases"):
             continue
@@ -205,8 +210,8 @@ def _is(node: ast.AST | None, name: str) -> bool:
 
 
 def _binary(node: ast.AST, left: ast.expr, op: ast.operator, right: ast.expr) -> Iterator[ast.AST]:
-    if any(isinstance(s, ast.JoinedStr) or (isinstance(s, ast.Constant) and isinstance(s.value, str)) for s in (left, right)):
-        return
+    if any(isinstance(s, ast.JoinedStr) or isinstance(getattr(s, "value", None), str) for s in (left, right)):
+        return  # text
     if type(op) in BINARY:
         yield _with(node, op=BINARY[type(op)]())
         yield left
