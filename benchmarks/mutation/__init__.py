@@ -1,0 +1,1 @@
+"""Realistic one-line mistakes in the numerics, and whether the quick tests notice them."""

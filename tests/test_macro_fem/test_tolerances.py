@@ -1,0 +1,86 @@
+"""Tolerances and limits of the curtain's solvers, through the solver: what is asked for is what is met, and no more."""
+
+import numpy as np
+import pytest
+
+from homogenize.law import diagonal_net
+from macro_fem.cones import law_cut
+from macro_fem.conic import ConicOptions, solve_conic
+from macro_fem.membrane import Membrane, evaluate
+from macro_fem.mesh import build_mesh
+from macro_fem.newton import NewtonOptions, NewtonStatus
+from macro_fem.newton import solve as solve_newton
+from macro_fem.scene import read_scene
+from macro_fem.solution import make_problem
+
+
+def corners(law, scene_tables, **mesh):
+    scene = read_scene(scene_tables(mesh={"cells": 4, **mesh}, support={"kind": "corners"}))
+    return make_problem(scene, law, build_mesh(scene, law.cell))
+
+
+def clarabel(problem, **options):
+    """clarabel's record, and total load times size: what its gap is relative to."""
+    load = problem.fem.gather(problem.force)
+    result = solve_conic(problem.fem, problem.law, load, problem.mesh.size, ConicOptions(**options))
+    return result, float(np.abs(load).sum()) * problem.mesh.size
+
+
+def test_clarabel_closes_the_gap_that_is_asked_for(ring_like, scene_tables):
+    pytest.importorskip("clarabel")
+    problem = corners(ring_like, scene_tables)
+    iterations = []
+    for gap in (1e-2, 1e-4, 1e-6, 1e-8):
+        result, scale = clarabel(problem, gap=gap, feasibility=gap)
+        assert result.converged
+        assert abs(result.primal - result.dual) < 3.0 * gap * scale
+        iterations.append(result.iterations)
+    assert iterations == sorted(set(iterations))  # a tighter gap costs more steps: none is ignored
+
+
+def test_clarabel_cuts_until_the_violation_that_is_asked_for(ring_like, scene_tables):
+    pytest.importorskip("clarabel")
+    problem = corners(ring_like, scene_tables)
+    rounds = []
+    for violation in (1e-1, 1e-3, 1e-9):
+        result, _ = clarabel(problem, violation=violation)
+        outside = -law_cut(problem.law, problem.fem.gradient(result.z))[2].min()
+        assert outside < violation
+        rounds.append(len(result.history))
+    assert rounds == sorted(set(rounds))
+    first, _ = clarabel(problem, max_rounds=1)
+    assert first.status == "iterations"
+    assert "max_iterations" in first.message
+    assert np.isnan([first.primal, first.dual]).all()
+
+
+def net_sheet(scene_tables):
+    """A stiff net hung from its gathered top edge, for Newton's method."""
+    tables = scene_tables(
+        width=40.0, height=40.0, areal_mass=1.0, mesh={"cells": 8}, support={"kind": "top", "gather": 0.7}
+    )
+    scene = read_scene(tables)
+    law = diagonal_net(1.0, 20.0)
+    problem = make_problem(scene, law, build_mesh(scene, law.cell))
+    shift = problem.supports.positions - problem.disc.nodes
+    return Membrane(problem.disc, law, problem.supports.mask, shift, problem.force)
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_forces_balance_to_rtol(scene_tables, rtol):
+    """Recomputed from the answer: what is out of balance at free nodes over the larger of applied and inner forces."""
+    sheet = net_sheet(scene_tables)
+    answer = solve_newton(sheet, NewtonOptions(rtol=rtol))
+    assert answer.status is NewtonStatus.CONVERGED
+    internal = evaluate(sheet, answer.u).internal
+    out = np.where(sheet.fixed, 0.0, internal - sheet.force)
+    residual = np.linalg.norm(out) / max(np.linalg.norm(internal), np.linalg.norm(sheet.force))
+    assert residual < rtol + 1e-9
+    assert answer.steps[-1].residual == pytest.approx(residual, rel=0.5, abs=1e-12)
+    assert answer.steps[-1].tolerance == pytest.approx(rtol, abs=1e-9)
+
+
+def test_a_looser_rtol_is_not_met_better_than_needed(scene_tables):
+    sheet = net_sheet(scene_tables)
+    steps = [solve_newton(sheet, NewtonOptions(rtol=rtol)).statistics.iterations for rtol in (1e-1, 1e-3, 1e-9)]
+    assert steps == sorted(set(steps))
