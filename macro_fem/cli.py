@@ -35,9 +35,11 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: b
     as it stands (not converged, or taut: supports at the mesh's limit); 2: bad input.
     """
     from macro_fem.job import run_scene
+    from macro_fem.progress import progress_line
 
     try:
-        summary = run_scene(scene, law_path, out, picture=picture, force=force)
+        with progress_line() as say:
+            summary = run_scene(scene, law_path, out, picture=picture, force=force, say=say)
     except InputError as error:
         raise BadInput(str(error)) from error
     click.echo(f"{summary['status']}: {summary['message']}")

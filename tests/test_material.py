@@ -79,7 +79,9 @@ def test_a_family_keeps_its_material_and_refuses_two(titanium, tmp_path):
     run(homogenize, "family", *tables[:3], "--out", tmp_path / "family.json")
     run(homogenize, "member", tmp_path / "family.json", "--r1", 5, "--r2", 0.5, "--out", tmp_path / "law.json")
     assert load_law(tmp_path / "law.json").cell.areal_mass_kg_per_m2 == pytest.approx(AREAL_MASS, rel=1e-6)
-    mixed = CliRunner().invoke(homogenize, ["family", *map(str, (*tables[:2], tables[3])), "--out", str(tmp_path / "x")])
+    mixed = CliRunner().invoke(
+        homogenize, ["family", *map(str, (*tables[:2], tables[3])), "--out", str(tmp_path / "x")]
+    )
     assert mixed.exit_code == 2
     assert "one material" in mixed.stderr
     assert not (tmp_path / "x").exists()

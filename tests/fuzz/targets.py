@@ -303,6 +303,8 @@ def read_directions(folder):
 
 
 def mutate_directions(name, content, random):
+    if random.random() < 0.4:
+        return mutated_bytes(content, random)
     parts = [random.choice([*NUMBERS, "45", "5", "0.5", "80"])[:40] for _ in range(random.randrange(1, 9))]
     return "".join(part + random.choice((":", ",", " ", ":")) for part in parts)[:-1].encode()
 
