@@ -18,7 +18,6 @@ from macro_fem.fem import SupportedFem
 from macro_fem.mesh import CurtainMesh, components
 from macro_fem.scene import Bar, Corners, Edge, Hooks, Point, Rail, Scene, Support, Top
 
-MAX_HOOKS = 10_000
 HELD = {"both": (True, True), "x": (True, False), "y": (False, True)}
 
 
@@ -146,14 +145,12 @@ def _hook_nodes(item: Hooks, scene: Scene, mesh: CurtainMesh, disc: Discretizati
     length = float(np.ptp(x))
     if item.pitch > length:
         raise InputError(f"{scene.source}: [support] pitch = {item.pitch:g}: is wider than the top edge, {length:g} mm")
-    if length / item.pitch > MAX_HOOKS:
-        raise InputError(
-            f"{scene.source}: [support] pitch = {item.pitch:g}: makes {length / item.pitch:.3g} hooks on a top edge of "
-            f"{length:g} mm, at most {MAX_HOOKS} are allowed"
-        )
-    places = np.linspace(x[0], x[-1], round(length / item.pitch) + 1)
-    chosen = np.unique(np.argmin(np.abs(x[:, None] - places), axis=0))
-    if len(chosen) < len(places):
+    count = min(length / item.pitch, 1e9)
+    chosen = nodes[:0]
+    if count < len(x):  # before the places are made
+        places = np.linspace(x[0], x[-1], round(count) + 1)
+        chosen = np.unique(cKDTree(x[:, None]).query(places[:, None])[1])
+    if len(chosen) < round(count) + 1:
         raise InputError(
             f"{scene.source}: [support] pitch = {item.pitch:g}: is finer than the mesh, whose nodes on the top edge "
             f"are {length / max(1, len(x) - 1):g} mm apart; use more cells"

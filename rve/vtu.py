@@ -254,6 +254,8 @@ def _payload(stream: _Stream, size: int, source: _Source) -> bytes:
         if first != size:
             raise ValueError(f"an array states {first} bytes where its counts make {size}")
         return stream.take(width + size)[width:]
+    if first == size == 0:
+        return b""
     if first * width > len(stream.text):
         raise ValueError(f"an array states {first} compressed blocks, more than the file holds")
     head = np.frombuffer(stream.take((3 + first) * width), source.header).astype(object)
