@@ -160,7 +160,7 @@ def _cells(connectivity: Index, offsets: Index, types: Index) -> tuple[dict[str,
 def _count(piece: ElementTree.Element, name: str) -> int:
     count = int(piece.attrib[name])
     if not 0 <= count <= MOST_ITEMS:
-        raise ValueError(f"{name} = {count}: must be from 0 to {MOST_ITEMS}")
+        raise ValueError(f"{name} = {shown(count)}: must be from 0 to {MOST_ITEMS}")
     return count
 
 
@@ -172,7 +172,7 @@ def _named(piece: ElementTree.Element, section: str) -> dict[str, ElementTree.El
 def _width(array: ElementTree.Element) -> int:
     width = int(array.get("NumberOfComponents") or 1)
     if not 1 <= width <= MOST_COMPONENTS:
-        raise ValueError(f"NumberOfComponents = {width}: must be from 1 to {MOST_COMPONENTS}")
+        raise ValueError(f"NumberOfComponents = {shown(width)}: must be from 1 to {MOST_COMPONENTS}")
     return width
 
 
@@ -216,7 +216,7 @@ def _decoded(array: ElementTree.Element, count: int, source: _Source) -> NDArray
     elif form == "appended":
         text, start = source.appended, int(array.attrib["offset"])
         if not 0 <= start <= len(text):
-            raise ValueError(f"offset = {start} is not within the appended data of {len(text)} bytes")
+            raise ValueError(f"offset = {shown(start)} is not within the appended data of {len(text)} bytes")
     else:
         raise ValueError(f"format = {shown(form)} is not one of ascii, binary, appended")
     stream = _Stream(memoryview(text)[start:], source.is_raw and form == "appended")

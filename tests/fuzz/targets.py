@@ -164,6 +164,26 @@ def read_scenes(folder):
         load_scene(path)
 
 
+OUTLINE = """
+[curtain]
+shape = "outline"
+outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
+holes = [[[40, 30], [60, 30], [50, 50]]]
+hang = 12.5
+[mesh]
+cells = 9
+[support]
+kind = "top"
+"""
+
+
+def read_outline(folder):
+    """Scene and, unless mutation asks for a large one, its mesh."""
+    scene = load_scene(folder / "outline.toml")
+    if scene.mesh.cells <= 20:
+        build_mesh(scene, None)
+
+
 def square(kind):
     """Points and cells of a square of 3 x 3 quadrilaterals or 18 triangles, its top edge as lines."""
     x, y = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
@@ -334,6 +354,7 @@ TARGETS = {
     ),
     "checkpoint": Target(make_checkpoint, read_checkpoint, mutate_checkpoint),
     "scene": Target(make_scenes, read_scenes),
+    "outline": Target(lambda folder: (folder / "outline.toml").write_text(OUTLINE), read_outline),
     "loads": Target(
         lambda folder: (folder / "loads.csv").write_text("beta_deg,alpha_deg,note\n30,20,x\n60,-5,y\n"),
         lambda folder: read_loads(folder / "loads.csv"),
