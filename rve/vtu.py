@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import lzma
 import re
-import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
-from rve.reading import MOST_MESH_BYTES, read_bytes
+from rve.reading import MOST_MESH_BYTES, first_line, parse_numbers, read_bytes
 from rve.values import shown
 
 Array = NDArray[np.float64]
@@ -80,8 +79,7 @@ def read_vtu(path: Path) -> VtuFile:
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: cannot be read as VTU: it is not XML, or not all of one: {error}") from error
     except (ValueError, LookupError, OverflowError, zlib.error, lzma.LZMAError, EOFError) as error:
-        what = (str(error).splitlines() or ["its data is damaged"])[0]
-        raise InputError(f"{path}: cannot be read as VTU: {what}") from error
+        raise InputError(f"{path}: cannot be read as VTU: {first_line(error)}") from error
 
 
 def _source(content: bytes) -> _Source:
@@ -202,12 +200,7 @@ def _decoded(array: ElementTree.Element, count: int, source: _Source) -> NDArray
     """The `count` numbers of a DataArray."""
     form, dtype = array.attrib["format"], _dtype(array, source.order)
     if form == "ascii":
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # numpy only warns of text that is no number
-            try:
-                found = np.fromstring(array.text or "", dtype=dtype.newbyteorder("="), sep=" ")
-            except DeprecationWarning as error:
-                raise ValueError(f"array {shown(array.get('Name'))} holds what is not a number") from error
+        found = parse_numbers(array.text or "", dtype.newbyteorder("="))
         if len(found) != count:
             raise ValueError(f"array {shown(array.get('Name'))} has {len(found)} numbers, not {count}")
         return found

@@ -44,7 +44,7 @@ def test_the_line_shows_what_is_done_and_is_erased():
     with progress_line(terminal, interval_s=1e-3) as say:
         say("half-way")
         assert terminal.written.wait(60.0)
-    assert "half-way, 0 s" in terminal.getvalue()
+    assert "half-way, " in terminal.getvalue()
     assert terminal.getvalue().endswith("\r\x1b[K")
 
 
