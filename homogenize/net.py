@@ -18,6 +18,8 @@ from homogenize.tensor import WEIGHT, double_dot, dyad, trace
 from rve.rings import STEEL_KG_PER_MM3, areal_mass
 from rve.values import checked, finite, numbers
 
+ROUNDING = 1e-6
+"""Of the length of a direction in a file, and the least sine between two."""
 STATED_STIFFNESS = 1000.0
 """N/mm: the contact stiffness 1e6 kg/s2 of the paper, one contact per ring and pitch; a stand-in for the compliance."""
 
@@ -110,8 +112,8 @@ class NetLaw:
 
 def net_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> NetLaw:
     """The net law that `NetLaw.to_dict` wrote; InputError names a missing or impossible entry."""
-    directions = checked(data, "directions", numbers(2, 2), where)
-    if np.abs((directions**2).sum(axis=1) - 1.0).max() > 1e-6 or abs(np.linalg.det(directions)) < 1e-6:
+    directions = checked(data, "directions", numbers(2, 2, least=-1.0 - ROUNDING, most=1.0 + ROUNDING), where)
+    if np.abs((directions**2).sum(axis=1) - 1.0).max() > ROUNDING or abs(np.linalg.det(directions)) < ROUNDING:
         raise InputError(f"{where} directions = {directions.tolist()}: must be two different unit vectors")
     limit = checked(data, "limit", finite(least=1e-3, most=1e3), where)
     return NetLaw(directions, limit, checked(data, "stiffness_N_per_mm", STIFFNESS, where), cell)

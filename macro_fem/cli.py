@@ -29,8 +29,10 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: b
     as it stands (not converged, or taut: supports at the mesh's limit); 2: bad input.
     """
     from macro_fem.job import run_scene
+    from macro_fem.progress import progress_line
 
-    summary = run_scene(scene, law_path, out, picture=picture, force=force)
+    with progress_line() as say:
+        summary = run_scene(scene, law_path, out, picture=picture, force=force, say=say)
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "

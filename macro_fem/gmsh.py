@@ -6,13 +6,13 @@ Counts in the file say how many numbers follow; a count beyond the end of the fi
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.reading import parse_numbers
 from rve.values import shown
 
 Array = NDArray[np.float64]
@@ -132,20 +132,13 @@ def read_gmsh(content: bytes) -> GmshFile:
             place = numbers.place
             continue
         elif name in readers:
-            readers[name](_Text(_parsed(content[place : end if end >= 0 else None])), found)
+            readers[name](
+                _Text(parse_numbers(content[place : end if end >= 0 else None].decode("ascii")).astype(float)), found
+            )
         if end < 0:
             raise ValueError(f"section {shown(name.decode())} does not end")
         place = end
     return _mesh(found)
-
-
-def _parsed(text: bytes) -> Array:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy only warns of text that is no number
-        try:
-            return np.fromstring(text.decode("ascii"), dtype=float, sep=" ")
-        except DeprecationWarning as error:
-            raise ValueError("a section holds what is not a number") from error
 
 
 def _names(text: str) -> dict[tuple[int, int], str]:

@@ -18,6 +18,7 @@ from macro_fem.output import (
     write_summary,
     write_vtu,
 )
+from macro_fem.progress import Say, silent
 from macro_fem.scene import FEATURES, Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
 from macro_fem.solvers import solve_problem
@@ -29,13 +30,20 @@ RECORD = "summary.json"
 
 
 def run_scene(
-    scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True, force: tuple[str, ...] = ()
+    scene_path: Path,
+    law_path: Path | None,
+    out: Path,
+    *,
+    picture: bool = True,
+    force: tuple[str, ...] = (),
+    say: Say = silent,
 ) -> dict[str, Any]:
     """Solves the scene, writes its files into `out` and returns the summary; `force` adds to that of the scene.
 
     curtain.vtu and curtain.png show the full load; with more than one load step curtain.pvd lists one VTU per step.
     All files appear together, and what they replace is gone (`rve.jobs`).
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
+    `say` is told what is being solved.
     """
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
@@ -48,9 +56,12 @@ def run_scene(
     inputs = [scene_path, law_path, mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)
-    early = [_solved(scene, law, step / scene.load.steps) for step in range(1, scene.load.steps)]
+    steps = scene.load.steps
+    early = [_solved(scene, law, step / steps, say) for step in range(1, steps)]
+    if asks_bounds(scene):
+        say("solving with bounds")
     final = _with_bounds(scene, law) if asks_bounds(scene) else []
-    solution = final[-1].solution if final else _solved(scene, law, 1.0)
+    solution = final[-1].solution if final else _solved(scene, law, 1.0, say)
     bounds = final[-1].bounds if final else None
     summary = summarize(solution)
     if final:
@@ -83,9 +94,11 @@ def asks_bounds(scene: Scene) -> bool:
     return solver.bounds or solver.adapt > 0 or (fits and solver.forces("bounds"))
 
 
-def _solved(scene: Scene, law: MembraneLaw, factor: float) -> CurtainSolution:
+def _solved(scene: Scene, law: MembraneLaw, factor: float, say: Say = silent) -> CurtainSolution:
     """The curtain at one share of the live load; InputError if there is none."""
-    solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell), factor))
+    mesh = build_mesh(scene, law.cell)
+    say(f"solving {mesh.mesh.t.shape[1]} cells, load step {round(factor * scene.load.steps)} of {scene.load.steps}")
+    solution = solve_problem(make_problem(scene, law, mesh, factor))
     if solution.status == "infeasible":
         at = f" at {factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
         raise InputError(f"{scene.source}: [support]: {solution.message}{at}")

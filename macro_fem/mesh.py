@@ -27,6 +27,8 @@ from rve.values import shown
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
+MAX_NEAR = 10_000_000
+"""Pairs of a side on the boundary and a corner in the circle over it, in a mesh file; usually a few per side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,12 +295,20 @@ def _check_sides(mesh: Any, where: str) -> None:
     a, b = mesh.p[:, mesh.facets[0, rim]].T, mesh.p[:, mesh.facets[1, rim]].T
     corners = mesh.p[:, np.unique(mesh.facets[:, rim])].T
     length = np.linalg.norm(b - a, axis=1)
-    near = cKDTree(corners).query_ball_point(0.5 * (a + b), 0.499999 * length)
-    for side, numbers in enumerate(near):
+    tree, middle, radius = cKDTree(corners), 0.5 * (a + b), 0.499999 * length
+    pairs = int(tree.query_ball_point(middle, radius, return_length=True).sum())
+    if pairs > MAX_NEAR:
+        raise InputError(
+            f"{where} sides on the boundary are so much longer than others that {pairs:.3g} pairs of side and corner "
+            f"would have to be compared, at most {MAX_NEAR:.3g} are"
+        )
+    for side, numbers in enumerate(tree.query_ball_point(middle, radius) if pairs else ()):
         along = (b[side] - a[side]) / length[side]
-        for x, y in corners[numbers]:
-            if abs(along[0] * (y - a[side, 1]) - along[1] * (x - a[side, 0])) < 1e-9 * length[side]:
-                raise InputError(f"{where} the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
+        off = corners[numbers] - a[side]
+        on = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) < 1e-9 * length[side]
+        if on.any():
+            x, y = corners[numbers][on][0]
+            raise InputError(f"{where} the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
 
 
 def _plane_points(points: Array, where: str) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from homogenize.law import InputError
 from macro_fem.gmsh import GmshFile, read_gmsh
-from rve.reading import MOST_MESH_BYTES, read_bytes
+from rve.reading import MOST_MESH_BYTES, first_line, read_bytes
 from rve.vtu import VtuFile, read_vtu
 
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
@@ -33,9 +33,7 @@ def read_mesh_file(path: Path) -> Any:
     try:
         return _from_gmsh(read_gmsh(content))
     except (ValueError, OverflowError) as error:
-        raise InputError(
-            f"{path}: cannot be read as MSH: {(str(error).splitlines() or ['it is damaged'])[0]}"
-        ) from error
+        raise InputError(f"{path}: cannot be read as MSH: {first_line(error)}") from error
     except MemoryError as error:
         raise InputError(f"{path}: cannot be read as MSH: it does not fit into memory") from error
 

@@ -36,7 +36,7 @@ def mesh_outline(
     inner = _lattice(outline, spacing, aspect, angle)
     inner = inner[inside(inner, outline, holes)]
     for polygon in (outline, *holes):
-        inner = inner[distance_to_polygon(inner, polygon) > CLEARANCE * spacing]
+        inner = inner[distance_to_polygon(inner, polygon, 2.0 * spacing) > CLEARANCE * spacing]
     points = np.concatenate([on_border, inner])
     triangles = Delaunay(points).simplices
     triangles = triangles[inside(points[triangles].mean(axis=1), outline, holes)]
@@ -58,25 +58,34 @@ def inside(points: Array, outline: Array, holes: list[Array]) -> np.ndarray:
 
 
 def _in_polygon(points: Array, polygon: Array) -> np.ndarray:
-    """Even-odd rule."""
+    """Even-odd rule; each side looks only at the points of its heights."""
+    order = np.argsort(points[:, 1])
+    x, y = points[order].T
     result = np.zeros(len(points), bool)
-    x, y = points[:, 0], points[:, 1]
     for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if ay == by:
             continue
-        crosses = (ay > y) != (by > y)
-        result ^= crosses & (x < ax + (y - ay) * (bx - ax) / (by - ay))
-    return result
+        start, stop = np.searchsorted(y, (min(ay, by), max(ay, by)))
+        result[start:stop] ^= x[start:stop] < ax + (y[start:stop] - ay) * (bx - ax) / (by - ay)
+    back = np.empty_like(result)
+    back[order] = result
+    return back
 
 
-def distance_to_polygon(points: Array, polygon: Array) -> Array:
-    """Distance (n,) to the nearest side, one side at a time to keep memory flat."""
-    best = np.full(len(points), np.inf)
+def distance_to_polygon(points: Array, polygon: Array, reach: float = math.inf) -> Array:
+    """Distance (n,) to the nearest side, or `reach` where that is farther; each side looks only at points in reach."""
+    order = np.argsort(points[:, 1])
+    lifted = points[order]
+    best = np.full(len(points), reach)
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        low, high = min(a[1], b[1]) - reach, max(a[1], b[1]) + reach
+        part = slice(*np.searchsorted(lifted[:, 1], (low, high)))
         along = b - a
-        s = np.clip((points - a) @ along / (along @ along), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(points - a - s[:, None] * along, axis=1))
-    return best
+        s = np.clip((lifted[part] - a) @ along / (along @ along), 0.0, 1.0)
+        best[part] = np.minimum(best[part], np.linalg.norm(lifted[part] - a - s[:, None] * along, axis=1))
+    back = np.empty_like(best)
+    back[order] = best
+    return back
 
 
 def _subdivided(polygon: Array, spacing: float) -> Array:

@@ -9,8 +9,12 @@ from __future__ import annotations
 import json
 import os
 import tomllib
+import warnings
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rve.errors import InputError
 from rve.values import shown, shown_key
@@ -93,3 +97,18 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise InputError(f"{path}: is not TOML that can be read: it is nested too deeply") from error
     except ValueError as error:
         raise InputError(f"{path}: is not TOML: {error}") from error
+
+
+def parse_numbers(text: str, dtype: np.dtype[np.generic] | type = float) -> NDArray[np.generic]:
+    """Numbers separated by white space, (n,); ValueError if the text holds anything else."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # older numpy only warns
+        try:
+            return np.fromstring(text, dtype=dtype, sep=" ")
+        except (DeprecationWarning, ValueError) as error:
+            raise ValueError("there is a text where a number should be") from error
+
+
+def first_line(error: BaseException) -> str:
+    """What an error of a parser says, in one line of moderate length."""
+    return (str(error).splitlines() or ["its data is damaged"])[0][:200]

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rve.cell import SLOTS, Pose, joined_contacts
 from rve.errors import InputError, NotConverged
 from rve.files import atomic_path
-from rve.reading import read_bytes
+from rve.reading import first_line, read_bytes
 from rve.stewart_trinkle import Motion, Progress, Settled, StewartTrinkleOptions, begin, continued, finder_of, settled
 from rve.system import Equations
 from rve.weave import Weave
@@ -117,7 +117,7 @@ def _arrays(path: Path, key: str) -> dict[str, NDArray[Any]]:
                 raise ValueError("it holds more than its own bytes")
             arrays = {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
     except Exception as error:  # zipfile and the header of an array raise a dozen kinds, each for a damaged file
-        raise InputError(_damaged(path, (str(error).splitlines() or [type(error).__name__])[0])) from error
+        raise InputError(_damaged(path, first_line(error))) from error
     if str(arrays.get("key")) != key:
         raise InputError(f"{path}: belongs to other loads, radii or options; delete it or choose another folder")
     return arrays

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import lzma
 import re
-import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.errors import InputError
-from rve.reading import MOST_MESH_BYTES, read_bytes
+from rve.reading import MOST_MESH_BYTES, first_line, parse_numbers, read_bytes
 from rve.values import shown
 
 Array = NDArray[np.float64]
@@ -80,8 +79,7 @@ def read_vtu(path: Path) -> VtuFile:
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: cannot be read as VTU: it is not XML, or not all of one: {error}") from error
     except (ValueError, LookupError, OverflowError, zlib.error, lzma.LZMAError, EOFError) as error:
-        what = (str(error).splitlines() or ["its data is damaged"])[0]
-        raise InputError(f"{path}: cannot be read as VTU: {what}") from error
+        raise InputError(f"{path}: cannot be read as VTU: {first_line(error)}") from error
 
 
 def _source(content: bytes) -> _Source:
@@ -160,7 +158,7 @@ def _cells(connectivity: Index, offsets: Index, types: Index) -> tuple[dict[str,
 def _count(piece: ElementTree.Element, name: str) -> int:
     count = int(piece.attrib[name])
     if not 0 <= count <= MOST_ITEMS:
-        raise ValueError(f"{name} = {count}: must be from 0 to {MOST_ITEMS}")
+        raise ValueError(f"{name} = {shown(count)}: must be from 0 to {MOST_ITEMS}")
     return count
 
 
@@ -172,7 +170,7 @@ def _named(piece: ElementTree.Element, section: str) -> dict[str, ElementTree.El
 def _width(array: ElementTree.Element) -> int:
     width = int(array.get("NumberOfComponents") or 1)
     if not 1 <= width <= MOST_COMPONENTS:
-        raise ValueError(f"NumberOfComponents = {width}: must be from 1 to {MOST_COMPONENTS}")
+        raise ValueError(f"NumberOfComponents = {shown(width)}: must be from 1 to {MOST_COMPONENTS}")
     return width
 
 
@@ -202,12 +200,7 @@ def _decoded(array: ElementTree.Element, count: int, source: _Source) -> NDArray
     """The `count` numbers of a DataArray."""
     form, dtype = array.attrib["format"], _dtype(array, source.order)
     if form == "ascii":
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # numpy only warns of text that is no number
-            try:
-                found = np.fromstring(array.text or "", dtype=dtype.newbyteorder("="), sep=" ")
-            except DeprecationWarning as error:
-                raise ValueError(f"array {shown(array.get('Name'))} holds what is not a number") from error
+        found = parse_numbers(array.text or "", dtype.newbyteorder("="))
         if len(found) != count:
             raise ValueError(f"array {shown(array.get('Name'))} has {len(found)} numbers, not {count}")
         return found
@@ -216,7 +209,7 @@ def _decoded(array: ElementTree.Element, count: int, source: _Source) -> NDArray
     elif form == "appended":
         text, start = source.appended, int(array.attrib["offset"])
         if not 0 <= start <= len(text):
-            raise ValueError(f"offset = {start} is not within the appended data of {len(text)} bytes")
+            raise ValueError(f"offset = {shown(start)} is not within the appended data of {len(text)} bytes")
     else:
         raise ValueError(f"format = {shown(form)} is not one of ascii, binary, appended")
     stream = _Stream(memoryview(text)[start:], source.is_raw and form == "appended")
@@ -254,6 +247,8 @@ def _payload(stream: _Stream, size: int, source: _Source) -> bytes:
         if first != size:
             raise ValueError(f"an array states {first} bytes where its counts make {size}")
         return stream.take(width + size)[width:]
+    if first == size == 0:
+        return b""
     if first * width > len(stream.text):
         raise ValueError(f"an array states {first} compressed blocks, more than the file holds")
     head = np.frombuffer(stream.take((3 + first) * width), source.header).astype(object)

@@ -8,6 +8,7 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 
@@ -57,9 +58,14 @@ def law(r2=0.5, mass=None):
     return polyhedral_law(S, h, None, cell)
 
 
+@cache
+def table():
+    """Four rows: locked, locked, compressive, free."""
+    return solve_table([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0])
+
+
 def make_table(folder):
-    table = solve_table([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0])
-    write_table(table, folder / "table.csv")
+    write_table(table(), folder / "table.csv")
 
 
 def make_checkpoint(folder):
@@ -156,6 +162,26 @@ def make_scenes(folder):
 def read_scenes(folder):
     for path in folder.glob("*.toml"):
         load_scene(path)
+
+
+OUTLINE = """
+[curtain]
+shape = "outline"
+outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
+holes = [[[40, 30], [60, 30], [50, 50]]]
+hang = 12.5
+[mesh]
+cells = 9
+[support]
+kind = "top"
+"""
+
+
+def read_outline(folder):
+    """Scene and, unless mutation asks for a large one, its mesh."""
+    scene = load_scene(folder / "outline.toml")
+    if scene.mesh.cells <= 20:
+        build_mesh(scene, None)
 
 
 def square(kind):
@@ -303,6 +329,8 @@ def read_directions(folder):
 
 
 def mutate_directions(name, content, random):
+    if random.random() < 0.4:
+        return mutated_bytes(content, random)
     parts = [random.choice([*NUMBERS, "45", "5", "0.5", "80"])[:40] for _ in range(random.randrange(1, 9))]
     return "".join(part + random.choice((":", ",", " ", ":")) for part in parts)[:-1].encode()
 
@@ -326,6 +354,7 @@ TARGETS = {
     ),
     "checkpoint": Target(make_checkpoint, read_checkpoint, mutate_checkpoint),
     "scene": Target(make_scenes, read_scenes),
+    "outline": Target(lambda folder: (folder / "outline.toml").write_text(OUTLINE), read_outline),
     "loads": Target(
         lambda folder: (folder / "loads.csv").write_text("beta_deg,alpha_deg,note\n30,20,x\n60,-5,y\n"),
         lambda folder: read_loads(folder / "loads.csv"),
