@@ -66,13 +66,13 @@ def support(law: Path, load: str) -> None:
 def plot(law: Path, table: Path, out: Path) -> None:
     """Draws the locking surface, the strains over the load angles, the errors and sections of LAW."""
     from homogenize.io import load_law
-    from homogenize.plots import PICTURES, write_pictures
+    from homogenize.plots import RECORD, write_pictures
     from rve.jobs import check_out_job
     from rve.table import read_table
 
     require("matplotlib", "plots", "homogenize plot")
-    check_out_job(out, PICTURES, inputs=[law, table])
-    for path in write_pictures(load_law(law), read_table(table), out):
+    check_out_job(out, RECORD, inputs=[law, table])
+    for path in write_pictures(load_law(law), read_table(table), out, [law, table]):
         click.echo(f"picture written to {path}")
 
 

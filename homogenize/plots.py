@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +12,7 @@ import numpy as np
 from homogenize.protocol import Array, MembraneLaw
 from homogenize.rows import Rows, rows_from_table, with_mirror
 from homogenize.strain import locked_strain
+from rve.files import write_text
 from rve.jobs import job
 
 if TYPE_CHECKING:
@@ -21,8 +24,8 @@ if TYPE_CHECKING:
 COMPONENTS = ("E11", "E12", "E22")
 SIZE = (7.0, 5.2)
 DPI = 150
-PICTURES = "pictures"
-"""Name of the job that writes the pictures (`rve.jobs`)."""
+RECORD = "pictures.json"
+"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.jobs`)."""
 
 
 def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
@@ -104,9 +107,11 @@ def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path) -> list[Path]:
-    """Writes surface.png, strains.png, errors.png and sections.png into `folder`, all or none; it is made if
-    need be."""
+def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
+    """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all or none.
+
+    The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
+    """
     folder = Path(folder)
     rows = rows_from_table(table)
     pictures = {
@@ -115,9 +120,10 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path) -> 
         "errors.png": plot_errors(law, rows).figure,
         "sections.png": plot_sections(law, rows).figure,
     }
-    with job(folder, PICTURES) as staged:
+    with job(folder, RECORD, inputs) as staged:
         for name, figure in pictures.items():
             figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
+        write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")
     return [folder / name for name in pictures]
 
 

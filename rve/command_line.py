@@ -85,13 +85,16 @@ def ending(error: BaseException) -> tuple[int, str]:
         return 128 + error.number, f"stopped by {error}"
     if isinstance(error, OSError) and error.strerror:
         where = "" if error.filename is None else f"{os.fspath(error.filename)!s}: "
-        return 1, f"{where}{error.strerror}; {_REMEDIES.get(error.errno or 0, _REMEDY)}"
+        code = 2 if error.errno in _BAD_NAMES else 1
+        return code, f"{where}{error.strerror}; {_REMEDIES.get(error.errno or 0, _REMEDY)}"
     if isinstance(error, MemoryError):
         return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
     kind = type(error).__name__
     return 1, f"unforeseen {kind}: {str(error) or 'no message'}; please report it with what --traceback prints"
 
 
+_BAD_NAMES = (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR)
+"""Errors that only a name given by the user can cause: bad input."""
 _REMEDY = "files that were there before are unchanged"
 _REMEDIES = {
     number: f"{remedy}; {_REMEDY}"

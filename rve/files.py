@@ -60,7 +60,8 @@ def checksum(path: AnyPath) -> str:
 
 def sidecar_path(path: AnyPath) -> Path:
     """The JSON beside a table file, of the same name."""
-    return Path(path).with_suffix(".json")
+    table = Path(path)
+    return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
 
 
 def is_sidecar(path: AnyPath) -> bool:
@@ -117,9 +118,12 @@ def check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | None
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{option} = {target}: is a device, pipe or socket; give the name of a file")
     for one in inputs:
-        for source in () if one is None else (Path(one), sidecar_path(one)):
-            if _is_same(target, source):
-                raise InputError(f"{option} = {target}: would overwrite {source}, which is read; choose another name")
+        if one is None:
+            continue
+        if _is_same(target, Path(one)) or (_is_same(target, sidecar_path(one)) and is_sidecar(target)):
+            raise InputError(
+                f"{option} = {target}: would overwrite {one} or its sidecar, which is read; choose another name"
+            )
     return True
 
 
@@ -150,5 +154,5 @@ def _status(path: Path, option: str) -> os.stat_result | None:
 def _is_same(one: Path, other: Path) -> bool:
     try:
         return one.samefile(other)
-    except OSError:
+    except (OSError, ValueError):  # a name that no file can have
         return False

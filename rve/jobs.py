@@ -12,12 +12,13 @@ How files take their places. All are written into `out/.summary.json-XXXX.new`, 
 place, and flushed to the disk. That folder is then renamed to `out/.summary.json.ready`: before this one step the old
 job holds, after it the new one. The rest is bookkeeping that can be repeated: the old files are removed, the new ones
 are moved to their names, the record last, and the hidden folder is removed. `complete` does this rest for a job whose
-process was killed in between. Every command of these packages that reads or writes the folder calls it first and
-therefore sees the whole old or the whole new job, whenever the process was killed.
+process was killed in between. The next job in the folder calls it first, and so does what reads a job's files together
+(`rve localize`, `read_table`, a scene with a mesh file): they see the whole old or the whole new job, whenever the
+process was killed.
 
 What remains: between the rename and the last move, less than a millisecond for a few files, other programs see a part
 of the files, first of the old job, then of the new one, never of both, and never the new record without all its files.
-If the process is killed there, they see this until the next command of these packages looks into the folder.
+If the process is killed there, they see this until one of the commands above looks into the folder.
 Signals that ask to stop (SIGINT, SIGTERM) wait for the end of this step. Two processes exclude each other by a lock on
 the folder where the system has locks on folders (POSIX); elsewhere two jobs must not write into one folder at once,
 and hidden folders that killed processes left are not removed.
@@ -49,9 +50,9 @@ STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if ha
 def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, clears: bool = True) -> Iterator[Path]:
     """A hidden folder for the files of a job; they take their places in `folder` when the block ends without an error.
 
-    `folder` is made if need be. `record` is the name of the JSON file that stands for the job; a block that writes no
-    such file publishes its files without a record. `clears`: files of the old job that the new one lacks are removed.
-    Raises InputError when `folder` cannot be made or written, or a file would overwrite one of `inputs`.
+    `folder` is made if need be. `record` is the name of the JSON file that stands for the job; the block must write it.
+    `clears`: files of the old job that the new one lacks are removed. Raises InputError when `folder` cannot be made or
+    written, or a file would overwrite one of `inputs`.
     """
     out, inputs = Path(folder), list(inputs)
     made = _made(out)
@@ -95,7 +96,7 @@ def complete(folder: AnyPath, record: str) -> None:
     """
     out = Path(folder)
     try:
-        if _ready(out, record).is_dir():
+        if os.path.isdir(_ready(out, record)):  # False for names that no folder can have
             with _locked(out):
                 _place(out, record)
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -158,14 +159,12 @@ def _names(staged: Path) -> list[str]:
 
 def _publish(staged: Path, out: Path, record: str, *, clears: bool) -> None:
     """Decide what the new job replaces, rename its folder, and let the files take their places."""
-    names = _names(staged)
-    if record in names:
-        names.remove(record)
-        _sign(staged / FILES, record, names)
-        names.append(record)
+    names = [name for name in _names(staged) if name != record]
+    _sign(staged / FILES, record, names)
+    names.append(record)
     with _locked(out), _uninterrupted():
         _place(out, record)
-        old = _listed(out / record) if clears and record in names else {}
+        old = _listed(out / record) if clears else {}
         stale = [name for name, known in old.items() if name not in names and _is_own(out / name, known)]
         write_text(staged / PLAN, json.dumps({"remove": stale, "place": names}))
         _flush(staged)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,12 +39,15 @@ def figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
 
 
 def save(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure whole or not at all; the ending of the name is the format. Raises InputError for unknown ones."""
+    """Write a figure whole or not at all; the ending of the name is the format, PNG without one.
+
+    Raises InputError for unknown endings.
+    """
     import matplotlib.pyplot as plt
 
     try:
         with atomic_path(path) as temporary:
-            fig.savefig(temporary, dpi=150)
+            fig.savefig(temporary, dpi=150, format=Path(path).suffix[1:] or "png")
     except ValueError as error:
         raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
     finally:

@@ -76,7 +76,8 @@ CASES = {
     "homogenize plot": Case(
         module("homogenize", "plot", LAW, "--table", TABLE, "--out", "out"),
         module("homogenize", "plot", "net.json", "--table", TABLE, "--out", "out"),
-        "pictures",
+        "pictures.json",
+        "law",
     ),
     "homogenize export": Case(
         module("homogenize", "export", LAW, "--out", "out/umat.f"),

@@ -40,8 +40,16 @@ def test_pictures_are_written(tmp_path):
     run = CliRunner().invoke(main, ["plot", str(SHIPPED), "--table", str(TABLE), "--out", str(tmp_path / "out")])
     assert run.exit_code == 0, run.output
     files = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert files == ["errors.png", "sections.png", "strains.png", "surface.png"]
-    assert all((tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in files)
+    assert files == ["errors.png", "pictures.json", "sections.png", "strains.png", "surface.png"]
+    assert all(
+        (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in files if name != "pictures.json"
+    )
+    law = tmp_path / "out" / "surface.png"  # a law of this name is not overwritten by the picture
+    law.write_bytes(SHIPPED.read_bytes())
+    over = CliRunner().invoke(main, ["plot", str(law), "--table", str(TABLE), "--out", str(tmp_path / "out")])
+    assert over.exit_code == 2
+    assert "surface.png: would overwrite" in over.stderr
+    assert law.read_bytes() == SHIPPED.read_bytes()
     bad = CliRunner().invoke(main, ["plot", str(SHIPPED), "--table", "nowhere.csv", "--out", str(tmp_path / "bad")])
     assert bad.exit_code == 2
     assert not (tmp_path / "bad").exists()

@@ -58,6 +58,10 @@ def test_case_prints_json_and_draws(tmp_path):
     found = json.loads(result.output)
     assert found["x2_x_mm"] == pytest.approx(13.1163049, abs=1e-6)
     assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert run("case", "--alpha", "0", "--beta", "45", "--plot", tmp_path / "bare").exit_code == 0
+    assert (tmp_path / "bare").read_bytes()[:4] == b"\x89PNG"
+    assert run("case", "--alpha", "0", "--beta", "45", "--plot", tmp_path / "case.xyz").exit_code == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"case.png", "bare"}
 
 
 @pytest.mark.parametrize(
