@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize.law import Array, InputError, write_text, write_whole
+from macro_fem import line_load
 from macro_fem.assembly import cell_mean
 from macro_fem.solution import CurtainSolution
 
@@ -57,7 +58,6 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """
     problem = solution.problem
     disc = problem.disc
-    principal, _ = solution.principal()
     state = solution.state()
     area = cell_area(solution)
     return {
@@ -66,7 +66,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "mean_height_mm": solution.mean_height(),
         "lowest_point_mm": float(solution.x[:, 1].min()),
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
-        "max_principal_line_load_N_per_mm": float(principal.max(initial=0.0)),
+        **line_load.summary(solution),
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": support_forces(solution),
         "potential_primal_N_mm": solution.primal,
