@@ -126,7 +126,7 @@ class Nearby:
         """P (2, 2) averaged over the area nearest to x (2,); over all triangles if they have less."""
         radius = 1.1 * self.radius
         while True:
-            cells = np.array(self.tree.query_ball_point(x, radius + self.reach), dtype=int)
+            cells = np.array(self.tree.query_ball_point(x, radius + self.reach, return_sorted=True), dtype=int)
             points, weight, cell = _pieces(self.corners[cells], 2.0 * self.radius / PIECES)
             distance = np.linalg.norm(points - x, axis=1)
             order = np.argsort(distance, kind="stable")
