@@ -77,6 +77,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
         violation=BOUND_VIOLATION,
         max_iterations=problem.scene.solver.max_iterations,
         cones=None if solution.cones is None else repeated(solution.cones, 3),
+        drawn=False,
     )
     result = solve_rigid(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
     held = fem.positions(np.zeros(fem.n))

@@ -23,22 +23,20 @@ from macro_fem.rigid import REACH, RigidResult, law_slack
 from macro_fem.status import FREE, Accuracy, Evidence, Reach, load_scale
 from rve.errors import require
 
+ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+"""Errors that count as an answer: clarabel often ends "almost solved", short of what it was asked for."""
 FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
 
 
 @dataclass(frozen=True)
 class ConicOptions:
-    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain).
-
-    `attained`: relative errors that count as an answer. clarabel often ends "almost solved", short of what was asked.
-    """
+    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain)."""
 
     gap: float = 1e-10
     feasibility: float = 1e-10
     violation: float = 1e-8
     max_rounds: int = 30
-    attained: Accuracy = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
 
 
 def solve_conic(
@@ -207,7 +205,7 @@ def _record(
     return RigidResult(
         stop=stop,
         evidence=Evidence(found.gap, found.unbalanced, -law_slack(law, fem.gradient(found.z))),
-        asked=options.attained,
+        asked=ATTAINED,
         z=found.z,
         lam=found.lam,
         y_tail=np.zeros((len(found.lam), 2 * fem.d)),

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize.law import Array, CellInfo, write_text, write_whole
+from macro_fem import line_load
 from macro_fem.assembly import cell_mean
 from macro_fem.loads import PER_MM2, areal_mass
 from macro_fem.places import counterclockwise
@@ -68,7 +69,6 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """
     problem = solution.problem
     disc = problem.disc
-    principal, _ = solution.principal()
     state = solution.state()
     area = cell_area(solution)
     return {
@@ -77,7 +77,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "mean_height_mm": solution.mean_height(),
         "lowest_point_mm": float(solution.x[:, 1].min()),
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
-        "max_principal_line_load_N_per_mm": float(principal.max(initial=0.0)),
+        **line_load.summary(solution),
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": support_forces(solution),
         "nodes_held": int(problem.supports.mask.any(axis=1).sum()),

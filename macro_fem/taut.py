@@ -30,7 +30,7 @@ from macro_fem.status import AT_LIMIT, FREE, Reach
 
 GIVES = (AT_LIMIT, 1e-3)
 """By how much rings may give, tried in turn: the answer is off by its square root, multipliers are its inverse."""
-GAP = 1e-5
+GAP = 1e-7
 """What double precision leaves of the gap beside multipliers that are so large."""
 REACH_GAP = 1e-6
 """Accuracy of the factor, far below AT_LIMIT."""

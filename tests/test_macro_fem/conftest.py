@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from homogenize.fit import fit
 from homogenize.law import CellInfo, Cut, HalfSpaces
+from rve.sweep import solve_table
 
 WEIGHT = np.array([1.0, 2.0, 1.0])
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
@@ -81,3 +83,10 @@ def scene_tables():
         }
 
     return make
+
+
+@pytest.fixture(scope="session")
+def fitted_law():
+    """The law that `rve table` and `homogenize fit` make with their own defaults."""
+    alpha, beta = np.meshgrid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0), indexing="ij")
+    return fit(solve_table(alpha.ravel(), beta.ravel())).law

@@ -117,7 +117,7 @@ def check(row, folder):
     if solution.status == "infeasible":
         assert "farther apart than the mesh can stretch" in solution.message
         return "infeasible"
-    assert solution.status == "converged", solution.message
+    assert solution.status in ("converged", "taut"), solution.message
     summary = summarize(solution)
     assert all(np.all(np.isfinite(value)) for value in (solution.x, solution.P, solution.E, solution.primal))
     load = problem.force.sum(axis=0)
@@ -125,7 +125,8 @@ def check(row, folder):
     size = max(np.abs(problem.force).sum(), np.abs(solution.reactions).sum(), 1e-4)
     accuracy = 1e-5 if row["solver"] == "conic" else 1e-8  # clarabel balances forces to its own tolerances
     np.testing.assert_allclose(carried, -load, atol=accuracy * size)
-    given = 0.05 if row["solver"] == "newton" else 1e-6  # rings of 1000 N/mm give a little
+    # rings of 1000 N/mm give a little, and so do those of supports at the largest stretch
+    given = 0.05 if row["solver"] == "newton" else 1e-6 + 4.0 * (solution.give or 0.0)
     assert problem.law.cut(solution.E).violation.max() < given
     assert solution.dual <= solution.primal + 1e-9 * size * problem.mesh.size
     return "solved"

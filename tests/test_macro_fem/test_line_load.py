@@ -1,0 +1,108 @@
+"""Line loads at points grow with the mesh; averaged over one cell of the weave they converge."""
+
+import numpy as np
+import pytest
+import skfem
+
+from homogenize.law import CellInfo, default_law, diagonal_net
+from macro_fem.line_load import Nearby, largest, largest_mean, summary
+from macro_fem.scene import read_scene
+from macro_fem.solvers import solve_scene
+
+AREA = 11.0 * 12.646069623526
+
+
+def solve(cells, support, law=None, side=100.0, **load):
+    tables = {
+        "curtain": {"width": side, "height": side, "areal_mass": 2.785},
+        "mesh": {"cells": cells},
+        "support": support,
+        "load": load,
+    }
+    return solve_scene(read_scene(tables), law or default_law())
+
+
+def nearby(n, load, area):
+    """Averages of the P that `load` gives at the middles of a square's triangles, n along a side of 10 mm."""
+    mesh = skfem.MeshTri.init_tensor(np.linspace(0, 10, n + 1), np.linspace(0, 10, n + 1))
+    corners = mesh.p.T[mesh.t.T]
+    return Nearby(corners, load(corners.mean(axis=1)), area)
+
+
+@pytest.mark.parametrize("n", [2, 7, 40])
+@pytest.mark.parametrize("x", [[0.0, 0.0], [5.0, 5.0], [10.0, 3.0]])
+def test_an_even_load_is_its_own_average(n, x):
+    P = np.array([[0.3, 0.1], [-0.2, 0.5]])
+    near = nearby(n, lambda X: np.tile(P, (len(X), 1, 1)), 4.0)
+    np.testing.assert_allclose(near.mean(np.array(x)), P, rtol=1e-12)
+    np.testing.assert_allclose(near.bound(np.array([x])), np.linalg.norm(P, 2), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("x", "share"), [([0.0, 0.0], 0.25), ([5.0, 0.0], 0.5), ([5.0, 5.0], 1.0)])
+def test_the_average_of_a_point_load_has_its_closed_form(x, share):
+    """P = 1 / r over a part of a disk of radius R: 2 / R, where share pi R^2 is the area; P = y: as at its middle."""
+    radius = np.sqrt(4.0 / (share * np.pi))
+    point = nearby(80, lambda X: (1.0 / np.linalg.norm(X - x, axis=1))[:, None, None] * np.eye(2), 4.0)
+    assert point.mean(np.array(x))[0, 0] == pytest.approx(2.0 / radius, rel=0.03)
+    slope = nearby(40, lambda X: X[:, 1][:, None, None] * np.eye(2), 4.0)
+    depth = {0.25: 4.0 / (3.0 * np.pi), 0.5: 4.0 / (3.0 * np.pi), 1.0: 0.0}[share] * radius
+    assert slope.mean(np.array(x))[0, 0] == pytest.approx(x[1] + depth, abs=0.02)
+
+
+def test_a_small_curtain_is_averaged_as_a_whole():
+    near = nearby(4, lambda X: X[:, 1][:, None, None] * np.eye(2), 1e4)
+    assert near.mean(np.array([0.0, 0.0]))[0, 0] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("support", "load"),
+    [
+        ({"kind": "corners"}, {}),
+        ({"kind": "hooks", "pitch": 20.0}, {}),
+        ({"kind": "top"}, {"point": {"at": [20.0, 20.0], "force": [0.0, -1.0]}}),
+    ],
+)
+def test_it_converges_where_the_pointwise_value_does_not(support, load):
+    coarse, fine = (solve(cells, support, side=40.0, **load) for cells in (6, 12))
+    assert fine.status == "converged"
+    assert largest(fine).value > 1.8 * largest(coarse).value
+    means = [largest_mean(one, AREA).value for one in (coarse, fine)]
+    assert means[1] == pytest.approx(means[0], rel=0.2)
+    assert means[1] < 0.6 * largest(fine).value
+    told = summary(fine)
+    assert "grows with every refinement" in told["line_load_warning"]
+    assert told["max_line_load_over_a_cell_N_per_mm"] == pytest.approx(means[1], rel=1e-9)
+    assert told["line_load_averaged_over_mm2"] == pytest.approx(AREA)
+
+
+@pytest.mark.slow
+def test_it_converges_at_the_corners_to_a_few_per_cent():
+    """Measured: 0.0147, 0.0151, 0.0151 N/mm, where the pointwise value is 0.046, 0.069, 0.092."""
+    means = [largest_mean(solve(cells, {"kind": "corners"}), AREA).value for cells in (24, 36, 48)]
+    assert means[1] == pytest.approx(means[0], rel=0.05)
+    assert means[2] == pytest.approx(means[1], rel=0.02)
+
+
+def test_an_even_curtain_has_no_warning():
+    """Its largest line load is the weight below the top edge, and so is the average, less half a cell of it."""
+    solution = solve(8, {"kind": "top"})
+    told = summary(solution)
+    assert told["line_load_warning"] is None
+    weight = 2.785e-6 * 9.81
+    assert told["max_line_load_over_a_cell_N_per_mm"] == pytest.approx(weight * 95.0, rel=0.06)
+    assert told["max_principal_line_load_at_mm"][1] > 90.0
+
+
+def test_a_coarse_mesh_and_a_law_without_a_cell_say_so():
+    coarse = summary(solve(4, {"kind": "corners"}))
+    assert "needs mesh cells of 2.9 mm there" in coarse["line_load_warning"]
+    told = summary(solve(6, {"kind": "corners", "gather": 0.9}, diagonal_net(1.1)))
+    assert told["max_line_load_over_a_cell_N_per_mm"] is None
+    assert told["line_load_averaged_over_mm2"] is None
+    assert "the law has no cell" in told["line_load_warning"]
+
+
+def test_smaller_cells_carry_higher_averages():
+    solution = solve(12, {"kind": "corners"})
+    values = [largest_mean(solution, CellInfo(5.0, 0.5, b, b, 2.785).b_x_mm ** 2).value for b in (6.0, 12.0, 24.0)]
+    assert largest(solution).value > values[0] > 1.2 * values[1] > 1.44 * values[2]
