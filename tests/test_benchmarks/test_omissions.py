@@ -59,7 +59,10 @@ def test_a_feature_of_rings_forced(feature):
 def test_supports_across_the_plane_carry_nothing():
     largest = [float(str(row[2]).removeprefix("<= ")) for row in motion.support_across().rows]
     assert len(largest) == 3
-    assert max(largest) < 1e-7
+    assert max(largest[:2]) < 1e-11
+    # At r1/r2 = 20 two contacts of one pair merge under (45, 90). Where their gap is flat they are known to the square
+    # root of the solver's tolerance 1e-11, and the force along z with them; a ring that is held would carry 0.1.
+    assert largest[2] < 1e-5
 
 
 def test_features_of_curtains_forced():

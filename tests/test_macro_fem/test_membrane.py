@@ -131,8 +131,8 @@ def test_rigid_motion_stores_nothing_and_turns_the_forces(d):
     X[:, :2] = disc.nodes
     rigid = X @ Q.T + rng.standard_normal(d) - X
     assert abs(evaluate(sheet, rigid).stored) < 1e-25
-    assert np.abs(evaluate(sheet, rigid).internal).max() < 1e-14
-    u = 0.1 * rng.standard_normal((disc.n_nodes, d))
+    assert np.abs(evaluate(sheet, rigid).internal).max() < 1e-12
+    u = 0.02 * rng.standard_normal((disc.n_nodes, d))  # strains of 0.5 and more; larger ones turn triangles inside out
     turned = (X + u) @ Q.T - X
     before, after = evaluate(sheet, u), evaluate(sheet, turned)
     assert after.stored == pytest.approx(before.stored, rel=1e-12)
