@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from macro_fem.mesh import build_mesh
-from macro_fem.output import corner_positions
 from macro_fem.outline import mesh_outline
+from macro_fem.output import corner_positions
 from macro_fem.scene import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers import solve_scene
@@ -36,6 +36,16 @@ def test_jagged_outlines_that_do_not_cross_are_meshed_whole(seed):
     points, triangles = mesh_outline(outline, [hole], 40, 1.15, 0.3)
     assert area(points, triangles).min() > 0.0
     assert area(points, triangles).sum() == pytest.approx(shoelace(outline) - shoelace(hole), rel=1e-9)
+
+
+def test_a_side_beyond_the_end_of_another_does_not_cross_it():
+    """The tip of the notch is 0.7 mm from a side whose line it points across; their boxes overlap."""
+    outline = np.array([[-5, -5], [12, -5], [12, 8], [9.5, 13], [-5, 13], [-5, 9], [10, 10], [0, 0]], float)
+    points, triangles = mesh_outline(outline, [], 34, 1.15, 0.3)
+    assert area(points, triangles).sum() == pytest.approx(shoelace(outline), rel=1e-9)
+    longer = np.where(outline == 10.0, 10.8, outline)
+    with pytest.raises(ValueError, match="crosses itself"):
+        mesh_outline(longer, [], 34, 1.15, 0.3)
 
 
 @pytest.mark.parametrize("seed", range(8))
