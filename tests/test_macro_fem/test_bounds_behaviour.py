@@ -35,18 +35,18 @@ PULLED = {"point": {"at": [50.0, 0.0], "force": [-0.138, 0.004]}}
     ("hang", "height", "support", "load", "mesh"),
     [
         ("x", 95.0, LEFT, {}, {"cells": 5}),
-        ("y", 73.0, {"kind": "corners"}, PULLED, {"cells": 5, "element": "Q1"}),
+        ("y", 95.9, LEFT, {}, {"cells": 6, "element": "Q1"}),
         (83.0, 79.0, {"kind": "corners"}, PULLED, {"cells": 3, "element": "Q1"}),
     ],
 )
 def test_a_loose_answer_is_admissible_and_above_the_least_potential(
     ring_like, scene_tables, hang, height, support, load, mesh
 ):
-    """Loose iterates leave the law by 1e-4 to 1e-2; the answer does not, so that its potential is an upper bound."""
+    """The last iterate may leave the law, by 1e-6 to 1e-4 at some of these tolerances; the answer does not."""
     problem = problem_of(scene_tables(hang=hang, height=height, support=support, load=load, mesh=mesh), ring_like)
     fine, scale = solve(problem)
-    for gap in (0.5, 0.2, 0.1, 0.05, 0.02, 0.01):
-        loose, _ = solve(problem, gap=gap, violation=1.0)
+    for gap in 10.0 ** np.arange(-2.0, -5.0, -0.25):
+        loose, _ = solve(problem, gap=gap, violation=10.0 * gap)
         assert loose.converged
         assert law_cut(problem.law, problem.fem.gradient(loose.z))[2].min() >= -1e-12
         assert loose.primal >= fine.dual - 1e-12 * scale
@@ -74,13 +74,22 @@ def test_the_gap_is_as_small_as_the_tolerance_says(ring_like, scene_tables, tole
     assert -1e-12 < (solution.primal - solution.dual) / scale < 6.0 * tolerance
 
 
-def corner_load(scene_tables, cells=4, force=(0.03, -0.04)):
+def corner_load(scene_tables):
     """A top edge held, and a force at the lower left corner."""
     return scene_tables(
-        mesh={"cells": cells, "pattern": "diagonal"},
-        load={"point": {"at": [0.0, 0.0], "force": list(force)}},
+        mesh={"cells": 4, "pattern": "diagonal"},
+        support={"kind": "top", "gather": 0.9},
+        load={"point": {"at": [0.0, 0.0], "force": [0.03, -0.04]}},
         solver={"spread": 0.0},
     )
+
+
+def sheared(law):
+    """The law with its vertices turned by 25 degrees, so that locked strains have a shear."""
+    c, s = np.cos(np.radians(25.0)), np.sin(np.radians(25.0))
+    turn = np.array([[c, -s], [s, c]])
+    tensors = np.array([turn @ [[a, g], [g, b]] @ turn.T for a, g, b in law.vertices])
+    return replace(law, vertices=np.stack([tensors[:, 0, 0], tensors[:, 0, 1], tensors[:, 1, 1]], axis=-1))
 
 
 def spread_cost(solution, force):
@@ -97,8 +106,7 @@ def spread_cost(solution, force):
 
 def test_a_point_load_costs_what_its_spreading_may_move(ring_like, scene_tables, monkeypatch):
     """The force acts along the edges at its corner instead of at it: what that may change is left out of the bound."""
-    tables = corner_load(scene_tables)
-    solution = solve_scene(read_scene(tables), ring_like)
+    solution = solve_scene(read_scene(corner_load(scene_tables)), sheared(ring_like))
     cost = spread_cost(solution, (0.03, -0.04))
     assert dual_problem(solution, 1.0).point_load_cost == pytest.approx(cost, rel=1e-9)
     assert dual_problem(solution, 0.5).point_load_cost == pytest.approx(0.5 * cost, rel=1e-9)

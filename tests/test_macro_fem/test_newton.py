@@ -241,6 +241,7 @@ def test_failures_have_names():
     assert np.all(np.isfinite(last.u))
     assert np.all(np.isfinite(last.reactions))
     assert not np.isnan([last.potential, last.stored, last.energy_bound, last.residual]).any()
+    assert last.tolerance == NewtonOptions().rtol
 
 
 @dataclass(frozen=True)

@@ -176,6 +176,18 @@ def test_supports_at_the_very_limit_are_named_and_bounded(scene_tables):
     assert missing == pytest.approx(np.sqrt(solution.give / 1e-3), rel=0.02)
 
 
+@pytest.mark.parametrize("kind", ["rigid", "newton"])
+@pytest.mark.parametrize("gather", [1.7, 1.8, 2.0])
+def test_the_stretch_that_is_missing_is_that_of_the_chains(scene_tables, gather, kind):
+    """The chains of the net would have to be gather / LIMIT as long: the rigid solver proves that, the elastic less."""
+    solution = solve(scene_tables(support={"kind": "top", "gather": gather}, solver={"kind": kind}), ring_net(RINGS))
+    assert solution.status == "infeasible"
+    proved = float(solution.message.split(" %")[0].split()[-1])
+    missing = 100.0 * (gather / LIMIT - 1.0)
+    assert proved < missing + 0.05
+    assert proved > (missing - 0.05 if kind == "rigid" else 0.1 * missing)
+
+
 @pytest.mark.parametrize(
     ("gather", "status"), [(LIMIT * (1.0 - 2e-4), "converged"), (LIMIT * (1.0 + 2e-4), "infeasible")]
 )
