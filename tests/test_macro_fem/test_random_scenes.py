@@ -5,8 +5,9 @@ recomputed here from positions, stresses and forces.
 """
 
 import numpy as np
+import pytest
 
-from homogenize.law import InputError
+from homogenize.law import InputError, default_law
 from macro_fem.mesh import build_mesh
 from macro_fem.scene import read_scene
 from macro_fem.solution import make_problem
