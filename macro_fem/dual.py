@@ -25,7 +25,7 @@ import skfem
 from homogenize.law import Array, InputError, MembraneLaw
 from macro_fem.assembly import Discretization, discretize, load_vector
 from macro_fem.fem import SupportedFem
-from macro_fem.loads import weight_per_area
+from macro_fem.loads import disk_areas, weight_per_area
 from macro_fem.mesh import CurtainMesh
 from macro_fem.scene import Scene
 
@@ -171,11 +171,8 @@ def _spread_point(dual: DualMesh, law: MembraneLaw, at: Array, load: Array) -> t
 
 
 def _patch(dual: DualMesh, at: Array, radius: float, load: Array) -> Array:
-    """A patch load as the primal P1 discretisation has it: even over the triangles whose centroid is inside."""
-    disc = dual.disc
-    centroid = disc.nodes[2 * dual.facets.shape[1] :]
-    inside = np.linalg.norm(centroid - at, axis=1) <= radius
-    area = 3.0 * disc.weight[: disc.n_cells]
-    force = np.zeros((disc.n_nodes, 2))
-    force[2 * dual.facets.shape[1] :][inside] = area[inside][:, None] / area[inside].sum() * load
+    """A patch load as the primal P1 discretisation has it: even within each triangle, by the area in the disk."""
+    shares = disk_areas(dual.mesh.mesh.p.T[dual.mesh.mesh.t.T], at, radius)
+    force = np.zeros((dual.disc.n_nodes, 2))
+    force[2 * dual.facets.shape[1] :] = shares[:, None] / shares.sum() * load
     return force

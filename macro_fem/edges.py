@@ -125,7 +125,7 @@ def _following(points: Array, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The facet (k,) that follows each: of several at a node the first one clockwise from the way back."""
     order = np.argsort(start, kind="stable")
     low, high = np.searchsorted(start[order], end, "left"), np.searchsorted(start[order], end, "right")
-    following = order[low]
+    following = order[np.minimum(low, len(order) - 1)]
     for facet in np.flatnonzero(high - low > 1):
         choices = order[low[facet] : high[facet]]
         back = points[start[facet]] - points[end[facet]]

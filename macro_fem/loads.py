@@ -50,7 +50,7 @@ def nodal_forces(
     for point in scene.load.point:
         live += point_load(point, scene, disc)
     for patch in scene.load.patch:
-        live += patch_load(patch, scene, disc)
+        live += patch_load(patch, scene, mesh, disc)
     return dead + factor * live
 
 
@@ -80,12 +80,44 @@ def point_load(load: PointLoad, scene: Scene, disc: Discretization) -> Array:
     return force
 
 
-def patch_load(load: PatchLoad, scene: Scene, disc: Discretization) -> Array:
-    """A force spread over the points within a disk; InputError if the disk holds none of them."""
-    inside = np.linalg.norm(disc.points - np.array(load.at), axis=1) <= load.radius
-    area = float(disc.weight[inside].sum())
-    if area == 0.0:
+def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
+    """A force spread over a disk, even within each cell; InputError if the disk holds no part of the curtain."""
+    shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(load.at), load.radius)
+    if shares.sum() <= 0.0:
         raise InputError(
             f"{scene.source}: [load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain"
         )
-    return load_vector(disc, inside[:, None] * np.array(load.force) / area)
+    area = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+    even = np.tile(shares / area, disc.n_quad)
+    return load_vector(disc, even[:, None] * np.array(load.force) / shares.sum())
+
+
+def disk_areas(corners: Array, centre: Array, radius: float) -> Array:
+    """The area (n,) that each of the polygons with these corners (n, k, 2) shares with a disk.
+
+    Every side adds the part of the disk between it and the centre: a triangle where it is inside, sectors elsewhere.
+
+    >>> square = np.array([[[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]])
+    >>> bool(np.allclose(disk_areas(square, np.zeros(2), 2.0), np.pi))
+    True
+    """
+    a = corners - centre
+    b = np.roll(a, -1, axis=1)
+    along = b - a
+    length2 = np.maximum((along * along).sum(axis=-1), 1e-300)
+    middle = -(a * along).sum(axis=-1) / length2
+    reach2 = middle**2 - ((a * a).sum(axis=-1) - radius**2) / length2
+    reach = np.sqrt(np.maximum(reach2, 0.0))
+    enters, leaves = (a + np.clip(middle + sign * reach, 0.0, 1.0)[..., None] * along for sign in (-1.0, 1.0))
+    parts = _cross(enters, leaves) + radius**2 * (_angle(a, enters) + _angle(leaves, b))
+    shares = 0.5 * np.abs(parts.sum(axis=1))
+    return np.asarray(np.where(shares > 1e-12 * radius**2, shares, 0.0))
+
+
+def _cross(u: Array, v: Array) -> Array:
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+
+def _angle(u: Array, v: Array) -> Array:
+    """The angle from u to v (n, k), radians."""
+    return np.asarray(np.arctan2(_cross(u, v), (u * v).sum(axis=-1)))

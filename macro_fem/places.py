@@ -65,7 +65,8 @@ def make_sheet(points: Array, cells: np.ndarray, lines: dict[str, np.ndarray] | 
     """A sheet of cells in either sense."""
     cells = counterclockwise(points, cells)
     pairs = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2)
-    _, first, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_index=True, return_counts=True)
+    key = pairs.min(axis=1).astype(np.int64) * len(points) + pairs.max(axis=1)
+    _, first, counts = np.unique(key, return_index=True, return_counts=True)
     return Sheet(points, cells, pairs[first[counts == 1]], lines or {})
 
 

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from homogenize.law import CellInfo, InputError, diagonal_net, save_law
 from macro_fem.cli import main
+from macro_fem.loads import disk_areas
 from macro_fem.mesh import build_mesh, signed_areas
 from macro_fem.outline import least_angle
 from macro_fem.output import summarize
@@ -329,3 +330,29 @@ def test_quadrilaterals_move_a_node_to_a_place():
         InputError, match=r"middle: gets no node without a flat cell, the nearest one is 0.707107 mm away"
     ):
         with_nodes_at(make_sheet(grid.p.T, grid.t.T), np.array([[1.5, 1.5]]), ["middle"])
+
+
+def test_a_disk_shares_its_area_with_the_cells_it_touches():
+    """A grid around it gets all of it; half-planes, quarters and a ring segment get what geometry says."""
+    grid = skfem.MeshQuad.init_tensor(np.linspace(-3, 3, 8), np.linspace(-3, 3, 6))
+    centre, radius = np.array([0.3, -0.2]), 2.1
+    shares = disk_areas(grid.p.T[grid.t.T], centre, radius)
+    assert shares.sum() == pytest.approx(np.pi * radius**2)
+    box = np.array([[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]])
+    corner = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
+    right = np.array([1.0, 0.0])
+    areas = disk_areas(np.array([box, box[::-1], corner, box + right, box + 2.5 * right]), np.zeros(2), 2.0)
+    assert areas == pytest.approx([2 * np.pi, 2 * np.pi, np.pi, 4.0 * np.pi / 3.0 - np.sqrt(3.0), 0.0])
+
+
+@pytest.mark.parametrize(("radius", "off"), [(12.0, 0.6), (30.0, 0.2)])
+def test_a_patch_acts_where_it_is_asked_for(radius, off):
+    """The resultant is within a small part of a cell, 12.5 mm wide, of the centre, wherever that is."""
+    rng = np.random.default_rng(5)
+    for at in rng.uniform(32.0, 68.0, size=(12, 2)):
+        load = {"gravity": 0.0, "patch": {"at": at.tolist(), "radius": radius, "force": [0.0, -3.0]}}
+        one = scene({"kind": "top"}, 100.0, 100.0, load=load, mesh={"cells": 8})
+        problem = make_problem(one, LAW, build_mesh(one, None))
+        assert problem.force.sum(axis=0) == pytest.approx([0.0, -3.0])
+        middle = problem.force[:, 1] @ problem.disc.nodes / -3.0
+        assert np.linalg.norm(middle - at) < off
