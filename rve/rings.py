@@ -12,14 +12,15 @@ from rve.values import Check, checked, finite
 STEEL_KG_PER_MM3 = 7.85e-6
 LEAST_MM, MOST_MM = 1e-9, 1e9
 """Lengths of rings: their powers must stay numbers."""
+LEAST_KG_PER_MM3, MOST_KG_PER_MM3 = 1e-12, 1e3
 _length = finite(least=LEAST_MM, most=MOST_MM)
 RING_CHECKS: dict[str, Check] = {
     "r1_mm": _length,
     "r2_mm": _length,
     "b_x_mm": _length,
     "b_y_mm": _length,
-    "density_kg_per_mm3": finite(above=0.0, most=1e3),
-    "areal_mass_kg_per_m2": finite(above=0.0, most=1e15),
+    "density_kg_per_mm3": finite(least=LEAST_KG_PER_MM3, most=MOST_KG_PER_MM3),
+    "areal_mass_kg_per_m2": finite(above=0.0, most=1e18),
 }
 DENSITY_KG_PER_M3 = finite(least=100.0, most=30_000.0)
 """Densities a user may ask for: 7.85 would be g/cm3, 7.85e-6 kg/mm3."""
@@ -56,7 +57,7 @@ def _check_mass(found: Mapping[str, float], where: object) -> None:
         return
     r1, r2, b_x, b_y, density, mass = (found[key] for key in RING_CHECKS)
     count = mass / areal_mass(r1, r2, b_x * b_y, density)
-    if count < 0.5 or abs(count - round(count)) > 1e-6 * count:
+    if not 0.5 < count < 1e6 or abs(count - round(count)) > 1e-6 * count:
         raise InputError(
             f"{where} areal_mass_kg_per_m2 = {mass:g}: is that of {count:g} rings of density_kg_per_mm3 = {density:g} "
             "in a cell, not of a whole number of them"

@@ -21,7 +21,15 @@ from rve.files import TABLE_FORMAT
 from rve.load import cauchy_line_load, green_lagrange, second_pk
 from rve.motion import locked_by_motion
 from rve.pairs import pairs_in_reach, unlisted_gap, widened
-from rve.rings import LEAST_MM, MOST_MM, STEEL_KG_PER_MM3, areal_mass, ring_volume
+from rve.rings import (
+    LEAST_KG_PER_MM3,
+    LEAST_MM,
+    MOST_KG_PER_MM3,
+    MOST_MM,
+    STEEL_KG_PER_MM3,
+    areal_mass,
+    ring_volume,
+)
 from rve.stewart_trinkle import StewartTrinkleOptions
 from rve.symmetry import solve_equilibrium_symmetric
 from rve.system import Equations, mirror_modes
@@ -55,6 +63,8 @@ class Cell:
         for name, value in (("r1", self.r1), ("r2", self.r2)):
             if not LEAST_MM <= value <= MOST_MM:
                 raise InputError(f"{name} = {value}: must lie between 1e-9 and 1e9 mm")
+        if not LEAST_KG_PER_MM3 <= self.density <= MOST_KG_PER_MM3:
+            raise InputError(f"density = {self.density}: must lie between 1e-12 and 1e3 kg/mm3")
         if self.grain not in ("x", "y"):
             raise InputError(f"grain = {self.grain!r}: must be x or y")
         limit = self.weave.jamming_ratio
