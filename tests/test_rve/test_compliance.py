@@ -87,7 +87,7 @@ def _row(rigid, i):
 
 def test_compliance_comes_from_a_convex_potential(rigid, loads, cell):
     D = soften(rigid, loads, EQUATIONS, 1e4, cell).compliance
-    assert symmetric_defect(D).max() < 1e-11
+    assert symmetric_defect(D).max() < 1e-9  # round-off 1e-12 where contacts merge; a missing term makes 1e-2
     lowest = np.linalg.eigvalsh(0.5 * WEIGHT[:, None] * D + 0.5 * (WEIGHT[:, None] * D).transpose(0, 2, 1))[:, 0]
     assert np.all(lowest > -1e-12)
 
