@@ -9,6 +9,8 @@ from scipy.spatial import Delaunay
 
 from homogenize.law import Array
 
+MAX_LATTICE = 8_000_000
+"""Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""
 CLEARANCE = 0.55
 """Least distance of a lattice point to the boundary in units of the spacing: keeps boundary triangles from slivers."""
 
@@ -100,12 +102,17 @@ def _subdivided(polygon: Array, spacing: float) -> Array:
 def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Array:
     """Corners and centres of rectangles spacing x aspect spacing, turned by `angle`, that cover the outline."""
     centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    reach = 0.5 * float(np.linalg.norm(np.ptp(outline, axis=0))) + spacing * (1.0 + aspect)
-    n, m = math.ceil(reach / spacing), math.ceil(reach / (spacing * aspect))
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    reach = np.abs((outline - centre) @ turn).max(axis=0) + spacing * (1.0 + aspect)
+    n, m = math.ceil(reach[0] / spacing), math.ceil(reach[1] / (spacing * aspect))
+    if 8 * n * m > MAX_LATTICE:
+        raise ValueError(
+            f"outline: the lattice of the weave around it has {8 * n * m:.3g} points, at most {MAX_LATTICE:.3g} are "
+            "allowed; use fewer cells, or a shape that is less slender across the weave"
+        )
     i, j = np.meshgrid(np.arange(-n, n + 1.0), np.arange(-m, m + 1.0), indexing="ij")
     corners = np.stack([i.ravel(), j.ravel()], axis=-1)
     local = np.concatenate([corners, corners + 0.5]) * spacing * np.array([1.0, aspect])
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     return centre + local @ turn.T
 
 

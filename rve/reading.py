@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tomllib
 import warnings
 from pathlib import Path
@@ -21,6 +22,7 @@ from rve.values import shown, shown_key
 
 MOST_JSON_BYTES = 32_000_000
 MOST_TOML_BYTES = 1_000_000
+MOST_KEY_PARTS = 50
 MOST_CSV_BYTES = 200_000_000
 MOST_MESH_BYTES = 500_000_000
 
@@ -91,12 +93,23 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The tables of a TOML file; InputError if it is not TOML or nested too deeply."""
     text = read_text(path, MOST_TOML_BYTES, "TOML")
+    for number, line in enumerate(text.splitlines(), 1):
+        if _key_parts(line) > MOST_KEY_PARTS:
+            raise InputError(f"{path}: line {number}: a key has more than {MOST_KEY_PARTS} parts")
     try:
         return tomllib.loads(text)
     except RecursionError as error:
         raise InputError(f"{path}: is not TOML that can be read: it is nested too deeply") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: is not TOML that can be read: it does not fit into memory") from error
     except ValueError as error:
         raise InputError(f"{path}: is not TOML: {error}") from error
+
+
+def _key_parts(line: str) -> int:
+    """Dots of the longest key of a line: tomllib takes memory with the square of its parts."""
+    keys = line.split("=")[:-1] or [line.replace("[", "")]  # a header, or part of a list
+    return max(re.split(r"[,{\[]", key)[-1].count(".") for key in keys)
 
 
 def parse_numbers(text: str, dtype: np.dtype[np.generic] | type = float) -> NDArray[np.generic]:

@@ -355,3 +355,17 @@ def test_an_outline_of_thousands_of_corners_is_meshed():
     x, y = outline.T
     area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
     assert 0.5 * np.abs(a[0] * b[1] - a[1] * b[0]).sum() == pytest.approx(area, rel=1e-6)
+
+
+def test_a_slender_outline_across_the_weave_is_refused_before_its_lattice_is_made(bounded_memory):
+    thin = {"shape": "outline", "outline": [[0, 0], [1, 0], [3001, 3000], [3000, 3000]], "areal_mass": 1.0, "hang": 0.0}
+    tables = scene(curtain=thin, mesh={"cells": 20_000})
+    with bounded_memory(400_000_000), pytest.raises(InputError, match=r"lattice|triangles"):
+        build_mesh(read_scene(tables), None)
+
+
+def test_keys_of_thousands_of_parts_are_refused(tmp_path, bounded_memory):
+    for line in ("a." * 20_000 + "b = 1", "[" + "a." * 20_000 + "b]", "c = {" + "a." * 20_000 + "b = 1}"):
+        (tmp_path / "scene.toml").write_text(line + "\n")
+        with bounded_memory(300_000_000), pytest.raises(InputError, match="a key has more than 50 parts"):
+            load_scene(tmp_path / "scene.toml")
