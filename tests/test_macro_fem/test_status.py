@@ -151,12 +151,15 @@ def test_a_single_point_can_be_held_anywhere():
 
 
 def test_the_pull_at_the_limit_follows_what_rings_give():
-    """What tells supports at the limit from others: relaxed ten times as much, rings carry far less."""
+    """As that of a rope: 1 / sqrt(g) for stretch g, k^(1/3) for stiffness k; short of the limit it follows neither."""
     at, short = (
         [solve_relaxed(gather, give).P for give in (1e-4, 1e-3)] for gather in (18.0 / 11.0, 0.97 * 18.0 / 11.0)
     )
-    assert np.abs(at[0]).max() > 2.0 * np.abs(at[1]).max()
+    assert np.abs(at[0]).max() == pytest.approx(np.sqrt(10.0) * np.abs(at[1]).max(), rel=0.02)
     assert np.abs(short[0]).max() == pytest.approx(np.abs(short[1]).max(), rel=0.1)
+    top = {"kind": "top", "gather": 18.0 / 11.0}
+    soft, stiff = (np.abs(solve(top, law=ring_net(RINGS, k), kind="newton").P).max() for k in (1e3, 1e4))
+    assert stiff == pytest.approx(10.0 ** (1.0 / 3.0) * soft, rel=0.01)
 
 
 def solve_relaxed(gather, give):
