@@ -43,7 +43,7 @@ SLOWDOWN, GRACE = 10.0, 20.0
 TEMPLATE = """# Mutation sample of the numerics
 
 Realistic one-line mistakes, made by `{command}`. Each runs the quick tests that execute its line, shortest first, until
-one fails. A hang counts as killed.
+one fails. A hang counts as killed. Survivors that are explained count as such and are not run again without `--again`.
 
 {rates}
 
@@ -137,14 +137,15 @@ def record_of(folder: Path, keep: Path | None) -> dict[str, Any]:
 
 
 def explained() -> dict[tuple[str, str, str, str], str]:
-    """Why a survivor is none that a test should notice: by file, line of code, and change."""
+    """Why a survivor is none that a test should notice, by its key."""
     entries = tomllib.loads(SURVIVORS.read_text()).get("survivor", []) if SURVIVORS.exists() else []
     return {(e["file"], e["code"], e["was"], e["now"]): e["why"] for e in entries}
 
 
-def code_of(mutant: Mutant) -> str:
-    """The line of code before the change."""
-    return (ROOT / mutant.file).read_text(encoding="utf-8").splitlines()[mutant.line - 1].strip()
+def key_of(mutant: Mutant) -> tuple[str, str, str, str]:
+    """What a survivor is known by: file, line of code before the change, and the change."""
+    code = (ROOT / mutant.file).read_text(encoding="utf-8").splitlines()[mutant.line - 1].strip()
+    return mutant.file, code, mutant.was, mutant.now
 
 
 def report(verdicts: list[Verdict], record: dict[str, Any], command: str, seconds: float) -> str:
@@ -161,8 +162,9 @@ def report(verdicts: list[Verdict], record: dict[str, Any], command: str, second
         change = f"`{_cell(m.was)}` → `{_cell(m.now)}`"
         table.append(f"| {v.state} | {m.file}:{m.line} | {change} | {_cell(v.by)} |")
         if v.state != "killed":
-            why = reasons.get((m.file, code_of(m), m.was, m.now), "**not explained**")
-            left.append(f"- {m.file}:{m.line}, in `{_cell(code_of(m))}`: {change}, {v.tests} tests. {why}")
+            why = reasons.get(key_of(m), "**not explained**")
+            tests = f"{v.tests} tests" if v.tests else "not run"
+            left.append(f"- {m.file}:{m.line}, in `{_cell(key_of(m)[1])}`: {change}, {tests}. {why}")
     return TEMPLATE.format(
         command=command,
         rates="\n".join(rows),
@@ -184,8 +186,9 @@ def _cell(text: str) -> str:
 @click.option("--only", default="", help="Beginning of the paths to mutate, say macro_fem/rigid.py.")
 @click.option("--workers", default=2, show_default=True, help="Mutants that run at the same time.")
 @click.option("--record", "keep", type=click.Path(path_type=Path), help="Keep or reuse the tests' record here.")
+@click.option("--again", is_flag=True, help="Run mutants that are explained survivors, too.")
 @click.option("--out", default=ROOT / "docs/reports/mutation.md", type=click.Path(path_type=Path), help="The report.")
-def main(n: int, seed: int, only: str, workers: int, keep: Path | None, out: Path) -> None:
+def main(n: int, seed: int, only: str, workers: int, keep: Path | None, again: bool, out: Path) -> None:
     """Put mistakes into the numerics and state which ones the quick tests notice."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(workers) as pool:
@@ -193,8 +196,11 @@ def main(n: int, seed: int, only: str, workers: int, keep: Path | None, out: Pat
         for i in range(workers):
             folders.put(copy_tree(Path(name) / f"tree{i}"))
         record = record_of(Path(name) / "tree0", keep)
+        known = {} if again else explained()
 
         def judged(mutant: Mutant) -> Verdict:
+            if key_of(mutant) in known:  # a survivor runs all its tests, for minutes
+                return Verdict(mutant, "survived", "", 0)
             folder = folders.get()
             found = verdict(folder, mutant, record)
             folders.put(folder)
