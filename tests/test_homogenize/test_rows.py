@@ -22,7 +22,7 @@ def rows(ellipsoid):
 def test_a_convex_set_passes(rows):
     found = normality(rows)
     assert found.holds
-    assert found.slack > -1e-15
+    assert found.slack > -1e-13  # round-off of S:E
     assert found.blamed == ()
     assert "holds" in found.sentence()
 
