@@ -120,7 +120,13 @@ def list_of(check_item: Check, what: str, *, least: int = 0, most: int) -> Check
             raise BadValue(f"is not a list of {f'at least {least} ' if least else ''}{what}")
         if len(value) > most:
             raise BadValue(f"has {len(value)} {what}, at most {most} are allowed")
-        return tuple(check_item(item) for item in value)
+        return tuple(checked_item(item) for item in value)
+
+    def checked_item(item: Any) -> Any:
+        try:
+            return check_item(item)
+        except BadValue as error:
+            raise BadValue(f"holds {shown(item)}, which {error}") from error
 
     return check
 

@@ -13,7 +13,7 @@ import rve.errors
 from benchmarks.stability.laws import kinds
 from homogenize.law import InputError, default_law, diagonal_net, ring_net
 from homogenize.net import ring_cell
-from macro_fem import newton, rigid
+from macro_fem import newton, rigid, solvers
 from macro_fem.assembly import discretize, load_vector
 from macro_fem.descent import Work
 from macro_fem.linear import NotPositiveDefiniteError
@@ -22,6 +22,7 @@ from macro_fem.newton_records import NewtonStatus
 from macro_fem.scene import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers import solve_scene
+from macro_fem.status import FREE
 from rve.contact import local_minima
 from rve.equilibrium import DirectOptions, follow, solve_equilibrium
 from rve.load import cauchy_line_load
@@ -141,6 +142,8 @@ def test_impossible_supports_need_the_certificate(monkeypatch):
     law = ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526))
     scene = square(support={"kind": "top", "gather": 1.65}, solver={"max_iterations": 80})
     assert solve_scene(scene, law).status == "infeasible"
+    monkeypatch.setattr(solvers, "supports_reach", lambda _: FREE)
+    assert solve_scene(scene, law).status == "infeasible"  # by the curtain's own multipliers
     monkeypatch.setattr(rigid, "is_certificate", lambda *_: False)
     assert solve_scene(scene, law).status in ("stalled", "iterations")
 

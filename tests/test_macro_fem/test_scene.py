@@ -401,8 +401,13 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, law_file):
     assert "--out" in result.output
 
 
+WRITTEN = ("summary.json", "curtain.vtu", "support_forces.csv")
+"""What a run without picture and load steps leaves."""
+
+
 def test_a_run_with_fewer_files_leaves_none_of_the_last_one(tmp_path, law_file):
-    steps = SCENE.replace("gravity = 9.81", "gravity = 9.81\nsteps = 2")
+    live = '[[load.edge]]\nedge = "bottom"\nforce = [0.0, -1e-3]\n'
+    steps = SCENE.replace("gravity = 9.81", f"gravity = 9.81\nsteps = 2\n{live}")
     (tmp_path / "scene.toml").write_text(steps)
     out = tmp_path / "out"
     first = CliRunner().invoke(main, ["run", str(tmp_path / "scene.toml"), "--law", str(law_file), "--out", str(out)])
@@ -411,9 +416,10 @@ def test_a_run_with_fewer_files_leaves_none_of_the_last_one(tmp_path, law_file):
     (out / "notes.txt").write_text("mine")
     result, _ = run(tmp_path, SCENE, "--law", str(law_file))
     assert result.exit_code == 0, result.output
-    assert {p.name for p in out.iterdir()} == {"summary.json", "curtain.vtu", "notes.txt"}
+    assert {p.name for p in out.iterdir()} == {*WRITTEN, "notes.txt"}
     listed = json.loads((out / "summary.json").read_text())["files"]
-    assert listed == {"curtain.vtu": hashlib.sha256((out / "curtain.vtu").read_bytes()).hexdigest()}
+    others = [name for name in WRITTEN if name != "summary.json"]
+    assert listed == {name: hashlib.sha256((out / name).read_bytes()).hexdigest() for name in others}
 
 
 def test_a_run_does_not_overwrite_its_law_or_mesh_file(tmp_path, law_file):
@@ -421,6 +427,7 @@ def test_a_run_does_not_overwrite_its_law_or_mesh_file(tmp_path, law_file):
     assert result.exit_code == 0, result.output
     before = {p.name: p.read_bytes() for p in out.iterdir()}
     shape = SCENE.replace("width = 100.0", 'shape = "file"\nfile = "out/curtain.vtu"').replace("height = 80.0\n", "")
+    shape = shape.replace("cells = 6\n", "")
     again, _ = run(tmp_path, shape, "--law", str(law_file))
     assert again.exit_code == 2
     assert "curtain.vtu: would overwrite" in again.stderr
