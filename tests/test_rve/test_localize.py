@@ -68,7 +68,7 @@ def test_too_large_a_strain_comes_back_to_the_locked_state_it_left_along_the_nor
     normal = S / np.sqrt(S**2 @ WEIGHTS)[:, None]
     found = localize(E + 0.02 * normal, CELL, OPTIONS, states)
     assert (found.status == "beyond").all()
-    assert np.abs(found.E - E).max() < 1e-6
+    assert np.abs(found.E - E).max() < 5e-6
     largest = 0.5 * (normal[:, 0] + normal[:, 2]) + np.hypot(0.5 * (normal[:, 0] - normal[:, 2]), normal[:, 1])
     np.testing.assert_allclose(found.short, 0.02 * largest, atol=1e-6)
     assert found.fold.max() < 1e-6

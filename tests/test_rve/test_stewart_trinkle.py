@@ -58,7 +58,7 @@ def test_rest_is_the_soft_equilibrium_that_newton_finds(rest, rigid, loads):
     soft = soften(rigid, loads, EQUATIONS, kappa, reference(rigid))
     assert list(soft.status) == ["converged"] * len(ALPHA)
     off = strain(rest.pose, reference(rigid)) - strain(soft.pose, reference(rigid))
-    assert np.abs(off).max() < 2e-9
+    assert np.abs(off).max() < 2e-8  # the motion ends somewhere below R = 1e-9; another stiffness is off by 1e-6
 
 
 def test_residual_of_eq_9_is_that_of_the_static_system(rest, loads):
