@@ -51,7 +51,7 @@ def ladder(
     return [{"method": method, "setting": setting} | judge(*found) for setting, found in timed.items()]
 
 
-def last_line(command: Sequence[str], threads: int = 1, patience: float | None = None) -> dict[str, Any]:
+def last_line(command: Sequence[str], threads: int = 1, patience: float | None = None) -> Any:
     """The last line that a process prints, from JSON; {"absent": why} if it fails or takes longer than `patience` s."""
     count = {"OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads), "PYTHONPATH": str(ROOT)}
     try:
@@ -63,22 +63,20 @@ def last_line(command: Sequence[str], threads: int = 1, patience: float | None =
     lines = process.stdout.strip().splitlines()
     if process.returncode != 0 or not lines:
         return {"absent": (process.stderr.strip().splitlines() or ["it printed nothing"])[-1][:100]}
-    answer: dict[str, Any] = json.loads(lines[-1])
-    return answer
+    return json.loads(lines[-1])
 
 
-def profiled(call: Callable[[], T]) -> tuple[T, Callable[[str], tuple[int, float]]]:
-    """The answer of `call` under the profiler, and a function of a name: calls of all functions of this name, and the
-    share of the time spent in them and what they call.
+def profiled(call: Callable[[], T]) -> tuple[T, Callable[..., tuple[int, float]]]:
+    """The answer of `call` under the profiler, and a function (name, folder=""): calls of all functions of this name in
+    files whose path has the folder, and the share of the time spent in them and what they call.
     """
     profile = cProfile.Profile()
     value = profile.runcall(call)
-    stats = pstats.Stats(profile)
-    entries, total = stats.stats, stats.total_tt  # type: ignore[attr-defined]
+    stats: Any = pstats.Stats(profile)
 
-    def of(name: str) -> tuple[int, float]:
-        found = [entry for key, entry in entries.items() if key[2] == name]
-        return sum(entry[1] for entry in found), sum(entry[3] for entry in found) / total
+    def of(name: str, folder: str = "") -> tuple[int, float]:
+        found = [entry for key, entry in stats.stats.items() if key[2] == name and folder in key[0]]
+        return sum(entry[1] for entry in found), sum(entry[3] for entry in found) / stats.total_tt
 
     return value, of
 

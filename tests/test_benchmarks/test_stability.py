@@ -75,8 +75,9 @@ def test_short_sections_come_out_the_same_twice():
 
 
 def test_named_pairs_have_their_distances():
-    for row in (pairs.pair_row(*pair) for pair in pairs.PAIRS):
-        assert row[pairs.ERROR] <= 1e-8, row
+    for pair in pairs.PAIRS:
+        row = pairs.pair_row(*pair)
+        assert row[pairs.ERROR] <= (1e-8 if pair[2] is pairs.TILT else 1e-12), row
         assert row["derivatives finite"], row
 
 
