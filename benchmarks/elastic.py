@@ -3,8 +3,6 @@
 `python -m benchmarks.elastic [--cells 7,15,30,60] [--out DIR]` writes elastic.md. Times are wall times of one run each.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Each scene of `examples` is solved and localized in one run on one core.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

@@ -1,10 +1,8 @@
 """README's numbers and first picture: `python -m benchmarks.measured` writes them, and docs/curtain.png.
 
-Rings, law and curtain in one run on one core. Times are processor times, the least of several runs; those of curtains are
-wall times of one run.
+Rings, law and curtain in one run on one core. Times are processor times, the least of several runs; for curtains they
+are wall times of one run.
 """
-
-from __future__ import annotations
 
 import shutil
 import tempfile

@@ -1,12 +1,10 @@
-"""The same hyperelastic sheet by macro_fem and by other codes: `python -m benchmarks.neo_hookean [--n 200] [--repeats 2]`.
+"""The same hyperelastic sheet by macro_fem and by other codes: `python -m benchmarks.neo_hookean [--n 200]`.
 
 Unit square, N x N Q1 with 2 x 2 points, incompressible neo-Hookean sheet in plane stress with mu = 1, left and right
 edges clamped, stretched to 1.5 in ten equal steps, Newton to 1e-9 of the residual. Each code runs in a process of its
 own, one after the other. The best of `--repeats` runs counts, because other work on the machine only adds time. A code
 that is not installed is named as absent. The codes are in `benchmarks.sheet`.
 """
-
-from __future__ import annotations
 
 import os
 import shutil

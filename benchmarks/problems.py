@@ -1,7 +1,5 @@
 """Problems that several benchmarks share: load directions, square curtains, and how normal the rows of a table are."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 The paper's 190 load cases on one core, under the profiler of the standard library, which slows small calls.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from benchmarks.machine import ROOT

@@ -9,8 +9,6 @@ The rigid curtain: a square metre of rings (default law, thousands of half-space
 relative gap of 1e-9 with CHOLMOD and with SuperLU; it has about as many unknowns as triangles.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import sys

@@ -1,7 +1,5 @@
 """A feature left out and switched on: times, the change of the result, and the table of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from benchmarks.report.measure import Row, at_most, count_of

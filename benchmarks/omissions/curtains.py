@@ -1,8 +1,6 @@
 """The third coordinate, half-spaces that never act, second-order corrections, ties, coarse starts and slack cells."""
 
-from __future__ import annotations
-
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,6 +11,7 @@ from benchmarks.problems import square
 from benchmarks.report.measure import Row, least_seconds, profiled
 from benchmarks.report.records import Section, table
 from homogenize.law import MembraneLaw, default_law
+from macro_fem.assembly import load_vector
 from macro_fem.mesh import build_mesh
 from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
 from macro_fem.scene import read_scene
@@ -23,6 +22,7 @@ TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""
 BAR = {"bar": {"mass": 1.0}}
 SLACK, SHARE, SAVED = "slack points, %", "law and assembly, % of the time", "could be saved at most, %"
+Answer = Callable[[], tuple[bool, float]]
 LAW_TIMES = ("law at a slack point, us", "law at a taut point, us")
 
 
@@ -76,38 +76,40 @@ def problem_of(law: MembraneLaw, hung: str, cells: int, load: dict[str, Any] | N
     return make_problem(scene, law, build_mesh(scene, law.cell))
 
 
+def compared(
+    feature: str, hung: str, calls: Sequence[Answer], problem: Problem, unit: str = "mm", default: str = LEFT_OUT
+) -> Row:
+    """The calls without and with a feature, by the numbers they return: mean heights in mm, or relative potentials."""
+    (plain, found), seconds = zip(*(least_seconds(call, long=3.0) for call in calls), strict=True)
+    tolerance = TOLERANCE * problem.mesh.size if unit == "mm" else 3.0 * TOLERANCE
+    change, scene = abs(found[1] - plain[1]), f"{hung}, {problem.disc.n_points} points"
+    return trial(feature, scene, seconds, change, tolerance, unit, default, ok=plain[0] and found[0])
+
+
+def height(problem: Problem) -> tuple[bool, float]:
+    """Whether the curtain converges, and its mean height."""
+    found = solve_problem(problem)
+    return found.status == "converged", found.mean_height()
+
+
 def forced(law: MembraneLaw, feature: str, kind: str, cells: int, load: dict[str, Any] | None = None) -> Row:
     """A feature of the scene file, by the mean height."""
-    plain, without = least_seconds(lambda: solve_problem(problem_of(law, kind, cells, load)), long=3.0)
-    found, with_it = least_seconds(lambda: solve_problem(problem_of(law, kind, cells, load, force=[feature])), long=3.0)
-    ok = plain.status == found.status == "converged"
-    hung = "bar" if load else kind
-    return height_trial(feature, hung, plain.problem, (without, with_it), (plain, found), ok)
-
-
-def height_trial(
-    feature: str,
-    hung: str,
-    problem: Problem,
-    seconds: tuple[float, float],
-    both: tuple[CurtainSolution, CurtainSolution],
-    ok: bool,
-    default: str = LEFT_OUT,
-) -> Row:
-    """A trial by the mean heights of both solutions."""
-    change = abs(both[0].mean_height() - both[1].mean_height())
-    tolerance = TOLERANCE * problem.mesh.size
-    return trial(feature, f"{hung}, {problem.disc.n_points} points", seconds, change, tolerance, "mm", default, ok)
+    of = partial(problem_of, law, kind, cells, load)
+    calls = (lambda: height(of()), lambda: height(of(force=[feature])))
+    return compared(feature, "bar" if load else kind, calls, of())
 
 
 def coarse_start(law: MembraneLaw, cells: int) -> Row:
     """A mesh that starts coarse by default, against the same without."""
     problem = problem_of(law, "corners", cells)
-    plain, without = least_seconds(lambda: rigid(problem, RigidOptions()), long=3.0)
-    found, with_it = least_seconds(lambda: solve_problem(problem), long=3.0)
-    both = replace(found, x=problem.fem.positions(plain.z)), found
-    ok, default = plain.converged and found.status == "converged", USED if starts_coarse(problem) else LEFT_OUT
-    return height_trial("coarse-start", "corners", problem, (without, with_it), both, ok, default)
+    area = load_vector(problem.disc, np.array([1.0]))[:, 0]
+
+    def fine_only() -> tuple[bool, float]:
+        found = rigid(problem, RigidOptions())
+        return found.converged, float(area @ problem.fem.positions(found.z)[:, 1] / area.sum())
+
+    default = USED if starts_coarse(problem) else LEFT_OUT
+    return compared("coarse-start", "corners", (fine_only, lambda: height(problem)), problem, default=default)
 
 
 def rigid(problem: Problem, options: RigidOptions) -> RigidResult:
@@ -120,12 +122,17 @@ def rigid(problem: Problem, options: RigidOptions) -> RigidResult:
 def by_option(law: MembraneLaw, feature: str, cells: int, without: RigidOptions, with_it: RigidOptions) -> Row:
     """An option of the cone solver, by the potential over load times size."""
     problem = problem_of(law, "corners", cells)
-    plain, first = least_seconds(lambda: rigid(problem, without), long=3.0)
-    found, second = least_seconds(lambda: rigid(problem, with_it), long=3.0)
-    change = abs(found.primal - plain.primal) / (float(np.abs(problem.force).sum()) * problem.mesh.size)
-    scene, ok = f"corners, {problem.disc.n_points} points", plain.converged and found.converged
-    default = USED if with_it == RigidOptions() else LEFT_OUT
-    return trial(feature, scene, (first, second), change, 3.0 * TOLERANCE, "of the potential", default, ok)
+    scale = float(np.abs(problem.force).sum()) * problem.mesh.size
+
+    def potential(options: RigidOptions) -> tuple[bool, float]:
+        found = rigid(problem, options)
+        return found.converged, found.primal / scale
+
+    calls, default = (
+        (partial(potential, without), partial(potential, with_it)),
+        USED if with_it == RigidOptions() else LEFT_OUT,
+    )
+    return compared(feature, "corners", calls, problem, "of the potential", default)
 
 
 def step_row(law: MembraneLaw, cells: int, corrector: bool) -> Row:

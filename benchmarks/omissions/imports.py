@@ -1,7 +1,5 @@
 """The cost of imports: each package, the help of each command, and all packages together."""
 
-from __future__ import annotations
-
 import resource
 import sys
 

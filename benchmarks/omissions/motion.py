@@ -1,7 +1,5 @@
 """Inertia, damping, gyroscopic torques and constraints in a static run of rings, and supports normal to the plane."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Optional files and fields: their cost, and that they change no other number."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pairs of rings that cannot touch, asymmetric motions, and contact curvature, in whole strain tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

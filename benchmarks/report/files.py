@@ -4,8 +4,6 @@ Markdown is the source of the page: `report.html` is the three Markdown files th
 inline, so that it depends on no other file and no network.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Clocks, processes and profiles, and the text of errors, statuses and refusals, alike in all reports."""
 
-from __future__ import annotations
-
 import cProfile
 import json
 import math

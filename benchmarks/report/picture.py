@@ -1,7 +1,5 @@
 """Diagrams as SVG text, the same bytes for the same numbers."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

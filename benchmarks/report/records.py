@@ -4,8 +4,6 @@ A column that holds wall times, or numbers made of them, is marked `timed`. All 
 `differences` checks that they are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass

@@ -1,7 +1,5 @@
 """Cells from the jamming limit to thin wire, and starts from nearly closed, nearly open and random poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.problems import normality

@@ -1,7 +1,5 @@
 """Curtains of extreme shape, mesh, support, load and stiffness, with the condition numbers of their last matrices."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which feature makes which extreme solvable, and the test that fails without it: the rows of features.csv."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every kind of law at vertices, at edges, far outside, and at input that is not finite."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Random load directions, and directions at the boundary of the tensile cone and outside: how their solves end."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

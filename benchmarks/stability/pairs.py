@@ -1,7 +1,5 @@
 """Pairs of tori whose distance is degenerate, against closed forms and denser samples."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.report.measure import Row, count_of

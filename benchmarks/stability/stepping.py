@@ -1,7 +1,5 @@
 """The paper's time stepping at extreme stiffness, mass, damping, time steps and loads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ meshes from the extrapolated mesh. Then the settings of `examples/curtain.py --a
 their errors are compared with the accuracy they state.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,15 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.problems import loads, square
+from benchmarks.problems import loads
 from benchmarks.report.measure import Row, decade, ladder, least_seconds, signed
 from benchmarks.report.records import Diagram, Section, Table, curves, table
-from benchmarks.work_precision.curtain import converged, reference_height
+from benchmarks.work_precision.curtain import corner_height, reference_height
 from examples.curtain import SETTINGS, Setting, extrapolated
 from homogenize.fit import FitOptions, fit
 from homogenize.law import InputError, MembraneLaw
-from macro_fem.scene import read_scene
-from macro_fem.solvers import solve_scene
 from rve.equilibrium import DirectOptions
 from rve.sweep import Cell, solve_table
 from rve.table import StrainTable
@@ -50,10 +46,9 @@ def law_of(spacing: float, kind: str = "refined") -> MembraneLaw:
     return fit(table_of(spacing), FitOptions(kind)).law
 
 
-def height_of(law: MembraneLaw, cells: int = BASE_CELLS) -> float:
-    """Mean height in mm of the corner-hung square metre, P2."""
-    scene = read_scene(square(cells, mesh={"cells": cells, "element": "P2"}, solver={"kind": "rigid"}))
-    return converged(solve_scene(scene, law)).mean_height()
+def base_height(law: MembraneLaw) -> float:
+    """Mean height in mm on the base mesh."""
+    return corner_height(law, BASE_CELLS)
 
 
 def row_of(exact: float, height: float, seconds: float) -> Row:
@@ -63,12 +58,12 @@ def row_of(exact: float, height: float, seconds: float) -> Row:
 
 def contact_ladder() -> list[Row]:
     """Gap times force (in units of s r1) at which contacts count as closed; residual likewise."""
-    exact = height_of(law_of(BASE_SPACING))
+    exact = base_height(law_of(BASE_SPACING))
     options = {gap: DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap) for gap in GAPS}
 
     def judge(table: StrainTable, seconds: float) -> Row:
         try:
-            height = height_of(fit(table, FitOptions(normality=10.0 * table.provenance["options"]["mu_end"])).law)
+            height = base_height(fit(table, FitOptions(normality=10.0 * table.provenance["options"]["mu_end"])).law)
         except InputError:
             return row_of(exact, math.nan, seconds)  # rows so inaccurate that they contradict each other are refused
         return row_of(exact, height, seconds)
@@ -80,21 +75,21 @@ def contact_ladder() -> list[Row]:
 
 def table_ladder() -> list[Row]:
     """Spacing of load directions, against a table of 2.5 degrees."""
-    exact = height_of(law_of(FINE_SPACING))
+    exact = base_height(law_of(FINE_SPACING))
     rungs = {f"{spacing:g} deg, {len(loads(spacing)[0])} rows": partial(table_of, spacing) for spacing in SPACINGS}
-    return ladder("table", rungs, lambda table, s: row_of(exact, height_of(fit(table).law), s), long=0.0)
+    return ladder("table", rungs, lambda table, s: row_of(exact, base_height(fit(table).law), s), long=0.0)
 
 
 def law_ladder() -> list[Row]:
     """Kinds of law from the same table, against the default law of the fine one; seconds are those of the curtain."""
-    exact = height_of(law_of(FINE_SPACING))
-    rungs = {kind: partial(height_of, law_of(BASE_SPACING, kind)) for kind in LAWS}
+    exact = base_height(law_of(FINE_SPACING))
+    rungs = {kind: partial(corner_height, law_of(BASE_SPACING, kind), BASE_CELLS) for kind in LAWS}
     return ladder("law", rungs, partial(row_of, exact), long=0.0)
 
 
 def mesh_ladder(sizes: Sequence[int], exact: float) -> list[Row]:
     """P2 cells along the width, and pairs of meshes extrapolated; all with the base law."""
-    rungs = {f"{cells} cells": partial(height_of, law_of(BASE_SPACING), cells) for cells in sizes}
+    rungs = {f"{cells} cells": partial(corner_height, law_of(BASE_SPACING), cells) for cells in sizes}
     singles = ladder("mesh", rungs, partial(row_of, exact), long=0.0)
     rows = singles[:1]
     for coarse, fine in pairwise(singles):
@@ -107,7 +102,7 @@ def mesh_ladder(sizes: Sequence[int], exact: float) -> list[Row]:
 def from_rings(setting: Setting) -> float:
     """Mean height in mm by the whole chain with this setting."""
     law = fit(table_of(setting.spacing)).law
-    return extrapolated(*(height_of(law, cells) for cells in setting.cells))
+    return extrapolated(*(corner_height(law, cells) for cells in setting.cells))
 
 
 def recommendation(reference: float, spacings: Sequence[Row]) -> list[Row]:
@@ -157,7 +152,7 @@ def measure(full: bool) -> Section:
     mesh_reference, doubt = reference_height(sizes[-1])
     rows = part_rows(sizes, mesh_reference)
     # The reference: the limit of the base law's meshes, plus the change by the finer table on the base mesh.
-    reference = mesh_reference + height_of(law_of(FINE_SPACING)) - height_of(law_of(BASE_SPACING))
+    reference = mesh_reference + base_height(law_of(FINE_SPACING)) - base_height(law_of(BASE_SPACING))
     settings = recommendation(reference, [row for row in rows if row["method"] == "table"])
     forms = {
         "error of table and law": f"decade {LEAST}",

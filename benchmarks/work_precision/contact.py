@@ -4,8 +4,6 @@ Rings are circles of radius 1. The gap is the distance of the circles less the w
 distance. A search returns all local minima of the distance below `REACH`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -35,7 +33,7 @@ class Pairs:
     n_a: Array
     n_b: Array
 
-    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Pairs:
+    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> "Pairs":
         """The pairs of these rows."""
         return Pairs(self.d[rows], self.n_a[rows], self.n_b[rows])
 

@@ -5,12 +5,10 @@ with a known exact mean height. `corners`: a square metre of rings hung by its t
 P2 curtain extrapolated to zero cell size, which must lie in the certified interval.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,6 @@ from benchmarks.report.records import Diagram, Section, Table, curves, table
 from homogenize.law import InputError, MembraneLaw, default_law, diagonal_net
 from macro_fem.adapt import Level, levels
 from macro_fem.scene import Scene, read_scene
-from macro_fem.solution import CurtainSolution
 from macro_fem.solvers import solve_scene
 
 NET_MEAN_HEIGHT = 14.187635
@@ -125,19 +122,12 @@ def order(rows: list[Row]) -> float:
     return float(np.polyfit(h, np.log([max(abs(row[ERROR]), 1e-16) for row in good]), 1)[0])
 
 
-@cache
-def corner_height(element: str, cells: int) -> float:
-    """Mean height in mm of the corner-hung square of rings."""
-    problem = corner_problem()
-    scene = read_scene({**problem.tables, "mesh": {"cells": cells, "element": element}})
-    return converged(solve_scene(scene, problem.law)).mean_height()
-
-
-def converged(solution: CurtainSolution) -> CurtainSolution:
-    """The same; RuntimeError with the solver's sentence if it did not converge."""
+def corner_height(law: MembraneLaw, cells: int) -> float:
+    """Mean height in mm of the corner-hung square metre of this law, P2; RuntimeError if it does not converge."""
+    solution = solve_scene(scene_of(corner_problem(), Way("P2"), cells), law)
     if solution.status != "converged":
         raise RuntimeError(f"a reference did not converge: {solution.status}: {solution.message}")
-    return solution
+    return solution.mean_height()
 
 
 def reference_height(cells: int) -> tuple[float, float]:
@@ -145,7 +135,8 @@ def reference_height(cells: int) -> tuple[float, float]:
 
     The error of P2 is proportional to the cell size (see the measured order), so the height is extrapolated linearly.
     """
-    fine, middle, coarse = (corner_height("P2", cells // part) for part in (1, 2, 4))
+    law = corner_problem().law
+    fine, middle, coarse = (corner_height(law, cells // part) for part in (1, 2, 4))
     return 2.0 * fine - middle, abs(2.0 * fine - middle - (2.0 * middle - coarse))
 
 

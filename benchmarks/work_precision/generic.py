@@ -4,8 +4,6 @@ They maximise S:E over the nine coordinates with all gaps >= 0 and analytic firs
 Piola-Kirchhoff load of the answer, given to them because a fixed Cauchy load has no potential.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -140,62 +138,52 @@ def solve_ipopt(programme: Programme, q0: Array, tolerance: float) -> Array:
     """IPOPT through casadi, with exact first derivatives and a limited-memory Hessian; ImportError without casadi."""
     import casadi
 
-    q = casadi.MX.sym("q", 9)
-    E = strain_of(*(q[i] + float(programme.start.lattice[0, i]) for i in range(3)), programme.sides)
-    loss = -(programme.S[0] * E[0] + 2 * programme.S[1] * E[1] + programme.S[2] * E[2])
-    gaps = _casadi_gaps(programme)
-    ipopt: dict[str, Any] = {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 2000}
-    ipopt["hessian_approximation"] = "limited-memory"
-    options: Any = {"print_time": False, "ipopt": ipopt}
-    given: Any = {"x": q, "f": loss, "g": gaps(q)}
-    answer = casadi.nlpsol("cell", "ipopt", given, options)(x0=q0, lbx=BOX[0], ubx=BOX[1], lbg=0.0)
-    return np.array(answer["x"]).ravel()
-
-
-def _casadi_gaps(programme: Programme) -> Any:
-    """The gaps and their derivatives as a function of casadi."""
-    import casadi
-
     size = len(programme.gaps(np.zeros(9))[0])
 
-    class Jacobian(casadi.Callback):
-        def __init__(self, name: str) -> None:
+    class Gaps(casadi.Callback):
+        """The gaps (`part` 0) or their derivatives (1) as a function of casadi."""
+
+        def __init__(self, name: str, part: int) -> None:
             casadi.Callback.__init__(self)
+            self.part = part
             self.construct(name, {})
 
         def get_n_in(self) -> int:
-            return 2
+            return 1 + self.part
 
         def get_n_out(self) -> int:
             return 1
 
         def get_sparsity_in(self, i: int) -> Any:
-            return casadi.Sparsity.dense(9 if i == 0 else size, 1)
+            return casadi.Sparsity.dense(size if i else 9, 1)
 
         def get_sparsity_out(self, i: int) -> Any:
-            return casadi.Sparsity.dense(size, 9)
+            return casadi.Sparsity.dense(size, 9 if self.part else 1)
 
         def eval(self, arguments: Any) -> list[Array]:
-            return [programme.gaps(np.array(arguments[0]).ravel())[1]]
-
-    class Gaps(Jacobian):
-        def get_n_in(self) -> int:
-            return 1
-
-        def get_sparsity_out(self, i: int) -> Any:
-            return casadi.Sparsity.dense(size, 1)
-
-        def eval(self, arguments: Any) -> list[Array]:
-            return [programme.gaps(np.array(arguments[0]).ravel())[0]]
+            return [programme.gaps(np.array(arguments[0]).ravel())[self.part]]
 
         def has_jacobian(self) -> bool:
-            return True
+            return not self.part
 
-        def get_jacobian(self, name: str, *_: Any) -> Jacobian:
-            self.derivative = Jacobian(name)
+        def get_jacobian(self, name: str, *_: Any) -> Any:
+            self.derivative = Gaps(name, 1)
             return self.derivative
 
-    return Gaps("gaps")
+    q, gaps = casadi.MX.sym("q", 9), Gaps("gaps", 0)
+    E = strain_of(*(q[i] + float(programme.start.lattice[0, i]) for i in range(3)), programme.sides)
+    loss = -(programme.S[0] * E[0] + 2 * programme.S[1] * E[1] + programme.S[2] * E[2])
+    ipopt = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": tolerance,
+        "max_iter": 2000,
+        "hessian_approximation": "limited-memory",
+    }
+    given: Any = {"x": q, "f": loss, "g": gaps(q)}
+    options: Any = {"print_time": False, "ipopt": ipopt}
+    answer = casadi.nlpsol("cell", "ipopt", given, options)(x0=q0, lbx=BOX[0], ubx=BOX[1], lbg=0.0)
+    return np.array(answer["x"]).ravel()
 
 
 SOLVERS: dict[str, Solve] = {"SLSQP": solve_slsqp, "trust-constr": solve_trust_constr, "IPOPT": solve_ipopt}

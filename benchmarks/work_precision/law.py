@@ -1,7 +1,5 @@
 """Section `law`: error of the membrane law against rows of its table, numbers in its file, and time to evaluate it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

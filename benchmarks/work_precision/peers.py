@@ -7,8 +7,6 @@ line load acts on the current cell through those two joints. Contacts are MuJoCo
 (`mujoco.sdf.torus`) or of closed polygons of capsules, as stiff as it allows.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -23,7 +21,7 @@ import numpy as np
 
 from rve.sweep import Cell
 
-YADE_SCRIPT = Path(__file__).resolve().parents[1] / "peers" / "yade_cell.py"
+YADE_SCRIPT = Path(__file__).with_name("yade_cell.py")
 PATIENCE = 600.0
 """Seconds of wall time that Yade gets."""
 TORUS = (

@@ -1,14 +1,14 @@
 """Section `rve`: error of the locked strain against processor time, by every method on the same cell and loads."""
 
-from __future__ import annotations
-
 import importlib.util
 import tempfile
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,16 +65,19 @@ class Problem:
         """E (n, 3) of poses."""
         return green_lagrange(self.deformation(pose))
 
-    def errors(self, pose: Pose) -> Array:
-        """Largest component error of E, (n,); 0 where the load leaves the strain free and any strain is right."""
-        return np.asarray(np.where(self.unique, np.abs(self.strain(pose) - self.E).max(axis=1), 0.0))
 
-    def judge(self, found: Equilibrium | st.Settled, seconds: float) -> Row:
-        """The cells of a batch of all loads."""
-        errors, good = self.errors(found.pose), found.status == "converged"
-        if isinstance(found, Equilibrium):
-            return cells(errors, good, seconds, found.iterations.sum(), "iterations")
-        return cells(errors, good, seconds, (found.steps + found.rejected).sum(), "steps")
+class Answer(NamedTuple):
+    """Strains E (n, 3) of a method, whether it says that they converged (n,), and the work of all cases.
+
+    Work counts what does not depend on the machine: iterations, steps, or evaluations of all gaps.
+    """
+
+    E: Array
+    good: NDArray[np.bool_]
+    work: int
+
+
+Solve = Callable[[Problem, Any], Answer]
 
 
 def problem(loads: Iterable[tuple[float, float]] = CASES, cell: Cell | None = None) -> Problem:
@@ -88,12 +91,9 @@ def problem(loads: Iterable[tuple[float, float]] = CASES, cell: Cell | None = No
     return Problem(cell, equations, (b_x, b_y), loads, s, found, strain_is_unique(equations, found, s))
 
 
-def cells(errors: Array, converged: NDArray[np.bool_], seconds: float, work: int, unit: str) -> Row:
-    """The cells of a run from the error (n,) and the status (n,) of every case, seconds and work of all cases.
-
-    Work counts what does not depend on the machine: iterations, steps, or evaluations of all gaps.
-    """
-    good, n = converged & (errors < FOUND), len(errors)
+def cells(errors: Array, good: NDArray[np.bool_], seconds: float, work: int, unit: str) -> Row:
+    """The cells of a run from the error (n,) and the status (n,) of every case, seconds and work of all cases."""
+    good, n = good & (errors < FOUND), len(errors)
     return {
         "solved": f"{good.sum()} of {n}",
         ERROR: float(errors[good].max()) if good.any() else float("nan"),
@@ -106,82 +106,78 @@ def cells(errors: Array, converged: NDArray[np.bool_], seconds: float, work: int
     }
 
 
-def direct_options(mu: float) -> DirectOptions:
-    """Options of the direct solver that stops at this complementarity, residual to match."""
-    return DirectOptions(tolerance=100.0 * mu, mu_end=mu)
+def runs(
+    given: Problem,
+    method: str,
+    unit: str,
+    solve: Solve,
+    settings: Mapping[str, Any],
+    repeats: int = 3,
+    long: float = 0.0,
+) -> list[Row]:
+    """A row for each setting of a method; where a load leaves the strain free, any strain is right."""
+
+    def judge(answer: Answer, seconds: float) -> Row:
+        errors = np.where(given.unique, np.abs(answer.E - given.E).max(axis=1), 0.0)
+        return cells(errors, answer.good, seconds, answer.work, unit)
+
+    return ladder(method, {name: partial(solve, given, one) for name, one in settings.items()}, judge, repeats, long)
 
 
-def direct_alone(given: Problem, mus: Sequence[float]) -> list[Row]:
+def direct(given: Problem, mu: float) -> Answer:
+    """The direct solver, all cases in one batch, to this complementarity."""
+    found = solve_equilibrium(given.s, given.equations, DirectOptions(tolerance=100.0 * mu, mu_end=mu))
+    return Answer(given.strain(found.pose), found.status == "converged", int(found.iterations.sum()))
+
+
+def direct_alone(given: Problem, mu: float) -> Answer:
     """The direct solver, one case at a time."""
-
-    def solve(mu: float) -> list[Equilibrium]:
-        return [solve_equilibrium(s[None], given.equations, direct_options(mu)) for s in given.s]
-
-    def judge(found: list[Equilibrium], seconds: float) -> Row:
-        E = np.array([given.strain(one.pose)[0] for one in found])
-        good = np.array([one.status[0] == "converged" for one in found])
-        work = sum(int(one.iterations[0]) for one in found)
-        return cells(np.abs(E - given.E).max(axis=1), good, seconds, work, "iterations")
-
-    return ladder("direct, one case alone", {f"mu {mu:.0e}": partial(solve, mu) for mu in mus}, judge)
+    E, good, work = zip(*(direct(replace(given, s=s[None]), mu) for s in given.s), strict=True)
+    return Answer(np.concatenate(E), np.concatenate(good), sum(work))
 
 
-def direct_batch(given: Problem, mus: Sequence[float]) -> list[Row]:
-    """The direct solver, all cases in one batch."""
-    rungs = {f"mu {mu:.0e}": partial(solve_equilibrium, given.s, given.equations, direct_options(mu)) for mu in mus}
-    return ladder(f"direct, batch of {len(given.s)}", rungs, given.judge, repeats=2, long=5.0)
+def scheme(given: Problem, options: st.StewartTrinkleOptions) -> Answer:
+    """The paper's scheme, all cases in one batch."""
+    rest = st.solve(given.s, given.equations, options)
+    return Answer(given.strain(rest.pose), rest.status == "converged", int((rest.steps + rest.rejected).sum()))
 
 
-def scheme(given: Problem, name: str, settings: Mapping[str, st.StewartTrinkleOptions]) -> list[Row]:
-    """The paper's scheme, all cases in one batch, over its options."""
-    rungs = {setting: partial(st.solve, given.s, given.equations, options) for setting, options in settings.items()}
-    return ladder(f"scheme, {name}", rungs, given.judge, long=0.0)
-
-
-def extrapolated(given: Problem, stiffnesses: Sequence[float]) -> list[Row]:
-    """The paper's scheme at two stiffnesses k and 10 k each, extrapolated to rigid contact: its error is of order 1/k.
+def extrapolated(given: Problem, k: float) -> Answer:
+    """The paper's scheme at two stiffnesses k and 10 k, extrapolated to rigid contact: its error is of order 1/k.
 
     The scheme shares only the contact search with the direct solver: the agreement of both confirms the reference.
     """
-
-    def solve(k: float) -> list[st.Settled]:
-        pair = [replace(PUBLISHED, stiffness=factor * k, tolerance=1e-11) for factor in (1.0, 10.0)]
-        return [st.solve(given.s, given.equations, options) for options in pair]
-
-    def judge(found: list[st.Settled], seconds: float) -> Row:
-        soft, stiff = found
-        E = (10.0 * given.strain(stiff.pose) - given.strain(soft.pose)) / 9.0
-        good = (soft.status == "converged") & (stiff.status == "converged")
-        steps = sum(int((one.steps + one.rejected).sum()) for one in found)
-        return cells(np.abs(E - given.E).max(axis=1), good, seconds, steps, "steps")
-
-    rungs = {f"k {k:.0e} and {10 * k:.0e}": partial(solve, k) for k in stiffnesses}
-    return ladder("scheme, extrapolated to rigid", rungs, judge, long=0.0)
+    soft, stiff = (scheme(given, replace(PUBLISHED, stiffness=f * k, tolerance=1e-11)) for f in (1.0, 10.0))
+    return Answer((10.0 * stiff.E - soft.E) / 9.0, soft.good & stiff.good, soft.work + stiff.work)
 
 
-def generic(given: Problem, name: str, start: str, tolerances: Sequence[float]) -> list[Row]:
-    """A solver of nonlinear programmes from the slack pose or from near the answer, over its tolerances."""
+def generic(given: Problem, tolerance: float, name: str, start: str) -> Answer:
+    """A solver of nonlinear programmes from the slack pose or from near the answer; its own status is ignored."""
     S = second_pk(given.deformation(given.found.pose), given.s) * given.sides[0] * given.sides[1]
-
-    def solve(tolerance: float) -> tuple[Array, int]:
-        rng, E, calls = np.random.default_rng(0), np.zeros_like(S), 0
-        for i in range(len(S)):
-            programme = Programme(S[i], given.equations, given.sides)
-            near = programme.coordinates(given.found.pose, i)
-            q0 = np.zeros(9) if start == "slack" else near + rng.uniform(-0.02, 0.02, 9)
+    rng, E, calls = np.random.default_rng(0), np.zeros_like(S), 0
+    for i in range(len(S)):
+        programme = Programme(S[i], given.equations, given.sides)
+        near = programme.coordinates(given.found.pose, i)
+        q0 = np.zeros(9) if start == "slack" else near + rng.uniform(-0.02, 0.02, 9)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # SciPy warns of singular Jacobians: the outcome is measured
             E[i] = programme.strain(SOLVERS[name](programme, q0, tolerance))[0]
-            calls += programme.calls
-        return E, calls
+        calls += programme.calls
+    return Answer(E, np.isfinite(E).all(axis=1), calls)
 
-    def judge(found: tuple[Array, int], seconds: float) -> Row:
-        errors = np.abs(found[0] - given.E).max(axis=1)
-        # Their own status is ignored: the error decides.
-        return cells(errors, np.isfinite(errors), seconds, found[1], "gap evaluations")
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # SciPy warns of singular Jacobians: the outcome is measured
-        rungs = {f"tolerance {tolerance:.0e}": partial(solve, tolerance) for tolerance in tolerances}
-        return ladder(f"{name}, {start} start", rungs, judge, long=0.0)
+def generic_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
+    """All generic solvers that are installed, from both starts, and a sentence if IPOPT is absent."""
+    tolerances = {"SLSQP": (1e-6, 1e-10, 1e-14), "IPOPT": (1e-4, 1e-6, 1e-9), "trust-constr": (1e-6,)}
+    absent = "" if importlib.util.find_spec("casadi") else "IPOPT is not installed (`pip install casadi`)."
+    rows: list[Row] = []
+    for name, start in product(tolerances, ("near", "slack")):
+        if name != "IPOPT" or not absent:
+            chosen = tolerances[name] if full or start == "near" else tolerances[name][-1:]
+            settings = {f"tolerance {tolerance:.0e}": tolerance for tolerance in chosen}
+            solve = partial(generic, name=name, start=start)
+            rows += runs(given, f"{name}, {start} start", "gap evaluations", solve, settings)
+    return rows, absent
 
 
 def peer_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
@@ -191,8 +187,8 @@ def peer_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
     def judge(answer: peers.PeerAnswer, _: float) -> Row:
         F = np.diag(np.array([answer.x2_mm, answer.y3_mm]) / (np.array(given.sides) * given.cell.r1))[None]
         errors = np.abs(green_lagrange(F) - given.E).max(axis=1)
-        got = cells(errors, np.array([True]), answer.seconds, answer.steps, "steps")
-        return got | ({} if answer.status == "converged" else {"unit": f"steps ({answer.status})"})
+        unit = "steps" if answer.status == "converged" else f"steps ({answer.status})"
+        return cells(errors, np.array([True]), answer.seconds, answer.steps, unit)
 
     spheres = ((48, 1e-2), (96, 1e-2), (96, 1e-3), (192, 1e-3)) + ((384, 1e-3),) * full
     capsules = {f"{n} capsules": peers.MujocoOptions(n, 20_000) for n in (24, 48, 96, 192) + (384,) * full}
@@ -247,39 +243,32 @@ def curves_of(rows: Sequence[Row]) -> tuple[Curve, ...]:
 
 def scheme_runs(given: Problem, full: bool) -> list[Row]:
     """The paper's scheme over time step, damping, contact stiffness, and extrapolated."""
-    base = PUBLISHED
-    steps, factors = (100.0, 10.0, 1.0) + (0.3, 0.1) * full, (0.1, 3.0) + (10.0,) * full
-    stiffnesses = (1e4, 1e5, 1e6, 1e7) + (1e8, 1e9) * full
-    damped = {f"damping x {f:g}": replace(base, damping=f, rotational_damping=100.0 * f) for f in factors}
-    return [
-        *scheme(given, "h_max", {f"h_max {h:g} s": replace(base, h_max=h) for h in steps}),
-        *scheme(given, "damping", damped),
-        *scheme(given, "k", {f"k {k:.0e} kg/s2": replace(base, stiffness=k) for k in stiffnesses}),
-        *extrapolated(given, (1e4, 1e5, 1e6)),
-    ]
-
-
-def generic_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
-    """All generic solvers that are installed, from both starts, and a sentence if IPOPT is absent."""
-    ladders = {"SLSQP": (1e-6, 1e-10, 1e-14), "IPOPT": (1e-4, 1e-6, 1e-9), "trust-constr": (1e-6,)}
-    absent = "" if importlib.util.find_spec("casadi") else "IPOPT is not installed (`pip install casadi`)."
+    factors, ks = (0.1, 3.0) + (10.0,) * full, (1e4, 1e5, 1e6, 1e7) + (1e8, 1e9) * full
+    varied = {
+        "h_max": {f"h_max {h:g} s": {"h_max": h} for h in (100.0, 10.0, 1.0) + (0.3, 0.1) * full},
+        "damping": {f"damping x {f:g}": {"damping": f, "rotational_damping": 100.0 * f} for f in factors},
+        "k": {f"k {k:.0e} kg/s2": {"stiffness": k} for k in ks},
+    }
     rows: list[Row] = []
-    for name, tolerances in ladders.items():
-        for start in ("near", "slack") if name != "IPOPT" or not absent else ():
-            rows += generic(given, name, start, tolerances if full or start == "near" else tolerances[-1:])
-    return rows, absent
+    for name, settings in varied.items():
+        options = {setting: replace(PUBLISHED, **changes) for setting, changes in settings.items()}
+        rows += runs(given, f"scheme, {name}", "steps", scheme, options)
+    pairs = {f"k {k:.0e} and {10 * k:.0e}": k for k in (1e4, 1e5, 1e6)}
+    return rows + runs(given, "scheme, extrapolated to rigid", "steps", extrapolated, pairs)
 
 
 def measure(full: bool) -> Section:
     """The section: reference, ladders of every method on six loads, the 190-case table, generic solvers, peers."""
     given, paper = problem(), problem(zip(*paper_loads(), strict=True))
-    alone = direct_alone(given, (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13))
+    mus = {f"mu {mu:.0e}": mu for mu in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13)}
+    alone = runs(given, "direct, one case alone", "iterations", direct_alone, mus, long=5.0)
     damped = scheme_runs(given, full)
     others, absent = generic_runs(given, full)
     strange, missing = peer_runs(problem([PEER_CASE]), full)
-    batch = direct_batch(paper, (1e-5, 1e-7, 1e-9, 1e-11, 1e-13))
+    fine_mus = dict([*mus.items()][1:])
+    batch = runs(paper, "direct, batch of 190", "iterations", direct, fine_mus, repeats=2, long=5.0)
     longest = {"h_max 100 s": replace(PUBLISHED, h_max=100.0)} if full else {}
-    moved = scheme(paper, "190 cases", longest | {"h_max 1 s, as published": PUBLISHED})
+    moved = runs(paper, "scheme, 190 cases", "steps", scheme, longest | {"h_max 1 s, as published": PUBLISHED})
     tables = (
         reference_table(given, damped[-1]),
         run_table("Six loads: direct, and the scheme of the paper", [*alone, *damped]),
@@ -290,10 +279,8 @@ def measure(full: bool) -> Section:
     every = curves_of([*alone, *batch, *moved, *damped, *others, *strange])
     title = "Locked strain: error against time, one load case"
     diagram = Diagram("rve", title, "largest error of a strain component", "processor time per case [s]", every)
-    follows = "\n\n".join(
-        [about_scheme(alone[-1], batch, damped, moved[-1]), *about_others(alone[-1], others, strange)]
-    )
-    return Section("Locked strains", TEXT, tables, (diagram,), follows)
+    follows = [about_scheme(alone[-1], batch, damped, moved[-1]), *about_others(alone[-1], others, strange)]
+    return Section("Locked strains", TEXT, tables, (diagram,), "\n\n".join(follows))
 
 
 NOT_UNIQUE = "Uniaxial loads at alpha = 15 to 40 degrees leave the strain free: every admissible strain is right."
