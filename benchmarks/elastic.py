@@ -11,9 +11,9 @@ import click
 import numpy as np
 
 from benchmarks.problems import square
-from benchmarks.report.files import measured, write_markdown
+from benchmarks.report.files import write_page
 from benchmarks.report.measure import Row
-from benchmarks.report.records import Report, Section, table
+from benchmarks.report.records import Section, table
 from homogenize.law import MembraneLaw, default_law
 from macro_fem.newton_records import NewtonRecord
 from macro_fem.scene import read_scene
@@ -75,7 +75,7 @@ def main(cells: str, out: Path) -> None:
     sizes = [int(item) for item in cells.split(",")]
     forms = {"k, N/mm": "g", "residual": ".0e", "potential, N mm": ".6f", "s": ".1f timed"}
 
-    def measure(_: bool) -> Section:
+    def measure() -> Section:
         over_mesh = [row("two corners", n, 1e3) for n in sizes]
         over_compliance = [row("two corners", sizes[min(1, len(sizes) - 1)], k) for k in STIFFNESSES]
         rigid = {support: solved(support, sizes[0], 1e3, "rigid") for support in SUPPORTS}
@@ -89,10 +89,10 @@ def main(cells: str, out: Path) -> None:
                 {"k, N/mm": "g", "rigid minus elastic, N mm": ".6g", "times k": ".4g"},
             ),
         )
-        return Section("Iterations and differences", TEXT, tables)
+        return Section("Iterations and differences", "", tables)
 
-    report = Report("elastic", "The elastic curtain beside the rigid one", TEXT, "python -m benchmarks.elastic")
-    write_markdown(replace(report, sections=(measured(measure),)), out)
+    title, command = "The elastic curtain beside the rigid one", f"python -m benchmarks.elastic --cells {cells}"
+    write_page(out / "elastic.md", title, TEXT, command, measure)
 
 
 if __name__ == "__main__":

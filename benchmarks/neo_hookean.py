@@ -15,10 +15,9 @@ from typing import Any
 
 import click
 
-from benchmarks.machine import ROOT
-from benchmarks.report.files import measured, write_markdown
+from benchmarks.report.files import write_page
 from benchmarks.report.measure import Row, last_line
-from benchmarks.report.records import Report, Section, table
+from benchmarks.report.records import Section, table
 
 REACTION = 1.1032477454  # at n = 200: dolfinx, felupe, scikit-fem, ngsolve and getfem agree
 
@@ -84,7 +83,7 @@ def row(entry: Entry, found: dict[str, Any], ours: float) -> Row:
 def main(n: int, repeats: int, out: str) -> None:
     """Run all codes and write the table."""
 
-    def measure(_: bool) -> Section:
+    def measure() -> Section:
         answers = [(entry, best_of(entry, n, repeats)) for entry in ENTRIES]
         ours = sum(answers[0][1].get(key, float("nan")) for key in ("setup_s", "solve_s"))
         rows = [row(*one, ours) for one in answers]
@@ -97,8 +96,7 @@ def main(n: int, repeats: int, out: str) -> None:
 
     story = (__doc__ or "").split("\n", 2)[2].strip()
     command = f"python -m benchmarks.neo_hookean --n {n} --repeats {repeats}"
-    report = Report(Path(out).stem, "Neo-Hookean sheet", story, command, (measured(measure),))
-    write_markdown(report, ROOT / Path(out).parent)
+    write_page(Path(out), "Neo-Hookean sheet", story, command, measure)
 
 
 if __name__ == "__main__":

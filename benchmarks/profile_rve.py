@@ -3,13 +3,11 @@
 The paper's 190 load cases on one core, under the profiler of the standard library, which slows small calls.
 """
 
-from dataclasses import replace
-
 from benchmarks.machine import ROOT
 from benchmarks.problems import loads
-from benchmarks.report.files import measured, write_markdown
+from benchmarks.report.files import write_page
 from benchmarks.report.measure import least_seconds, profiled
-from benchmarks.report.records import Report, Section, table
+from benchmarks.report.records import Section, table
 from rve.sweep import solve_table
 
 STAGES = {
@@ -21,15 +19,12 @@ STAGES = {
     "way between poses (`parallel_clearance`)": "parallel_clearance",
     "limits of free strains, all (`limit_equilibrium`)": "limit_equilibrium",
 }
-REPORT = Report(
-    "profile_rve",
-    "Where the direct solver spends its time",
-    "The paper's 190 load cases, r1/r2 = 10. Shares are cumulative, so the stages overlap.",
-    "OMP_NUM_THREADS=1 python -m benchmarks.profile_rve",
-)
+TITLE = "Where the direct solver spends its time"
+TEXT = "The paper's 190 load cases, r1/r2 = 10. Shares are cumulative, so the stages overlap."
+COMMAND = "OMP_NUM_THREADS=1 python -m benchmarks.profile_rve"
 
 
-def measure(_: bool) -> Section:
+def measure() -> Section:
     """The shares of the stages."""
     given = loads()
     plain, inner = (least_seconds(lambda of=of: solve_table(*of))[1] for of in (given, loads(first_beta=5.0)))
@@ -50,4 +45,4 @@ def measure(_: bool) -> Section:
 
 
 if __name__ == "__main__":
-    write_markdown(replace(REPORT, sections=(measured(measure),)), ROOT / "docs")
+    write_page(ROOT / "docs" / "profile_rve.md", TITLE, TEXT, COMMAND, measure)

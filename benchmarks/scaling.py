@@ -13,16 +13,16 @@ import json
 import resource
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
 
-from benchmarks.machine import ROOT
 from benchmarks.problems import square
-from benchmarks.report.files import measured, write_markdown
+from benchmarks.report.files import write_page
 from benchmarks.report.measure import Row, last_line
-from benchmarks.report.records import Diagram, Report, Section, Table, curves, table
+from benchmarks.report.records import Diagram, Section, Table, curves, table
 from benchmarks.sheet.ours import clamped_sheet
 from homogenize.law import default_law
 from macro_fem import linear
@@ -132,7 +132,7 @@ def measure(largest: float, patience: float) -> Section:
         for key, label, column in (("time", "time (s)", WALL), ("memory", "peak memory above the imports (MB)", PEAK))
     )
     powers = "".join(growth(ladder) for ladder in sheet)
-    return Section("Runs", "", tables, diagrams, f"Growth between the last three sizes: {powers}")
+    return Section("Runs", "", tables, diagrams, powers and f"Growth between the last three sizes: {powers}")
 
 
 @click.command(help=__doc__)
@@ -147,12 +147,9 @@ def main(largest: float, patience: float, out: str, one: tuple[str, str] | None)
     if one:
         click.echo(json.dumps((rigid_row if one[1] in RIGID else sheet_row)(int(one[0]), one[1])))
         return
-    section = measured(lambda _: measure(largest, patience))
     story = (__doc__ or "").split("\n", 2)[2].strip()
     command = f"python -m benchmarks.scaling --largest {largest:g}"
-    write_markdown(
-        Report(Path(out).stem, "Scaling of one load step", story, command, (section,)), ROOT / Path(out).parent
-    )
+    write_page(Path(out), "Scaling of one load step", story, command, partial(measure, largest, patience))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -41,7 +42,7 @@ def markdown(report: Report) -> str:
     """The whole report; pictures are named relative to it."""
     lines = [f"# {report.title}", "", report.text, "", f"Made by `{report.command}`."]
     for section in report.sections:
-        lines += ["", f"## {section.title}", "", section.text]
+        lines += ["", f"## {section.title}"] + (["", section.text] if section.text else [])
         for diagram in section.diagrams:
             lines += ["", f"![{diagram.title}]({report.key}_{diagram.key}.svg)"]
         for table in section.tables:
@@ -77,6 +78,11 @@ def write(report: Report, folder: Path) -> None:
     write_markdown(report, folder)
     write_text(folder / f"{report.key}.json", json.dumps(to_json(report), indent=1, allow_nan=False) + "\n")
     write_text(folder / "report.html", page(folder))
+
+
+def write_page(path: Path, title: str, text: str, command: str, measure: Callable[[], Section]) -> None:
+    """A page of one section outside of the three reports: its Markdown and pictures."""
+    write_markdown(Report(path.stem, title, text, command, (measured(measure),)), path.parent)
 
 
 def write_between_marks(page: Path, module: str, table: Table) -> None:
@@ -127,7 +133,7 @@ def command(report: Report, measures: Mapping[str, Measure]) -> click.Command:
         before = read(report.key, out)
         kept = {section.key: section for section in before.sections} if before else {}
         for key in only or measures:
-            kept[key] = measured(measures[key], full, key)
+            kept[key] = measured(partial(measures[key], full), key)
             write(replace(report, sections=tuple(kept[name] for name in measures if name in kept)), out)
             click.echo(f"{report.key} {key}: {kept[key].seconds:.1f} s")
         click.echo(f"{out / report.key}.md")
@@ -135,10 +141,10 @@ def command(report: Report, measures: Mapping[str, Measure]) -> click.Command:
     return main
 
 
-def measured(measure: Measure, full: bool, key: str = "") -> Section:
+def measured(measure: Callable[[], Section], key: str = "") -> Section:
     """The section with its key, the machine and the wall time of its measurement."""
     began = perf_counter()
-    section = measure(full)
+    section = measure()
     return replace(section, key=key, machine=describe(), seconds=perf_counter() - began)
 
 

@@ -61,9 +61,9 @@ def contact_ladder() -> list[Row]:
     exact = base_height(law_of(BASE_SPACING))
     options = {gap: DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap) for gap in GAPS}
 
-    def judge(table: StrainTable, seconds: float) -> Row:
+    def judge(found: StrainTable, seconds: float) -> Row:
         try:
-            height = base_height(fit(table, FitOptions(normality=10.0 * table.provenance["options"]["mu_end"])).law)
+            height = base_height(fit(found, FitOptions(normality=10.0 * found.provenance["options"]["mu_end"])).law)
         except InputError:
             return row_of(exact, math.nan, seconds)  # rows so inaccurate that they contradict each other are refused
         return row_of(exact, height, seconds)
@@ -77,7 +77,7 @@ def table_ladder() -> list[Row]:
     """Spacing of load directions, against a table of 2.5 degrees."""
     exact = base_height(law_of(FINE_SPACING))
     rungs = {f"{spacing:g} deg, {len(loads(spacing)[0])} rows": partial(table_of, spacing) for spacing in SPACINGS}
-    return ladder("table", rungs, lambda table, s: row_of(exact, base_height(fit(table).law), s), long=0.0)
+    return ladder("table", rungs, lambda found, s: row_of(exact, base_height(fit(found).law), s), long=0.0)
 
 
 def law_ladder() -> list[Row]:
