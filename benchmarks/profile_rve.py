@@ -3,6 +3,8 @@
 The paper's 190 load cases on one core, under the profiler of the standard library, which slows small calls.
 """
 
+from functools import partial
+
 from benchmarks.machine import ROOT
 from benchmarks.problems import loads
 from benchmarks.report.files import write_page
@@ -27,7 +29,7 @@ COMMAND = "OMP_NUM_THREADS=1 python -m benchmarks.profile_rve"
 def measure() -> Section:
     """The shares of the stages."""
     given = loads()
-    plain, inner = (least_seconds(lambda of=of: solve_table(*of))[1] for of in (given, loads(first_beta=5.0)))
+    plain, inner = (least_seconds(partial(solve_table, *some))[1] for some in (given, loads(first_beta=5.0)))
     _, of = profiled(lambda: solve_table(*given))
     rows = []
     for title, name in STAGES.items():

@@ -2,7 +2,7 @@
 
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,11 @@ def measure(full: bool) -> Section:
 
 
 def unchanged(
-    scene: str, plain: Callable[[], Any], others: dict[str, Callable[[], Any]], unit: str = "strain", long: float = 1.0
+    scene: str,
+    plain: Callable[[], Any],
+    others: Mapping[str, Callable[[], Any]],
+    unit: str = "strain",
+    long: float = 1.0,
 ) -> list[Row]:
     """Each call against the plain one, by the numbers that both return: equal to round-off."""
     numbers, without = least_seconds(plain, long=long)

@@ -5,7 +5,7 @@ A column that holds wall times, or numbers made of them, is marked `timed`. All 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from types import MappingProxyType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -13,7 +13,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from benchmarks.report.measure import Row, at_most, decade, signed
 
 Value = str | int | float | None
-TEXTS = {"decade": decade, "at_most": at_most, "signed": signed}
+TEXTS: dict[str, Callable[..., str]] = {"decade": decade, "at_most": at_most, "signed": signed}
 """Forms that make text of a number, see `benchmarks.report.measure`; arguments follow the name: `decade 1e-9`."""
 
 
@@ -117,10 +117,13 @@ def table(title: str, rows: Sequence[Row], forms: Mapping[str, str] = MappingPro
 
 def curves(rows: Sequence[Row], by: str, x: str, y: str) -> tuple[Curve, ...]:
     """A curve of the columns x and y for each value in the column `by`, in the order of the rows."""
-    groups: dict[str, list[tuple[float, float]]] = {}
+    groups: dict[str, list[Row]] = {}
     for row in rows:
-        groups.setdefault(str(row[by]), []).append((float(row[x]), float(row[y])))
-    return tuple(Curve(name, *zip(*points, strict=True)) for name, points in groups.items())
+        groups.setdefault(row[by], []).append(row)
+    return tuple(
+        Curve(name, tuple(float(row[x]) for row in mine), tuple(float(row[y]) for row in mine))
+        for name, mine in groups.items()
+    )
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -201,8 +204,9 @@ def _plain(value: Any) -> Any:
 def _record(kind: Any, data: Any) -> Any:
     """The record of this kind, or what a field of this kind holds: None stands for nan where a number is due."""
     if is_dataclass(kind):
+        make: Any = kind
         kinds = get_type_hints(kind)
-        return kind(**{name: _record(kinds[name], value) for name, value in data.items()})
+        return make(**{name: _record(kinds[name], value) for name, value in data.items()})
     if get_origin(kind) is tuple:
         return tuple(_record(get_args(kind)[0], part) for part in data)
     return math.nan if data is None and kind is float else data

@@ -144,7 +144,7 @@ def shapes(kind: str, folder: Path) -> dict[str, Scene]:
         pull = {"gravity": 9.81, "point": [{"at": [50.0, 0.0], "force": [0.0, -force]}]}
         scenes[f"a point load of {force:g} N"] = scene(kind=kind, load=pull)
     for ratio in (10.0, 1000.0):
-        curtain = {"curtain": {"shape": "file", "file": sliver_mesh(folder, ratio)}}
+        curtain: dict[str, Any] = {"curtain": {"shape": "file", "file": sliver_mesh(folder, ratio)}}
         scenes[f"triangles {ratio:g} : 1"] = scene(kind=kind, source=folder / "scene.toml", **curtain, **top)
     return scenes
 

@@ -113,7 +113,7 @@ def recommendation(reference: float, spacings: Sequence[Row]) -> list[Row]:
         height, seconds = least_seconds(partial(from_rings, setting), long=0.0)
         error, spacing = abs(height - reference) / HEIGHT, f"{setting.spacing:g}"
         cells = " and ".join(str(cells) for cells in setting.cells) + ", extrapolated" * (len(setting.cells) > 1)
-        row = {"good to": f"{accuracy:.2%}", "table spacing, degrees": spacing, "P2 cells along the width": cells}
+        row: Row = {"good to": f"{accuracy:.2%}", "table spacing, degrees": spacing, "P2 cells along the width": cells}
         row |= {"error of table and law": parts.get(spacing, math.nan), "error of the answer": error}
         rows.append(
             row | {"held": error <= accuracy, SECONDS: seconds, "_accuracy": accuracy, "_name": "rings to curtain"}

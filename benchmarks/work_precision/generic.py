@@ -171,7 +171,8 @@ def solve_ipopt(programme: Programme, q0: Array, tolerance: float) -> Array:
             return self.derivative
 
     q, gaps = casadi.MX.sym("q", 9), Gaps("gaps", 0)
-    E = strain_of(*(q[i] + float(programme.start.lattice[0, i]) for i in range(3)), programme.sides)
+    x2, y3, t = (q[i] + float(programme.start.lattice[0, i]) for i in range(3))
+    E = strain_of(x2, y3, t, programme.sides)
     loss = -(programme.S[0] * E[0] + 2 * programme.S[1] * E[1] + programme.S[2] * E[2])
     ipopt = {
         "print_level": 0,

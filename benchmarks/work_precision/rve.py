@@ -132,8 +132,9 @@ def direct(given: Problem, mu: float) -> Answer:
 
 def direct_alone(given: Problem, mu: float) -> Answer:
     """The direct solver, one case at a time."""
-    E, good, work = zip(*(direct(replace(given, s=s[None]), mu) for s in given.s), strict=True)
-    return Answer(np.concatenate(E), np.concatenate(good), sum(work))
+    found = [direct(replace(given, s=s[None]), mu) for s in given.s]
+    E, good = np.concatenate([one.E for one in found]), np.concatenate([one.good for one in found])
+    return Answer(E, good, sum(one.work for one in found))
 
 
 def scheme(given: Problem, options: st.StewartTrinkleOptions) -> Answer:
@@ -244,7 +245,7 @@ def curves_of(rows: Sequence[Row]) -> tuple[Curve, ...]:
 def scheme_runs(given: Problem, full: bool) -> list[Row]:
     """The paper's scheme over time step, damping, contact stiffness, and extrapolated."""
     factors, ks = (0.1, 3.0) + (10.0,) * full, (1e4, 1e5, 1e6, 1e7) + (1e8, 1e9) * full
-    varied = {
+    varied: dict[str, dict[str, Any]] = {
         "h_max": {f"h_max {h:g} s": {"h_max": h} for h in (100.0, 10.0, 1.0) + (0.3, 0.1) * full},
         "damping": {f"damping x {f:g}": {"damping": f, "rotational_damping": 100.0 * f} for f in factors},
         "k": {f"k {k:.0e} kg/s2": {"stiffness": k} for k in ks},
