@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.report.measure import Row, count_of, decade, ladder
-from benchmarks.report.records import Diagram, Section, Table, curves, table
+from benchmarks.report.records import Diagram, Section, curves, table
 from rve.contact import are_linked, local_minima, tangent_frame
 from rve.projection import alternating_projection
 
@@ -162,15 +162,11 @@ def _near(pair: NDArray[np.intp], point: Array, distance: Array) -> Found:
 
 def score(found: Found, reference: Found) -> Score:
     """Each reference minimum takes the nearest point found for its pair within `SAME`; points left over are wrong."""
-    error, missed, used = 0.0, 0, np.zeros(len(found.pair), bool)
+    error, missed, deepest, used = 0.0, 0, 0, np.zeros(len(found.pair), bool)
     lowest = np.full(reference.pair.max(initial=0) + 1, np.inf)
     np.minimum.at(lowest, reference.pair, reference.distance)
-    deepest = 0
-    order = np.argsort(found.pair, kind="stable")
-    first = np.searchsorted(found.pair[order], np.arange(reference.pair.max(initial=0) + 2))
     for pair, point, distance in zip(reference.pair, reference.point, reference.distance, strict=True):
-        mine = order[first[pair] : first[pair + 1]]
-        mine = mine[~used[mine]]
+        mine = np.flatnonzero((found.pair == pair) & ~used)
         way = np.linalg.norm(found.point[mine] - point, axis=1)
         if not len(mine) or way.min() > SAME:
             missed += 1
@@ -242,14 +238,6 @@ with a second-order iteration; alternating projection (`rve.projection`) is the 
 takes the lowest samples."""
 
 
-def random_table(rows: Sequence[Row]) -> Table:
-    """The table of `random_rows`."""
-    note = "Reference: minima by 4096 samples and golden sections, which share no code with Newton's search."
-    return table(
-        "1000 random linked pairs", rows, {ERROR: "decade 1e-13", BATCH: "timed", "us per pair alone": "timed"}, note
-    )
-
-
 def measure(full: bool) -> Section:
     """The section: random pairs, degenerate pairs."""
     rows, named = random_rows(full), degenerate_rows()
@@ -267,5 +255,7 @@ def measure(full: bool) -> Section:
     title = "Gap of two rings: error against time"
     every = curves(rows, "method", "_error", "_s")
     diagram = Diagram("contact", title, "largest error of a gap found / r1", "s per pair", every)
-    tables = (random_table(rows), table("Degenerate pairs", named))
+    note = "Reference: minima by 4096 samples and golden sections, which share no code with Newton's search."
+    forms = {ERROR: "decade 1e-13", BATCH: "timed", "us per pair alone": "timed"}
+    tables = (table("1000 random linked pairs", rows, forms, note), table("Degenerate pairs", named))
     return Section("Contact search", TEXT, tables, (diagram,), conclusion)

@@ -7,6 +7,7 @@ line load acts on the current cell through those two joints. Contacts are MuJoCo
 (`mujoco.sdf.torus`) or of closed polygons of capsules, as stiff as it allows.
 """
 
+import importlib.util
 import itertools
 import json
 import math
@@ -14,7 +15,6 @@ import shutil
 import subprocess
 import time
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -66,21 +66,9 @@ def yade_command() -> str | None:
     return shutil.which("yade") or shutil.which("yade-batch")
 
 
-def yade_version() -> str:
-    """Version of Yade, or "absent"."""
-    command = yade_command()
-    if command is None:
-        return "absent"
-    said = subprocess.run([command, "--version"], capture_output=True, text=True, check=False, timeout=60)
-    return next((line.split(":")[-1].strip() for line in said.stdout.splitlines() if "version" in line.lower()), "?")
-
-
-def mujoco_version() -> str:
-    """Version of MuJoCo, or "absent"."""
-    try:
-        return version("mujoco")
-    except PackageNotFoundError:
-        return "absent"
+def has_mujoco() -> bool:
+    """Whether MuJoCo is installed."""
+    return importlib.util.find_spec("mujoco") is not None
 
 
 def run_yade(cell: Cell, stress: tuple[float, float], spheres: int, tolerance: float, folder: Path) -> PeerAnswer:
@@ -92,13 +80,12 @@ def run_yade(cell: Cell, stress: tuple[float, float], spheres: int, tolerance: f
     command = yade_command()
     if command is None:
         raise RuntimeError("yade is not installed")
-    weave = cell.weave
     size = 500.0 / math.hypot(*stress)
     asked = {
         "spheres": spheres,
         "r1": cell.r1,
         "r2": cell.r2,
-        "lattice": [float(x) * cell.r1 for x in weave.start_lattice[:2]],
+        "lattice": [float(x) * cell.r1 for x in cell.weave.start_lattice[:2]],
         "tilt": _tilt(cell, 0),
         "young": 1e8,
         "stress": [size * part for part in stress],

@@ -203,7 +203,7 @@ def peer_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
             yade = partial(peers.run_yade, given.cell, load, folder=Path(folder))
             rungs = {f"{n} spheres, stress to {tol:.0e}": partial(yade, spheres=n, tolerance=tol) for n, tol in spheres}
             rows += ladder("Yade, spheres", rungs, judge, long=0.0)
-    if peers.mujoco_version() == "absent":
+    if not peers.has_mujoco():
         return rows, absent + "MuJoCo is not installed (`pip install mujoco`)."
     for name, settings in (("MuJoCo, capsules", capsules), ("MuJoCo, torus", torus)):
         calls = {setting: partial(peers.run_mujoco, given.cell, load, options) for setting, options in settings.items()}
