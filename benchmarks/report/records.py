@@ -7,6 +7,7 @@ A column that holds wall times, or numbers made of them, is marked `timed`. All 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
+from itertools import zip_longest
 from types import MappingProxyType
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -139,18 +140,9 @@ def from_json(data: dict[str, Any]) -> Report:
 
 
 def differences(first: Report, second: Report) -> list[str]:
-    """Where two runs of a report disagree, apart from times: one sentence each."""
-    found = []
-    ours, theirs = ({section.key: section for section in report.sections} for report in (first, second))
-    for key in ours.keys() ^ theirs.keys():
-        found.append(f"section {key} is in one of them only")
-    for key in ours.keys() & theirs.keys():
-        tables = zip(ours[key].tables, theirs[key].tables, strict=False)
-        if len(ours[key].tables) != len(theirs[key].tables):
-            found.append(f"section {key} has {len(ours[key].tables)} tables, or {len(theirs[key].tables)}")
-        for a, b in tables:
-            found += [f"{key}, {a.title}: {one} or {two}" for one, two in _unequal_rows(a, b)]
-    return found
+    """The rows in which two runs of a report disagree, apart from times, as "one or the other"."""
+    pairs = zip_longest(_lines(first), _lines(second), fillvalue="no row")
+    return [f"{one} or {two}" for one, two in pairs if one != two]
 
 
 def shown(value: Value, form: str) -> str:
@@ -162,12 +154,15 @@ def shown(value: Value, form: str) -> str:
     return f"{value:,d}" if isinstance(value, int) else format(value, form)
 
 
-def _unequal_rows(a: Table, b: Table) -> list[tuple[list[str], list[str]]]:
-    if a.columns != b.columns or len(a.rows) != len(b.rows):
-        return [([f"{len(a.rows)} rows"], [f"{len(b.rows)} rows"])]
-    kept = [i for i, column in enumerate(a.columns) if not column.timed]
-    texts = [[[shown(row[i], a.columns[i].form) for i in kept] for row in one.rows] for one in (a, b)]
-    return [(one, two) for one, two in zip(*texts, strict=True) if one != two]
+def _lines(report: Report) -> list[str]:
+    """Every row of every table as text, without columns that are timed."""
+    tables = [(f"{section.key}, {table.title}", table) for section in report.sections for table in section.tables]
+    lines = []
+    for name, table in tables:
+        for row in table.rows:
+            cells = [(c.name, shown(v, c.form)) for v, c in zip(row, table.columns, strict=True) if not c.timed]
+            lines.append(f"{name}: " + "; ".join(f"{head} {text}" for head, text in cells))
+    return lines
 
 
 def _heads(row: Mapping[str, Any]) -> list[str]:
