@@ -69,10 +69,13 @@ def _inverse_norm(factor: Any, n: int) -> float:
 
 
 def scene(curtain: dict[str, Any] | None = None, kind: str = "rigid", cells: int = 12, **more: Any) -> Scene:
-    """A square of 100 mm with these keys of [curtain]; hung by both top corners unless `more` tables say otherwise."""
+    """A square of 100 mm, or another shape, with these keys of [curtain]; hung by both top corners unless `more` tables
+    say otherwise.
+    """
     tables = square(cells, {"kind": "corners", "gather": 0.9}, 100.0, solver={"kind": kind})
+    whole = curtain if curtain and "shape" in curtain else tables["curtain"] | (curtain or {})
     source = more.pop("source", "scene")
-    return read_scene(tables | {"curtain": tables["curtain"] | (curtain or {})} | more, source)
+    return read_scene(tables | {"curtain": whole} | more, source)
 
 
 def solved(given: Scene, law: MembraneLaw) -> tuple[CurtainSolution, Watched]:
@@ -144,8 +147,8 @@ def shapes(kind: str, folder: Path) -> dict[str, Scene]:
         pull = {"gravity": 9.81, "point": [{"at": [50.0, 0.0], "force": [0.0, -force]}]}
         scenes[f"a point load of {force:g} N"] = scene(kind=kind, load=pull)
     for ratio in (10.0, 1000.0):
-        curtain: dict[str, Any] = {"curtain": {"shape": "file", "file": sliver_mesh(folder, ratio)}}
-        scenes[f"triangles {ratio:g} : 1"] = scene(kind=kind, source=folder / "scene.toml", **curtain, **top)
+        file = {"shape": "file", "file": sliver_mesh(folder, ratio)}
+        scenes[f"triangles {ratio:g} : 1"] = scene(file, kind, source=folder / "scene.toml", **top)
     return scenes
 
 
