@@ -48,7 +48,7 @@ def markdown(report: Report) -> str:
         for table in section.tables:
             lines += ["", *table_lines(table)]
         if section.conclusion:
-            lines += ["", f"**What follows.** {section.conclusion}"]
+            lines += ["", f"**Conclusion.** {section.conclusion}"]
         if section.machine:
             lines += ["", f"*{section.seconds:.0f} s. {section.machine}*"]
     return "\n".join(lines) + "\n"

@@ -96,8 +96,8 @@ def measure(full: bool) -> Section:
     )
     conclusion = (
         f"All answers are finite in {count_of([row['all finite'] for row in rows])} rows; the error of the metric of "
-        f"the closest point is {at_most(worst[METRIC], 1e-14)} at most. NaN and infinity are refused in a sentence by "
-        f"{told} functions."
+        f"the closest point is {at_most(worst[METRIC], 1e-14)}. NaN and infinity are refused in a sentence by {told} "
+        "functions."
     )
     tables = (table("Answers", rows, forms), table("Input that is not finite", refused))
     return Section("Laws at vertices, edges, far outside and at NaN", text, tables, (), conclusion)
