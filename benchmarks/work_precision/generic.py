@@ -21,8 +21,8 @@ BOX = (-1.5, 1.5)  # without bounds on the coordinates the first step of SLSQP u
 
 def strain_of(x2: Any, y3: Any, t: Any, sides: tuple[float, float]) -> list[Any]:
     """E11, E12, E22 of a lattice, as numbers or as casadi's expressions."""
-    u, v = x2 / sides[0], y3 / sides[1]
-    return [((1 + t * t) * u * u - 1) / 2, t * u * v, ((1 + t * t) * v * v - 1) / 2]
+    bx, by = sides
+    return [((1 + t * t) * x2 * x2 / bx**2 - 1) / 2, t * x2 * y3 / bx / by, ((1 + t * t) * y3 * y3 / by**2 - 1) / 2]
 
 
 class Programme:

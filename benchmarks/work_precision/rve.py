@@ -167,22 +167,29 @@ def generic(given: Problem, tolerance: float, name: str, start: str) -> Answer:
     return Answer(E, np.isfinite(E).all(axis=1), calls)
 
 
-def generic_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
-    """All generic solvers that are installed, from both starts, and a sentence if IPOPT is absent."""
+def absent(method: str, command: str) -> list[Row]:
+    """The row of a method that is not installed here."""
+    none = cells(np.full(1, np.nan), np.zeros(1, bool), np.nan, 0, "-")
+    return [{"method": method, "setting": f"not installed (`{command}`)"} | none | {"solved": "-"}]
+
+
+def generic_runs(given: Problem, full: bool) -> list[Row]:
+    """All generic solvers from both starts."""
     tolerances = {"SLSQP": (1e-6, 1e-10, 1e-14), "IPOPT": (1e-4, 1e-6, 1e-9), "trust-constr": (1e-6,)}
-    absent = "" if importlib.util.find_spec("casadi") else "IPOPT is not installed (`pip install casadi`)."
     rows: list[Row] = []
+    if importlib.util.find_spec("casadi") is None:
+        tolerances.pop("IPOPT")
+        rows += absent("IPOPT", "pip install casadi")
     for name, start in product(tolerances, ("near", "slack")):
-        if name != "IPOPT" or not absent:
-            chosen = tolerances[name] if full or start == "near" else tolerances[name][-1:]
-            settings = {f"tolerance {tolerance:.0e}": tolerance for tolerance in chosen}
-            solve = partial(generic, name=name, start=start)
-            rows += runs(given, f"{name}, {start} start", "gap evaluations", solve, settings)
-    return rows, absent
+        chosen = tolerances[name] if full or start == "near" else tolerances[name][-1:]
+        settings = {f"tolerance {tolerance:.0e}": tolerance for tolerance in chosen}
+        solve = partial(generic, name=name, start=start)
+        rows += runs(given, f"{name}, {start} start", "gap evaluations", solve, settings)
+    return rows
 
 
-def peer_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
-    """Yade and MuJoCo under `PEER_CASE`, and a sentence for each that is absent. `given` holds that load alone."""
+def peer_runs(given: Problem, full: bool) -> list[Row]:
+    """Yade and MuJoCo under `PEER_CASE`. `given` holds that load alone."""
     load = float(given.s[0, 0]), float(given.s[0, 2])
 
     def judge(answer: peers.PeerAnswer, _: float) -> Row:
@@ -195,20 +202,18 @@ def peer_runs(given: Problem, full: bool) -> tuple[list[Row], str]:
     capsules = {f"{n} capsules": peers.MujocoOptions(n, 20_000) for n in (24, 48, 96, 192) + (384,) * full}
     steps = ((0.05, 1000), (0.02, 2000), (0.01, 4000)) + ((0.005, 16_000),) * full
     torus = {f"step {dt} s, {n} steps": peers.MujocoOptions(0, n, dt) for dt, n in steps}
-    rows, absent = [], ""
+    rows = absent("Yade", "apt-get install yade") if peers.yade_command() is None else []
     with tempfile.TemporaryDirectory() as folder:
-        if peers.yade_command() is None:
-            absent += "Yade is not installed (`apt-get install yade`). "
-        else:
+        if not rows:
             yade = partial(peers.run_yade, given.cell, load, folder=Path(folder))
             rungs = {f"{n} spheres, stress to {tol:.0e}": partial(yade, spheres=n, tolerance=tol) for n, tol in spheres}
             rows += ladder("Yade, spheres", rungs, judge, long=0.0)
     if not peers.has_mujoco():
-        return rows, absent + "MuJoCo is not installed (`pip install mujoco`)."
+        return rows + absent("MuJoCo", "pip install mujoco")
     for name, settings in (("MuJoCo, capsules", capsules), ("MuJoCo, torus", torus)):
         calls = {setting: partial(peers.run_mujoco, given.cell, load, options) for setting, options in settings.items()}
         rows += ladder(name, calls, judge, long=0.0)
-    return rows, absent
+    return rows
 
 
 def reference_table(given: Problem, other: Row) -> Table:
@@ -264,8 +269,7 @@ def measure(full: bool) -> Section:
     mus = {f"mu {mu:.0e}": mu for mu in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13)}
     alone = runs(given, "direct, one case alone", "iterations", direct_alone, mus, long=5.0)
     damped = scheme_runs(given, full)
-    others, absent = generic_runs(given, full)
-    strange, missing = peer_runs(problem([PEER_CASE]), full)
+    others, strange = generic_runs(given, full), peer_runs(problem([PEER_CASE]), full)
     fine_mus = dict([*mus.items()][1:])
     batch = runs(paper, "direct, batch of 190", "iterations", direct, fine_mus, repeats=2, long=5.0)
     longest = {"h_max 100 s": replace(PUBLISHED, h_max=100.0)} if full else {}
@@ -274,8 +278,8 @@ def measure(full: bool) -> Section:
         reference_table(given, damped[-1]),
         run_table("Six loads: direct, and the scheme of the paper", [*alone, *damped]),
         run_table("190 loads in one batch", [*batch, *moved], NOT_UNIQUE),
-        run_table("Six loads: solvers of nonlinear programmes", others, absent),
-        run_table(f"The load {PEER_CASE}: rings in Yade and MuJoCo", strange, missing),
+        run_table("Six loads: solvers of nonlinear programmes", others),
+        run_table(f"The load {PEER_CASE}: rings in Yade and MuJoCo", strange),
     )
     every = curves_of([*alone, *batch, *moved, *damped, *others, *strange])
     title = "Locked strain: error against time, one load case"
@@ -320,11 +324,10 @@ def about_scheme(alone: Row, batch: Sequence[Row], damped: Sequence[Row], publis
 
 def about_others(alone: Row, others: Sequence[Row], strange: Sequence[Row]) -> list[str]:
     """What follows for generic solvers and peers, as far as they are installed."""
-    lines = []
-    most = {row["method"]: row["solved"] for row in sorted(others, key=lambda row: row["_share"])}
-    if most:
-        counts = ", ".join(f"{most[name]} ({name})" for name in dict.fromkeys(row["method"] for row in others))
-        lines.append(f"Generic solvers solve {counts}: their steps pass through the wire into inadmissible states.")
+    here = [row for row in others if row["solved"] != "-"]
+    most = {row["method"]: row["solved"] for row in sorted(here, key=lambda row: row["_share"])}
+    counts = ", ".join(f"{most[name]} ({name})" for name in dict.fromkeys(row["method"] for row in here))
+    lines = [f"Generic solvers solve {counts}: their steps pass through the wire into inadmissible states."]
     best = {row["method"]: row for row in sorted(strange, key=lambda row: -row[ERROR]) if row["_share"]}
     if best:
         errors = ", ".join(

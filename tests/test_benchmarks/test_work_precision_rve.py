@@ -12,6 +12,7 @@ from benchmarks.work_precision.generic import SOLVERS, Programme
 from benchmarks.work_precision.rve import (
     ERROR,
     PUBLISHED,
+    absent,
     cells,
     curves_of,
     direct,
@@ -19,6 +20,7 @@ from benchmarks.work_precision.rve import (
     extrapolated,
     generic,
     problem,
+    run_table,
     runs,
     scheme,
 )
@@ -156,6 +158,8 @@ def test_a_peer_without_an_answer_stays_in_the_table(given, tmp_path, monkeypatc
 def test_absent_peers_are_named(monkeypatch, tmp_path, given):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert peers.yade_command() is None
+    (row,) = run_table("Runs", absent("Yade", "apt-get install yade")).rows
+    assert row[:4] == ("Yade", "not installed (`apt-get install yade`)", "-", "-")
     with pytest.raises(RuntimeError, match="not installed"):
         peers.run_yade(given.cell, (1.0, 1.0), 48, 1e-2, tmp_path)
 
