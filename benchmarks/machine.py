@@ -16,9 +16,8 @@ def describe() -> str:
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
     return (
         f"Machine: {_processor()}, {os.cpu_count()} cores, {_memory_gb():.0f} GB, {platform.system()} "
-        f"{platform.release()}, Python {platform.python_version()}; OMP_NUM_THREADS = {threads}, "
-        f"load average at the end {os.getloadavg()[1]:.1f} (1 is this benchmark). "
-        f"Versions: {packages}. Commit {_commit()}."
+        f"{platform.release()}, Python {platform.python_version()}; OMP_NUM_THREADS = {threads}, load average at the "
+        f"end {os.getloadavg()[1]:.1f} (1 is this benchmark). Versions: {packages}. Commit {_commit()}."
     )
 
 

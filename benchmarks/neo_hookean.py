@@ -1,31 +1,30 @@
-"""The same hyperelastic sheet by macro_fem and by peers, side by side: `python -m benchmarks.neo_hookean [--n 200]`.
+"""The same hyperelastic sheet by macro_fem and by other codes: `python -m benchmarks.neo_hookean [--n 200]`.
 
-Problem: unit square, N x N Q1 with 2 x 2 points, incompressible neo-Hookean sheet in plane stress with mu = 1, left and
-right edges clamped, stretched to 1.5 in ten equal steps, Newton to 1e-9 of the residual. Each code runs in a process of
-its own, one after the other, with the same number of BLAS threads; the best of `--repeats` runs counts, because other
-work on the machine only ever adds time. A peer that is not installed is named as absent.
-
-Writes a Markdown table to `--out` (default docs/benchmark_neo_hookean.md).
+Unit square, N x N Q1 with 2 x 2 points, incompressible neo-Hookean sheet in plane stress with mu = 1, left and right
+edges clamped, stretched to 1.5 in ten equal steps, Newton to 1e-9 of the residual. Each code runs in a process of its
+own, one after the other. The best of `--repeats` runs counts, because other work on the machine only adds time. A code
+that is not installed is named as absent. The codes are in `benchmarks.sheet`.
 """
 
-import json
 import os
 import shutil
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
-from benchmarks.machine import ROOT, describe
+from benchmarks.report.files import write_page
+from benchmarks.report.measure import Row, last_line
+from benchmarks.report.records import Section, table
 
-REACTION = 1.1032477454  # at n = 200, found alike by dolfinx, felupe, scikit-fem, ngsolve and getfem
+REACTION = 1.1032477454  # at n = 200: dolfinx, felupe, scikit-fem, ngsolve and getfem agree
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the table: what runs, with which Python, in which mode, on how many BLAS threads."""
+    """A row of the table: which code runs, with which Python, in which mode, on how many BLAS threads."""
 
     name: str
     module: str
@@ -46,75 +45,58 @@ ENTRIES = (
 )
 
 
-def run(entry: Entry, n: int) -> dict:
-    """One run's JSON answer, or {"absent": why}."""
+def run(entry: Entry, n: int) -> dict[str, Any]:
+    """One run's answer, or {"absent": why}."""
     python = shutil.which("python3", path=os.defpath) if entry.is_system_python else sys.executable
     if python is None:
         return {"absent": "no system Python"}
-    file = ROOT / "benchmarks" / "sheet" / f"{entry.module}.py"
-    count = str(entry.threads)
-    env = os.environ | {"OMP_NUM_THREADS": count, "OPENBLAS_NUM_THREADS": count, "PYTHONPATH": str(ROOT)}
-    command = [python, str(file), str(n), *entry.arguments]
-    process = subprocess.run(command, capture_output=True, text=True, env=env, cwd=ROOT, check=False)
-    lines = process.stdout.strip().splitlines()
-    if process.returncode != 0 or not lines:
-        return {"absent": (process.stderr.strip().splitlines() or ["it printed nothing"])[-1][:100]}
-    return json.loads(lines[-1])
+    command = [python, "-m", "benchmarks.sheet", entry.module, str(n), *entry.arguments]
+    answer: dict[str, Any] = last_line(command, entry.threads)
+    return answer
 
 
-def best_of(entry: Entry, n: int, repeats: int) -> dict:
+def best_of(entry: Entry, n: int, repeats: int) -> dict[str, Any]:
     """The quickest of the runs."""
-    runs = [run(entry, n) for _ in range(repeats)]
-    done = [r for r in runs if "absent" not in r]
-    return min(done, key=lambda r: r["solve_s"]) if done else runs[0]
+    return min((run(entry, n) for _ in range(repeats)), key=lambda answer: answer.get("solve_s", float("inf")))
 
 
-def table(answers: list[tuple[Entry, dict]], n: int) -> str:
-    """The Markdown table; ratios compare setup + solve with the first row."""
-    first = answers[0][1]
-    ours = first.get("setup_s", 0.0) + first.get("solve_s", 0.0)
-    rows = [
-        "| code | solve s | setup s | ratio | Newton | factors | reaction | remark |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for entry, a in answers:
-        if "absent" in a:
-            rows.append(f"| {entry.name} | - | - | - | - | - | - | absent here: {a['absent']} |")
-            continue
-        ratio = (a["setup_s"] + a["solve_s"]) / ours if ours else float("nan")
-        remark = a["note"] if a["ok"] else f"did not converge; {a['note']}"
-        rows.append(
-            f"| {entry.name} ({a['version']}) "
-            f"| {a['solve_s']:.2f} | {a['setup_s']:.2f} | {ratio:.2f} "
-            f"| {a['iterations']} | {a['factorizations']} | {a['reaction']:.10f} | {remark} |"
-        )
-    if n == 200:
-        rows.append(f"\nReaction agreed on before by five codes: {REACTION}.")
-    return "\n".join(rows)
+def row(entry: Entry, found: dict[str, Any], ours: float) -> Row:
+    """One code; the ratio compares setup + solve with `ours` seconds."""
+    if "absent" in found:
+        return {"code": entry.name, "remark": f"absent here: {found['absent']}"}
+    return {
+        "code": f"{entry.name} ({found['version']})",
+        "solve s": found["solve_s"],
+        "setup s": found["setup_s"],
+        "ratio": (found["setup_s"] + found["solve_s"]) / ours,
+        "Newton": found["iterations"],
+        "factors": found["factorizations"],
+        "reaction": found["reaction"],
+        "remark": found["note"] if found["ok"] else f"did not converge; {found['note']}",
+    }
 
 
-@click.command()
+@click.command(help=__doc__)
 @click.option("--n", default=200, show_default=True, help="cells along an edge")
 @click.option("--repeats", default=2, show_default=True, help="runs of each code; the best counts")
 @click.option("--out", default="docs/benchmark_neo_hookean.md", show_default=True, help="Markdown file to write")
 def main(n: int, repeats: int, out: str) -> None:
     """Run all codes and write the table."""
-    answers = []
-    for entry in ENTRIES:
-        answer = best_of(entry, n, repeats)
-        print(entry.name, answer, flush=True)
-        answers.append((entry, answer))
+
+    def measure() -> Section:
+        answers = [(entry, best_of(entry, n, repeats)) for entry in ENTRIES]
+        ours = sum(answers[0][1].get(key, float("nan")) for key in ("setup_s", "solve_s"))
+        rows = [row(*one, ours) for one in answers]
+        forms = dict.fromkeys(("solve s", "setup s", "ratio"), ".2f timed") | {"reaction": ".10f"}
+        note = (
+            "Ratio: setup + solve against the first row. Newton: iterations over the ten steps. Times without the "
+            "imports of the packages."
+        ) + f" Reaction found by five codes before: {REACTION}." * (n == 200)
+        return Section(f"{n} x {n} Q1, ten steps to stretch 1.5", "", (table("", rows, forms, note),))
+
     story = (__doc__ or "").split("\n", 2)[2].strip()
-    text = (
-        f"# Neo-Hookean sheet, {n} x {n} Q1, ten steps to stretch 1.5\n\n{story}\n\n"
-        f"{table(answers, n)}\n\nRatio: setup + solve against the first row. Newton: iterations over the ten steps. "
-        "Times without the imports of the packages.\n\n"
-        f"{describe()}\nRepeat: `python -m benchmarks.neo_hookean --n {n} --repeats {repeats}`.\n"
-    )
-    target = Path(out)
-    part = target.with_suffix(".part")
-    part.write_text(text)
-    os.replace(part, target)
+    command = f"python -m benchmarks.neo_hookean --n {n} --repeats {repeats}"
+    write_page(Path(out), "Neo-Hookean sheet", story, command, measure)
 
 
 if __name__ == "__main__":

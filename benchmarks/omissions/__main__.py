@@ -1,26 +1,20 @@
 """Makes the report: `python -m benchmarks.omissions [--full] [--only SECTION] [--out FOLDER]`."""
 
 from benchmarks.omissions import curtains, imports, motion, outputs, rings
-from benchmarks.pages.model import Report
-from benchmarks.pages.output import command
+from benchmarks.report.files import command
+from benchmarks.report.records import Report
 
 REPORT = Report(
     "omissions",
     "What a scene leaves out",
-    "Every feature that costs time is tied to the scenes that need it. Which ones a run used, and why, `--explain` "
-    "says; `--force FEATURE` puts one back in. Here each is forced on: the time without and with it, and what that "
-    "changes.",
+    "Features that cost time run only in scenes that need them. `--explain` says which ones a run used, and why; "
+    "`--force FEATURE` switches one on. Here each is switched on: the time without and with it, and the change of the "
+    "result.",
     "OMP_NUM_THREADS=1 python -m benchmarks.omissions",
 )
-MEASURES = {
-    "motion": motion.measure,
-    "rings": rings.measure,
-    "curtains": curtains.measure,
-    "outputs": outputs.measure,
-    "imports": imports.measure,
-}
+SECTIONS = (motion, rings, curtains, outputs, imports)
 
-main = command(REPORT, MEASURES)
+main = command(REPORT, {module.__name__.split(".")[-1]: module.measure for module in SECTIONS})
 
 if __name__ == "__main__":
     main()

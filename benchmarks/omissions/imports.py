@@ -1,22 +1,17 @@
-"""What importing costs: each package, the help of each command, and everything at once."""
+"""The cost of imports: each package, the help of each command, and all packages together."""
 
-from __future__ import annotations
-
-import json
-import os
 import resource
-import subprocess
 import sys
-from pathlib import Path
 
 import click
 
-from benchmarks.pages.model import Column, Curve, Diagram, Section, Table
+from benchmarks.report.measure import Row, last_line
+from benchmarks.report.records import Diagram, Section, curves, table
 
-ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("rve.table", "rve.cli", "homogenize.law", "homogenize.cli", "macro_fem.cli")
 HEAVY = ("scipy", "skfem", "meshio", "matplotlib", "clarabel", "pyvista", "pandas", "sksparse", "pyamg")
 RUNS = 3
+WHAT = "command or import"
 
 PROBE = """
 import importlib, json, sys
@@ -40,45 +35,37 @@ print(json.dumps([len(sys.modules), [name for name in {heavy!r} if name in sys.m
 def measure(full: bool) -> Section:
     """The section."""
     runs = 2 * RUNS if full else RUNS
-    start = probe("print('[0, [], []]')", runs)[0]
-    rows = [(f"import {name}", *probe(PROBE.format(names=(name,), heavy=HEAVY), runs)) for name in PACKAGES]
-    rows += [
-        (
-            f"{package} {' '.join(arguments)}",
-            *probe(HELP.format(package=package, arguments=arguments, heavy=HEAVY), runs),
-        )
-        for package, arguments in helps()
-    ]
     eager = ("matplotlib.pyplot", *HEAVY, *(f"{name}.cli" for name in ("rve", "homogenize", "macro_fem")))
-    rows.append(("everything at once", *probe(PROBE.format(names=eager, heavy=HEAVY), runs)))
+    codes = {"python alone": "print('[0, [], []]')"}
+    codes |= {f"import {name}": PROBE.format(names=(name,), heavy=HEAVY) for name in PACKAGES}
+    for package, arguments in helps():
+        codes[f"{package} {' '.join(arguments)}"] = HELP.format(package=package, arguments=arguments, heavy=HEAVY)
+    codes["everything at once"] = PROBE.format(names=eager, heavy=HEAVY)
+    rows = [row_of(name, *probe(code, runs)) for name, code in codes.items()]
     text = (
-        f"Processor seconds of a new interpreter, least of {runs} runs, and what it has loaded. Python alone takes "
-        "what the first row says. Heavy are the packages that solvers, pictures and other formats need: "
-        f"{', '.join(HEAVY)}. All imports of them stand in the functions that use them."
+        f"Processor seconds of a new interpreter, least of {runs} runs, and the heavy packages it has loaded. The "
+        "first row is the interpreter alone. Heavy packages are those of solvers, pictures and other formats: "
+        f"{', '.join(HEAVY)}. They are imported inside the functions that use them."
     )
-    columns = (
-        Column("command or import"),
-        Column("s", ".2f", timed=True),
-        Column("heavy packages loaded"),
-        Column("absent"),
-    )
-    shown = [("python alone", start, "none", "")]
-    shown += [(name, seconds, ", ".join(heavy) or "none", ", ".join(absent)) for name, seconds, heavy, absent in rows]
-    longest = max(seconds for name, seconds, _, _ in rows[:-1])
-    loaded = sorted({name for _, _, heavy, _ in rows[:-1] for name in heavy})
-    what = (
-        f"Packages and helps load {', '.join(loaded)} alone" if loaded else "No package and no help loads any of them"
-    )
+    alone, *ours, eager_row = rows
+    loaded = sorted({name for row in ours for name in row["_heavy"]})
+    what = f"Packages and helps load only {', '.join(loaded)}" if loaded else "No package and no help loads any of them"
     conclusion = (
-        f"{what}; the slowest takes {longest:.2f} s, everything at once {rows[-1][1]:.2f} s, of which Python itself "
-        f"takes {start:.2f} s."
+        f"{what}. The slowest takes {max(row['s'] for row in ours):.2f} s; all packages together take "
+        f"{eager_row['s']:.2f} s, of which Python itself takes {alone['s']:.2f} s."
     )
-    picks = [*rows[: len(PACKAGES)], rows[-1]]
-    curve = Curve("least of some runs", tuple(map(float, range(len(picks)))), tuple(row[1] for row in picks))
-    ticks = tuple(row[0].replace("import ", "").replace(".", ".\n").replace(" ", "\n") for row in picks)
-    diagram = Diagram("imports", "Time to import", "what", "processor time (s)", (curve,), bars=True, ticks=ticks)
-    tables = (Table("Imports", columns, tuple(shown)),)
-    return Section("imports", "Heavy imports", text, tables, (diagram,), conclusion)
+    shown = [*ours[: len(PACKAGES)], eager_row]
+    placed = [row | {"_place": place, "_name": "least of some runs"} for place, row in enumerate(shown)]
+    ticks = tuple(row[WHAT].replace("import ", "").replace(".", ".\n").replace(" ", "\n") for row in placed)
+    drawn = curves(placed, "_name", "_place", "s")
+    diagram = Diagram("imports", "Time to import", "what", "processor time (s)", drawn, bars=True, ticks=ticks)
+    return Section("Heavy imports", text, (table("Imports", rows, {"s": ".2f timed"}),), (diagram,), conclusion)
+
+
+def row_of(name: str, seconds: float, heavy: list[str], absent: list[str]) -> Row:
+    """The cells of one probe."""
+    row = {WHAT: name, "s": seconds, "heavy packages loaded": ", ".join(heavy) or "none", "absent": ", ".join(absent)}
+    return row | {"_heavy": heavy}
 
 
 def helps() -> list[tuple[str, list[str]]]:
@@ -93,14 +80,10 @@ def helps() -> list[tuple[str, list[str]]]:
 
 def probe(code: str, runs: int = RUNS) -> tuple[float, list[str], list[str]]:
     """Least processor seconds of a new interpreter that runs the code; heavy packages loaded, and those absent."""
-    seconds, answer = [], "[0, [], []]"
+    seconds = []
     for _ in range(runs):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        run = subprocess.run(
-            [sys.executable, "-c", code], cwd=ROOT, env=os.environ, capture_output=True, text=True, check=True
-        )
+        _, heavy, absent = last_line([sys.executable, "-c", code])
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        answer = run.stdout.strip().splitlines()[-1]
-    _, heavy, absent = json.loads(answer)
     return min(seconds), heavy, absent

@@ -1,105 +1,89 @@
-"""Files and fields that nobody asked for: what they would cost, and that asking changes no number."""
-
-from __future__ import annotations
+"""Optional files and fields: their cost, and that they change no other number."""
 
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.omissions.compare import LEFT_OUT, Trial, bars, table, verdict
-from benchmarks.pages.measuring import least_seconds
-from benchmarks.pages.model import Section
+from benchmarks.omissions.compare import bars, trial, trial_table, verdict
+from benchmarks.problems import loads, scene_file, square
+from benchmarks.report.measure import Row, least_seconds
+from benchmarks.report.records import Section
 from macro_fem.job import run_scene
 from rve.plots import draw_case, save
-from rve.ranges import grid
 from rve.span import with_span
 from rve.st_table import with_compliance
 from rve.sweep import Cell, solve_table
 from rve.table import StrainTable
-
-SCENE = """[curtain]
-width = 1000.0
-height = 1000.0
-[mesh]
-cells = {cells}
-[support]
-kind = "corners"
-"""
 
 
 def measure(full: bool) -> Section:
     """The section."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        trials = [*tables(), case_picture(folder), *curtain(folder, 24 if full else 16)]
+        trials = [*tables(), *case_picture(folder), *curtain(folder, 24 if full else 16)]
     text = (
-        "Strain tables with `--span` (how far free strains may move) and `--compliance` (what softens the locked "
-        "state), one load with `--plot`, and a corner-hung curtain with its picture and with bounds and error map. "
-        "Summary and VTU are always written. Asking must not move a number that was there before."
+        "Strain tables with `--span` (range of free strains) and `--compliance` (compliant contacts), one load with "
+        "`--plot`, and a corner-hung curtain with its picture and with bounds and error map. Summary and VTU are "
+        "always written. An optional output must not change any other number."
     )
-    title = "Outputs that are made when asked for"
-    return Section(
-        "outputs",
-        "Outputs nobody asked for",
-        text,
-        (table(title, trials),),
-        (bars("outputs", title, trials),),
-        verdict(trials),
-    )
+    title = "Optional outputs"
+    return Section(title, text, (trial_table(title, trials),), (bars("outputs", title, trials),), verdict(trials))
 
 
-def tables() -> list[Trial]:
+def unchanged(
+    scene: str,
+    plain: Callable[[], Any],
+    others: Mapping[str, Callable[[], Any]],
+    unit: str = "strain",
+    long: float = 1.0,
+) -> list[Row]:
+    """Each call against the plain one, by the numbers that both return: equal to round-off."""
+    numbers, without = least_seconds(plain, long=long)
+    rows = []
+    for feature, call in others.items():
+        found, with_it = least_seconds(call, long=long)
+        rows.append(trial(feature, scene, (without, with_it), float(np.abs(found - numbers).max()), 1e-12, unit))
+    return rows
+
+
+def tables() -> list[Row]:
     """Span and compliance of a table with free strains."""
-    loads, cell = grid(np.arange(0.0, 46.0, 15.0), np.arange(0.0, 91.0, 15.0)), Cell()
-    plain, without = least_seconds(lambda: solve_table(*loads, cell))
-    more: dict[str, Callable[[], StrainTable]] = {
-        "--span": lambda: with_span(solve_table(*loads, cell), cell),
-        "--compliance": lambda: with_compliance(solve_table(*loads, cell), 1e3, cell),
-    }
-    trials = []
-    for feature, call in more.items():
-        found, with_it = least_seconds(call)
-        trials.append(_same_numbers(feature, "rve table", (without, with_it), plain.E, found.E))
-    return trials
-
-
-def case_picture(folder: Path) -> Trial:
-    """The picture of one load."""
     cell = Cell()
 
-    def drawn() -> StrainTable:
-        found = solve_table([20.0], [30.0], cell)
-        save(draw_case(20.0, 30.0, cell), folder / "case.png")
-        return found
+    def E(add: Callable[[StrainTable], StrainTable] = lambda table: table) -> Any:
+        return add(solve_table(*loads(15.0), cell)).E
 
-    plain, without = least_seconds(lambda: solve_table([20.0], [30.0], cell))
-    found, with_it = least_seconds(drawn)
-    return _same_numbers("--plot", "rve case", (without, with_it), plain.E, found.E)
+    others = {
+        "--span": lambda table: with_span(table, cell),
+        "--compliance": lambda table: with_compliance(table, 1e3, cell),
+    }
+    return unchanged("rve table", E, {feature: partial(E, add) for feature, add in others.items()})
 
 
-def curtain(folder: Path, cells: int) -> list[Trial]:
+def case_picture(folder: Path) -> list[Row]:
+    """The picture of one load."""
+
+    def drawn() -> Any:
+        E = solve_table([20.0], [30.0], Cell()).E
+        save(draw_case(20.0, 30.0, Cell()), folder / "case.png")
+        return E
+
+    return unchanged("rve case", lambda: solve_table([20.0], [30.0], Cell()).E, {"--plot": drawn})
+
+
+def curtain(folder: Path, cells: int) -> list[Row]:
     """Picture and bounds of a curtain."""
-    scene = folder / "scene.toml"
-    scene.write_text(SCENE.format(cells=cells), encoding="utf-8")
+    scene = scene_file(folder / "scene.toml", square(cells))
 
-    def run(*force: str, picture: bool = False) -> np.ndarray:
+    def run(*force: str, picture: bool = False) -> Any:
         run_scene(scene, None, folder, picture=picture, force=force)
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         return np.array([summary[key] for key in ("mean_height_mm", "lowest_point_mm", "potential_dual_N_mm")])
 
-    plain, without = least_seconds(run, long=3.0)
-    trials = []
-    for feature, call in (("picture", lambda: run(picture=True)), ("bounds", lambda: run("bounds"))):
-        found, with_it = least_seconds(call, long=3.0)
-        trials.append(_same_numbers(feature, "macro-fem run", (without, with_it), plain, found, "mm"))
-    return trials
-
-
-def _same_numbers(
-    feature: str, scene: str, seconds: tuple[float, float], plain: np.ndarray, found: np.ndarray, unit: str = "strain"
-) -> Trial:
-    """The numbers with and without an output are equal to round-off, or its making has disturbed them."""
-    return Trial(feature, scene, LEFT_OUT, *seconds, float(np.abs(found - plain).max()), 1e-12, unit)
+    others = {"picture": partial(run, picture=True), "bounds": partial(run, "bounds")}
+    return unchanged("macro-fem run", run, others, "mm", long=3.0)

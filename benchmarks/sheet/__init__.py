@@ -1,1 +1,1 @@
-"""One problem, one file per code that solves it: each prints one JSON line (see `benchmarks.neo_hookean`)."""
+"""One problem, one file per code: `run(n)` yields when it is set up, when it is solved, and then its answer."""

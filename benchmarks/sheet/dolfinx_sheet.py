@@ -1,24 +1,17 @@
-"""dolfinx 0.5 (Debian 12) with MUMPS; run by the system's Python: `python3 benchmarks/sheet/dolfinx_sheet.py N`."""
+"""dolfinx 0.5 (Debian 12) with MUMPS, run by the system's Python."""
 
-import json
-import sys
-import time
-
-start = time.perf_counter()
-
-import dolfinx  # noqa: E402
-import numpy as np  # noqa: E402
-import ufl  # noqa: E402
-from dolfinx import fem, mesh  # noqa: E402
-from dolfinx.fem.petsc import NonlinearProblem, assemble_vector  # noqa: E402
-from dolfinx.nls.petsc import NewtonSolver  # noqa: E402
-from mpi4py import MPI  # noqa: E402
-from petsc4py import PETSc  # noqa: E402
+import dolfinx
+import numpy as np
+import ufl
+from dolfinx import fem, mesh
+from dolfinx.fem.petsc import NonlinearProblem, assemble_vector
+from dolfinx.nls.petsc import NewtonSolver
+from mpi4py import MPI
+from petsc4py import PETSc
 
 
-def main(n: int) -> None:
+def run(n):
     """Clamped unit square, N x N Q1, stretched to 1.5 in ten steps."""
-    loaded = time.perf_counter()
     square = mesh.create_unit_square(MPI.COMM_WORLD, n, n, mesh.CellType.quadrilateral)
     V = fem.VectorFunctionSpace(square, ("CG", 1))
     u, v = fem.Function(V), ufl.TestFunction(V)
@@ -40,26 +33,18 @@ def main(n: int) -> None:
     newton.krylov_solver.setType("preonly")
     newton.krylov_solver.getPC().setType("lu")
     newton.krylov_solver.getPC().setFactorSolverType("mumps")
-    ready = time.perf_counter()
+    yield {}
     iterations, ok = 0, True
     for step in range(1, 11):
         pull.value = 0.05 * step
         count, converged = newton.solve(u)
         iterations, ok = iterations + count, ok and converged
-    done = time.perf_counter()
-    answer = {
+    yield {}
+    yield {
         "version": f"dolfinx {dolfinx.__version__}, PETSc {'.'.join(map(str, PETSc.Sys.getVersion()))}, MUMPS",
         "ok": bool(ok),
         "reaction": float(assemble_vector(fem.form(form)).array[dofs(1.0, 0)].sum()),
         "iterations": iterations,
         "factorizations": iterations,
-        "import_s": loaded - start,
-        "setup_s": ready - loaded,
-        "solve_s": done - ready,
         "note": "setup holds the compiled forms, from its cache after the first run",
     }
-    print(json.dumps(answer))
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]))

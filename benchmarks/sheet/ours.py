@@ -1,50 +1,41 @@
-"""macro_fem: `python -m benchmarks.sheet.ours N [tangent|extrapolate] [cholmod|superlu|multigrid]`."""
+"""macro_fem: options [tangent|extrapolate] [cholmod|superlu|multigrid]."""
 
-import json
-import sys
-import time
+from collections.abc import Iterator
+from typing import Any
 
-start = time.perf_counter()
+import numpy as np
+import skfem
 
-import numpy as np  # noqa: E402
-import skfem  # noqa: E402
-
-from macro_fem.assembly import discretize  # noqa: E402
-from macro_fem.linear import LinearOptions  # noqa: E402
-from macro_fem.materials import NeoHookeanSheet  # noqa: E402
-from macro_fem.newton import LoadStep, Membrane, NewtonOptions, solve  # noqa: E402
+from macro_fem.assembly import discretize
+from macro_fem.linear import LinearOptions
+from macro_fem.materials import NeoHookeanSheet
+from macro_fem.newton import LoadStep, Membrane, NewtonOptions, solve
 
 
-def main(n: int, predictor: str, method: str) -> None:
-    """Clamped unit square, N x N Q1, stretched to 1.5 in ten steps."""
-    loaded = time.perf_counter()
+def clamped_sheet(n: int, pull: float) -> tuple[Membrane, np.ndarray]:
+    """Unit square, n x n Q1, clamped left and right, its right edge pulled; flags of the nodes there."""
     ticks = np.linspace(0.0, 1.0, n + 1)
     disc = discretize(skfem.MeshQuad.init_tensor(ticks, ticks), "Q1")
     x = disc.nodes[:, 0]
     fixed = np.repeat(((x == 0.0) | (x == 1.0))[:, None], 2, axis=1)
-    displacement = np.zeros((disc.n_nodes, 2))
-    displacement[x == 1.0, 0] = 0.5
-    sheet = Membrane(disc, NeoHookeanSheet(mu=1.0), fixed, displacement, np.zeros_like(displacement))
-    ready = time.perf_counter()
-    options = NewtonOptions(
-        rtol=1e-9, predictor_order=0 if predictor == "tangent" else 3, linear=LinearOptions(method=method)
-    )
+    displacement = np.outer(x == 1.0, [pull, 0.0])
+    return Membrane(disc, NeoHookeanSheet(mu=1.0), fixed, displacement, 0.0 * displacement), x == 1.0
+
+
+def run(n: int, predictor: str = "extrapolate", method: str = "auto") -> Iterator[dict[str, Any]]:
+    """Stretched to 1.5 in ten steps."""
+    sheet, pulled = clamped_sheet(n, 0.5)
+    yield {}
+    order, linear = 0 if predictor == "tangent" else 3, LinearOptions(method=method)
+    options = NewtonOptions(rtol=1e-9, predictor_order=order, linear=linear)
     solution = solve(sheet, options, steps=[LoadStep(displacement=k / 10) for k in range(1, 11)])
-    done = time.perf_counter()
+    yield {}
     statistics = solution.statistics
-    answer = {
+    yield {
         "version": f"this tree, scikit-fem {skfem.__version__}",
         "ok": solution.status.name == "CONVERGED",
-        "reaction": float(solution.reactions[x == 1.0, 0].sum()),
+        "reaction": float(solution.reactions[pulled, 0].sum()),
         "iterations": statistics.iterations,
         "factorizations": statistics.factorizations,
-        "import_s": loaded - start,
-        "setup_s": ready - loaded,
-        "solve_s": done - ready,
         "note": f"assembly {statistics.assembly_s:.2f} s, linear {statistics.linear_s:.2f} s",
     }
-    print(json.dumps(answer))
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), *(sys.argv[2:] + ["extrapolate", "auto"][len(sys.argv) - 2 :]))

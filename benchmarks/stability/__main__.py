@@ -1,33 +1,20 @@
-"""`python -m benchmarks.stability`: the extremes of rings, laws and curtains; writes docs/reports/stability.*."""
+"""Makes the report: `python -m benchmarks.stability [--full] [--only SECTION] [--out FOLDER]`."""
 
-from __future__ import annotations
-
-from benchmarks.pages.model import Report
-from benchmarks.pages.output import command
-from benchmarks.stability import cells, curtains, degenerate, features, laws, loads, stepping
+from benchmarks.report.files import command
+from benchmarks.report.records import Report
+from benchmarks.stability import cells, curtains, features, laws, loads, pairs, stepping
 
 REPORT = Report(
     "stability",
     "Stability at the extremes",
-    "What was tried, case by case, and what happened. A row says `converged`, or the name of what went wrong, or the "
-    "sentence with which the input was refused: nothing fails silently. Residuals and gaps that are round-off "
-    "are given "
-    "by the decade that bounds them.",
+    "What was tried, case by case, and what happened. A row says `converged`, or the status of the failure, or the "
+    "sentence with which the input was refused: nothing fails silently. Residuals and gaps at the level of round-off "
+    "are given by the power of ten that bounds them.",
     "OMP_NUM_THREADS=1 python -m benchmarks.stability",
 )
+SECTIONS = (stepping, cells, loads, pairs, laws, curtains, features)
 
-main = command(
-    REPORT,
-    {
-        "stepping": stepping.measure,
-        "cells": cells.measure,
-        "loads": loads.measure,
-        "pairs": degenerate.measure,
-        "laws": laws.measure,
-        "curtains": curtains.measure,
-        "features": features.measure,
-    },
-)
+main = command(REPORT, {module.__name__.split(".")[-1]: module.measure for module in SECTIONS})
 
 if __name__ == "__main__":
     main()

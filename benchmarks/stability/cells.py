@@ -1,19 +1,16 @@
 """Cells from the jamming limit to thin wire, and starts from nearly closed, nearly open and random poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from benchmarks.pages.measuring import at_most
-from benchmarks.pages.model import Column, Section, Table, Value
-from benchmarks.stability.words import GAP_NOISE, R_NOISE, outcomes, refusal
+from benchmarks.problems import normality
+from benchmarks.report.measure import Row, count_of, outcomes, refusal
+from benchmarks.report.records import Section, table
 from rve.cell import Pose, find_contacts, moved, start_pose
-from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
+from rve.equilibrium import DirectOptions, solve_equilibrium
 from rve.load import cauchy_line_load
 from rve.ranges import grid
 from rve.sweep import Cell, solve_table
 from rve.system import Equations
-from rve.table import StrainTable
 from rve.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
 
 R1 = 5.0
@@ -25,31 +22,25 @@ ALPHA, BETA = np.array([0.0, 15.0, 30.0, 45.0]), np.array([0.0, 5.0, 20.0, 45.0,
 WIRE = 0.1
 # Loads whose strain is unique at r1/r2 = 10, one of them the kink (0, 0).
 UNIQUE = np.array([[0.0, 0.0], [0.0, 45.0], [10.0, 10.0], [20.0, 30.0], [45.0, 0.0], [45.0, 90.0], [30.0, 70.0]])
-TURN = np.radians(8.0)
+OUTCOME, APART = "outcome of 28 loads", "apart by more than 1e-6"
+NOISE = {"R": "at_most 1e-11", "overlap, mm": "at_most 1e-12", "iterations, median": ".0f"}
+"""Weighted residual, and overlap in mm, below which digits are round-off."""
 
 
-def least_work(table: StrainTable) -> float:
-    """Least S_i:(E_i - E_j) over all pairs of converged rows: not below round-off where the rows are normal."""
-    S, E = table.S[table.converged], table.E[table.converged]
-    return float(np.einsum("ik,ijk->ij", S * [1, 2, 1], E[:, None] - E[None]).min())
-
-
-def ratio_row(weave: Weave, ratio: float) -> tuple[Value, ...]:
-    """28 loads at one ratio of radii."""
+def ratio_row(weave: Weave, ratio: float) -> Row:
+    """28 loads at one ratio of radii, or the sentence with which the cell is refused."""
+    row: Row = {"weave": weave.name, "r1/r2": ratio}
     if ratio <= weave.jamming_ratio:
-        return (weave.name, ratio, refusal(lambda: Cell(R1, R1 / ratio, weave)), None, "-", "-", "-")
+        return row | {OUTCOME: refusal(lambda: Cell(R1, R1 / ratio, weave))}
     table = solve_table(*grid(ALPHA, BETA), Cell(R1, R1 / ratio, weave))
-    worst = float(np.nanmin(table.min_gap_mm))
-    work = least_work(table)
-    return (
-        weave.name,
-        ratio,
-        outcomes(table.status),
-        float(np.median(table.iterations)),
-        at_most(max(R_NOISE, float(np.nanmax(table.R)))),
-        at_most(max(GAP_NOISE, -worst)),
-        "yes" if work > -1e-8 else f"no, {work:.0e}",
-    )
+    work = normality(table).min()
+    return row | {
+        OUTCOME: outcomes(table.status),
+        "iterations, median": float(np.median(table.iterations)),
+        "R": np.nanmax(table.R),
+        "overlap, mm": max(0.0, -np.nanmin(table.min_gap_mm)),
+        "rows normal": "yes" if work > -1e-8 else f"no, {work:.0e}",
+    }
 
 
 def admissible(pose: Pose, wire: float) -> np.ndarray:
@@ -86,94 +77,63 @@ def random_starts(count: int, seed: int, wire: float) -> Pose:
     return Pose(*columns)
 
 
-def start_row(name: str, start: Pose, loads: np.ndarray) -> tuple[Value, ...]:
-    """Starts, as many for each load in turn: how far the locked lattices of one load lie apart, in r1."""
+def start_row(name: str, start: Pose, loads: np.ndarray) -> Row:
+    """Starts, as many for each load in turn, and the differences of their locked lattices from the default's, in r1."""
     n = len(start.lattice) // len(loads)
-    s = np.repeat(cauchy_line_load(*loads.T), n, axis=0)
-    equations = Equations.of(FOUR_IN_ONE, WIRE)
-    found = solve_equilibrium(s, equations, DirectOptions(), start)
-    truth = solve_equilibrium(cauchy_line_load(*loads.T), equations)
-    good = found.status == "converged"
-    apart = np.abs(found.pose.lattice - np.repeat(truth.pose.lattice, n, axis=0)).max(axis=1)
-    gap = find_contacts(start, FOUR_IN_ONE, WIRE, 0.6).min_gap
-    return (
-        name,
-        at_most(gap.min()),
-        len(s),
-        outcomes(found.status),
-        _attempts(found),
-        float(np.median(found.iterations)),
-        at_most(max(1e-10, float(apart[good].max()))),
-        int((apart[good] > 1e-6).sum()),
-    )
-
-
-def _attempts(found: Equilibrium) -> int:
-    return int((found.attempts > 1).sum())
+    s, equations = cauchy_line_load(*loads.T), Equations.of(FOUR_IN_ONE, WIRE)
+    found = solve_equilibrium(np.repeat(s, n, axis=0), equations, DirectOptions(), start)
+    truth = np.repeat(solve_equilibrium(s, equations).pose.lattice, n, axis=0)
+    apart = np.abs(found.pose.lattice - truth).max(axis=1)[found.status == "converged"]
+    return {
+        "start": name,
+        "least gap, r1": find_contacts(start, FOUR_IN_ONE, WIRE, 0.6).min_gap.min(),
+        "solves": len(start.lattice),
+        "outcome": outcomes(found.status),
+        "more than one attempt": (found.attempts > 1).sum(),
+        "iterations, median": float(np.median(found.iterations)),
+        "difference of lattices, r1": apart.max(),
+        APART: (apart > 1e-6).sum(),
+        "_good": len(apart) == len(start.lattice),
+    }
 
 
 def measure(full: bool) -> Section:
     """Ratios of radii, and starts."""
     ratios = [ratio_row(weave, ratio) for weave in (FOUR_IN_ONE, SIX_IN_ONE) for ratio in RATIOS[weave.name]]
+    each = np.zeros(len(UNIQUE), int)
     starts = [
-        start_row(
-            f"{name}, least gap {gap:.0e} r1", squeezed(sense, gap, WIRE).take(np.zeros(len(UNIQUE), int)), UNIQUE
-        )
+        start_row(f"{name}, least gap {gap:.0e} r1", squeezed(sense, gap, WIRE).take(each), UNIQUE)
         for name, sense in (("nearly closed", -1.0), ("nearly open", 1.0))
         for gap in (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
     ]
     count = (1500 if full else 150) * len(UNIQUE)
     starts.append(start_row(f"{count:,} random poses", random_starts(count, 7, WIRE), UNIQUE))
-    ratio_columns = (
-        Column("weave"),
-        Column("r1/r2", ".6g"),
-        Column("outcome of 28 loads"),
-        Column("iterations, median", ".0f"),
-        Column("R"),
-        Column("overlap, mm"),
-        Column("rows normal"),
-    )
-    start_columns = (
-        Column("start"),
-        Column("least gap, r1"),
-        Column("solves"),
-        Column("outcome"),
-        Column("more than one attempt"),
-        Column("iterations, median", ".0f"),
-        Column("lattices apart, r1"),
-        Column("apart by more than 1e-6"),
-    )
+    start_forms = {
+        "least gap, r1": "at_most",
+        "iterations, median": ".0f",
+        "difference of lattices, r1": "at_most 1e-10",
+    }
     tables = (
-        Table("Radii from the jamming limit to thin wire", ratio_columns, tuple(ratios)),
-        Table("Starts, r1/r2 = 10", start_columns, tuple(starts)),
+        table("Radii from the jamming limit to thin wire", ratios, NOISE | {"r1/r2": ".6g"}),
+        table("Starts, r1/r2 = 10", starts, start_forms),
     )
-    return Section(
-        "cells",
-        "Cells: jamming, thin wire, odd starts",
-        f"alpha = {', '.join(f'{a:g}' for a in ALPHA)} and beta = {', '.join(f'{b:g}' for b in BETA)} degrees, r1 "
-        "= 5 mm. "
-        "`rows normal`: S_i:(E_i - E_j) >= -1e-8 for all rows i, j. The lower table starts from poses that are "
-        "all but "
-        f"jammed, and from random ones, under {len(UNIQUE)} loads whose strain is unique; `lattices apart` "
-        "compares with "
-        "the default start, floor 1e-10.",
-        tables,
-        conclusion=conclusion(ratios, starts),
+    text = (
+        f"alpha = {', '.join(f'{a:g}' for a in ALPHA)} and beta = {', '.join(f'{b:g}' for b in BETA)} degrees, r1 = 5 "
+        "mm. `rows normal`: S_i:(E_i - E_j) >= -1e-8 for all rows i, j. The second table starts from nearly jammed "
+        f"and from random poses, under {len(UNIQUE)} loads whose strain is unique, and compares the lattices with "
+        "those from the default start; the floor is 1e-10."
     )
+    return Section("Cells: jamming, thin wire, unusual starts", text, tables, (), conclusion(ratios, starts))
 
 
-def conclusion(ratios: list[tuple[Value, ...]], starts: list[tuple[Value, ...]]) -> str:
+def conclusion(ratios: list[Row], starts: list[Row]) -> str:
     """What the numbers say."""
-    solved = [row for row in ratios if row[3] is not None]
-    all_good = [row for row in solved if row[2] == "28 converged"]
-    thin = [f"{row[0]} at {row[1]:g}" for row in solved if str(row[6]).startswith("no")]
-    tried = sum(int(row[2] or 0) for row in starts)
-    apart = sum(int(row[7] or 0) for row in starts)
-    stalled = sum(row[3] != f"{row[2]} converged" for row in starts)
+    solved = [row for row in ratios if "R" in row]
+    thin = [f"{row['weave']} at {row['r1/r2']:g}" for row in solved if row["rows normal"] != "yes"]
     return (
-        f"All 28 loads converge at {len(all_good)} of {len(solved)} ratios, and wire that jams is refused in a "
-        "sentence. Rows "
-        f"contradict each other (two locked states coexist) for {', '.join(thin) or 'no ratio'}. Of {tried} "
-        "solves from odd "
-        f"starts {apart} end in another strain, and {stalled} of {len(starts)} rows have solves that do not converge."
+        f"All 28 loads converge at {count_of([row[OUTCOME] == '28 converged' for row in solved])} ratios, and jamming "
+        "wire is refused in a sentence. Rows contradict each other (two locked states coexist) for "
+        f"{', '.join(thin) or 'no ratio'}. Of {sum(row['solves'] for row in starts)} solves from unusual starts "
+        f"{sum(row[APART] for row in starts)} end in another strain, and "
+        f"{count_of([not row['_good'] for row in starts])} rows have solves that do not converge."
     )

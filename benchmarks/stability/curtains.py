@@ -1,7 +1,5 @@
 """Curtains of extreme shape, mesh, support, load and stiffness, with the condition numbers of their last matrices."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -10,8 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from benchmarks.pages.measuring import at_most
-from benchmarks.pages.model import Column, Section, Table, Value
+from benchmarks.problems import square
+from benchmarks.report.measure import Row, at_most, count_of
+from benchmarks.report.records import Section, table
 from homogenize.law import InputError, MembraneLaw, default_law
 from homogenize.polyhedral import PolyhedralLaw
 from macro_fem.assembly import stiffness
@@ -24,18 +23,8 @@ from macro_fem.solvers import solve_problem
 BLOCK = 256
 STIFFNESSES = tuple(10.0**e for e in range(0, 10))
 HOLES = [[[20.0, 20.0], [40.0, 20.0], [30.0, 45.0]], [[60.0, 50.0], [80.0, 50.0], [80.0, 80.0], [60.0, 80.0]]]
-COLUMNS = (
-    Column("curtain"),
-    Column("solver"),
-    Column("status, or what is said"),
-    Column("cells"),
-    Column("iterations"),
-    Column("unbalanced"),
-    Column("gap / (load times size)"),
-    Column("mean height, mm", ".5g"),
-    Column("condition, 1e"),
-    Column("of the scaled matrix, 1e"),
-)
+STATUS, HEIGHT = "status or message", "mean height, mm"
+FORMS = {"unbalanced": "at_most 1e-12", "gap / (load times size)": "at_most 1e-12", HEIGHT: ".5g"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +40,7 @@ class Watched(SupportedFem):
 
 
 def condition_numbers(fem: Watched) -> tuple[float, float]:
-    """One-norm condition numbers of the last matrix as it is, and with its rows and columns scaled to unit "
-    "diagonal."""
+    """One-norm condition numbers of the last matrix, and of the same scaled to unit diagonal."""
     if not fem.seen or fem.tie is not None:
         return np.nan, np.nan
     A = fem.pattern.full(stiffness(fem.disc, fem.pattern, fem.seen[0])).tocsc()
@@ -71,7 +59,7 @@ def _condition(A: Any) -> float:
 
 
 def _inverse_norm(factor: Any, n: int) -> float:
-    """The one-norm of the inverse, column by column: the usual estimate is random in its last digit."""
+    """The one-norm of the inverse, exact: the usual estimate is random in its last digit."""
     largest = 0.0
     for first in range(0, n, BLOCK):
         columns = np.zeros((n, min(BLOCK, n - first)))
@@ -80,16 +68,14 @@ def _inverse_norm(factor: Any, n: int) -> float:
     return largest
 
 
-def scene(curtain: dict[str, Any], kind: str = "rigid", cells: int = 12, **more: Any) -> Scene:
-    """A scene with these tables; the support is both top corners unless said otherwise."""
-    tables: dict[str, Any] = {
-        "curtain": curtain,
-        "mesh": {"cells": cells},
-        "support": {"kind": "corners", "gather": 0.9},
-        "solver": {"kind": kind},
-    }
+def scene(curtain: dict[str, Any] | None = None, kind: str = "rigid", cells: int = 12, **more: Any) -> Scene:
+    """A square of 100 mm, or another shape, with these keys of [curtain]; hung by both top corners unless `more` tables
+    say otherwise.
+    """
+    tables = square(cells, {"kind": "corners", "gather": 0.9}, 100.0, solver={"kind": kind})
+    whole = curtain if curtain and "shape" in curtain else tables["curtain"] | (curtain or {})
     source = more.pop("source", "scene")
-    return read_scene(tables | more, source)
+    return read_scene(tables | {"curtain": whole} | more, source)
 
 
 def solved(given: Scene, law: MembraneLaw) -> tuple[CurtainSolution, Watched]:
@@ -100,32 +86,31 @@ def solved(given: Scene, law: MembraneLaw) -> tuple[CurtainSolution, Watched]:
     return solve_problem(replace(problem, fem=fem)), fem
 
 
-def row(name: str, given: Scene, law: MembraneLaw) -> tuple[Value, ...]:
+def row(name: str, given: Scene, law: MembraneLaw) -> Row:
     """One curtain: its answer, or the sentence that says why there is none."""
+    row: Row = {"curtain": name, "solver": given.solver.kind}
     try:
         found, fem = solved(given, law)
     except InputError as error:
-        return (name, given.solver.kind, str(error), None, None, "-", "-", None, "-", "-")
+        return row | {STATUS: str(error)}
     raw, scaled = condition_numbers(fem)
     load = float(np.abs(found.problem.force).sum()) * found.problem.mesh.size
-    gap = (found.primal - found.dual) / load if load > 0.0 else np.nan
     is_answer = found.status == "converged"
-    return (
-        name,
-        given.solver.kind,
-        found.status if is_answer else f"{found.status}: {found.message}",
-        found.problem.disc.n_cells,
-        found.iterations,
-        at_most(max(found.residual, 1e-12)) if is_answer else "-",
-        at_most(max(gap, 1e-12)) if is_answer else "-",
-        found.mean_height() if is_answer else None,
-        _exponent(raw),
-        _exponent(scaled),
-    )
+    gap = (found.primal - found.dual) / load if load > 0.0 and is_answer else None
+    return row | {
+        STATUS: found.status if is_answer else f"{found.status}: {found.message}",
+        "cells": found.problem.disc.n_cells,
+        "iterations": found.iterations,
+        "unbalanced": found.residual if is_answer else None,
+        "gap / (load times size)": gap if gap is None else max(0.0, gap),
+        HEIGHT: found.mean_height() if is_answer else None,
+        "condition, 1e": _exponent(raw),
+        "of the scaled matrix, 1e": _exponent(scaled),
+    }
 
 
 def _exponent(x: float) -> str:
-    """The nearest power of ten; beyond 1e17 it is noise."""
+    """The nearest power of ten; numbers beyond 1e17 are round-off."""
     if not np.isfinite(x):
         return "-"
     return str(round(np.log10(x))) if x < 1e17 else "> 17"
@@ -142,43 +127,36 @@ def sliver_mesh(folder: Path, ratio: float) -> str:
     return path.name
 
 
-def shapes(kind: str, folder: Path) -> list[tuple[str, Scene]]:
-    """Name and scene of every extreme of shape, support and load, for one kind of solver."""
-    square = {"width": 100.0, "height": 100.0}
+def shapes(kind: str, folder: Path) -> dict[str, Scene]:
+    """Every extreme of shape, support and load by name, for one kind of solver."""
     top: dict[str, Any] = {"support": {"kind": "top"}}
     still = {"gravity": 0.0}
-    rows = [
-        ("ribbon 1 : 1000, hanging", scene({"width": 1.0, "height": 1000.0}, kind, 1, **top)),
-        ("ribbon 1000 : 1, held along its top", scene({"width": 1000.0, "height": 1.0}, kind, 400, **top)),
-        ("one cell", scene(square, kind, 1)),
-        ("gathered to 2 %", scene(square, kind, support={"kind": "top", "gather": 0.02})),
-        ("no gravity, nothing pulls", scene(square, kind, load=still)),
-        ("no gravity, drawn by supports", scene(square, kind, load=still, support={"kind": "corners", "gather": 1.3})),
-        ("two holes", scene(square | {"holes": HOLES}, kind)),
-    ]
+    scenes = {
+        "ribbon 1 : 1000, hanging": scene({"width": 1.0, "height": 1000.0}, kind, 1, **top),
+        "ribbon 1000 : 1, held along its top": scene({"width": 1000.0, "height": 1.0}, kind, 400, **top),
+        "one cell": scene(kind=kind, cells=1),
+        "gathered to 2 %": scene(kind=kind, support={"kind": "top", "gather": 0.02}),
+        "no gravity, no load": scene(kind=kind, load=still),
+        "no gravity, drawn by supports": scene(kind=kind, load=still, support={"kind": "corners", "gather": 1.3}),
+        "two holes": scene({"holes": HOLES}, kind),
+    }
     for gather in (1.5, 1.58, 1.6, 3.0):
-        rows.append(
-            (f"corners drawn apart to {gather:g}", scene(square, kind, support={"kind": "corners", "gather": gather}))
-        )
+        support = {"kind": "corners", "gather": gather}
+        scenes[f"corners drawn apart to {gather:g}"] = scene(kind=kind, support=support)
     for force in (1e-6, 1.0, 1e6):
         pull = {"gravity": 9.81, "point": [{"at": [50.0, 0.0], "force": [0.0, -force]}]}
-        rows.append((f"a point load of {force:g} N", scene(square, kind, load=pull)))
+        scenes[f"a point load of {force:g} N"] = scene(kind=kind, load=pull)
     for ratio in (10.0, 1000.0):
-        one = {"shape": "file", "file": sliver_mesh(folder, ratio)}
-        rows.append((f"triangles {ratio:g} : 1", scene(one, kind, source=folder / "scene.toml", mesh={}, **top)))
-    return rows
+        file = {"shape": "file", "file": sliver_mesh(folder, ratio)}
+        scenes[f"triangles {ratio:g} : 1"] = scene(file, kind, source=folder / "scene.toml", mesh={}, **top)
+    return scenes
 
 
-def stiff(law: PolyhedralLaw, size: float) -> PolyhedralLaw:
-    """The law with rings of another stiffness, N/mm."""
-    return replace(law, stiffness=size * np.eye(3))
-
-
-def stiffness_rows(law: PolyhedralLaw) -> list[tuple[Value, ...]]:
-    """One elastic curtain over nine decades of stiffness, and the rigid one that it tends to."""
-    given = scene({"width": 100.0, "height": 100.0}, "newton")
-    rows = [row(f"rings of {size:.0e} N/mm", given, stiff(law, size)) for size in STIFFNESSES]
-    return [*rows, row("ideal locking", scene({"width": 100.0, "height": 100.0}, "rigid"), law)]
+def stiffness_rows(law: PolyhedralLaw) -> list[Row]:
+    """One elastic curtain over nine decades of stiffness in N/mm, and the rigid one, which is its limit."""
+    laws = {size: replace(law, stiffness=size * np.eye(3)) for size in STIFFNESSES}
+    rows = [row(f"rings of {size:.0e} N/mm", scene(kind="newton"), stiff) for size, stiff in laws.items()]
+    return [*rows, row("ideal locking", scene(), law)]
 
 
 def measure(full: bool) -> Section:
@@ -187,39 +165,28 @@ def measure(full: bool) -> Section:
     if not isinstance(law, PolyhedralLaw):
         raise TypeError(f"the default law is {law.name}, not polyhedral")
     with tempfile.TemporaryDirectory() as folder:
-        pairs = [one for kind in ("rigid", "newton") for one in shapes(kind, Path(folder))]
-        rows = [tuple(_without(folder, cell) for cell in row(name, given, law)) for name, given in pairs]
+        kinds = [shapes(kind, Path(folder)) for kind in ("rigid", "newton")]
+        rows = [row(name, given, law) for scenes in kinds for name, given in scenes.items()]
+        for one in rows:
+            one[STATUS] = one[STATUS].replace(f"{folder}/", "")
     springs = stiffness_rows(law)
-    return Section(
-        "curtains",
-        "Curtains: shape, mesh, load, stiffness",
+    text = (
         "A square of 100 mm of the default rings (r1/r2 = 10) hung by two corners at 90 % of its width, 12 cells "
-        "wide, unless "
-        "said otherwise. `rigid` is ideal locking, `newton` the elastic law at 1000 N/mm. Condition numbers are "
-        "in the "
-        "one-norm, of the last matrix that the interior-point iteration has factorised, as it is and scaled to unit "
-        "diagonal. Close to a rigid answer taut and slack places differ by 16 orders. A scene has one material; "
-        "stiffness is varied from run to run.",
-        (Table("Extremes", COLUMNS, tuple(rows)), Table("Nine decades of stiffness", COLUMNS, tuple(springs))),
-        conclusion=conclusion(rows, springs),
+        "wide, unless the row says otherwise. `rigid` is ideal locking, `newton` the elastic law at 1000 N/mm. "
+        "Condition numbers are in the one-norm, of the last matrix that the interior-point iteration has factorised, "
+        "and of the same scaled to unit diagonal. Close to a rigid answer the tangents of taut and slack cells differ "
+        "by 16 orders of magnitude. A scene has one material; stiffness is varied from run to run."
     )
+    tables = (table("Extremes", rows, FORMS), table("Nine decades of stiffness", springs, FORMS))
+    return Section("Curtains: shape, mesh, load, stiffness", text, tables, (), conclusion(rows, springs))
 
 
-def _without(folder: str, cell: Value) -> Value:
-    return cell.replace(f"{folder}/", "") if isinstance(cell, str) else cell
-
-
-def conclusion(rows: list[tuple[Value, ...]], springs: list[tuple[Value, ...]]) -> str:
+def conclusion(rows: list[Row], springs: list[Row]) -> str:
     """What the numbers say."""
-    good = [r for r in rows if r[2] == "converged"]
-    rest = [f"{r[0]} ({r[1]})" for r in rows if r[2] != "converged"]
-    soft = [r for r in springs[:-1] if r[2] == "converged"]
-    heights = [float(r[7] or 0.0) for r in (springs[-2], springs[-1])]
-    off = abs(heights[0] - heights[1])
+    rest = [f"{row['curtain']} ({row['solver']})" for row in rows if row[STATUS] != "converged"]
+    off = abs((springs[-2].get(HEIGHT) or 0.0) - (springs[-1].get(HEIGHT) or 0.0))
     return (
-        f"{len(good)} of {len(rows)} extreme curtains converge; the others end in a sentence: "
-        f"{'; '.join(rest) or 'none'}. "
-        f"{len(soft)} of {len(springs) - 1} stiffnesses converge, and the stiffest hangs within "
-        f"{at_most(max(off, 1e-6))} mm of "
-        "ideal locking."
+        f"{count_of([row[STATUS] == 'converged' for row in rows])} extreme curtains converge; the others end with a "
+        f"message: {'; '.join(rest) or 'none'}. {count_of([row[STATUS] == 'converged' for row in springs[:-1]])} "
+        f"stiffnesses converge, and the mean height of the stiffest is within {at_most(off, 1e-6)} mm of ideal locking."
     )

@@ -1,26 +1,20 @@
 """Makes the report: `python -m benchmarks.work_precision [--full] [--only SECTION] [--out FOLDER]`."""
 
-from benchmarks.pages.model import Report
-from benchmarks.pages.output import command
+from benchmarks.report.files import command
+from benchmarks.report.records import Report
 from benchmarks.work_precision import chain, contact, curtain, law, rve
 
 REPORT = Report(
     "work_precision",
     "Error against run time",
-    "What an error costs, for every method at hand: locked strains, contact search, membrane laws, curtains, and the "
-    "whole chain. Problems are the same for all methods, references agree by two of them, and failures stay in the "
-    "tables. Times are processor times on one thread.",
+    "What an error costs, for every available method: locked strains, contact search, membrane laws, curtains, and "
+    "the whole chain. All methods solve the same problem. Two independent methods agree on each reference. Failures "
+    "stay in the tables. Times are processor times on one thread.",
     "OMP_NUM_THREADS=1 python -m benchmarks.work_precision",
 )
-MEASURES = {
-    "rve": rve.measure,
-    "contact": contact.measure,
-    "law": law.measure,
-    "curtain": curtain.measure,
-    "chain": chain.measure,
-}
+SECTIONS = (rve, contact, law, curtain, chain)
 
-main = command(REPORT, MEASURES)
+main = command(REPORT, {module.__name__.split(".")[-1]: module.measure for module in SECTIONS})
 
 if __name__ == "__main__":
     main()

@@ -1,25 +1,25 @@
 """The whole chain: the error of the curtain's mean height, split into contact tolerance, table, law and mesh.
 
-Each ladder varies one part and leaves the others as they are in `BASE`; its error is against the end of its own
-ladder, mesh errors against the extrapolated mesh. Then the settings of `examples/curtain.py --accuracy` run from
-rings to curtain, and what they were promised to hold is compared with what they do.
+Each ladder varies one part and leaves the others at the base. Its error is the difference from the finest setting, for
+meshes from the extrapolated mesh. Then the settings of `examples/curtain.py --accuracy` run from rings to curtain, and
+their errors are compared with the accuracy they state.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, partial
+from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.pages.measuring import least_seconds
-from benchmarks.pages.model import Column, Curve, Diagram, Section, Table
-from benchmarks.work_precision.curtain import converged, reference_height
-from examples.curtain import SETTINGS, Setting, extrapolated, grid_of, scene_text
+from benchmarks.problems import loads
+from benchmarks.report.measure import Row, decade, ladder, least_seconds, signed
+from benchmarks.report.records import Diagram, Section, Table, curves, table
+from benchmarks.work_precision.curtain import corner_height, reference_height
+from examples.curtain import SETTINGS, Setting, extrapolated
 from homogenize.fit import FitOptions, fit
 from homogenize.law import InputError, MembraneLaw
-from macro_fem.scene import read_scene
-from macro_fem.solvers import solve_scene
 from rve.equilibrium import DirectOptions
 from rve.sweep import Cell, solve_table
 from rve.table import StrainTable
@@ -30,15 +30,14 @@ BASE_CELLS = 8
 GAPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 SPACINGS = (22.5, 15.0, 9.0, 5.0, 3.0)
 LAWS = ("net", "inner", "outer", "smooth", "refined")
-PAIR, REFERENCE = "extrapolated", ": the reference"
-PARTS = ("contact", "table", "law", "mesh")
-Step = tuple[str, float, float, float]
-"""Setting in words, error of the mean height over the height (signed), seconds, and the height itself in mm."""
+ERROR, SECONDS = "error of the mean height / height", "s, rings to curtain"
+LEAST = 1e-6
+"""Errors below are within the tolerance of the curtain's solver."""
 
 
 def table_of(spacing: float, options: DirectOptions | None = None) -> StrainTable:
     """Load directions `spacing` degrees apart."""
-    return solve_table(*grid_of(spacing), Cell(r1=5.0, r2=0.5), options)
+    return solve_table(*loads(spacing), Cell(r1=5.0, r2=0.5), options)
 
 
 @cache
@@ -47,183 +46,141 @@ def law_of(spacing: float, kind: str = "refined") -> MembraneLaw:
     return fit(table_of(spacing), FitOptions(kind)).law
 
 
-def height_of(law: MembraneLaw, cells: int = BASE_CELLS) -> float:
-    """Mean height in mm of the corner-hung square metre, P2."""
-    import tomllib
-
-    scene = read_scene(tomllib.loads(scene_text(cells)))
-    return converged(solve_scene(scene, law)).mean_height()
+def base_height(law: MembraneLaw) -> float:
+    """Mean height in mm on the base mesh."""
+    return corner_height(law, BASE_CELLS)
 
 
-def contact_ladder() -> list[Step]:
+def row_of(exact: float, height: float, seconds: float) -> Row:
+    """The cells of one setting."""
+    return {ERROR: (height - exact) / HEIGHT, "s": seconds, "_size": abs(height - exact) / HEIGHT, "_height": height}
+
+
+def contact_ladder() -> list[Row]:
     """Gap times force (in units of s r1) at which contacts count as closed; residual likewise."""
-    exact = height_of(law_of(BASE_SPACING))
-    steps = []
-    for gap in GAPS:
-        options = DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap)
-        table, seconds = least_seconds(partial(table_of, BASE_SPACING, options), long=0.0)
+    exact = base_height(law_of(BASE_SPACING))
+    options = {gap: DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap) for gap in GAPS}
+
+    def judge(found: StrainTable, seconds: float) -> Row:
         try:
-            height = height_of(fit(table, FitOptions(normality=10.0 * gap)).law)
+            height = base_height(fit(found, FitOptions(normality=10.0 * found.provenance["options"]["mu_end"])).law)
         except InputError:
-            height = math.nan  # rows so inaccurate that they contradict each other are refused
-        steps.append((f"{gap:.0e}", (height - exact) / HEIGHT, seconds, height))
-    return steps
+            return row_of(exact, math.nan, seconds)  # rows so inaccurate that they contradict each other are refused
+        return row_of(exact, height, seconds)
+
+    return ladder(
+        "contact", {f"{gap:.0e}": partial(table_of, BASE_SPACING, options[gap]) for gap in GAPS}, judge, long=0.0
+    )
 
 
-def table_ladder() -> list[Step]:
+def table_ladder() -> list[Row]:
     """Spacing of load directions, against a table of 2.5 degrees."""
-    exact = height_of(law_of(FINE_SPACING))
-    steps = []
-    for spacing in SPACINGS:
-        table, seconds = least_seconds(partial(table_of, spacing), long=0.0)
-        height = height_of(fit(table).law)
-        steps.append((f"{spacing:g} deg, {len(table)} rows", (height - exact) / HEIGHT, seconds, height))
-    return steps
+    exact = base_height(law_of(FINE_SPACING))
+    rungs = {f"{spacing:g} deg, {len(loads(spacing)[0])} rows": partial(table_of, spacing) for spacing in SPACINGS}
+    return ladder("table", rungs, lambda found, s: row_of(exact, base_height(fit(found).law), s), long=0.0)
 
 
-def law_ladder() -> list[Step]:
+def law_ladder() -> list[Row]:
     """Kinds of law from the same table, against the default law of the fine one; seconds are those of the curtain."""
-    exact = height_of(law_of(FINE_SPACING))
-    steps = []
-    for kind in LAWS:
-        law = law_of(BASE_SPACING, kind)
-        height, seconds = least_seconds(partial(height_of, law), long=0.0)
-        steps.append((kind, (height - exact) / HEIGHT, seconds, height))
-    return steps
+    exact = base_height(law_of(FINE_SPACING))
+    rungs = {kind: partial(corner_height, law_of(BASE_SPACING, kind), BASE_CELLS) for kind in LAWS}
+    return ladder("law", rungs, partial(row_of, exact), long=0.0)
 
 
-def mesh_ladder(sizes: tuple[int, ...], reference: float) -> list[Step]:
+def mesh_ladder(sizes: Sequence[int], exact: float) -> list[Row]:
     """P2 cells along the width, and pairs of meshes extrapolated; all with the base law."""
-    law = law_of(BASE_SPACING)
-    steps, before, spent = [], math.nan, 0.0
-    for cells in sizes:
-        height, seconds = least_seconds(partial(height_of, law, cells), long=0.0)
-        steps.append((f"{cells} cells", (height - reference) / HEIGHT, seconds, height))
-        if math.isfinite(before):
-            pair = extrapolated(before, height)
-            words = f"{cells // 2} and {cells} cells, {PAIR}" + (REFERENCE if cells == sizes[-1] else "")
-            steps.append((words, (pair - reference) / HEIGHT, spent + seconds, pair))
-        before, spent = height, seconds
-    return steps
+    rungs = {f"{cells} cells": partial(corner_height, law_of(BASE_SPACING), cells) for cells in sizes}
+    singles = ladder("mesh", rungs, partial(row_of, exact), long=0.0)
+    rows = singles[:1]
+    for coarse, fine in pairwise(singles):
+        pair = row_of(exact, extrapolated(coarse["_height"], fine["_height"]), coarse["s"] + fine["s"])
+        setting = f"{coarse['setting'].split()[0]} and {fine['setting']}, extrapolated"
+        rows += [fine, {"method": "mesh", "setting": setting, "_pair": "mesh, extrapolated"} | pair]
+    return [*rows[:-1], rows[-1] | {"setting": f"{rows[-1]['setting']}: the reference", "_size": math.nan}]
 
 
 def from_rings(setting: Setting) -> float:
     """Mean height in mm by the whole chain with this setting."""
     law = fit(table_of(setting.spacing)).law
-    return extrapolated(*(height_of(law, cells) for cells in setting.cells))
+    return extrapolated(*(corner_height(law, cells) for cells in setting.cells))
 
 
-def recommendation(reference: float, ladders: dict[str, list[Step]]) -> Table:
-    """What each accuracy takes: the parts' errors by the ladders, the error that came out, and the time."""
-    rows = []
+def recommendation(reference: float, spacings: Sequence[Row]) -> list[Row]:
+    """What each accuracy takes: the error of its table by the ladder, the measured error, and the time."""
+    rows: list[Row] = []
+    parts = {row["setting"].split()[0]: row["_size"] for row in spacings}
     for accuracy, setting in SETTINGS.items():
         height, seconds = least_seconds(partial(from_rings, setting), long=0.0)
-        error = abs(height - reference) / HEIGHT
-        spacing = next((s for s in ladders["table"] if s[0].startswith(f"{setting.spacing:g} deg")), None)
-        part = abs(spacing[1]) if spacing else math.nan
-        words = " and ".join(str(cells) for cells in setting.cells) + (f", {PAIR}" if setting.cells[1:] else "")
-        held = "yes" if error <= accuracy else "NO"
-        rows.append((f"{accuracy:.2%}", f"{setting.spacing:g}", words, _decade(part), _decade(error), held, seconds))
-    columns = (
-        Column("good to"),
-        Column("table spacing, degrees"),
-        Column("P2 cells along the width"),
-        Column("error of table and law", ".0e"),
-        Column("error of the answer", ".0e"),
-        Column("held"),
-        Column("s, rings to curtain", ".1f", timed=True),
+        error, spacing = abs(height - reference) / HEIGHT, f"{setting.spacing:g}"
+        cells = " and ".join(str(cells) for cells in setting.cells) + ", extrapolated" * (len(setting.cells) > 1)
+        row: Row = {"good to": f"{accuracy:.2%}", "table spacing, degrees": spacing, "P2 cells along the width": cells}
+        row |= {"error of table and law": parts.get(spacing, math.nan), "error of the answer": error}
+        rows.append(
+            row | {"held": error <= accuracy, SECONDS: seconds, "_accuracy": accuracy, "_name": "rings to curtain"}
+        )
+    return rows
+
+
+def part_rows(sizes: Sequence[int], mesh_reference: float) -> list[Row]:
+    """The ladders of all parts."""
+    rows = [*contact_ladder(), *table_ladder(), *law_ladder(), *mesh_ladder(sizes, mesh_reference)]
+    names = {"contact": "contact tolerance", "table": "table spacing", "law": "kind of law"}
+    return [row | {"_name": row.get("_pair", names.get(row["method"], row["method"]))} for row in rows]
+
+
+def parts_table(rows: Sequence[Row], doubt: float) -> Table:
+    """All ladders with signed errors."""
+    shown = [
+        {
+            "part": row["method"],
+            "setting": row["setting"],
+            ERROR: signed(row[ERROR], LEAST) if math.isfinite(row[ERROR]) else "refused: rows contradict each other",
+            "s": row["s"],
+        }
+        for row in rows
+    ]
+    note = (
+        "Seconds: of the table for contact and table, of the curtain for law and mesh. The limit of the meshes is "
+        f"known to {doubt / HEIGHT:.0e}."
     )
-    title = "Recommended: `examples/curtain.py --accuracy`"
-    return Table(title, columns, tuple(rows), f"Reference: {reference:.2f} mm, with the law of 2.5 degrees.")
+    return table("Parts", shown, {"s": ".2f timed"}, note)
 
 
 def measure(full: bool) -> Section:
     """The section; `full` goes to meshes twice as fine."""
     sizes = (4, 8, 16, 32, 64) if full else (4, 8, 16, 32)
     mesh_reference, doubt = reference_height(sizes[-1])
-    ladders = {
-        "contact": contact_ladder(),
-        "table": table_ladder(),
-        "law": law_ladder(),
-        "mesh": mesh_ladder(sizes, mesh_reference),
+    rows = part_rows(sizes, mesh_reference)
+    # The reference: the limit of the base law's meshes, plus the change by the finer table on the base mesh.
+    reference = mesh_reference + base_height(law_of(FINE_SPACING)) - base_height(law_of(BASE_SPACING))
+    settings = recommendation(reference, [row for row in rows if row["method"] == "table"])
+    forms = {
+        "error of table and law": f"decade {LEAST}",
+        "error of the answer": f"decade {LEAST}",
+        SECONDS: ".1f timed",
     }
-    # What a finer table changes on the base mesh is added to the limit of the base law's meshes.
-    reference = mesh_reference + height_of(law_of(FINE_SPACING)) - height_of(law_of(BASE_SPACING))
-    recommended = recommendation(reference, ladders)
-    rows = tuple((part, *_shown(step)) for part in PARTS for step in ladders[part])
-    columns = (
-        Column("part"),
-        Column("setting"),
-        Column("error of the mean height / height"),
-        Column("s", ".2f", timed=True),
-    )
-    note = (
-        "Seconds: of the table for contact and table, of the curtain for law and mesh. The mesh's limit is known to "
-        f"{doubt / HEIGHT:.0e}."
-    )
-    picture = Diagram(
-        "chain",
-        "Mean height of the corner-hung square metre: what an error costs",
-        "error of the mean height / height",
-        "processor time (s)",
-        curves_of(ladders, recommended),
-    )
-    return Section(
-        "chain",
-        "The whole chain",
-        _text(),
-        (recommended, Table("Parts", columns, rows, note)),
-        (picture,),
-        _conclusion(ladders),
-    )
-
-
-def curves_of(ladders: dict[str, list[Step]], recommended: Table) -> tuple[Curve, ...]:
-    """A curve for each part, single and extrapolated meshes apart, and one for the whole chain as recommended."""
-    parts = [
-        ("contact tolerance", ladders["contact"], True),
-        ("table spacing", ladders["table"], True),
-        ("kind of law", ladders["law"], False),
-        ("mesh", [step for step in ladders["mesh"] if PAIR not in step[0]], True),
-        ("mesh, extrapolated", [s for s in ladders["mesh"] if PAIR in s[0] and REFERENCE not in s[0]], True),
-    ]
-    curves = [Curve(name, _column(steps, 1), _column(steps, 2), joined) for name, steps, joined in parts]
-    seconds = tuple(float(row[-1] or 0.0) for row in recommended.rows)
-    return (*curves, Curve("rings to curtain", tuple(SETTINGS), seconds))
-
-
-def _column(steps: list[Step], place: int) -> tuple[float, ...]:
-    """Sizes of one number of the steps."""
-    return tuple(abs(float(step[place])) for step in steps)
-
-
-def _text() -> str:
-    return (
+    note = f"Reference: {reference:.2f} mm, with the law of 2.5 degrees."
+    recommended = table("Recommended: `examples/curtain.py --accuracy`", settings, forms, note)
+    drawn = [replace(curve, joined=curve.label != "kind of law") for curve in curves(rows, "_name", "_size", "s")]
+    title = "Mean height of the corner-hung square metre: what an error costs"
+    whole = curves(settings, "_name", "_accuracy", SECONDS)
+    picture = Diagram("chain", title, ERROR, "processor time (s)", (*drawn, *whole))
+    text = (
         "Rings (r1/r2 = 10) to table to law to the mean height of a square metre hung by its two top corners. Base: "
         f"contacts closed to round-off, table of {BASE_SPACING:g} degrees, the default law, {BASE_CELLS} P2 cells "
         "along the width. Each ladder changes one part."
     )
+    return Section("The whole chain", text, (recommended, parts_table(rows, doubt)), (picture,), _conclusion(rows))
 
 
-def _conclusion(ladders: dict[str, list[Step]]) -> str:
-    finest = {part: min(abs(step[1]) for step in ladders[part] if math.isfinite(step[1])) for part in PARTS[:2]}
-    single = min(abs(step[1]) for step in ladders["mesh"] if PAIR not in step[0])
+def _conclusion(rows: Sequence[Row]) -> str:
+    least = {
+        name: np.nanmin([row["_size"] for row in rows if row["_name"] == name])
+        for name in ("mesh", "contact tolerance")
+    }
     return (
-        f"The mesh decides ({_decade(single)} at the finest single one), then the table; contacts cost little to close "
-        f"to round-off (error {_decade(finest['contact'])} at {GAPS[-1]:.0e}). Two meshes extrapolated are worth more "
-        "than one twice as fine, and are what 0.01 % takes."
+        f"The mesh contributes most (error {decade(least['mesh'], LEAST)} at the finest single one), then the table. "
+        f"Closing contacts to round-off costs little (error {decade(least['contact tolerance'], LEAST)} at "
+        f"{GAPS[-1]:.0e}). Two extrapolated meshes are more accurate than one mesh of half the cell size; 0.01 % needs "
+        "them."
     )
-
-
-def _shown(step: Step) -> tuple[str, str, float]:
-    name, error, seconds, _ = step
-    return name, "refused: rows contradict each other" if math.isnan(error) else _signed(error), seconds
-
-
-def _signed(error: float) -> str:
-    """One digit and the sign; what is below the curtain solver's own tolerance counts as nothing."""
-    return "< 1e-06" if abs(error) < 1e-6 else f"{error:+.0e}"
-
-
-def _decade(error: float) -> str:
-    return "-" if not np.isfinite(error) else "< 1e-06" if error < 1e-6 else f"{error:.0e}"

@@ -1,31 +1,28 @@
-"""Section `contact`: error of the gap of two rings against time, for three ways to find their nearest points.
+"""Section `contact`: error of the gap of two rings against time, for three contact searches.
 
-Rings are pairs of circles of radius 1; the gap is the distance of the circles less a wire, so its error is that of the
-distance. What is wanted are all local minima below `REACH`.
+Rings are circles of radius 1. The gap is the distance of the circles less the wire, so its error is that of the
+distance. A search returns all local minima of the distance below `REACH`.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.pages.measuring import decade, least_seconds
-from benchmarks.pages.model import Column, Curve, Diagram, Section, Table
+from benchmarks.report.measure import Row, count_of, decade, ladder
+from benchmarks.report.records import Diagram, Section, curves, table
 from rve.contact import are_linked, local_minima, tangent_frame
 from rve.projection import alternating_projection
 
 Array = NDArray[np.float64]
 REACH = 1.0
 SAME = 0.1
-"""A point on ring A closer than this to one of the reference counts as that one found."""
+"""A minimum of the reference counts as found if a point on ring A lies closer to it than this."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-
-
-DEFAULT, FINER, PAPERS = ("Newton", "48 samples"), ("Newton", "96 samples"), ("projection", "400 iterations")
+ERROR, BATCH = "largest error of the gap / r1", "us per pair in a batch of 1000"
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class Pairs:
     n_a: Array
     n_b: Array
 
-    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Pairs:
+    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> "Pairs":
         """The pairs of these rows."""
         return Pairs(self.d[rows], self.n_a[rows], self.n_b[rows])
 
@@ -53,10 +50,9 @@ class Found:
 Search = Callable[[Pairs], Found]
 
 
-@dataclass(frozen=True)
-class Score:
-    """A search against the reference: largest error of a distance among the minima found, how many of `all` were
-    missed, for how many pairs the deepest one was, and how many points are no minima or named twice.
+class Score(NamedTuple):
+    """A search against the reference: largest error of a distance among the minima found, missed minima of `all`, pairs
+    whose deepest minimum is missed, and points that are no minima or found twice.
     """
 
     error: float
@@ -67,7 +63,7 @@ class Score:
 
 
 def random_pairs(count: int, seed: int = 7) -> Pairs:
-    """Linked pairs as they come in a weave: centres in a plane, normals anywhere, wires of radius 0.05 apart."""
+    """Linked pairs as in a weave: centres in a plane, normals in all directions, circles at least 0.1 apart."""
     rng = np.random.default_rng(seed)
     d = rng.normal(size=(8 * count, 3)) * np.array([1.2, 1.2, 0.0])
     n_a, n_b = rng.normal(size=(2, 8 * count, 3))
@@ -81,14 +77,14 @@ def random_pairs(count: int, seed: int = 7) -> Pairs:
 
 
 def degenerate_pairs() -> dict[str, tuple[Pairs, int]]:
-    """Pairs by name with the number of minima below `REACH` that they have; one where all points are as near."""
+    """Pairs by name with their number of minima below `REACH`; 1 where all points are equally near."""
     z = [0.0, 0.0, 1.0]
 
     def pair(d: Sequence[float], n_b: Sequence[float], n_a: Sequence[float] = z) -> Pairs:
         return Pairs(np.array([d]), np.array([n_a]), np.array([n_b]))
 
     def leaning(excess: float) -> Pairs:
-        """Two taut rings of wire 0.1 whose planes are so inclined that the one contact between them splits in two."""
+        """Two taut rings of wire 0.1; at `excess` = 0 of the cosine between their planes one contact splits in two."""
         half = 0.5 * np.arccos(0.8 + excess)
         return pair([1.8, 0.0, 0.0], [0.0, -np.sin(half), np.cos(half)], [0.0, np.sin(half), np.cos(half)])
 
@@ -118,7 +114,7 @@ def circle_distance(pairs: Pairs, angle: Array) -> tuple[Array, Array]:
 
 
 def brute_force(pairs: Pairs, samples: int) -> Found:
-    """The lowest of `samples` points of ring A in every valley, as they are."""
+    """The lowest of `samples` points of ring A in every valley, without refinement."""
     angle = np.tile(2.0 * np.pi * np.arange(samples) / samples, (len(pairs.d), 1))
     f, point = circle_distance(pairs, angle)
     row, column = np.nonzero((f < np.roll(f, 1, axis=1)) & (f <= np.roll(f, -1, axis=1)))
@@ -128,7 +124,7 @@ def brute_force(pairs: Pairs, samples: int) -> Found:
 
 
 def golden_section(pairs: Pairs, samples: int = 4096, rounds: int = 45) -> Found:
-    """The valleys of `brute_force`, each narrowed by golden sections: no derivatives, nothing of `rve.contact`."""
+    """The valleys of `brute_force`, narrowed by golden sections: no derivatives, no code of `rve.contact`."""
     e1, e2 = tangent_frame(pairs.n_a)
     start = brute_force(pairs, samples)
     at = pairs.take(start.pair)
@@ -143,7 +139,7 @@ def golden_section(pairs: Pairs, samples: int = 4096, rounds: int = 45) -> Found
 
 
 def newton(pairs: Pairs, samples: int = 48) -> Found:
-    """`rve.contact.local_minima`, our default."""
+    """`rve.contact.local_minima`, the default."""
     found = local_minima(pairs.d, pairs.n_a, pairs.n_b, 1.0, reach=REACH, samples=samples)
     return Found(found.pair, found.rho_a, found.distance)
 
@@ -164,22 +160,13 @@ def _near(pair: NDArray[np.intp], point: Array, distance: Array) -> Found:
     return Found(pair[keep], point[keep], distance[keep])
 
 
-def one_by_one(search: Search, pairs: Sequence[Pairs]) -> list[Found]:
-    """The search called for every one of them on its own."""
-    return [search(one) for one in pairs]
-
-
 def score(found: Found, reference: Found) -> Score:
-    """Each reference minimum takes the nearest point found for its pair within `SAME`; what is left over is wrong."""
-    error, missed, used = 0.0, 0, np.zeros(len(found.pair), bool)
+    """Each reference minimum takes the nearest point found for its pair within `SAME`; points left over are wrong."""
+    error, missed, deepest, used = 0.0, 0, 0, np.zeros(len(found.pair), bool)
     lowest = np.full(reference.pair.max(initial=0) + 1, np.inf)
     np.minimum.at(lowest, reference.pair, reference.distance)
-    deepest = 0
-    order = np.argsort(found.pair, kind="stable")
-    first = np.searchsorted(found.pair[order], np.arange(reference.pair.max(initial=0) + 2))
     for pair, point, distance in zip(reference.pair, reference.point, reference.distance, strict=True):
-        mine = order[first[pair] : first[pair + 1]]
-        mine = mine[~used[mine]]
+        mine = np.flatnonzero((found.pair == pair) & ~used)
         way = np.linalg.norm(found.point[mine] - point, axis=1)
         if not len(mine) or way.min() > SAME:
             missed += 1
@@ -192,96 +179,83 @@ def score(found: Found, reference: Found) -> Score:
     return Score(error, missed, deepest, len(reference.pair), int((~used).sum()))
 
 
-def ladders(full: bool) -> dict[str, list[tuple[str, Search]]]:
+def searches(full: bool) -> dict[str, dict[str, Search]]:
     """Every method with its settings, coarse to fine."""
     brute = (32, 128, 512, 2048) + (8192,) * full
     return {
-        "Newton": [(f"{n} samples", partial(newton, samples=n)) for n in (12, 24, 48, 96)],
-        "projection": [(f"{n} iterations", partial(projection, iterations=n)) for n in (5, 20, 80, 400)],
-        "brute force": [(f"{n} samples", partial(brute_force, samples=n)) for n in brute],
+        "Newton": {f"{n} samples": partial(newton, samples=n) for n in (12, 24, 48, 96)},
+        "projection": {f"{n} iterations": partial(projection, iterations=n) for n in (5, 20, 80, 400)},
+        "brute force": {f"{n} samples": partial(brute_force, samples=n) for n in brute},
     }
 
 
-def random_table(full: bool) -> tuple[Table, tuple[Curve, ...], dict[tuple[str, str], Score]]:
-    """All methods on random linked pairs, one at a time and in a batch; scores by method and setting."""
+def random_rows(full: bool) -> list[Row]:
+    """All methods on random linked pairs, in a batch and one at a time."""
     pairs = random_pairs(1000)
     reference = golden_section(pairs)
     some = [pairs.take([i]) for i in range(20)]
-    rows, curves, scores = [], [], {}
-    for name, ladder in ladders(full).items():
-        x: list[float] = []
-        y: list[float] = []
-        for setting, search in ladder:
-            found, seconds = least_seconds(partial(search, pairs))
-            _, alone = least_seconds(partial(one_by_one, search, some))
-            got = score(found, reference)
-            batch, single = 1e6 * seconds / len(pairs.d), 1e6 * alone / len(some)
-            counts = f"{got.missed} of {got.all}", got.deepest, got.wrong
-            rows.append((name, setting, decade(got.error, 1e-13), *counts, batch, single))
-            x, y, scores[name, setting] = [*x, max(got.error, 1e-16)], [*y, batch * 1e-6], got
-        curves.append(Curve(name, tuple(x), tuple(y)))
-    columns = (
-        Column("method"),
-        Column("setting"),
-        Column("largest error of the gap / r1"),
-        Column("minima missed"),
-        Column("deepest of a pair missed", "d"),
-        Column("wrong or twice", "d"),
-        Column("us per pair in a batch of 1000", ".3g", timed=True),
-        Column("us per pair alone", ".3g", timed=True),
-    )
-    ours = scores[DEFAULT]
-    note = (
-        f"Reference: {ours.all} minima by 4096 samples and golden sections; Newton's agree to "
-        f"{decade(ours.error, 1e-13)} without sharing a line with them."
-    )
-    return Table("1000 random linked pairs", columns, tuple(rows), note), tuple(curves), scores
+
+    def judge(found: Found, seconds: float) -> Row:
+        got = score(found, reference)
+        return {
+            ERROR: got.error,
+            "minima missed": f"{got.missed} of {got.all}",
+            "deepest of a pair missed": got.deepest,
+            "wrong or twice": got.wrong,
+            BATCH: 1e6 * seconds / len(pairs.d),
+            "_error": max(got.error, 1e-16),
+            "_s": seconds / len(pairs.d),
+        }
+
+    rows: list[Row] = []
+    for name, settings in searches(full).items():
+        batch = ladder(name, {setting: partial(search, pairs) for setting, search in settings.items()}, judge)
+        one_by_one = {setting: lambda search=search: [*map(search, some)] for setting, search in settings.items()}
+        alone = ladder(name, one_by_one, lambda _, seconds: {"us per pair alone": 1e6 * seconds / len(some)})
+        rows += [row | one for row, one in zip(batch, alone, strict=True)]
+    return rows
 
 
-def degenerate_table() -> Table:
+def degenerate_rows() -> list[Row]:
     """Found minima and error of the distance of each method on each degenerate pair."""
-    searches = {
-        "Newton": partial(newton, samples=48),
-        "projection, 400 iterations": partial(projection, iterations=400),
-        "brute force, 2048 samples": partial(brute_force, samples=2048),
-    }
-    rows = []
+    every, rows = searches(full=False), []
+    chosen = {"Newton": "48 samples", "projection": "400 iterations", "brute force": "2048 samples"}
     for name, (pairs, count) in degenerate_pairs().items():
         lowest = float(golden_section(pairs, 20001).distance.min())
-        cells = [f"{count} at {lowest:.6f}"]
-        for search in searches.values():
-            found = search(pairs)
+        row: Row = {"pair": name, "minima, lowest distance": f"{count} at {lowest:.6f}"}
+        for method, setting in chosen.items():
+            found = every[method][setting](pairs)
             error = abs(float(found.distance.min()) - lowest) if len(found.distance) else float("nan")
-            cells.append(f"{len(found.distance)}, {decade(error, 1e-12)}")
-        rows.append((name, *cells))
-    heads = ("pair", "minima, lowest distance", *(f"{name}: found, error" for name in searches))
-    return Table("Degenerate pairs", tuple(Column(head) for head in heads), tuple(rows))
+            row[f"{method}, {setting}: found, error"] = f"{len(found.distance)}, {decade(error)}"
+            row[f"_{method}"] = len(found.distance) == count
+        rows.append(row)
+    return rows
 
 
-TEXT = f"""Rings as circles of radius 1. A contact search has to name **every** local minimum of the distance below
-{REACH:g}: linked rings touch in two places. Newton samples ring A and polishes each valley with a second-order
-iteration (`rve.contact`, the default); alternating projection is the paper's (`rve.projection`), from two starts; brute
-force takes the lowest of the samples."""
+TEXT = f"""Rings as circles of radius 1. A contact search has to find **every** local minimum of the distance below
+{REACH:g}: linked rings touch in two places. Newton (`rve.contact`, the default) samples ring A and refines each valley
+with a second-order iteration; alternating projection (`rve.projection`) is the paper's, from two starts; brute force
+takes the lowest samples."""
 
 
 def measure(full: bool) -> Section:
     """The section: random pairs, degenerate pairs."""
-    table, curves, scores = random_table(full)
-    degenerate = degenerate_table()
-    right = sum(str(row[2]).split(",")[0] == str(row[1]).split()[0] for row in degenerate.rows)
-    wrong = sum(str(row[3]).split(",")[0] != str(row[1]).split()[0] for row in degenerate.rows)
-    ours, finer, theirs = (scores[key] for key in (DEFAULT, FINER, PAPERS))
-    us = {(row[0], row[1]): float(str(row[6])) for row in table.rows}
-    ratio = us[PAPERS] / us[DEFAULT]
+    rows, named = random_rows(full), degenerate_rows()
+    ours, finer, theirs = rows[2], rows[3], rows[7]
     conclusion = (
-        f"Newton's method is the default: it misses {ours.missed} of {ours.all} minima ({ours.deepest} times the "
-        f"deepest of a pair; {finer.missed} with {FINER[1]}) and names {ours.wrong} that are none, at an error of "
-        f"{decade(ours.error, 1e-13)}. Alternating projection from two starts misses {theirs.missed} and names "
-        f"{theirs.wrong} wrongly at {ratio:.1f} times the time and an error of {decade(theirs.error, 1e-13)}: it "
-        f"creeps where minima are about to merge. Of {len(degenerate.rows)} degenerate pairs Newton counts {right} "
-        f"right, projection {len(degenerate.rows) - wrong}."
+        f"Newton's method is the default: it misses {ours['minima missed']} minima, for "
+        f"{ours['deepest of a pair missed']} pairs the deepest ({finer['minima missed']} with {finer['setting']}), and "
+        f"finds {ours['wrong or twice']} that are none, at an error of {decade(ours[ERROR], 1e-13)}. Alternating "
+        f"projection from two starts misses {theirs['minima missed']} and finds {theirs['wrong or twice']} wrong ones "
+        f"at {theirs[BATCH] / ours[BATCH]:.1f} times the time and an error of {decade(theirs[ERROR], 1e-13)}: it "
+        "converges slowly where two minima are about to merge. Newton counts the minima of "
+        f"{count_of([row['_Newton'] for row in named])} degenerate pairs correctly, projection those of "
+        f"{count_of([row['_projection'] for row in named])}."
     )
-    diagram = Diagram(
-        "contact", "Gap of two rings: error against time", "largest error of a gap found / r1", "s per pair", curves
-    )
-    return Section("contact", "Contact search", TEXT, (table, degenerate), (diagram,), conclusion)
+    title = "Gap of two rings: error against time"
+    every = curves(rows, "method", "_error", "_s")
+    diagram = Diagram("contact", title, "largest error of a gap found / r1", "s per pair", every)
+    note = "Reference: minima by 4096 samples and golden sections, which share no code with Newton's search."
+    forms = {ERROR: "decade 1e-13", BATCH: "timed", "us per pair alone": "timed"}
+    tables = (table("1000 random linked pairs", rows, forms, note), table("Degenerate pairs", named))
+    return Section("Contact search", TEXT, tables, (diagram,), conclusion)

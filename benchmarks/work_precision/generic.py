@@ -1,11 +1,8 @@
 """The locked cell as a nonlinear programme for solvers that know nothing of rings: SLSQP, trust-constr, IPOPT.
 
-They get the problem in the form that suits them best: maximise S:E over the nine coordinates with all gaps >= 0,
-analytic first derivatives, and S, the second Piola-Kirchhoff load of the answer, for nothing (for a fixed Cauchy load
-there is no potential).
+They maximise S:E over the nine coordinates with all gaps >= 0 and analytic first derivatives. S is the second
+Piola-Kirchhoff load of the answer, given to them because a fixed Cauchy load has no potential.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +16,13 @@ from rve.contact import distance_gradient, local_minima, tangent_frame
 from rve.system import Equations
 
 Array = NDArray[np.float64]
-BOX = (-1.5, 1.5)  # without bounds on the coordinates SLSQP tears the rings apart in its first step
+BOX = (-1.5, 1.5)  # without bounds on the coordinates the first step of SLSQP unlinks the rings
+
+
+def strain_of(x2: Any, y3: Any, t: Any, sides: tuple[float, float]) -> list[Any]:
+    """E11, E12, E22 of a lattice, as numbers or as casadi's expressions."""
+    bx, by = sides
+    return [((1 + t * t) * x2 * x2 / bx**2 - 1) / 2, t * x2 * y3 / bx / by, ((1 + t * t) * y3 * y3 / by**2 - 1) / 2]
 
 
 class Programme:
@@ -56,10 +59,7 @@ class Programme:
         """E (3,) and its derivative (3, 9)."""
         x2, y3, t = self.start.lattice[0] + q[:3]
         bx, by = self.sides
-        E = np.array(
-            [((1 + t * t) * x2 * x2 / bx**2 - 1) / 2, t * x2 * y3 / bx / by, ((1 + t * t) * y3 * y3 / by**2 - 1) / 2]
-        )
-        d = np.zeros((3, 9))
+        E, d = np.array(strain_of(x2, y3, t, self.sides)), np.zeros((3, 9))
         d[0, 0], d[0, 2] = (1 + t * t) * x2 / bx**2, t * x2 * x2 / bx**2
         d[1, :3] = t * y3 / bx / by, t * x2 / bx / by, x2 * y3 / bx / by
         d[2, 1], d[2, 2] = (1 + t * t) * y3 / by**2, t * y3 * y3 / by**2
@@ -87,9 +87,9 @@ class Programme:
         row = 0
         for pair, linked in enumerate(weave.linked):
             mine = np.flatnonzero(found.pair == pair)
-            # In an order that does not swap where both are equally near, as they are in the answer.
+            # An order that stays when both are equally near, as in the answer.
             mine = mine[np.argsort(found.rho_a[mine, 0] if linked else found.distance[mine])]
-            # A far pair may have no isolated minimum; a linked one whose minima have merged has its only one twice.
+            # A far pair may have no isolated minimum; a linked pair whose minima have merged counts its only one twice.
             for k in range(2 if linked else 1):
                 if len(mine):
                     best = mine[min(k, len(mine) - 1)]
@@ -118,88 +118,73 @@ Solve = Callable[[Programme, Array, float], Array]
 def solve_slsqp(programme: Programme, q0: Array, tolerance: float) -> Array:
     """Sequential quadratic programmes of SciPy; `tolerance` on the loss."""
     bound = {"type": "ineq", "fun": lambda q: programme.gaps(q)[0], "jac": lambda q: programme.gaps(q)[1]}
-    options = {"ftol": tolerance, "maxiter": 1000}
-    return _scipy(programme, q0, "SLSQP", bound, options)
+    return _scipy(programme, q0, "SLSQP", bound, ftol=tolerance, maxiter=1000)
 
 
 def solve_trust_constr(programme: Programme, q0: Array, tolerance: float) -> Array:
     """The barrier method of SciPy; `tolerance` on the gradient and the barrier."""
     bound = NonlinearConstraint(lambda q: programme.gaps(q)[0], 0.0, np.inf, jac=lambda q: programme.gaps(q)[1])
-    # Short first steps: with the default radius 1 it leaves the weave at once.
+    # With the default radius 1 its first step leaves the weave.
     options = {"gtol": tolerance, "barrier_tol": tolerance, "xtol": 1e-12, "maxiter": 400, "initial_tr_radius": 0.02}
-    return _scipy(programme, q0, "trust-constr", bound, options)
+    return _scipy(programme, q0, "trust-constr", bound, **options)
 
 
-def _scipy(programme: Programme, q0: Array, method: str, bound: Any, options: dict[str, Any]) -> Array:
-    box = [BOX] * 9
-    found = minimize(
-        programme.loss, q0, jac=programme.slope, method=method, constraints=[bound], bounds=box, options=options
-    )
-    return np.asarray(found.x)
+def _scipy(programme: Programme, q0: Array, method: str, bound: Any, **options: Any) -> Array:
+    given: dict[str, Any] = {"jac": programme.slope, "constraints": [bound], "bounds": [BOX] * 9, "options": options}
+    return np.asarray(minimize(programme.loss, q0, method=method, **given).x)
 
 
 def solve_ipopt(programme: Programme, q0: Array, tolerance: float) -> Array:
     """IPOPT through casadi, with exact first derivatives and a limited-memory Hessian; ImportError without casadi."""
     import casadi
 
-    q = casadi.MX.sym("q", 9)
-    x2, y3, t = (q[i] + float(programme.start.lattice[0, i]) for i in range(3))
-    bx, by = programme.sides
-    E = [((1 + t * t) * x2 * x2 / bx**2 - 1) / 2, t * x2 * y3 / bx / by, ((1 + t * t) * y3 * y3 / by**2 - 1) / 2]
-    loss = -(programme.S[0] * E[0] + 2 * programme.S[1] * E[1] + programme.S[2] * E[2])
-    gaps = _casadi_gaps(programme)
-    ipopt: dict[str, Any] = {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 2000}
-    ipopt["hessian_approximation"] = "limited-memory"
-    options: Any = {"print_time": False, "ipopt": ipopt}
-    given: Any = {"x": q, "f": loss, "g": gaps(q)}
-    answer = casadi.nlpsol("cell", "ipopt", given, options)(x0=q0, lbx=BOX[0], ubx=BOX[1], lbg=0.0)
-    return np.array(answer["x"]).ravel()
-
-
-def _casadi_gaps(programme: Programme) -> Any:
-    """The gaps and their derivatives as a function of casadi."""
-    import casadi
-
     size = len(programme.gaps(np.zeros(9))[0])
 
-    class Jacobian(casadi.Callback):
-        def __init__(self, name: str) -> None:
+    class Gaps(casadi.Callback):
+        """The gaps (`part` 0) or their derivatives (1) as a function of casadi."""
+
+        def __init__(self, name: str, part: int) -> None:
             casadi.Callback.__init__(self)
+            self.part = part
             self.construct(name, {})
 
         def get_n_in(self) -> int:
-            return 2
+            return 1 + self.part
 
         def get_n_out(self) -> int:
             return 1
 
         def get_sparsity_in(self, i: int) -> Any:
-            return casadi.Sparsity.dense(9 if i == 0 else size, 1)
+            return casadi.Sparsity.dense(size if i else 9, 1)
 
         def get_sparsity_out(self, i: int) -> Any:
-            return casadi.Sparsity.dense(size, 9)
+            return casadi.Sparsity.dense(size, 9 if self.part else 1)
 
         def eval(self, arguments: Any) -> list[Array]:
-            return [programme.gaps(np.array(arguments[0]).ravel())[1]]
-
-    class Gaps(Jacobian):
-        def get_n_in(self) -> int:
-            return 1
-
-        def get_sparsity_out(self, i: int) -> Any:
-            return casadi.Sparsity.dense(size, 1)
-
-        def eval(self, arguments: Any) -> list[Array]:
-            return [programme.gaps(np.array(arguments[0]).ravel())[0]]
+            return [programme.gaps(np.array(arguments[0]).ravel())[self.part]]
 
         def has_jacobian(self) -> bool:
-            return True
+            return not self.part
 
-        def get_jacobian(self, name: str, *_: Any) -> Jacobian:
-            self.derivative = Jacobian(name)
+        def get_jacobian(self, name: str, *_: Any) -> Any:
+            self.derivative = Gaps(name, 1)
             return self.derivative
 
-    return Gaps("gaps")
+    q, gaps = casadi.MX.sym("q", 9), Gaps("gaps", 0)
+    x2, y3, t = (q[i] + float(programme.start.lattice[0, i]) for i in range(3))
+    E = strain_of(x2, y3, t, programme.sides)
+    loss = -(programme.S[0] * E[0] + 2 * programme.S[1] * E[1] + programme.S[2] * E[2])
+    ipopt = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": tolerance,
+        "max_iter": 2000,
+        "hessian_approximation": "limited-memory",
+    }
+    given: Any = {"x": q, "f": loss, "g": gaps(q)}
+    options: Any = {"print_time": False, "ipopt": ipopt}
+    answer = casadi.nlpsol("cell", "ipopt", given, options)(x0=q0, lbx=BOX[0], ubx=BOX[1], lbg=0.0)
+    return np.array(answer["x"]).ravel()
 
 
 SOLVERS: dict[str, Solve] = {"SLSQP": solve_slsqp, "trust-constr": solve_trust_constr, "IPOPT": solve_ipopt}

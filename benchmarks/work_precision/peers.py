@@ -1,30 +1,27 @@
-"""The same cell and load in two solvers of others, driven at arm's length: Yade and MuJoCo; absent ones say so.
+"""The same cell and load in two other solvers, run through their public interfaces: Yade and MuJoCo.
 
 Both get our slack pose and a load along the cell's axes (alpha = 0), where the cell stays a rectangle. Yade makes rings
-of spheres in its periodic cell, which follows the stress. MuJoCo has no periodic cells: here the ten rings of the paper
-hang on joints, and equality constraints tie ring (i, j) to i times one lattice joint and j times the other, so that the
+of spheres in its periodic cell, which follows the stress. MuJoCo has no periodic cells: the ten rings of the paper are
+held by joints, and equality constraints tie ring (i, j) to i times one lattice joint and j times the other, so that the
 line load acts on the current cell through those two joints. Contacts are MuJoCo's own, of its exact torus
 (`mujoco.sdf.torus`) or of closed polygons of capsules, as stiff as it allows.
 """
 
-from __future__ import annotations
-
+import importlib.util
 import itertools
 import json
 import math
 import shutil
 import subprocess
 import time
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rve.sweep import Cell
 
-YADE_SCRIPT = Path(__file__).resolve().parents[1] / "peers" / "yade_cell.py"
+YADE_SCRIPT = Path(__file__).with_name("yade_cell.py")
 PATIENCE = 600.0
 """Seconds of wall time that Yade gets."""
 TORUS = (
@@ -43,6 +40,9 @@ class PeerAnswer:
     y3_mm: float
     seconds: float
     steps: int
+
+
+NONE = PeerAnswer("", math.nan, math.nan, math.nan, 0)
 
 
 @dataclass(frozen=True)
@@ -66,39 +66,26 @@ def yade_command() -> str | None:
     return shutil.which("yade") or shutil.which("yade-batch")
 
 
-def yade_version() -> str:
-    """Version of Yade, or "absent"."""
-    command = yade_command()
-    if command is None:
-        return "absent"
-    said = subprocess.run([command, "--version"], capture_output=True, text=True, check=False, timeout=60)
-    return next((line.split(":")[-1].strip() for line in said.stdout.splitlines() if "version" in line.lower()), "?")
-
-
-def mujoco_version() -> str:
-    """Version of MuJoCo, or "absent"."""
-    try:
-        return version("mujoco")
-    except PackageNotFoundError:
-        return "absent"
+def has_mujoco() -> bool:
+    """Whether MuJoCo is installed."""
+    return importlib.util.find_spec("mujoco") is not None
 
 
 def run_yade(cell: Cell, stress: tuple[float, float], spheres: int, tolerance: float, folder: Path) -> PeerAnswer:
     """The cell in Yade under true stresses along x and y in the ratio `stress`, to a relative `tolerance` on them.
 
-    Without an answer in time, or with none at all, the status says so and the numbers are nan; RuntimeError where Yade
-    is not installed. `folder` is where Yade may leave files.
+    Without an answer the status says why and the numbers are nan; RuntimeError where Yade is not installed. Yade may
+    leave files in `folder`.
     """
     command = yade_command()
     if command is None:
         raise RuntimeError("yade is not installed")
-    weave = cell.weave
     size = 500.0 / math.hypot(*stress)
     asked = {
         "spheres": spheres,
         "r1": cell.r1,
         "r2": cell.r2,
-        "lattice": [float(x) * cell.r1 for x in weave.start_lattice[:2]],
+        "lattice": [float(x) * cell.r1 for x in cell.weave.start_lattice[:2]],
         "tilt": _tilt(cell, 0),
         "young": 1e8,
         "stress": [size * part for part in stress],
@@ -109,10 +96,10 @@ def run_yade(cell: Cell, stress: tuple[float, float], spheres: int, tolerance: f
     try:
         said = subprocess.run(call, capture_output=True, text=True, check=False, timeout=PATIENCE, cwd=folder)
     except subprocess.TimeoutExpired:
-        return PeerAnswer(f"no answer in {PATIENCE:g} s", math.nan, math.nan, math.nan, 0)
+        return replace(NONE, status=f"no answer in {PATIENCE:g} s")
     lines = [line for line in said.stdout.splitlines() if line.startswith("RESULT ")]
     if not lines:
-        return PeerAnswer(f"ended with code {said.returncode}", math.nan, math.nan, math.nan, 0)
+        return replace(NONE, status=f"ended with code {said.returncode}")
     found = json.loads(lines[0].removeprefix("RESULT "))
     return PeerAnswer(found["status"], found["x2"], found["y3"], found["seconds"], found["steps"])
 
@@ -215,8 +202,3 @@ def _tilt(cell: Cell, kind: int) -> float:
     """Turn of ring `kind` about x in the slack pose: its normal is (0, sin, cos) of it."""
     _, y, z = cell.weave.start_normals[kind]
     return math.atan2(y, z)
-
-
-def versions() -> dict[str, Any]:
-    """Versions of both peers, or "absent"."""
-    return {"Yade": yade_version(), "MuJoCo": mujoco_version()}

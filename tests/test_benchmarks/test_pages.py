@@ -11,15 +11,26 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.pages.model import Column, Curve, Diagram, Report, Section, Table, differences, from_json, to_json
-from benchmarks.pages.output import FOLDER, command, page, read, write
-from benchmarks.pages.pictures import svg
+from benchmarks.report.files import FOLDER, command, page, read, write
+from benchmarks.report.picture import svg
+from benchmarks.report.records import (
+    Column,
+    Curve,
+    Diagram,
+    Report,
+    Section,
+    Table,
+    differences,
+    from_json,
+    table,
+    to_json,
+)
 
 TABLE = Table("Runs", (Column("method"), Column("error", ".1e"), Column("s", timed=True)), (("a | b", 1e-3, 2.0),))
 CURVES = (Curve("first", (1.0, 2.0, 3.0), (1e-3, math.nan, 1e-5)), Curve("second", (1.0, 2.0), (1e-2, 1e-4)))
 DIAGRAM = Diagram("ladder", "Error against time", "time (s)", "error", CURVES)
 BARS = Diagram("split", "Parts", "part", "error", CURVES[1:], bars=True, ticks=("", "law", "mesh"))
-SECTION = Section("rings", "Rings", "Some *text*.", (TABLE,), (DIAGRAM, BARS), "Use `first`.", "Machine.", 1.0)
+SECTION = Section("Rings", "Some *text*.", (TABLE,), (DIAGRAM, BARS), "Use `first`.", "rings", "Machine.", 1.0)
 REPORT = Report("work_precision", "Error against run time", "All of it.", "python -m benchmarks.x", (SECTION,))
 
 PROBE = """<script>
@@ -65,6 +76,16 @@ def test_rows_as_long_as_the_columns():
         replace(TABLE, rows=(("a", 1.0),))
 
 
+def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
+    rows = [{"method": "a", "error": 1e-20, "ok": True, "s": 2.0, "_x": 1}, {"method": "b"}]
+    made = table("Runs", rows, {"error": "decade 1e-12", "s": ".1f timed"})
+    assert made.columns == (Column("method"), Column("error"), Column("ok"), Column("s", ".1f", timed=True))
+    assert made.rows == (("a", "<= 1e-12", "yes", 2.0), ("b", None, None, None))
+    for rows, forms in (([{"a": 1}, {"b": 2}], {}), ([{"a": 1}], {"b": ".1f"})):
+        with pytest.raises(ValueError, match="no columns \\['b'\\]"):
+            table("Runs", rows, forms)
+
+
 def test_pictures_are_the_same_twice_and_do_not_share_names():
     assert svg(DIAGRAM) == svg(DIAGRAM)
     names = [set(re.findall(r'id="([^"]+)"', svg(diagram))) for diagram in (DIAGRAM, BARS)]
@@ -85,7 +106,7 @@ def test_page_needs_nothing_else(tmp_path):
 def test_only_keeps_the_other_sections(tmp_path):
     measures = {
         "rings": lambda full: replace(SECTION, title="full" if full else "quick"),
-        "law": lambda _full: replace(SECTION, key="law", diagrams=()),
+        "law": lambda _full: replace(SECTION, diagrams=()),
     }
     main = command(replace(REPORT, sections=()), measures)
     for arguments in ([], ["--only", "law"], ["--only", "rings", "--full"]):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from benchmarks.pages.output import FOLDER, read
+from benchmarks.report.files import FOLDER, read
 from benchmarks.work_precision import chain, curtain
 from examples.curtain import SETTINGS
 
@@ -12,8 +12,8 @@ from examples.curtain import SETTINGS
 def test_refusals_stay_in_the_ladder_and_end_it():
     runs = curtain.climb(curtain.net_problem(), curtain.Way("P1", solver="bogus"), [4, 8], 0.0)
     assert len(runs) == 1
-    assert math.isnan(runs[0].error)
-    assert "rigid" in runs[0].status
+    assert math.isnan(runs[0][curtain.ERROR])
+    assert "rigid" in runs[0]["status"]
 
 
 def test_the_net_is_exact_with_aligned_triangles_and_from_above_without():
@@ -22,12 +22,12 @@ def test_the_net_is_exact_with_aligned_triangles_and_from_above_without():
         curtain.run(problem, curtain.Way("P1", pattern), 8, curtain.NET_MEAN_HEIGHT)
         for pattern in ("aligned", "diagonal")
     )
-    assert abs(aligned.error) < 1e-7
-    assert diagonal.error > 1e-3
+    assert abs(aligned[curtain.ERROR]) < 1e-7
+    assert diagonal[curtain.ERROR] > 1e-3
 
 
 def test_order_of_a_known_ladder():
-    runs = [curtain.Run("x", 0, n, 3.0 / n, 0, 0.0, "converged") for n in (100, 400, 1600)]
+    runs = [{"unknowns": n, curtain.ERROR: 3.0 / n} for n in (100, 400, 1600)]
     assert curtain.order(runs) == pytest.approx(2.0)
     assert math.isnan(curtain.order(runs[:1]))
 
@@ -40,12 +40,12 @@ def test_coarse_certified_interval_holds_the_extrapolated_height():
 
 
 def test_a_looser_contact_lets_the_curtain_sink_and_a_finer_table_bounds_it_closer():
-    exact = chain.height_of(chain.law_of(22.5), 4)
+    exact = chain.corner_height(chain.law_of(22.5), 4)
     loose = chain.fit(
         chain.table_of(22.5, chain.DirectOptions(tolerance=1e-3, mu_end=1e-3)), chain.FitOptions(normality=1e-2)
     ).law
-    assert abs(chain.height_of(loose, 4) - exact) > 0.2
-    assert chain.height_of(chain.law_of(15.0), 4) < exact
+    assert abs(chain.corner_height(loose, 4) - exact) > 0.2
+    assert chain.corner_height(chain.law_of(15.0), 4) < exact
 
 
 def test_recommended_settings_held_when_they_were_last_measured():

@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.problems import loads
 from benchmarks.work_precision.law import (
+    ABOVE,
+    E_MEAN,
+    E_MOST,
     GRADED_RESOLUTION,
+    H_MEAN,
+    H_MOST,
     errors_of,
     kind_table,
     made,
@@ -15,7 +21,6 @@ from benchmarks.work_precision.law import (
     seconds_per_point,
     spacing_rows,
     spacing_table,
-    uniform_table,
     unseen_directions,
 )
 from homogenize.bounds import bounds_of
@@ -31,7 +36,7 @@ def unseen():
 
 @pytest.fixture(scope="module")
 def coarse():
-    return uniform_table(15.0)
+    return solve_table(*loads(15.0))
 
 
 def test_directions_are_unseen_and_their_own(unseen, coarse):
@@ -44,30 +49,29 @@ def test_directions_are_unseen_and_their_own(unseen, coarse):
 
 
 def test_errors_fall_with_the_rows_and_stay_inside_the_bounds(unseen, coarse):
-    finer = uniform_table(7.5)
-    (first, wide), (second, close) = spacing_rows([("15", coarse, 1.0, 3e-5), ("7.5", finer, 1.0, 3e-5)], unseen)
-    assert close.h_mean < 0.4 * wide.h_mean
-    assert close.E_mean < 0.7 * wide.E_mean
-    for got, row in ((wide, first), (close, second)):
-        gap = row[10]
-        assert got.h_max < gap  # truth and law lie between the same two bounds
-        assert 0.0 <= got.above <= 1.0
-    assert spacing_table([first, second]).rows[1][1] == len(finer)
+    finer = solve_table(*loads(7.5))
+    wide, close = spacing_rows([("15", coarse, 1.0, 3e-5), ("7.5", finer, 1.0, 3e-5)], unseen)
+    assert close[H_MEAN] < 0.4 * wide[H_MEAN]
+    assert close[E_MEAN] < 0.7 * wide[E_MEAN]
+    for row in (wide, close):
+        assert row[H_MOST] < row["outer less inner bound"]  # truth and law lie between the same two bounds
+        assert 0.0 <= row[ABOVE] <= 1.0
+    assert spacing_table([wide, close]).rows[1][1] == len(finer)
 
 
 def test_a_law_is_right_where_it_was_fitted_and_a_wrong_one_is_seen(coarse):
     law, _ = made(coarse)
     at_home = errors_of(law, coarse)
-    assert at_home.h_max < 1e-10
+    assert at_home[H_MOST] < 1e-10
     net = errors_of(diagonal_net(1.1), unseen_directions(5))
-    assert net.h_max > 0.1
-    assert np.isnan(net.E_max) or net.E_max > 0.1
+    assert net[H_MOST] > 0.1
+    assert np.isnan(net[E_MOST]) or net[E_MOST] > 0.1
 
 
 def test_errors_do_not_depend_on_the_size_of_the_load(coarse, unseen):
     law, _ = made(coarse)
     one, seven = errors_of(law, unseen), errors_of(law, replace(unseen, S=7.0 * unseen.S))
-    assert seven.h_max == pytest.approx(one.h_max, rel=1e-9)
+    assert seven[H_MOST] == pytest.approx(one[H_MOST], rel=1e-9)
 
 
 def test_points_lie_beyond_the_surface_by_their_offset(coarse):

@@ -1,6 +1,7 @@
 """The rings of the report: one problem for all methods, a reference that two agree on, ladders that fall."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -9,14 +10,18 @@ import pytest
 from benchmarks.work_precision import peers
 from benchmarks.work_precision.generic import SOLVERS, Programme
 from benchmarks.work_precision.rve import (
+    ERROR,
     PUBLISHED,
-    curves,
+    absent,
+    cells,
+    curves_of,
+    direct,
     direct_alone,
-    direct_batch,
     extrapolated,
     generic,
     problem,
-    run_of,
+    run_table,
+    runs,
     scheme,
 )
 from rve.load import second_pk
@@ -38,23 +43,25 @@ def programme(given, case):
 def test_the_reference_is_agreed_by_the_scheme(given):
     """The scheme extrapolated to rigid contact shares only the contact search with the direct solver."""
     assert (given.found.status == "converged").all()
-    soft, stiff = extrapolated(given, (1e4, 1e5))
-    assert soft.solved == stiff.solved == len(LOADS)
-    assert stiff.error < 5e-9
-    assert stiff.error < 0.05 * soft.error  # second order in 1/k
+    soft, stiff = runs(given, "", "steps", extrapolated, {"soft": 1e4, "stiff": 1e5})
+    assert soft["solved"] == stiff["solved"] == f"{len(LOADS)} of {len(LOADS)}"
+    assert stiff[ERROR] < 5e-9
+    assert stiff[ERROR] < 0.05 * soft[ERROR]  # second order in 1/k
 
 
 def test_ladders_of_the_direct_solver_fall_to_round_off(given):
-    for ladder in (direct_batch(given, (1e-4, 1e-7, 1e-10, 1e-13)), direct_alone(given, (1e-4, 1e-7))):
-        errors = [run.error for run in ladder]
-        assert all(run.solved == run.cases for run in ladder)
+    for solve, mus in ((direct, (1e-4, 1e-7, 1e-10, 1e-13)), (direct_alone, (1e-4, 1e-7))):
+        ladder = runs(given, "", "iterations", solve, {str(mu): mu for mu in mus})
+        errors = [run[ERROR] for run in ladder]
+        assert {run["solved"] for run in ladder} == {f"{len(LOADS)} of {len(LOADS)}"}
         assert all(fine < 0.01 * coarse for coarse, fine in pairwise(errors))
-    assert direct_batch(given, (1e-13,))[0].error < 1e-10
+        assert errors[-1] < 1e3 * mus[-1]
 
 
 def test_the_scheme_errs_like_its_compliance(given):
-    runs = scheme(given, "k", [(f"{k:g}", replace(PUBLISHED, stiffness=k)) for k in (1e4, 1e5)])
-    assert runs[0].error / runs[1].error == pytest.approx(10.0, rel=0.02)
+    options = {f"{k:g}": replace(PUBLISHED, stiffness=k) for k in (1e4, 1e5)}
+    soft, stiff = runs(given, "", "steps", scheme, options)
+    assert soft[ERROR] / stiff[ERROR] == pytest.approx(10.0, rel=0.02)
 
 
 @pytest.mark.parametrize("case", range(len(LOADS)))
@@ -76,22 +83,22 @@ def test_the_programme_is_the_same_cell_and_load(given, case):
 
 
 def test_generic_runs_count_only_what_is_right(given):
-    (run,) = generic(given, "SLSQP", "near", (1e-12,))
-    assert run.cases == len(LOADS)
-    assert run.solved < run.cases or run.error < 0.1
-    assert run.work > 0
+    (run,) = runs(given, "", "calls", partial(generic, name="SLSQP", start="near"), {"": 1e-12})
+    assert run["solved"].endswith(f" of {len(LOADS)}")
+    assert run["_share"] < 1.0 or run[ERROR] < 0.1
+    assert run["work per case"] > 0
 
 
 def test_failures_do_not_count():
     errors, good = np.array([1e-3, 5.0, 1e-4]), np.array([True, True, False])
-    run = run_of(("method", "setting"), errors, good, 3.0, (9, "steps"))
-    assert (run.solved, run.cases, run.error, run.seconds) == (1, 3, 1e-3, 1.0)
-    assert np.isnan(run_of(("m", "s"), errors, ~good & False, 1.0, (1, "steps")).error)
+    run = cells(errors, good, 3.0, 9, "steps")
+    assert (run["solved"], run[ERROR], run["ms per case"], run["work per case"]) == ("1 of 3", 1e-3, 1e3, 3.0)
+    assert np.isnan(cells(errors, ~good & False, 1.0, 1, "steps")[ERROR])
 
 
 def test_mujoco_nears_the_same_state(given):
     """The more capsules, the nearer; the start is our slack pose, before any load. It is an optional peer."""
-    if peers.mujoco_version() == "absent":
+    if not peers.has_mujoco():
         with pytest.raises(ImportError):
             peers.run_mujoco(given.cell, (1.0, 1.0), peers.MujocoOptions(24, 100))
         return
@@ -109,7 +116,7 @@ def test_mujoco_nears_the_same_state(given):
 
 def test_mujoco_keeps_the_lattice(given):
     """Rings of one class keep their places in the lattice and one tilt, but for ties that give while they speed up."""
-    if peers.mujoco_version() == "absent":
+    if not peers.has_mujoco():
         return
     import mujoco
 
@@ -150,18 +157,16 @@ def test_a_peer_without_an_answer_stays_in_the_table(given, tmp_path, monkeypatc
 
 def test_absent_peers_are_named(monkeypatch, tmp_path, given):
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert peers.yade_version() == "absent"
+    assert peers.yade_command() is None
+    (row,) = run_table("Runs", absent("Yade", "apt-get install yade")).rows
+    assert row[:4] == ("Yade", "not installed (`apt-get install yade`)", "-", "-")
     with pytest.raises(RuntimeError, match="not installed"):
         peers.run_yade(given.cell, (1.0, 1.0), 48, 1e-2, tmp_path)
 
 
 def test_the_diagram_names_failures_and_leaves_out_who_solves_nothing():
     bad, good = np.array([1e-3, 5.0]), np.array([1e-3, 1e-4])
-    runs = [
-        run_of(("half", ""), bad, bad < 9.0, 2.0, (1, "steps")),
-        run_of(("all", ""), good, good < 1.0, 2.0, (1, "x")),
-    ]
-    runs.append(run_of(("none", ""), bad, bad > 9.0, 2.0, (1, "steps")))
-    half, whole = curves(runs)
+    errors = {"half": (bad, bad < 9.0), "all": (good, good < 1.0), "none": (bad, bad > 9.0)}
+    half, whole = curves_of([{"method": name} | cells(*two, 2.0, 1, "steps") for name, two in errors.items()])
     assert (half.label, half.x, half.y) == ("half (1 of 2)", (1e-3,), (1.0,))
     assert (whole.label, whole.x) == ("all", (1e-3,))

@@ -1,19 +1,17 @@
 """Diagrams as SVG text, the same bytes for the same numbers."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 
 import numpy as np
 
-from benchmarks.pages.model import Diagram
+from benchmarks.report.records import Diagram
 
 MARKERS = "osD^v<>pPX*h"
 
 
 def svg(diagram: Diagram) -> str:
-    """The picture as one <svg> element without prologue, so that HTML takes it as it is."""
+    """The picture as one <svg> element without prologue, ready to be put into HTML."""
     import matplotlib
 
     matplotlib.use("svg")
@@ -42,7 +40,7 @@ def svg(diagram: Diagram) -> str:
 
 
 def _own_names(text: str, key: str) -> str:
-    """Names of groups carry the diagram's key: several pictures share one HTML page."""
+    """The names of groups begin with the diagram's key, because several pictures share one HTML page."""
     for mark in ('id="', 'href="#', "url(#"):
         text = text.replace(mark, f"{mark}{key}-")
     return text

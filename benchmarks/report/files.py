@@ -1,26 +1,26 @@
 """A report as files: `key.json` (data), `key.md`, one SVG for each diagram, and its part of `report.html`.
 
-Markdown is the source of the page: `report.html` is the three Markdown files through markdown-it with the pictures put
-in their places, so that it needs nothing else, neither files nor network.
+Markdown is the source of the page: `report.html` is the three Markdown files through markdown-it with the pictures
+inline, so that it depends on no other file and no network.
 """
-
-from __future__ import annotations
 
 import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import click
 
-from benchmarks.machine import describe
-from benchmarks.pages.model import Report, Section, Table, from_json, shown, to_json
-from benchmarks.pages.pictures import svg
+from benchmarks.machine import ROOT, describe
+from benchmarks.report.picture import svg
+from benchmarks.report.records import Report, Section, Table, from_json, shown, to_json
 from rve.files import write_text
 
-FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reports"
+FOLDER = ROOT / "docs" / "reports"
+OUT = click.Path(path_type=Path, file_okay=False)
 ORDER = ("work_precision", "stability", "omissions")
 STYLE = """
 :root { color-scheme: light dark; --line: #8884; --head: #8882; }
@@ -42,27 +42,56 @@ def markdown(report: Report) -> str:
     """The whole report; pictures are named relative to it."""
     lines = [f"# {report.title}", "", report.text, "", f"Made by `{report.command}`."]
     for section in report.sections:
-        lines += ["", f"## {section.title}", "", section.text]
+        lines += ["", f"## {section.title}"] + (["", section.text] if section.text else [])
         for diagram in section.diagrams:
             lines += ["", f"![{diagram.title}]({report.key}_{diagram.key}.svg)"]
         for table in section.tables:
-            lines += ["", *_table(table)]
+            lines += ["", *table_lines(table)]
         if section.conclusion:
-            lines += ["", f"**What follows.** {section.conclusion}"]
+            lines += ["", f"**Conclusion.** {section.conclusion}"]
         if section.machine:
             lines += ["", f"*{section.seconds:.0f} s. {section.machine}*"]
     return "\n".join(lines) + "\n"
 
 
-def write(report: Report, folder: Path) -> None:
-    """All files of the report, and the page of all reports that lie in the folder."""
+def table_lines(table: Table) -> list[str]:
+    """Title, header, rows and note in Markdown."""
+    head = [column.name for column in table.columns]
+    rows = [[shown(v, c.form) for v, c in zip(row, table.columns, strict=True)] for row in table.rows]
+    lines = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in [head, ["---"] * len(head), *rows]]
+    title = [f"**{table.title}**", ""] if table.title else []
+    note = ["", table.note] if table.note else []
+    return [*title, *(f"| {line} |" for line in lines), *note]
+
+
+def write_markdown(report: Report, folder: Path) -> None:
+    """`key.md` and its pictures."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / f"{report.key}.json", json.dumps(to_json(report), indent=1, allow_nan=False) + "\n")
     for section in report.sections:
         for diagram in section.diagrams:
             write_text(folder / f"{report.key}_{diagram.key}.svg", svg(diagram))
     write_text(folder / f"{report.key}.md", markdown(report))
+
+
+def write(report: Report, folder: Path) -> None:
+    """All files of the report, and the page of all reports in the folder."""
+    write_markdown(report, folder)
+    write_text(folder / f"{report.key}.json", json.dumps(to_json(report), indent=1, allow_nan=False) + "\n")
     write_text(folder / "report.html", page(folder))
+
+
+def write_page(path: Path, title: str, text: str, command: str, measure: Callable[[], Section]) -> None:
+    """A page of one section outside of the three reports: its Markdown and pictures."""
+    write_markdown(Report(path.stem, title, text, command, (measured(measure),)), path.parent)
+
+
+def write_between_marks(page: Path, module: str, table: Table) -> None:
+    """Puts the table and the machine between the marks that a page holds for `python -m module`, and prints them."""
+    text = "\n".join(["", *table_lines(table), "", describe(), ""])
+    begin, end = f"<!-- measured: python -m {module} -->\n", "\n<!-- end of measured -->"
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    write_text(page, before + begin + text + end + rest.split(end)[1])
+    click.echo(text)
 
 
 def read(key: str, folder: Path) -> Report | None:
@@ -99,36 +128,24 @@ def command(report: Report, measures: Mapping[str, Measure]) -> click.Command:
     @click.command(help=report.text)
     @click.option("--full/--quick", default=False, show_default=True, help="more and finer cases, or under ten minutes")
     @click.option("--only", multiple=True, type=click.Choice(list(measures)), help="these sections; others are kept")
-    @click.option(
-        "--out",
-        type=click.Path(path_type=Path, file_okay=False),
-        default=FOLDER,
-        help="folder  [default: docs/reports]",
-    )
+    @click.option("--out", type=OUT, default=FOLDER, help="folder  [default: docs/reports]")
     def main(full: bool, only: tuple[str, ...], out: Path) -> None:
         before = read(report.key, out)
         kept = {section.key: section for section in before.sections} if before else {}
         for key in only or measures:
-            began = perf_counter()
-            section = measures[key](full)
-            if section.key != key:
-                raise ValueError(f"the measure '{key}' returns the section '{section.key}'")
-            seconds = perf_counter() - began
-            kept[key] = replace(section, machine=describe(), seconds=seconds)
+            kept[key] = measured(partial(measures[key], full), key)
             write(replace(report, sections=tuple(kept[name] for name in measures if name in kept)), out)
-            click.echo(f"{report.key} {key}: {seconds:.1f} s")
+            click.echo(f"{report.key} {key}: {kept[key].seconds:.1f} s")
         click.echo(f"{out / report.key}.md")
 
     return main
 
 
-def _table(table: Table) -> list[str]:
-    """Title, header, rows and note in Markdown."""
-    head = [column.name for column in table.columns]
-    rows = [[shown(v, c.form) for v, c in zip(row, table.columns, strict=True)] for row in table.rows]
-    lines = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in [head, ["---"] * len(head), *rows]]
-    note = ["", table.note] if table.note else []
-    return [f"**{table.title}**", "", *(f"| {line} |" for line in lines), *note]
+def measured(measure: Callable[[], Section], key: str = "") -> Section:
+    """The section with its key, the machine and the wall time of its measurement."""
+    began = perf_counter()
+    section = measure()
+    return replace(section, key=key, machine=describe(), seconds=perf_counter() - began)
 
 
 def _inline(folder: Path, name: str, title: str) -> str:

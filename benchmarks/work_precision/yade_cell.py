@@ -1,6 +1,6 @@
 """Eight rings of 4-in-1 in a periodic cell of Yade, pulled along the cell's axes: run by Yade's own Python.
 
-    yade -x -n -j1 benchmarks/peers/yade_cell.py '{"spheres": 96, ...}'
+    yade -x -n -j1 benchmarks/work_precision/yade_cell.py '{"spheres": 96, ...}'
 
 A ring is a clump of spheres on its centre circle; the cell follows the wanted true stress (PeriTriaxController: a
 Cauchy load on the current cell). Prints one line "RESULT {...}" with the sides of the cell in mm.

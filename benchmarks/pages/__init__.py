@@ -1,1 +1,0 @@
-"""What the three reports share: records of tables and diagrams, and their Markdown, SVG and HTML."""
