@@ -14,11 +14,12 @@ from benchmarks.problems import square
 from benchmarks.report.files import write_page
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
-from homogenize.law import MembraneLaw, default_law
-from macro_fem.newton_records import NewtonRecord
-from macro_fem.scene import read_scene
+from homogenize.io import default_law
+from homogenize.laws.protocol import MembraneLaw
+from macro_fem.curtain import solve_scene
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution
-from macro_fem.solvers import solve_scene
+from macro_fem.solvers.newton_records import NewtonRecord
 
 STIFFNESSES = (1e0, 1e1, 1e2, 1e3, 1e4, 1e5)
 """N/mm; the law states 1000. With line loads of some 0.3 N/mm the rings stretch by 0.3 to 3e-6."""

@@ -12,7 +12,7 @@ from benchmarks.report.files import write_between_marks
 from benchmarks.report.measure import Row
 from benchmarks.report.records import table
 from macro_fem.job import run_scene
-from rve.localize_job import JobOptions, run_localize
+from rve.localization.job import JobOptions, run_localize
 
 SCENES = ("corner_hung", "shop_front", "turned_weave", "gathered_with_bar", "facade_panel", "round_net")
 

@@ -18,10 +18,11 @@ from benchmarks.problems import loads, normality, scene_file, square
 from benchmarks.report.files import write_between_marks
 from benchmarks.report.measure import least_seconds
 from benchmarks.report.records import table
-from homogenize.fit import fit_table
+from homogenize.fitting.fit import fit_table
 from homogenize.query import strain_answer
 from macro_fem.job import run_scene
-from rve.sweep import Cell, solve_table
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
 from rve.table import write_table
 
 Said = list[tuple[str, str]]

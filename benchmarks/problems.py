@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.ranges import grid
+from rve.directions import grid
 from rve.table import StrainTable
 
 Array = NDArray[np.float64]

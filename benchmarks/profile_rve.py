@@ -10,7 +10,7 @@ from benchmarks.problems import loads
 from benchmarks.report.files import write_page
 from benchmarks.report.measure import least_seconds, profiled
 from benchmarks.report.records import Section, table
-from rve.sweep import solve_table
+from rve.solve import solve_table
 
 STAGES = {
     "contact search: coarse samples and soft minima (`_samples`)": "_samples",

@@ -24,11 +24,11 @@ from benchmarks.report.files import write_page
 from benchmarks.report.measure import Row, last_line
 from benchmarks.report.records import Diagram, Section, Table, curves, table
 from benchmarks.sheet.ours import clamped_sheet
-from homogenize.law import default_law
-from macro_fem import linear
-from macro_fem.newton import NewtonOptions, solve
-from macro_fem.scene import read_scene
-from macro_fem.solvers import solve_scene
+from homogenize.io import default_law
+from macro_fem.curtain import solve_scene
+from macro_fem.fem import linear
+from macro_fem.scene.schema import read_scene
+from macro_fem.solvers.newton import NewtonOptions, solve
 
 METHODS = ("cholmod", "superlu", "multigrid", "jacobi")
 RIGID = ("rigid, cholmod", "rigid, superlu")

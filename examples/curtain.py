@@ -24,10 +24,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from rve.command_line import Command
-from rve.errors import require
-from rve.files import write_text
-from rve.jobs import check_out_job, job
+from rve.common.command_line import Command
+from rve.common.errors import require
+from rve.common.files import write_text
+from rve.common.jobs import check_out_job, job
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -67,7 +67,7 @@ def setting_for(accuracy: float) -> Setting:
 
 def grid_of(spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Load directions alpha of 0 to 45 and beta of 0 to 90 degrees, `spacing` apart."""
-    from rve.ranges import grid
+    from rve.directions import grid
 
     return grid(np.arange(0.0, 45.01, spacing), np.arange(0.0, 90.01, spacing))
 
@@ -87,8 +87,9 @@ def scene_text(cells: int) -> str:
 
 def make_table(out: Path, spacing: float) -> Path:
     """Solve the load cases (the paper's 190 for 5 degrees), write and draw them."""
+    from rve.geometry.cell import Cell
     from rve.plots import draw_case, save
-    from rve.sweep import Cell, solve_table
+    from rve.solve import solve_table
     from rve.table import write_table
 
     alpha, beta = grid_of(spacing)
@@ -102,7 +103,7 @@ def make_table(out: Path, spacing: float) -> Path:
 
 def fit_law(table: Path, out: Path) -> Path:
     """Fit the default law, say how wrong it can be, draw it."""
-    from homogenize.fit import fit_table
+    from homogenize.fitting.fit import fit_table
     from homogenize.plots import write_pictures
     from rve.table import read_table
 

@@ -1,1 +1,70 @@
 """From a strain-load table to a convex, tension-only membrane law."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from homogenize.fitting.fit import FitOptions as FitOptions
+    from homogenize.fitting.fit import FitResult as FitResult
+    from homogenize.fitting.fit import fit as fit
+    from homogenize.fitting.fit import fit_table as fit_table
+    from homogenize.io import default_law as default_law
+    from homogenize.io import load_law as load_law
+    from homogenize.io import save_law as save_law
+    from homogenize.laws.net import NetLaw as NetLaw
+    from homogenize.laws.net import diagonal_net as diagonal_net
+    from homogenize.laws.net import ring_net as ring_net
+    from homogenize.laws.protocol import CellInfo as CellInfo
+    from homogenize.laws.protocol import Cut as Cut
+    from homogenize.laws.protocol import HalfSpaces as HalfSpaces
+    from homogenize.laws.protocol import MembraneLaw as MembraneLaw
+    from homogenize.laws.protocol import Response as Response
+
+_MODULES = {
+    "CellInfo": "homogenize.laws.protocol",
+    "Cut": "homogenize.laws.protocol",
+    "FitOptions": "homogenize.fitting.fit",
+    "FitResult": "homogenize.fitting.fit",
+    "HalfSpaces": "homogenize.laws.protocol",
+    "MembraneLaw": "homogenize.laws.protocol",
+    "NetLaw": "homogenize.laws.net",
+    "Response": "homogenize.laws.protocol",
+    "default_law": "homogenize.io",
+    "diagonal_net": "homogenize.laws.net",
+    "fit": "homogenize.fitting.fit",
+    "fit_table": "homogenize.fitting.fit",
+    "load_law": "homogenize.io",
+    "ring_net": "homogenize.laws.net",
+    "save_law": "homogenize.io",
+}
+"""Public names and the modules that hold them: imported when they are first used."""
+
+__all__ = [
+    "CellInfo",
+    "Cut",
+    "FitOptions",
+    "FitResult",
+    "HalfSpaces",
+    "MembraneLaw",
+    "NetLaw",
+    "Response",
+    "default_law",
+    "diagonal_net",
+    "fit",
+    "fit_table",
+    "load_law",
+    "ring_net",
+    "save_law",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,4 +1,4 @@
-"""The command line: fit, strain, support, report, plot, export. How commands end: `rve.command_line`."""
+"""The command line: fit, strain, support, report, plot, export. How commands end: `rve.common.command_line`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Any
 import click
 import numpy as np
 
-from homogenize.protocol import InputError
-from rve.command_line import Group
-from rve.errors import require
-from rve.files import check_out_file
+from rve.common.command_line import Group
+from rve.common.errors import InputError, require
+from rve.common.files import check_out_file
 
 
 @click.group(cls=Group)
@@ -28,7 +27,7 @@ def main() -> None:
 @click.option("--resolution", default=None, type=float, help="facets of the refined law; 1e-5 suits a --graded table")
 def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
     """Fits a law to TABLE, writes it and prints how wrong it can be."""
-    from homogenize.fit import FitOptions, fit_table
+    from homogenize.fitting.fit import FitOptions, fit_table
 
     check_out_file(out, inputs=[table])
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
@@ -67,8 +66,8 @@ def plot(law: Path, table: Path, out: Path) -> None:
     """Draws the locking surface, the strains over the load angles, the errors and sections of LAW."""
     from homogenize.io import load_law
     from homogenize.plots import RECORD, write_pictures
-    from rve.jobs import check_out_job
-    from rve.table import read_table
+    from rve import read_table
+    from rve.common.jobs import check_out_job
 
     require("matplotlib", "plots", "homogenize plot")
     check_out_job(out, RECORD, inputs=[law, table])
@@ -105,8 +104,8 @@ def export(law: Path, out: Path) -> None:
 def family(tables: tuple[Path, ...], out: Path) -> None:
     """Fits a law to each of TABLES, one per radius ratio, and writes them as a family with its checked error."""
     from homogenize.family import family_of, save_family
-    from homogenize.fit import fit_table
-    from homogenize.polyhedral import PolyhedralLaw
+    from homogenize.fitting.fit import fit_table
+    from homogenize.laws.polyhedral import PolyhedralLaw
 
     check_out_file(out, inputs=tables)
     laws = [fit_table(table).law for table in tables]

@@ -13,14 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
+from homogenize.fitting.report import Misfit, misfit_of, random_loads
 from homogenize.io import SCHEMA, UNITS, cell_from_dict, check_format
-from homogenize.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedral_law
-from homogenize.protocol import Array, CellInfo, InputError
-from homogenize.report import Misfit, misfit_of, random_loads
-from rve.files import write_text
-from rve.reading import read_json_object
-from rve.rings import areal_mass, check_rings, ring_volume
-from rve.values import checked, list_of, mapping
+from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict, polyhedral_law
+from homogenize.laws.protocol import CellInfo
+from rve.common.errors import InputError
+from rve.common.files import write_text
+from rve.common.reading import read_json_object
+from rve.common.rings import areal_mass, check_rings, ring_volume
+from rve.common.types import Array
+from rve.common.values import checked, list_of, mapping
 
 NEIGHBOURS = 3
 MOST_MEMBERS = 100

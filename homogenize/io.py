@@ -8,14 +8,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from homogenize.net import net_from_dict
-from homogenize.polyhedral import polyhedral_from_dict
-from homogenize.protocol import CellInfo, InputError, MembraneLaw
-from homogenize.smooth import smooth_from_dict
-from rve.files import write_text
-from rve.reading import read_json
-from rve.rings import check_rings
-from rve.values import checked, mapping, numbers, optional, read_record, shown
+from homogenize.laws.net import net_from_dict
+from homogenize.laws.polyhedral import polyhedral_from_dict
+from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.smooth import smooth_from_dict
+from rve.common.errors import InputError
+from rve.common.files import write_text
+from rve.common.reading import read_json
+from rve.common.rings import check_rings
+from rve.common.values import checked, mapping, numbers, optional, read_record, shown
 
 SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}

@@ -9,23 +9,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.protocol import Array, MembraneLaw
-from homogenize.rows import Rows, rows_from_table, with_mirror
+from homogenize.fitting.rows import Rows, rows_from_table, with_mirror
+from homogenize.laws.protocol import MembraneLaw
 from homogenize.strain import locked_strain
-from rve.files import write_text
-from rve.jobs import job
+from rve.common.files import write_text
+from rve.common.jobs import job
+from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rve.table import StrainTable
+    from rve import StrainTable
 
 COMPONENTS = ("E11", "E12", "E22")
 SIZE = (7.0, 5.2)
 DPI = 150
 RECORD = "pictures.json"
-"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.jobs`)."""
+"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.jobs`)."""
 
 
 def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
@@ -76,8 +77,8 @@ def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
 
 def plot_errors(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
     """Histogram of the error of h at the rows, and of the distance of the bounds half-way between them."""
-    from homogenize.bounds import bounds_of
-    from homogenize.report import random_loads
+    from homogenize.fitting.bounds import bounds_of
+    from homogenize.fitting.report import random_loads
 
     ax = ax or _figure().subplots()
     S, bounds = random_loads(), bounds_of(rows)

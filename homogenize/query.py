@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from homogenize.fitting.report import is_sampled, misfit_of
+from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table
 from homogenize.io import LawFile, read_law_file
-from homogenize.protocol import Array, InputError
-from homogenize.report import is_sampled, misfit_of
-from homogenize.rows import Rows, rows_from_dict, rows_from_table
 from homogenize.strain import locked_strain
-from homogenize.tensor import double_dot, eigenvalues, trace
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot, eigenvalues, trace
+from rve.common.types import Array
 
 ROUNDING = 1e-12
 NAMES = ("11", "12", "22")
@@ -79,7 +80,7 @@ def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
 
 def error_at_rows(path: str | Path, table_path: str | Path) -> str:
     """What the law in `path` gets wrong at the converged rows of a table it need not have seen, in lines to read."""
-    from rve.table import read_table
+    from rve import read_table
 
     file, table = read_law_file(path), read_table(table_path)
     try:

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from homogenize.fit import fit_table
+from homogenize.fitting.fit import fit_table
 from homogenize.io import law_record
-from rve.files import write_text
+from rve.common.files import write_text
 
 SHIPPED = Path(__file__).parent / "data" / "rings_10.json"
 

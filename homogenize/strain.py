@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.protocol import Array, MembraneLaw
-from homogenize.rows import Rows, normality, with_mirror
+from homogenize.fitting.rows import Rows, normality, with_mirror
+from homogenize.laws.protocol import MembraneLaw
 from homogenize.strain_bounds import strain_bounds
-from homogenize.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
+from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
+from rve.common.types import Array
 
 FLAT = 1e-6
 """C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
@@ -123,7 +124,7 @@ def locked_strain(
 
 def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array) -> LockedStrain:
     """The answer with the bounds that follow from the rows; a row's own load gets the row's strain and flag."""
-    from rve.table import cauchy_line_load
+    from rve import cauchy_line_load
 
     s, both, slack = cauchy_line_load(alpha, beta), with_mirror(rows), -normality(rows).slack
     same = np.abs(s[:, None] - _cauchy_load(both)).max(axis=2)
@@ -144,7 +145,7 @@ def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array) -> Lo
 
 def _cauchy_load(rows: Rows) -> Array:
     """Unit Cauchy loads (n, 3) of the rows, F S F^T scaled to s:s = 1."""
-    from rve.table import deformation_gradient
+    from rve import deformation_gradient
 
     F = deformation_gradient(rows.E)
     S = np.stack([rows.S[:, [0, 1]], rows.S[:, [1, 2]]], axis=1)
@@ -179,7 +180,7 @@ def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
 
 def _start(law: MembraneLaw, alpha: Array, beta: Array, scale: float) -> Array:
     """X (n, 3) of the strain that locks under the load at the undeformed cell, seen from far along its normal."""
-    from rve.table import cauchy_line_load
+    from rve import cauchy_line_load
 
     S = scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta))
     away = S @ law.compliance.T
@@ -199,7 +200,7 @@ def _evaluate(law: MembraneLaw, s: Array, X: Array, scale: float) -> _State:
 
 def _load(E: Array, s: Array) -> Array:
     """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `INWARD` from the rim of the cone."""
-    from rve.table import deformation_gradient, second_pk
+    from rve import deformation_gradient, second_pk
 
     S = second_pk(deformation_gradient(_possible(E)), s)
     x = disc(S / trace(S)[:, None])
@@ -223,7 +224,7 @@ def _newton(
     law: MembraneLaw, alpha: Array, beta: Array, X: Array, scale: float, options: StrainOptions
 ) -> tuple[_State, NDArray[np.int64]]:
     """Damped Newton from X (n, 3), least-norm steps where the strain is not unique; last state and steps taken."""
-    from rve.table import cauchy_line_load
+    from rve import cauchy_line_load
 
     s = cauchy_line_load(alpha, beta)
     state = _evaluate(law, s, X, scale)

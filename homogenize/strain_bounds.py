@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.protocol import Array
-from homogenize.rows import Rows, normality, with_mirror
-from homogenize.tensor import IDENTITY, WEIGHT, double_dot, trace
+from homogenize.fitting.rows import Rows, normality, with_mirror
+from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
+from rve.common.types import Array
 
 LARGEST = np.array([4.0, 4.0])
 """Shapes searched: |log m| and |w|. Cells beyond are 50 times longer than wide or sheared to 2 degrees."""
@@ -61,7 +61,7 @@ class _Known:
 
     def sizes(self, shape: Array, s: Array) -> _Sizes:
         """Sizes of cells of these shapes (n, 2) under the load s (3,)."""
-        from rve.table import deformation_gradient, second_pk
+        from rve import deformation_gradient, second_pk
 
         m, cosh = np.exp(shape[:, 0]), np.cosh(shape[:, 1])
         C0 = np.stack([cosh / m, np.sinh(shape[:, 1]), cosh * m], axis=1)

@@ -3,7 +3,7 @@
 For membrane elements in plane stress with finite strain: NTENS = 3, STRESS = (11, 22, 12), engineering shear, DFGRD1 in
 the material frame of the weave, consistent tangent of the Kirchhoff stress in the Jaumann rate.
 PROPS(1) is the nominal thickness (mm) by which line loads (N/mm) are divided; PROPS(2), if given, scales the stiffness.
-The iteration is that of `homogenize.projection`, one point at a time.
+The iteration is that of `homogenize.laws.projection`, one point at a time.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from homogenize.polyhedral import PolyhedralLaw
-from homogenize.projection import DEGENERATE, MAX_ROUNDS, polyhedron_of
-from homogenize.protocol import Array, InputError, MembraneLaw
-from rve.files import write_text
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.projection import DEGENERATE, MAX_ROUNDS, polyhedron_of
+from homogenize.laws.protocol import MembraneLaw
+from rve.common.errors import InputError
+from rve.common.files import write_text
+from rve.common.types import Array
 
 PER_STATEMENT = 40
 

@@ -1,1 +1,30 @@
 """A ring-mesh curtain as a homogenized plane membrane."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from macro_fem.scene.schema import Scene as Scene
+    from macro_fem.scene.schema import load_scene as load_scene
+    from macro_fem.solution import CurtainSolution as CurtainSolution
+
+_MODULES = {
+    "CurtainSolution": "macro_fem.solution",
+    "Scene": "macro_fem.scene.schema",
+    "load_scene": "macro_fem.scene.schema",
+}
+"""Public names and the modules that hold them: imported when they are first used."""
+
+__all__ = ["CurtainSolution", "Scene", "load_scene"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

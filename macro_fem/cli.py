@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rve.command_line import Group
+from rve.common.command_line import Group
 
 
 @click.group(cls=Group)

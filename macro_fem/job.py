@@ -6,24 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from homogenize.law import Array, InputError, MembraneLaw, default_law, load_law
-from macro_fem.adapt import Level, levels
-from macro_fem.bounds import Bounds
-from macro_fem.explain import decisions
-from macro_fem.mesh import build_mesh
-from macro_fem.output import (
-    bounds_summary,
-    summarize,
-    write_series,
-    write_summary,
-    write_vtu,
-)
+from homogenize import MembraneLaw, default_law, load_law
+from macro_fem.bounds.adapt import Level, levels
+from macro_fem.bounds.interval import Bounds
+from macro_fem.curtain import solve_problem
+from macro_fem.output.explain import decisions
+from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
 from macro_fem.progress import Say, silent
-from macro_fem.scene import FEATURES, Scene, check_solver, load_scene
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
-from macro_fem.solvers import solve_problem
-from rve.errors import require
-from rve.jobs import check_out_job, complete, job
+from rve.common.errors import InputError, require
+from rve.common.jobs import check_out_job, complete, job
+from rve.common.types import Array
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -41,7 +36,7 @@ def run_scene(
     """Solves the scene, writes its files into `out` and returns the summary; `force` adds to that of the scene.
 
     curtain.vtu and curtain.png show the full load; with more than one load step curtain.pvd lists one VTU per step.
-    All files appear together, and what they replace is gone (`rve.jobs`).
+    All files appear together, and what they replace is gone (`rve.common.jobs`).
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
     `say` is told what is being solved.
     """
@@ -136,7 +131,7 @@ def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, pi
     if len(steps) > 1:
         write_series(out, steps)
     if picture:
-        from macro_fem.plots import save_picture
+        from macro_fem.output.plots import save_picture
 
         save_picture(out / "curtain.png", solution, density)
 

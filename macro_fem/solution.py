@@ -7,18 +7,20 @@ from functools import cached_property
 
 import numpy as np
 
-from homogenize.law import Array, InputError, MembraneLaw
-from macro_fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
-from macro_fem.cones import Cones, green_strain, least_slack
-from macro_fem.fem import SupportedFem
-from macro_fem.interior import Iteration
-from macro_fem.loads import nodal_forces
-from macro_fem.mesh import CurtainMesh
-from macro_fem.newton_records import NewtonRecord
-from macro_fem.scene import Scene
-from macro_fem.status import FREE, Accuracy, Evidence, Reach, Verdict, judged, load_scale
-from macro_fem.supports import Supports, build_supports, pin_sliding
-from macro_fem.turned import turned
+from homogenize import MembraneLaw
+from macro_fem.fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.fem.turned import turned
+from macro_fem.scene.loads import nodal_forces
+from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.supports import Supports, build_supports, pin_sliding
+from macro_fem.solvers.cone_program import Iteration
+from macro_fem.solvers.cones import Cones, green_strain, least_slack
+from macro_fem.solvers.newton_records import NewtonRecord
+from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, Verdict, judged, load_scale
+from rve.common.errors import InputError
+from rve.common.types import Array
 
 SLACK = 1e-3
 """A larger principal line load below this part of the greatest one anywhere counts as none: slack."""
@@ -79,7 +81,7 @@ class CurtainSolution:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Status and message: see `macro_fem.status`."""
+        """Status and message: see `macro_fem.solvers.status`."""
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.give)
 
     @property

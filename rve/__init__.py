@@ -1,1 +1,70 @@
 """Rigid interlinked rings in a periodic cell: where a ring mesh locks under each load direction."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rve.common.errors import InputError as InputError
+    from rve.common.errors import NotConverged as NotConverged
+    from rve.directions import grid as grid
+    from rve.equilibrium.interior_point import DirectOptions as DirectOptions
+    from rve.geometry.cell import Cell as Cell
+    from rve.geometry.kinematics import cauchy_line_load as cauchy_line_load
+    from rve.geometry.kinematics import deformation_gradient as deformation_gradient
+    from rve.geometry.kinematics import green_lagrange as green_lagrange
+    from rve.geometry.kinematics import second_pk as second_pk
+    from rve.geometry.weave import WEAVES as WEAVES
+    from rve.geometry.weave import Weave as Weave
+    from rve.solve import solve_table as solve_table
+    from rve.table import StrainTable as StrainTable
+    from rve.table import read_table as read_table
+    from rve.table import write_table as write_table
+
+_MODULES = {
+    "Cell": "rve.geometry.cell",
+    "DirectOptions": "rve.equilibrium.interior_point",
+    "InputError": "rve.common.errors",
+    "NotConverged": "rve.common.errors",
+    "StrainTable": "rve.table",
+    "WEAVES": "rve.geometry.weave",
+    "Weave": "rve.geometry.weave",
+    "cauchy_line_load": "rve.geometry.kinematics",
+    "deformation_gradient": "rve.geometry.kinematics",
+    "green_lagrange": "rve.geometry.kinematics",
+    "grid": "rve.directions",
+    "read_table": "rve.table",
+    "second_pk": "rve.geometry.kinematics",
+    "solve_table": "rve.solve",
+    "write_table": "rve.table",
+}
+"""Public names and the modules that hold them: imported when they are first used."""
+
+__all__ = [
+    "WEAVES",
+    "Cell",
+    "DirectOptions",
+    "InputError",
+    "NotConverged",
+    "StrainTable",
+    "Weave",
+    "cauchy_line_load",
+    "deformation_gradient",
+    "green_lagrange",
+    "grid",
+    "read_table",
+    "second_pk",
+    "solve_table",
+    "write_table",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,6 +1,6 @@
 """Command line: `python -m rve table`, `case`, `study`, `localize`. `--help` of each says what it takes.
 
-How commands end: `rve.command_line`.
+How commands end: `rve.common.command_line`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 
 import click
 
-from rve.command_line import Group
-from rve.errors import SENTENCES, InputError, NotConverged, require
-from rve.files import check_out_file, check_out_folder, check_out_table
+from rve.common.command_line import Group
+from rve.common.errors import SENTENCES, InputError, NotConverged, require
+from rve.common.files import check_out_file, check_out_folder, check_out_table
 
 METHODS = ("direct", "stewart-trinkle")
 
@@ -55,10 +55,10 @@ def _explain(found: Any) -> None:
 
 
 def _cell(r1: float, r2: float, density: float, grain: str, weave: str) -> Any:
-    from rve.rings import DENSITY_KG_PER_M3
-    from rve.sweep import Cell
-    from rve.values import checked
-    from rve.weave import WEAVES
+    from rve.common.rings import DENSITY_KG_PER_M3
+    from rve.common.values import checked
+    from rve.geometry.cell import Cell
+    from rve.geometry.weave import WEAVES
 
     if weave not in WEAVES:
         raise InputError(f"--weave = {weave!r}: known are {', '.join(WEAVES)}")
@@ -68,12 +68,12 @@ def _cell(r1: float, r2: float, density: float, grain: str, weave: str) -> Any:
 
 def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, Any]) -> Any:
     """The table of these load directions by either method."""
-    from rve.equilibrium import DirectOptions
+    from rve.equilibrium.interior_point import DirectOptions
     from rve.explain import MOVING, checked_force
-    from rve.resume import SweepOptions
-    from rve.st_table import solve_table_stewart_trinkle
-    from rve.stewart_trinkle import StewartTrinkleOptions
-    from rve.sweep import solve_table
+    from rve.paper.checkpoints import SweepOptions
+    from rve.paper.stewart_trinkle import StewartTrinkleOptions
+    from rve.paper_table import solve_table_stewart_trinkle
+    from rve.solve import solve_table
 
     if method == "stewart-trinkle":
         moving = StewartTrinkleOptions(gyroscopic="gyroscopic" in checked_force(how["force"], MOVING))
@@ -90,7 +90,7 @@ def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, 
 
 def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
     """The load directions asked for: a file, the graded set, or a grid."""
-    from rve.ranges import graded_grid, grid, parse_angles, read_loads
+    from rve.directions import graded_grid, grid, parse_angles, read_loads
 
     if (loads is not None) + graded + (alpha is not None or beta is not None) > 1:
         raise InputError("--loads, --graded and --alpha with --beta are three ways to say which loads: give one")
@@ -124,8 +124,8 @@ def main() -> None:
 @_cell_options
 def table(out: Path, method: str, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
+    from rve.paper_table import with_compliance
     from rve.span import with_span
-    from rve.st_table import with_compliance
     from rve.table import write_table
 
     how = {name: rest.pop(name) for name in ("checkpoint", "workers", "force")}
@@ -166,9 +166,9 @@ def table(out: Path, method: str, **rest: Any) -> None:
 @_cell_options
 def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tuple[str, ...], **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
-    from rve.equilibrium import DirectOptions
+    from rve.equilibrium.interior_point import DirectOptions
     from rve.explain import checked_force
-    from rve.sweep import solve_table
+    from rve.solve import solve_table
     from rve.table import COLUMNS
 
     if plot is not None:
@@ -197,7 +197,7 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 def study(out: Path) -> None:
     """Reproduce the paper's Figs. 9-17 for this implementation, and set its published figures beside ours."""
-    from rve.study import comparison, markdown, run
+    from rve.study.comparison import comparison, markdown, run
 
     found = run(out, progress=lambda text: click.echo(text, err=True))
     click.echo(markdown(comparison(found)), nl=False)
@@ -217,8 +217,8 @@ def study(out: Path) -> None:
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
 def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) -> None:
     """Find back to the rings: from CURTAIN, the curtain.vtu of macro_fem, to rings.vtu, rings.png, worst_cell.csv."""
-    from rve.localize_job import JobOptions, run_localize
-    from rve.ranges import parse_window
+    from rve.directions import parse_window
+    from rve.localization.job import JobOptions, run_localize
 
     found = run_localize(curtain, out, JobOptions(window=parse_window(window), **rest))
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import Any, NamedTuple
 
-from rve.errors import InputError
-from rve.motion import TERMS
+from rve.common.errors import InputError
+from rve.paper.motion import TERMS
 
 FEATURES = (*TERMS, "asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature")
 """What a direct run leaves out where it can; the first four belong to the motion of the paper's scheme."""

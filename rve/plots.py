@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rve.contact import tangent_frame
-from rve.equilibrium import DirectOptions, Equilibrium
-from rve.errors import SENTENCES, InputError, NotConverged, require
-from rve.files import atomic_path
-from rve.sweep import Cell, locked
-from rve.system import lattice_load
+from rve.common.errors import SENTENCES, InputError, NotConverged, require
+from rve.common.files import atomic_path
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.system import lattice_load
+from rve.geometry.cell import Cell
+from rve.geometry.circles import tangent_frame
+from rve.solve import locked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 CLASS_COLOURS = ("#33658a", "#d17a22", "#5b8c5a")
 CONTACT_COLOUR = "#1f3fd0"

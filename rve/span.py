@@ -10,16 +10,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rve.equilibrium import DirectOptions
-from rve.equilibrium import solve_equilibrium as solve
-from rve.load import cauchy_line_load, green_lagrange
-from rve.sweep import Cell, lattice_mm
-from rve.system import Equations
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.interior_point import solve_equilibrium as solve
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load, green_lagrange
+from rve.solve import lattice_mm
 from rve.table import StrainTable
-
-Array = NDArray[np.float64]
 
 _SIDES = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]])
 

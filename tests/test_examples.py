@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from examples.curtain import SETTINGS, Setting, extrapolated, main, run, setting_for
 from homogenize.query import strain_answer
-from rve.sweep import solve_table
+from rve.solve import solve_table
 
 
 @pytest.fixture(scope="module")

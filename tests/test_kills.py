@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from rve.files import checksum
-from rve.jobs import complete
+from rve.common.files import checksum
+from rve.common.jobs import complete
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"
@@ -24,7 +24,7 @@ LAW = ROOT / "homogenize" / "data" / "rings_10.json"
 SCENE = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = {cells}\n[support]\nkind = "corners"\n'
 STEPS = SCENE + "[load]\ngravity = 9.81\nsteps = 2\n"
 STUDY = (
-    "from rve.study import run; from rve.stewart_trinkle import StewartTrinkleOptions; "
+    "from rve.study.comparison import run; from rve.paper.stewart_trinkle import StewartTrinkleOptions; "
     "run('out', {alpha}, [0.0, 45.0], StewartTrinkleOptions(max_steps=40))"
 )
 

@@ -10,13 +10,14 @@ from benchmarks.omissions.compare import LEFT_OUT, RATIO, USED, bars, trial, tri
 from benchmarks.problems import square
 from benchmarks.report.measure import Row, least_seconds, profiled
 from benchmarks.report.records import Section, table
-from homogenize.law import MembraneLaw, default_law
-from macro_fem.assembly import load_vector
-from macro_fem.mesh import build_mesh
-from macro_fem.rigid import RigidOptions, RigidResult, solve_rigid
-from macro_fem.scene import read_scene
+from homogenize.io import default_law
+from homogenize.laws.protocol import MembraneLaw
+from macro_fem.curtain import COARSE_FROM, solve_problem, starts_coarse
+from macro_fem.fem.assembly import load_vector
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension, unit_tensors
-from macro_fem.solvers import COARSE_FROM, solve_problem, starts_coarse
+from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""

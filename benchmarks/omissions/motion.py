@@ -9,14 +9,15 @@ from benchmarks.omissions.compare import bars, trial, trial_table, verdict
 from benchmarks.problems import Array, loads
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section, table
-from rve.equilibrium import DirectOptions, Equilibrium
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.symmetry import solve_equilibrium_symmetric
+from rve.equilibrium.system import Equations
 from rve.explain import motion_terms
-from rve.load import cauchy_line_load
-from rve.motion import TERMS
-from rve.stewart_trinkle import StewartTrinkleOptions, solve
-from rve.sweep import Cell, solve_table
-from rve.symmetry import solve_equilibrium_symmetric
-from rve.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.paper.motion import TERMS
+from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
+from rve.solve import solve_table
 
 SLOW = (45.0, 0.0)
 """The slowest case of the paper, besides the loads in `loads(15.0, 15.0)`."""

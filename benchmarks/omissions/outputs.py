@@ -14,10 +14,11 @@ from benchmarks.problems import loads, scene_file, square
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section
 from macro_fem.job import run_scene
+from rve.geometry.cell import Cell
+from rve.paper_table import with_compliance
 from rve.plots import draw_case, save
+from rve.solve import solve_table
 from rve.span import with_span
-from rve.st_table import with_compliance
-from rve.sweep import Cell, solve_table
 from rve.table import StrainTable
 
 

@@ -10,12 +10,13 @@ from benchmarks.omissions.motion import CHANGE, TOLERANCE
 from benchmarks.problems import Array, loads
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section, table
-from rve.equilibrium import DirectOptions, solve_equilibrium
-from rve.load import cauchy_line_load
-from rve.sweep import Cell, solve_table
-from rve.system import Equations
+from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
+from rve.solve import solve_table
 from rve.table import StrainTable
-from rve.weave import FOUR_IN_ONE, SIX_IN_ONE
 
 FORCED = ("asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature")
 CELLS = {

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import skfem
 
-from macro_fem.assembly import discretize
-from macro_fem.linear import LinearOptions
-from macro_fem.materials import NeoHookeanSheet
-from macro_fem.newton import LoadStep, Membrane, NewtonOptions, solve
+from macro_fem.fem.assembly import discretize
+from macro_fem.fem.linear import LinearOptions
+from macro_fem.fem.materials import NeoHookeanSheet
+from macro_fem.solvers.newton import LoadStep, Membrane, NewtonOptions, solve
 
 
 def clamped_sheet(n: int, pull: float) -> tuple[Membrane, np.ndarray]:

@@ -5,13 +5,15 @@ import numpy as np
 from benchmarks.problems import normality
 from benchmarks.report.measure import Row, count_of, outcomes, refusal
 from benchmarks.report.records import Section, table
-from rve.cell import Pose, find_contacts, moved, start_pose
-from rve.equilibrium import DirectOptions, solve_equilibrium
-from rve.load import cauchy_line_load
-from rve.ranges import grid
-from rve.sweep import Cell, solve_table
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
+from rve.directions import grid
+from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.contacts import find_contacts
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import Pose, moved, start_pose
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
+from rve.solve import solve_table
 
 R1 = 5.0
 RATIOS = {

@@ -11,14 +11,16 @@ from scipy.sparse.linalg import splu
 from benchmarks.problems import square
 from benchmarks.report.measure import Row, at_most, count_of
 from benchmarks.report.records import Section, table
-from homogenize.law import InputError, MembraneLaw, default_law
-from homogenize.polyhedral import PolyhedralLaw
-from macro_fem.assembly import stiffness
-from macro_fem.fem import SupportedFem
-from macro_fem.mesh import build_mesh
-from macro_fem.scene import Scene, read_scene
+from homogenize.io import default_law
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.protocol import MembraneLaw
+from macro_fem.curtain import solve_problem
+from macro_fem.fem.assembly import stiffness
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import Scene, read_scene
 from macro_fem.solution import CurtainSolution, make_problem
-from macro_fem.solvers import solve_problem
+from rve.common.errors import InputError
 
 BLOCK = 256
 STIFFNESSES = tuple(10.0**e for e in range(0, 10))

@@ -7,11 +7,14 @@ import numpy as np
 
 from benchmarks.report.measure import Row, at_most, count_of, refusal
 from benchmarks.report.records import Section, table
-from homogenize.law import Array, MembraneLaw, default_law, ring_net
-from homogenize.polyhedral import PolyhedralLaw
-from homogenize.smooth import smooth_law
-from homogenize.tensor import WEIGHT, eigenvalues
-from macro_fem.turned import turned
+from homogenize.io import default_law
+from homogenize.laws.net import ring_net
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.smooth import smooth_law
+from macro_fem.fem.turned import turned
+from rve.common.tensor import WEIGHT, eigenvalues
+from rve.common.types import Array
 
 FAR = 1e6
 METRIC = "E - E* = A S"

@@ -8,8 +8,9 @@ from benchmarks.problems import normality
 from benchmarks.report.measure import Row, outcomes, refusal
 from benchmarks.report.records import Section, table
 from benchmarks.stability.cells import NOISE
-from rve.errors import SENTENCES
-from rve.sweep import Cell, solve_table
+from rve.common.errors import SENTENCES
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
 from rve.table import StrainTable
 
 R1 = 5.0

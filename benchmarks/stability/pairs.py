@@ -4,9 +4,10 @@ import numpy as np
 
 from benchmarks.report.measure import Row, count_of
 from benchmarks.report.records import Section, table
-from rve.cell import find_contacts, start_pose
-from rve.contact import are_linked, distance_gradient, distance_hessian, local_minima
-from rve.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
+from rve.geometry.circles import are_linked, distance_gradient, distance_hessian, local_minima
+from rve.geometry.contacts import find_contacts
+from rve.geometry.pose import start_pose
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
 
 Z = np.array([0.0, 0.0, 1.0])
 Y = np.array([0.0, 1.0, 0.0])

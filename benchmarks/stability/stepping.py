@@ -6,12 +6,12 @@ import numpy as np
 
 from benchmarks.report.measure import Row, count_of, outcomes
 from benchmarks.report.records import Section, table
-from rve.compliance import soften
-from rve.equilibrium import solve_equilibrium
-from rve.load import cauchy_line_load
-from rve.stewart_trinkle import ROUND_OFF, Settled, StewartTrinkleOptions, solve
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE
+from rve.equilibrium.compliance import soften
+from rve.equilibrium.interior_point import solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.paper.stewart_trinkle import ROUND_OFF, Settled, StewartTrinkleOptions, solve
 
 ALPHA = np.array([0.0, 20.0, 10.0, 45.0, 45.0, 0.0])
 BETA = np.array([45.0, 30.0, 10.0, 0.0, 90.0, 0.0])

@@ -18,10 +18,12 @@ from benchmarks.report.measure import Row, decade, ladder, least_seconds, signed
 from benchmarks.report.records import Diagram, Section, Table, curves, table
 from benchmarks.work_precision.curtain import corner_height, reference_height
 from examples.curtain import SETTINGS, Setting, extrapolated
-from homogenize.fit import FitOptions, fit
-from homogenize.law import InputError, MembraneLaw
-from rve.equilibrium import DirectOptions
-from rve.sweep import Cell, solve_table
+from homogenize.fitting.fit import FitOptions, fit
+from homogenize.laws.protocol import MembraneLaw
+from rve.common.errors import InputError
+from rve.equilibrium.interior_point import DirectOptions
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
 from rve.table import StrainTable
 
 HEIGHT = 1000.0

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from benchmarks.report.measure import Row, count_of, decade, ladder
 from benchmarks.report.records import Diagram, Section, curves, table
-from rve.contact import are_linked, local_minima, tangent_frame
-from rve.projection import alternating_projection
+from rve.geometry.circles import are_linked, local_minima, tangent_frame
+from rve.paper.alternating_projection import alternating_projection
 
 Array = NDArray[np.float64]
 REACH = 1.0
@@ -124,7 +124,7 @@ def brute_force(pairs: Pairs, samples: int) -> Found:
 
 
 def golden_section(pairs: Pairs, samples: int = 4096, rounds: int = 45) -> Found:
-    """The valleys of `brute_force`, narrowed by golden sections: no derivatives, no code of `rve.contact`."""
+    """The valleys of `brute_force`, narrowed by golden sections: no derivatives, no code of `rve.geometry.circles`."""
     e1, e2 = tangent_frame(pairs.n_a)
     start = brute_force(pairs, samples)
     at = pairs.take(start.pair)
@@ -139,7 +139,7 @@ def golden_section(pairs: Pairs, samples: int = 4096, rounds: int = 45) -> Found
 
 
 def newton(pairs: Pairs, samples: int = 48) -> Found:
-    """`rve.contact.local_minima`, the default."""
+    """`rve.geometry.circles.local_minima`, the default."""
     found = local_minima(pairs.d, pairs.n_a, pairs.n_b, 1.0, reach=REACH, samples=samples)
     return Found(found.pair, found.rho_a, found.distance)
 
@@ -233,9 +233,9 @@ def degenerate_rows() -> list[Row]:
 
 
 TEXT = f"""Rings as circles of radius 1. A contact search has to find **every** local minimum of the distance below
-{REACH:g}: linked rings touch in two places. Newton (`rve.contact`, the default) samples ring A and refines each valley
-with a second-order iteration; alternating projection (`rve.projection`) is the paper's, from two starts; brute force
-takes the lowest samples."""
+{REACH:g}: linked rings touch in two places. Newton (`rve.geometry.circles`, the default) samples ring A and refines each
+valley with a second-order iteration; alternating projection (`rve.paper.alternating_projection`) is the paper's, from
+two starts; brute force takes the lowest samples."""
 
 
 def measure(full: bool) -> Section:

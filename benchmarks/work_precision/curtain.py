@@ -16,10 +16,13 @@ import numpy as np
 from benchmarks.problems import square
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Diagram, Section, Table, curves, table
-from homogenize.law import InputError, MembraneLaw, default_law, diagonal_net
-from macro_fem.adapt import Level, levels
-from macro_fem.scene import Scene, read_scene
-from macro_fem.solvers import solve_scene
+from homogenize.io import default_law
+from homogenize.laws.net import diagonal_net
+from homogenize.laws.protocol import MembraneLaw
+from macro_fem.bounds.adapt import Level, levels
+from macro_fem.curtain import solve_scene
+from macro_fem.scene.schema import Scene, read_scene
+from rve.common.errors import InputError
 
 NET_MEAN_HEIGHT = 14.187635
 FLOOR = 1e-9

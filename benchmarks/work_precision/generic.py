@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
 
-from rve.cell import Pose, pair_geometry, start_pose
-from rve.contact import distance_gradient, local_minima, tangent_frame
-from rve.system import Equations
+from rve.equilibrium.system import Equations
+from rve.geometry.circles import distance_gradient, local_minima, tangent_frame
+from rve.geometry.pose import Pose, pair_geometry, start_pose
 
 Array = NDArray[np.float64]
 BOX = (-1.5, 1.5)  # without bounds on the coordinates the first step of SLSQP unlinks the rings

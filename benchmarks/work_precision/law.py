@@ -9,17 +9,18 @@ import numpy as np
 from benchmarks.problems import loads
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Diagram, Section, Table, curves, table
-from homogenize import refine
-from homogenize.bounds import bounds_of
-from homogenize.fit import STATED_STIFFNESS, builder, cell_of
-from homogenize.interpolated import angle_interpolant
-from homogenize.projection import ProjectionError
-from homogenize.protocol import Array, MembraneLaw
-from homogenize.rows import rows_from_table
+from homogenize.fitting import refine
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.fit import STATED_STIFFNESS, builder, cell_of
+from homogenize.fitting.interpolated import angle_interpolant
+from homogenize.fitting.rows import rows_from_table
+from homogenize.laws.projection import ProjectionError
+from homogenize.laws.protocol import MembraneLaw
 from homogenize.strain import locked_strain
-from homogenize.tensor import double_dot, from_disc, trace
-from rve.ranges import graded_grid
-from rve.sweep import solve_table
+from rve.common.tensor import double_dot, from_disc, trace
+from rve.common.types import Array
+from rve.directions import graded_grid
+from rve.solve import solve_table
 from rve.table import StrainTable
 
 SEED = 2027

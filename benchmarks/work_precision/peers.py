@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rve.sweep import Cell
+from rve.geometry.cell import Cell
 
 YADE_SCRIPT = Path(__file__).with_name("yade_cell.py")
 PATIENCE = 600.0

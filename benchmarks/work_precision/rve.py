@@ -18,13 +18,14 @@ from benchmarks.report.measure import Row, decade, ladder
 from benchmarks.report.records import Curve, Diagram, Section, Table, curves, table
 from benchmarks.work_precision import peers
 from benchmarks.work_precision.generic import SOLVERS, Programme
-from rve import stewart_trinkle as st
-from rve.cell import Pose
-from rve.equilibrium import DirectOptions, Equilibrium, solve_equilibrium
-from rve.load import cauchy_line_load, green_lagrange, second_pk
-from rve.sweep import Cell, reference_sides
-from rve.system import Equations
-from rve.uniqueness import strain_is_unique
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
+from rve.equilibrium.limits import strain_is_unique
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.pose import Pose
+from rve.paper import stewart_trinkle as st
+from rve.solve import reference_sides
 
 Array = NDArray[np.float64]
 

@@ -17,20 +17,20 @@ import numpy as np
 
 from homogenize.family import family_of, load_family, save_family
 from homogenize.io import load_law, save_law
-from homogenize.net import ring_cell, ring_net
-from homogenize.polyhedral import polyhedral_law
-from homogenize.smooth import smooth_law
-from macro_fem.mesh import build_mesh
-from macro_fem.scene import load_scene, read_scene
-from rve.curtain_state import read_curtain, read_weave
-from rve.load import cauchy_line_load
-from rve.ranges import parse_angles, parse_window, read_loads
-from rve.resume import SweepOptions, load, sweep
-from rve.stewart_trinkle import StewartTrinkleOptions
-from rve.sweep import solve_table
-from rve.system import Equations
+from homogenize.laws.net import ring_cell, ring_net
+from homogenize.laws.polyhedral import polyhedral_law
+from homogenize.laws.smooth import smooth_law
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import load_scene, read_scene
+from rve.directions import parse_angles, parse_window, read_loads
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.localization.curtain import read_curtain, read_weave
+from rve.paper.checkpoints import SweepOptions, load, sweep
+from rve.paper.stewart_trinkle import StewartTrinkleOptions
+from rve.solve import solve_table
 from rve.table import read_table, write_table
-from rve.weave import FOUR_IN_ONE
 from tests.fuzz.mutation import NUMBERS, mutated_bytes, mutated_json
 
 ROOT = Path(__file__).parents[2]

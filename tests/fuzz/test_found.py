@@ -15,13 +15,13 @@ from homogenize.cli import main as homogenize
 from homogenize.family import load_family
 from homogenize.io import load_law, save_law
 from macro_fem.cli import main as macro_fem
-from macro_fem.mesh import build_mesh
-from macro_fem.scene import load_scene, read_scene
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import load_scene, read_scene
 from rve.cli import main as rve
-from rve.curtain_state import read_curtain, read_weave
-from rve.errors import InputError
-from rve.ranges import parse_angles
-from rve.reading import MOST_JSON_BYTES
+from rve.common.errors import InputError
+from rve.common.reading import MOST_JSON_BYTES
+from rve.directions import parse_angles
+from rve.localization.curtain import read_curtain, read_weave
 from rve.table import read_table
 from tests.fuzz.targets import TARGETS, law, make_table, read_checkpoint, read_mesh_of, square
 
@@ -336,8 +336,8 @@ def test_work_is_bounded_before_it_begins(tables, words):
 
 def test_hooks_are_counted_before_they_are_placed(bounded_memory):
     """A pitch of 1e-9 mm asked for 745 GiB; the least that is allowed now would make a billion hooks here."""
-    from homogenize.law import diagonal_net
-    from macro_fem.solvers import solve_scene
+    from homogenize.laws.net import diagonal_net
+    from macro_fem.curtain import solve_scene
 
     hooks = read_scene(scene(support={"kind": "hooks", "pitch": 1e-6}))
     with bounded_memory(500_000_000), pytest.raises(InputError, match="pitch = 1e-06: is finer than the mesh"):

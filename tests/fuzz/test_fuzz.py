@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from rve.errors import InputError
+from rve.common.errors import InputError
 from tests.fuzz.targets import TARGETS
 
 QUICK, SLOW = 150, 20_000

@@ -9,10 +9,11 @@ from benchmarks.omissions.curtains import by_option, forced
 from benchmarks.omissions.imports import PROBE, helps, probe
 from benchmarks.report.measure import at_most
 from benchmarks.report.records import shown
-from homogenize.law import default_law
-from macro_fem.rigid import RigidOptions
+from homogenize.io import default_law
+from macro_fem.solvers.rigid import RigidOptions
 from rve.explain import FEATURES
-from rve.sweep import Cell, solve_table
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
 
 SAME = trial("far-pairs", "rings", (1.0, 1.5), 3e-12, 1e-9)
 CHANGED = trial("asymmetry", "rings", (1.0, 1.5), 2e-9, 1e-9)

@@ -9,9 +9,9 @@ import pytest
 from benchmarks.report.measure import at_most, outcomes, refusal
 from benchmarks.report.records import Report, differences
 from benchmarks.stability import cells, curtains, features, laws, loads, pairs, stepping
-from homogenize.law import default_law
-from rve.cell import find_contacts
-from rve.weave import FOUR_IN_ONE
+from homogenize.io import default_law
+from rve.geometry.contacts import find_contacts
+from rve.geometry.weave import FOUR_IN_ONE
 
 ROOT = Path(__file__).resolve().parents[2]
 

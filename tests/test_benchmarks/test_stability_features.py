@@ -5,33 +5,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import homogenize.net
-import homogenize.polyhedral
-import homogenize.smooth
-import rve.contact
-import rve.errors
+import homogenize.laws.net
+import homogenize.laws.polyhedral
+import homogenize.laws.smooth
+import rve.common.errors
+import rve.geometry.circles
 from benchmarks.stability.laws import kinds
-from homogenize.law import InputError, default_law, diagonal_net, ring_net
-from homogenize.net import ring_cell
-from macro_fem import newton, rigid, solvers
-from macro_fem.assembly import discretize, load_vector
-from macro_fem.descent import Work
-from macro_fem.linear import NotPositiveDefiniteError
-from macro_fem.mesh import build_mesh
-from macro_fem.newton_records import NewtonStatus
-from macro_fem.scene import read_scene
+from homogenize.io import default_law
+from homogenize.laws.net import diagonal_net, ring_cell, ring_net
+from macro_fem import curtain as solvers
+from macro_fem.curtain import solve_scene
+from macro_fem.fem.assembly import discretize, load_vector
+from macro_fem.fem.linear import NotPositiveDefiniteError
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_scene
-from macro_fem.status import FREE
-from rve.contact import local_minima
-from rve.equilibrium import DirectOptions, follow, solve_equilibrium
-from rve.load import cauchy_line_load
-from rve.stewart_trinkle import StewartTrinkleOptions
-from rve.stewart_trinkle import solve as come_to_rest
-from rve.sweep import Cell, solve_table
-from rve.system import Equations
-from rve.uniqueness import with_limits
-from rve.weave import FOUR_IN_ONE
+from macro_fem.solvers import newton, rigid
+from macro_fem.solvers.descent import Work
+from macro_fem.solvers.newton_records import NewtonStatus
+from macro_fem.solvers.status import FREE
+from rve.common.errors import InputError
+from rve.equilibrium.interior_point import DirectOptions, follow, solve_equilibrium
+from rve.equilibrium.limits import with_limits
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.circles import local_minima
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.paper.stewart_trinkle import StewartTrinkleOptions
+from rve.paper.stewart_trinkle import solve as come_to_rest
+from rve.solve import solve_table
 
 TEN = Equations.of(FOUR_IN_ONE, 0.1)
 
@@ -77,7 +80,7 @@ def test_nearly_uniaxial_loads_need_the_way_from_inside_the_cone():
 def test_coinciding_circles_need_the_allowance_for_round_off(monkeypatch):
     pair = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])
     assert len(local_minima(*pair, 1.0).distance) == 1
-    monkeypatch.setattr(rve.contact, "_ROUND_OFF", 0.0)
+    monkeypatch.setattr(rve.geometry.circles, "_ROUND_OFF", 0.0)
     assert len(local_minima(*pair, 1.0).distance) == 0
 
 
@@ -107,7 +110,7 @@ def test_loads_of_any_size_need_scaled_units():
 
 
 def test_jammed_wire_needs_its_refusal():
-    with pytest.raises(rve.errors.InputError, match="jams at"):
+    with pytest.raises(rve.common.errors.InputError, match="jams at"):
         Cell(5.0, 5.0 / 3.9)
     jammed = Equations.of(FOUR_IN_ONE, 1.0 / 3.9)
     found = solve_equilibrium(cauchy_line_load([20.0], [30.0]), jammed, DirectOptions(attempts=1, max_iterations=30))
@@ -127,7 +130,7 @@ def test_laws_need_their_check_for_numbers(monkeypatch):
         for function in (law.response, law.cut, law.support):
             with pytest.raises(InputError, match="finite numbers, row 0"):
                 function(nan)
-    for module in (homogenize.net, homogenize.polyhedral, homogenize.smooth):
+    for module in (homogenize.laws.net, homogenize.laws.polyhedral, homogenize.laws.smooth):
         monkeypatch.setattr(module, "check_finite", lambda *_: None)
     assert np.isnan(laws["net, of the rings"].support(nan)).all()
     assert np.isnan(laws["polyhedral, of the rings"].cut(nan).violation).all()

@@ -23,10 +23,10 @@ from benchmarks.work_precision.law import (
     spacing_table,
     unseen_directions,
 )
-from homogenize.bounds import bounds_of
-from homogenize.law import diagonal_net
-from homogenize.rows import rows_from_table
-from rve.sweep import solve_table
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.rows import rows_from_table
+from homogenize.laws.net import diagonal_net
+from rve.solve import solve_table
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from benchmarks.work_precision.rve import (
     runs,
     scheme,
 )
-from rve.load import second_pk
+from rve.geometry.kinematics import second_pk
 
 LOADS = ((0.0, 45.0), (20.0, 30.0))
 

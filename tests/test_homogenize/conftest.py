@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from homogenize.rows import Rows
-from homogenize.tensor import IDENTITY, WEIGHT, double_dot, from_disc, trace
+from homogenize.fitting.rows import Rows
+from rve.common.tensor import IDENTITY, WEIGHT, double_dot, from_disc, trace
 
 
 class Ellipsoid:

@@ -9,8 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main
-from homogenize.io import load_law
-from homogenize.law import default_law
+from homogenize.io import default_law, load_law
 from homogenize.ship import SHIPPED
 from rve.table import read_table, write_table
 

@@ -6,11 +6,11 @@ from click.testing import CliRunner
 
 from homogenize.cli import main
 from homogenize.family import family_of, load_family, save_family
-from homogenize.net import ring_cell
-from homogenize.polyhedral import polyhedral_law
-from homogenize.protocol import InputError
-from homogenize.report import random_loads
-from homogenize.tensor import double_dot
+from homogenize.fitting.report import random_loads
+from homogenize.laws.net import ring_cell
+from homogenize.laws.polyhedral import polyhedral_law
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot
 
 from .conftest import Ellipsoid, disc_grid
 

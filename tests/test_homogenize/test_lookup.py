@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from homogenize.lookup import envelope_of
-from homogenize.refine import refined_half_spaces
-from homogenize.tensor import WEIGHT
+from homogenize.fitting.refine import refined_half_spaces
+from homogenize.laws.lookup import envelope_of
+from rve.common.tensor import WEIGHT
 
 from .conftest import disc_grid, rows_of
 

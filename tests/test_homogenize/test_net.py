@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from homogenize.law import default_law, diagonal_net, load_law, ring_net, save_law
-from homogenize.net import ring_cell
-from homogenize.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
+from homogenize.io import default_law, load_law, save_law
+from homogenize.laws.net import diagonal_net, ring_cell, ring_net
+from rve.common.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
 
 LAWS = {"ring": ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526)), "abstract": diagonal_net(1.0)}
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from homogenize.rows import Rows, normality
-from homogenize.tensor import double_dot
+from homogenize.fitting.rows import Rows, normality
+from rve.common.tensor import double_dot
 
 
 def two_rows(apart):

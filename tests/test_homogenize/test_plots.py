@@ -7,9 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main
-from homogenize.law import default_law
+from homogenize.fitting.rows import rows_from_table
+from homogenize.io import default_law
 from homogenize.plots import plot_sections, plot_strains, surface_height
-from homogenize.rows import rows_from_table
 from homogenize.ship import SHIPPED
 from rve.table import read_table
 

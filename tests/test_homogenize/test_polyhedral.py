@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from homogenize.bounds import bounds_of
+from homogenize.fitting.bounds import bounds_of, inner_law, outer_law
+from homogenize.fitting.refine import refined_half_spaces
+from homogenize.fitting.report import random_loads
 from homogenize.io import load_law, save_law
-from homogenize.polyhedral import MAP_PAYS, inner_law, outer_law, polyhedral_law
-from homogenize.protocol import InputError
-from homogenize.refine import refined_half_spaces
-from homogenize.report import random_loads
-from homogenize.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
+from homogenize.laws.polyhedral import MAP_PAYS, polyhedral_law
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
 
 from .conftest import Ellipsoid, derivative_errors, disc_grid, rows_of
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import homogenize.ship
-from homogenize.law import InputError, default_law
+from homogenize.io import default_law
 from homogenize.query import support_answer
+from rve.common.errors import InputError
 
 LAW = homogenize.ship.SHIPPED
 

@@ -5,15 +5,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.bounds import bounds_of
-from homogenize.fit import FitOptions, fit
-from homogenize.protocol import InputError
-from homogenize.refine import Nodes, chords_of, hermite, in_triangles, on_arcs, refined_half_spaces, triangles_of
-from homogenize.report import random_loads
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.fit import FitOptions, fit
+from homogenize.fitting.refine import (
+    Nodes,
+    chords_of,
+    hermite,
+    in_triangles,
+    on_arcs,
+    refined_half_spaces,
+    triangles_of,
+)
+from homogenize.fitting.report import random_loads
 from homogenize.strain import locked_strain
-from homogenize.tensor import disc, double_dot, from_disc
-from rve.ranges import graded_grid
-from rve.sweep import solve_table
+from rve.common.errors import InputError
+from rve.common.tensor import disc, double_dot, from_disc
+from rve.directions import graded_grid
+from rve.solve import solve_table
 from rve.table import read_table
 
 from .conftest import disc_grid, rows_of

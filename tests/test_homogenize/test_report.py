@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from homogenize.polyhedral import outer_law
-from homogenize.report import error_report, held_out_misfit, is_sampled, misfit_of, random_loads, sampled_cone
-from homogenize.rows import normality
-from homogenize.tensor import from_disc
+from homogenize.fitting.bounds import outer_law
+from homogenize.fitting.report import error_report, held_out_misfit, is_sampled, misfit_of, random_loads, sampled_cone
+from homogenize.fitting.rows import normality
+from rve.common.tensor import from_disc
 
 from .conftest import disc_grid, rows_of
 

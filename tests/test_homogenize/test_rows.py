@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homogenize.polyhedral import inner_law, outer_law
-from homogenize.protocol import InputError
-from homogenize.report import random_loads
-from homogenize.rows import Rows, normality, rows_from_table, subset, with_mirror
-from homogenize.tensor import double_dot, mirror
+from homogenize.fitting.bounds import inner_law, outer_law
+from homogenize.fitting.report import random_loads
+from homogenize.fitting.rows import Rows, normality, rows_from_table, subset, with_mirror
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot, mirror
 
 from .conftest import Ellipsoid, disc_grid, rows_of, table_of
 

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from homogenize.fitting.report import random_loads
+from homogenize.fitting.rows import normality
+from homogenize.fitting.smooth import SmoothOptions, _Problem, fit_smooth
 from homogenize.io import load_law, save_law
-from homogenize.projection import ProjectionError
-from homogenize.protocol import InputError
-from homogenize.report import random_loads
-from homogenize.rows import normality
-from homogenize.smooth import log_sum, patches_of, smooth_law
-from homogenize.smooth_fit import SmoothOptions, _Problem, fit_smooth
-from homogenize.tensor import WEIGHT, disc, double_dot, eigenvalues, from_disc, mirror, trace
+from homogenize.laws.projection import ProjectionError
+from homogenize.laws.smooth import log_sum, patches_of, smooth_law
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT, disc, double_dot, eigenvalues, from_disc, mirror, trace
 
 from .conftest import derivative_errors, disc_grid, rows_of
 

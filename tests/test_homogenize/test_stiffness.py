@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from homogenize.fit import fit
-from homogenize.protocol import InputError
-from homogenize.stiffness import compliance_fit
-from homogenize.tensor import WEIGHT
+from homogenize.fitting.fit import fit
+from homogenize.fitting.stiffness import compliance_fit
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT
 
 from .conftest import disc_grid, table_of
 

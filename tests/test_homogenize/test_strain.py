@@ -5,17 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.law import default_law, diagonal_net
-from homogenize.polyhedral import outer_law, polyhedral_law
-from homogenize.protocol import InputError
-from homogenize.refine import refined_half_spaces
-from homogenize.report import random_loads
-from homogenize.rows import Rows, rows_from_dict, rows_from_table, rows_to_dict
+from homogenize.fitting.bounds import outer_law
+from homogenize.fitting.refine import refined_half_spaces
+from homogenize.fitting.report import random_loads
+from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, rows_to_dict
+from homogenize.io import default_law
+from homogenize.laws.net import diagonal_net
+from homogenize.laws.polyhedral import polyhedral_law
 from homogenize.strain import StrainOptions, locked_strain
 from homogenize.strain_bounds import strain_bounds
-from homogenize.tensor import double_dot, dyad, from_disc, trace
-from rve.sweep import solve_table
-from rve.table import cauchy_line_load, deformation_gradient, read_table, second_pk
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot, dyad, from_disc, trace
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
+from rve.solve import solve_table
+from rve.table import read_table
 
 from .conftest import disc_grid, rows_of
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.bounds import bounds_of
-from homogenize.fit import FitOptions, fit
-from homogenize.law import default_law
-from homogenize.protocol import InputError
-from homogenize.report import random_loads
-from homogenize.rows import normality, rows_from_table
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.fit import FitOptions, fit
+from homogenize.fitting.report import random_loads
+from homogenize.fitting.rows import normality, rows_from_table
+from homogenize.io import default_law
 from homogenize.ship import SHIPPED, shipped_record
 from homogenize.strain import locked_strain
-from homogenize.tensor import double_dot, eigenvalues, trace
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.table import read_table
 
 DATA = Path(__file__).parent / "data"

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from homogenize.fit import fit
-from homogenize.law import CellInfo, Cut, HalfSpaces
-from rve.sweep import solve_table
+from homogenize.fitting.fit import fit
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces
+from rve.solve import solve_table
 
 WEIGHT = np.array([1.0, 2.0, 1.0])
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)

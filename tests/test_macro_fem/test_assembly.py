@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skfem.helpers import dot, grad
 
-from macro_fem.assembly import (
+from macro_fem.fem.assembly import (
     ELEMENTS,
     cell_mean,
     deformation_gradient,

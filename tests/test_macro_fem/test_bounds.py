@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.law import diagonal_net
-from macro_fem.adapt import levels, marked
-from macro_fem.assembly import gradient, internal_force
-from macro_fem.bounds import bound, dual_problem
-from macro_fem.dual import dual_mesh
-from macro_fem.mesh import build_mesh, refine
-from macro_fem.scene import read_scene
-from macro_fem.solvers import solve_scene
+from homogenize.laws.net import diagonal_net
+from macro_fem.bounds.adapt import levels, marked
+from macro_fem.bounds.equilibrated import dual_mesh
+from macro_fem.bounds.interval import bound, dual_problem
+from macro_fem.curtain import solve_scene
+from macro_fem.fem.assembly import gradient, internal_force
+from macro_fem.scene.mesh import build_mesh, refine
+from macro_fem.scene.schema import read_scene
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from macro_fem import bounds
-from macro_fem.bounds import bound, dual_problem
-from macro_fem.cones import law_cut
-from macro_fem.mesh import build_mesh
-from macro_fem.rigid import RigidOptions, solve_rigid
-from macro_fem.scene import read_scene
+from macro_fem.bounds import interval as bounds
+from macro_fem.bounds.interval import bound, dual_problem
+from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers import solve_problem, solve_scene
+from macro_fem.solvers.cones import law_cut
+from macro_fem.solvers.rigid import RigidOptions, solve_rigid
 
 
 def problem_of(tables, law):

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 import skfem
 
-from homogenize.law import InputError, default_law
-from macro_fem.mesh import build_mesh, cut_in_four
-from macro_fem.output import summarize
-from macro_fem.scene import read_scene
+from homogenize.io import default_law
+from macro_fem.curtain import solve_problem
+from macro_fem.output.files import summarize
+from macro_fem.scene.mesh import build_mesh, cut_in_four
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_problem
+from rve.common.errors import InputError
 
 HOLE = [[[40, 30], [60, 30], [60, 50], [40, 50]]]
 PATCH = {"at": [20.0, 20.0], "radius": 15.0, "force": [0.1, -0.2]}

@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from homogenize.law import InputError, diagonal_net
-from macro_fem.mesh import build_mesh, refine
-from macro_fem.outline import mesh_outline
-from macro_fem.output import held_length, summarize
-from macro_fem.scene import read_scene
+from homogenize.laws.net import diagonal_net
+from macro_fem.curtain import solve_scene
+from macro_fem.output.files import held_length, summarize
+from macro_fem.scene.mesh import build_mesh, refine
+from macro_fem.scene.outline import mesh_outline
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_scene
+from rve.common.errors import InputError
 
 RISE = np.linspace(100.0, 0.0, 24)  # an even number: the arch has a flat facet at its apex
 ARCH = np.vstack([[[0, 0], [100, 0]], np.column_stack([RISE, 100.0 + 0.016 * RISE * (100.0 - RISE)])])

@@ -6,20 +6,23 @@ import numpy as np
 import pytest
 import skfem
 
-from homogenize.law import InputError, default_law, diagonal_net
-from macro_fem import compliant
-from macro_fem.assembly import cell_mean, discretize
-from macro_fem.cones import first_cones
-from macro_fem.elastic import approach, solve_elastic
-from macro_fem.fem import SupportedFem
-from macro_fem.interior import Iteration
-from macro_fem.membrane import Membrane, evaluate
-from macro_fem.mesh import build_mesh
-from macro_fem.newton import NewtonOptions, solve
-from macro_fem.newton_records import NewtonRecord
-from macro_fem.scene import read_scene
-from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_scene
+from homogenize.io import default_law
+from homogenize.laws.net import diagonal_net
+from macro_fem.curtain import solve_scene
+from macro_fem.elastic_curtain import solve_elastic
+from macro_fem.fem.assembly import cell_mean, discretize
+from macro_fem.fem.membrane import Membrane, evaluate
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
+from macro_fem.solution import gathered_start, make_problem
+from macro_fem.solvers import compliant
+from macro_fem.solvers.cone_program import Iteration
+from macro_fem.solvers.cones import first_cones
+from macro_fem.solvers.elastic import approach
+from macro_fem.solvers.newton import NewtonOptions, solve
+from macro_fem.solvers.newton_records import NewtonRecord
+from rve.common.errors import InputError
 
 NEWTON = {"kind": "newton"}
 PER_MM2 = 2.785e-6 * 9.81
@@ -170,7 +173,8 @@ def test_interior_points_end_at_the_answer(scene_tables):
     scene = read_scene(tables)
     law = rings(1e3)
     problem = make_problem(scene, law, build_mesh(scene, law.cell))
-    found = approach(problem, problem.fem.gather(problem.force))
+    start = problem.fem.unknowns(gathered_start(problem))
+    found = approach(problem.fem, problem.law, problem.fem.gather(problem.force), start, problem.mesh.size)
     assert found.status in ("converged", "stalled")  # rounding may stop the last digits of what hangs slack
     answer = solve_elastic(problem)
     np.testing.assert_allclose(found.S, answer.S, atol=1e-3 * np.abs(answer.S).max())

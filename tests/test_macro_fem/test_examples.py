@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.law import default_law
+from homogenize.io import default_law
 from macro_fem.cli import main
-from macro_fem.mesh import build_mesh
-from macro_fem.outline import least_angle
-from macro_fem.scene import load_scene, read_scene
+from macro_fem.curtain import solve_scene
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.outline import least_angle
+from macro_fem.scene.schema import load_scene, read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_scene
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 

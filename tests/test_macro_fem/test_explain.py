@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.law import InputError, default_law, ring_net
+from homogenize.io import default_law
+from homogenize.laws.net import ring_net
 from macro_fem.cli import main
-from macro_fem.cones import facets_of
-from macro_fem.explain import decisions
+from macro_fem.curtain import solve_problem
+from macro_fem.fem.space import in_space, out_of_plane
+from macro_fem.fem.turned import TurnedLaw
 from macro_fem.job import with_force
-from macro_fem.mesh import build_mesh
-from macro_fem.rigid import RigidOptions, solve_rigid
-from macro_fem.scene import FEATURES, read_scene
+from macro_fem.output.explain import decisions
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import FEATURES, read_scene
 from macro_fem.solution import gathered_start, make_problem, spread_tension, unit_tensors
-from macro_fem.solvers import solve_problem
-from macro_fem.space import in_space, out_of_plane
-from macro_fem.turned import TurnedLaw
+from macro_fem.solvers.cones import facets_of
+from macro_fem.solvers.rigid import RigidOptions, solve_rigid
+from rve.common.errors import InputError
 
 LAW = default_law()
 TOML = '[curtain]\nwidth = 1000.0\nheight = 1000.0\n[mesh]\ncells = 4\n[support]\nkind = "corners"\n'

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import skfem
 
-from homogenize.law import CellInfo, default_law, diagonal_net
-from macro_fem.line_load import Nearby, largest, largest_mean, summary
-from macro_fem.scene import read_scene
-from macro_fem.solvers import solve_scene
+from homogenize.io import default_law
+from homogenize.laws.net import diagonal_net
+from homogenize.laws.protocol import CellInfo
+from macro_fem.curtain import solve_scene
+from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
+from macro_fem.scene.schema import read_scene
 
 AREA = 11.0 * 12.646069623526
 

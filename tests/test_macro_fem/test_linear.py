@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import skfem
 
-from macro_fem.assembly import discretize, sparsity, stiffness
-from macro_fem.linear import (
+from macro_fem.fem.assembly import discretize, sparsity, stiffness
+from macro_fem.fem.linear import (
     LinearOptions,
     LinearStatus,
     NotPositiveDefiniteError,
@@ -122,7 +122,7 @@ def test_multigrid_iterations_hardly_grow_with_the_mesh():
 
 def test_auto_falls_back_to_superlu_and_says_so(problem, monkeypatch):
     _, pattern, _ = problem
-    monkeypatch.setattr("macro_fem.linear.find_spec", lambda name: None)
+    monkeypatch.setattr("macro_fem.fem.linear.find_spec", lambda name: None)
     assert analyze(pattern).method == "superlu"
     assert analyze(pattern, LinearOptions(factor_limit=10)).method == "superlu"
     with pytest.raises(ValueError, match="needs scikit-sparse, which is not installed"):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import skfem
 
-from homogenize.law import diagonal_net
-from macro_fem.assembly import discretize, gradient, sparsity, stiffness
-from macro_fem.materials import NeoHookeanSheet, TensionFieldSheet
-from macro_fem.membrane import Membrane, evaluate, first_piola, full_tangent, green_strain, tangent
+from homogenize.laws.net import diagonal_net
+from macro_fem.fem.assembly import discretize, gradient, sparsity, stiffness
+from macro_fem.fem.materials import NeoHookeanSheet, TensionFieldSheet
+from macro_fem.fem.membrane import Membrane, evaluate, first_piola, full_tangent, green_strain, tangent
 
 WEIGHT = np.array([1.0, 2.0, 1.0])
 LAWS = {

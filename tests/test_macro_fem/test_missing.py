@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from homogenize.law import default_law
-from macro_fem import soc
-from macro_fem.cones import Cones, first_cones, law_cut, with_cuts
-from macro_fem.interior import first_state, make_program, mean_product, measure, moved, search, step_lengths
-from macro_fem.mesh import build_mesh
-from macro_fem.missing import find, joined, pruned, widened
-from macro_fem.rigid import FIRST_GAP, LEAST_GAP, RigidOptions, solve_rigid
-from macro_fem.scene import read_scene
+from homogenize.io import default_law
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
+from macro_fem.solvers import soc
+from macro_fem.solvers.cone_program import first_state, make_program, mean_product, measure, moved, search, step_lengths
+from macro_fem.solvers.cones import Cones, first_cones, law_cut, with_cuts
+from macro_fem.solvers.cutting_planes import find, joined, pruned, widened
+from macro_fem.solvers.rigid import FIRST_GAP, LEAST_GAP, RigidOptions, solve_rigid
 
 
 @pytest.fixture(scope="module")

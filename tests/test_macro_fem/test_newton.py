@@ -10,12 +10,13 @@ import skfem
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from homogenize.law import Response, diagonal_net
-from macro_fem.assembly import cell_mean, discretize, interpolate, load_vector
-from macro_fem.linear import LinearOptions
-from macro_fem.materials import NeoHookeanSheet, TensionFieldSheet
-from macro_fem.membrane import evaluate, first_piola
-from macro_fem.newton import LoadStep, Membrane, NewtonOptions, NewtonStatus, solve
+from homogenize.laws.net import diagonal_net
+from homogenize.laws.protocol import Response
+from macro_fem.fem.assembly import cell_mean, discretize, interpolate, load_vector
+from macro_fem.fem.linear import LinearOptions
+from macro_fem.fem.materials import NeoHookeanSheet, TensionFieldSheet
+from macro_fem.fem.membrane import evaluate, first_piola
+from macro_fem.solvers.newton import LoadStep, Membrane, NewtonOptions, NewtonStatus, solve
 
 ELEMENTS = ["P1", "P2", "CR", "Q1", "Q2"]
 NET_HEIGHT = 14.187635  # mean height of the inextensible net on the 40 x 40 square gathered to 70 %

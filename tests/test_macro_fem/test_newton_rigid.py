@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from homogenize.law import CellInfo, ring_net
-from macro_fem.membrane import evaluate
-from macro_fem.newton import Membrane, NewtonOptions, solve
-from macro_fem.scene import read_scene
-from macro_fem.solvers import solve_scene
+from homogenize.laws.net import ring_net
+from homogenize.laws.protocol import CellInfo
+from macro_fem.curtain import solve_scene
+from macro_fem.fem.membrane import evaluate
+from macro_fem.scene.schema import read_scene
+from macro_fem.solvers.newton import Membrane, NewtonOptions, solve
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from macro_fem.mesh import build_mesh
-from macro_fem.outline import mesh_outline
-from macro_fem.output import corner_positions
-from macro_fem.scene import read_scene
+from macro_fem.curtain import solve_scene
+from macro_fem.output.files import corner_positions
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.outline import mesh_outline
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_scene
 
 
 def area(points, triangles):

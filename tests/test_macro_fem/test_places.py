@@ -9,16 +9,19 @@ import pytest
 import skfem
 from click.testing import CliRunner
 
-from homogenize.law import CellInfo, InputError, diagonal_net, save_law
+from homogenize.io import save_law
+from homogenize.laws.net import diagonal_net
+from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
-from macro_fem.loads import disk_areas
-from macro_fem.mesh import build_mesh, signed_areas
-from macro_fem.outline import least_angle
-from macro_fem.output import summarize
-from macro_fem.places import LEAST_SINE, make_sheet, with_nodes_at
-from macro_fem.scene import read_scene
+from macro_fem.curtain import solve_scene
+from macro_fem.output.files import summarize
+from macro_fem.scene.loads import disk_areas
+from macro_fem.scene.mesh import build_mesh, signed_areas
+from macro_fem.scene.outline import least_angle
+from macro_fem.scene.places import LEAST_SINE, make_sheet, with_nodes_at
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_scene
+from rve.common.errors import InputError
 
 LAW = diagonal_net(1.1)
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)

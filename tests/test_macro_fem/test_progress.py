@@ -3,7 +3,8 @@
 import io
 import threading
 
-from homogenize.law import diagonal_net, save_law
+from homogenize.io import save_law
+from homogenize.laws.net import diagonal_net
 from macro_fem.job import run_scene
 from macro_fem.progress import progress_line, silent
 

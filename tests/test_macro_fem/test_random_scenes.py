@@ -7,11 +7,12 @@ recomputed here from positions, stresses and forces.
 import numpy as np
 import pytest
 
-from homogenize.law import InputError, default_law
-from macro_fem.mesh import build_mesh
-from macro_fem.scene import read_scene
+from homogenize.io import default_law
+from macro_fem.curtain import solve_problem
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import solve_problem
+from rve.common.errors import InputError
 
 KINDS = ("rigid", "conic", "newton")
 NAMED = {"converged", "taut", "infeasible"}

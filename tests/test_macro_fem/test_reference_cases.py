@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import skfem
 
-from homogenize.law import diagonal_net
-from macro_fem.assembly import deformation_gradient, discretize, gradient, internal_force, interpolate, load_vector
-from macro_fem.materials import NeoHookeanSheet, TensionFieldSheet
-from macro_fem.membrane import Membrane, evaluate, first_piola, green_strain
-from macro_fem.newton import NewtonStatus, solve
+from homogenize.laws.net import diagonal_net
+from macro_fem.fem.assembly import deformation_gradient, discretize, gradient, internal_force, interpolate, load_vector
+from macro_fem.fem.materials import NeoHookeanSheet, TensionFieldSheet
+from macro_fem.fem.membrane import Membrane, evaluate, first_piola, green_strain
+from macro_fem.solvers.newton import NewtonStatus, solve
 
 MANSFIELD_ENERGY = 12.41061  # N mm, from his closed form
 MANSFIELD_ANGLE = 55.2934  # degrees from the long side, half-way between the free ends

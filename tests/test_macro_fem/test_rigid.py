@@ -5,15 +5,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from homogenize.law import CellInfo, diagonal_net, ring_net
-from macro_fem.cones import law_cut, times_triple
-from macro_fem.conic import solve_conic
-from macro_fem.mesh import build_mesh
-from macro_fem.rigid import RigidOptions, solve_rigid
-from macro_fem.scene import read_scene
+from homogenize.laws.net import diagonal_net, ring_net
+from homogenize.laws.protocol import CellInfo
+from macro_fem.curtain import solve_scene
+from macro_fem.fem.turned import turned
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers import solve_scene
-from macro_fem.turned import turned
+from macro_fem.solvers.clarabel import solve_conic
+from macro_fem.solvers.cones import law_cut, times_triple
+from macro_fem.solvers.rigid import RigidOptions, solve_rigid
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 STRETCH_X, SHRINK_Y = 17.42005 / 11.0, 4.25798 / 12.646069623526

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.law import CellInfo, InputError, diagonal_net, ring_net, save_law
+from homogenize.io import save_law
+from homogenize.laws.net import diagonal_net, ring_net
+from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
-from macro_fem.mesh import build_mesh, signed_areas
-from macro_fem.scene import Bar, Corners, Hooks, load_scene, read_scene
-from macro_fem.solvers import solve_scene
+from macro_fem.curtain import solve_scene
+from macro_fem.scene.mesh import build_mesh, signed_areas
+from macro_fem.scene.schema import Bar, Corners, Hooks, load_scene, read_scene
+from rve.common.errors import InputError
 
 SCENE = """
 [curtain]

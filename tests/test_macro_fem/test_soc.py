@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homogenize.law import CellInfo, ring_net
-from macro_fem import soc
-from macro_fem.interior import symmetric_roots, times_root
-from macro_fem.turned import turn_matrix, turned
+from homogenize.laws.net import ring_net
+from homogenize.laws.protocol import CellInfo
+from macro_fem.fem.turned import turn_matrix, turned
+from macro_fem.solvers import soc
+from macro_fem.solvers.cone_program import symmetric_roots, times_root
 
 
 def inside(rng, n=200, m=4):

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize.law import CellInfo, default_law, ring_net
+from homogenize.io import default_law
+from homogenize.laws.net import ring_net
+from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
-from macro_fem.mesh import build_mesh
-from macro_fem.rigid import solve_rigid
-from macro_fem.scene import read_scene
+from macro_fem.curtain import solve_scene, supports_reach
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers import solve_scene, supports_reach
-from macro_fem.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
-from macro_fem.taut import reach_of
+from macro_fem.solvers.rigid import solve_rigid
+from macro_fem.solvers.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
+from macro_fem.solvers.stretch_limit import reach_of
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 KINDS = ("rigid", "conic", "newton")

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from homogenize.law import diagonal_net
-from macro_fem.cones import law_cut
-from macro_fem.conic import ConicOptions, solve_conic
-from macro_fem.membrane import Membrane, evaluate
-from macro_fem.mesh import build_mesh
-from macro_fem.newton import NewtonOptions, NewtonStatus
-from macro_fem.newton import solve as solve_newton
-from macro_fem.scene import read_scene
+from homogenize.laws.net import diagonal_net
+from macro_fem.fem.membrane import Membrane, evaluate
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
+from macro_fem.solvers.clarabel import ConicOptions, solve_conic
+from macro_fem.solvers.cones import law_cut
+from macro_fem.solvers.newton import NewtonOptions, NewtonStatus
+from macro_fem.solvers.newton import solve as solve_newton
 
 
 def corners(law, scene_tables, **mesh):

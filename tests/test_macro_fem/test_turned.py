@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homogenize.law import default_law
-from macro_fem.turned import turned
+from homogenize.io import default_law
+from macro_fem.fem.turned import turned
 
 ANGLES = [20.0, 90.0, 135.0]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rve.ranges import grid
-from rve.sweep import solve_table
+from rve.directions import grid
+from rve.solve import solve_table
 
 
 @pytest.fixture(scope="session")

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from rve import ring_forces, sweep
-from rve.load import cauchy_line_load
-from rve.ring_forces import largest_forces
-from rve.sweep import Cell, solve_table
+from rve import solve as sweep
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.localization import forces as ring_forces
+from rve.localization.forces import largest_forces
+from rve.solve import solve_table
 
 ALPHA, BETA = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
 

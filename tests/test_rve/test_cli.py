@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
-from homogenize.fit import fit_table
-from homogenize.protocol import InputError
+from homogenize.fitting.fit import fit_table
 from rve.cli import main
+from rve.common.errors import InputError
 
 
 def run(*arguments):

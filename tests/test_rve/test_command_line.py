@@ -16,8 +16,8 @@ from homogenize.cli import main as homogenize
 from homogenize.ship import SHIPPED
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
-from rve.command_line import Group
-from rve.errors import InputError, NotConverged
+from rve.common.command_line import Group
+from rve.common.errors import InputError, NotConverged
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"

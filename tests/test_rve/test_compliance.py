@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rve.compliance import deformation, rigid_limit, soften, strain, symmetric_defect
-from rve.equilibrium import solve_equilibrium
-from rve.load import cauchy_line_load, second_pk
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE
+from rve.equilibrium.compliance import deformation, rigid_limit, soften, strain, symmetric_defect
+from rve.equilibrium.interior_point import solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import cauchy_line_load, second_pk
+from rve.geometry.weave import FOUR_IN_ONE
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
 ALPHA = np.array([0.0, 0.0, 20.0, 10.0, 45.0, 30.0, 0.0])

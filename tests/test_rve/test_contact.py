@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rve.contact import are_linked, distance_gradient, distance_hessian, local_minima, tangent_frame
+from rve.geometry.circles import are_linked, distance_gradient, distance_hessian, local_minima, tangent_frame
 
 
 def unit(x):
@@ -57,7 +57,7 @@ def test_minima_in_basins_narrower_than_the_samples_are_found(monkeypatch):
     truth = counts(1536)
     np.testing.assert_array_equal(counts(48), truth)
     empty = np.zeros(0, int), np.zeros(0)
-    monkeypatch.setattr("rve.contact._shoulders", lambda *_: empty)
+    monkeypatch.setattr("rve.geometry.circles._shoulders", lambda *_: empty)
     assert (counts(48) < truth).any()
 
 

@@ -7,15 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rve.cell import Pose, find_contacts, moved, parallel_clearance, start_pose, tangent_frame
-from rve.contact import are_linked
-from rve.equilibrium import DirectOptions, _accepted_step, _State, solve_equilibrium
-from rve.load import cauchy_line_load
+from rve.equilibrium.interior_point import DirectOptions, _accepted_step, _State, solve_equilibrium
+from rve.equilibrium.limits import contact_forces, polish, touching
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.circles import are_linked
+from rve.geometry.contacts import find_contacts, parallel_clearance
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import Pose, moved, start_pose, tangent_frame
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.solve import locked, reference_sides, solve_table
 from rve.span import strain_span, with_span
-from rve.sweep import Cell, locked, reference_sides, solve_table
-from rve.system import Equations
-from rve.uniqueness import contact_forces, polish, touching
-from rve.weave import FOUR_IN_ONE
 
 OPTIONS = DirectOptions()
 
@@ -278,7 +280,7 @@ def test_merging_contacts_need_both_twins(monkeypatch):
     equations = Equations.of(FOUR_IN_ONE, 0.1)
     once = DirectOptions(attempts=1)
     assert (solve_equilibrium(s, equations, once).status == "converged").all()
-    monkeypatch.setattr("rve.contact._with_twins", lambda found, near, *rest: found.take(near))
+    monkeypatch.setattr("rve.geometry.circles._with_twins", lambda found, near, *rest: found.take(near))
     assert (solve_equilibrium(s, equations, once).status == "stalled").any()
 
 
@@ -316,7 +318,7 @@ def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
         pose, lam, contacts, R = polish(*args, **rest)
         return pose, lam, contacts, np.maximum(R, 1e-3)
 
-    monkeypatch.setattr("rve.uniqueness.polish", unconfirmed)
+    monkeypatch.setattr("rve.equilibrium.limits.polish", unconfirmed)
     table = solve_table([25.0, 25.0], [0.0, 30.0])
     assert table.status.tolist() == ["no-limit", "converged"]
     assert table.unique.tolist() == [False, True]
@@ -326,7 +328,7 @@ def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
 
 def test_a_limit_off_its_trail_is_no_answer(monkeypatch):
     """An extrapolation to the wrong place: Newton finds an equilibrium far from the guess, which is not the limit."""
-    monkeypatch.setattr("rve.uniqueness._WEIGHTS", np.array([10.0, 0.0, -9.0]))
+    monkeypatch.setattr("rve.equilibrium.limits._WEIGHTS", np.array([10.0, 0.0, -9.0]))
     table = solve_table([25.0], [0.0])
     assert table.status.tolist() == ["no-limit"]
     assert np.isnan(table.E).all()

@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rve import ten_rings
-from rve.cell import start_pose
 from rve.cli import main
-from rve.equilibrium import DirectOptions
-from rve.errors import InputError
+from rve.common.errors import InputError
+from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.system import Equations
 from rve.explain import FEATURES, checked_force, decisions, motion_terms, moving_decisions
-from rve.load import cauchy_line_load
-from rve.motion import TERMS
-from rve.pairs import unlisted_gap, unlisted_pairs, widened
-from rve.stewart_trinkle import Dynamics, StewartTrinkleOptions, gyroscopic_torque, solve
-from rve.sweep import Cell, solve_table
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pairs import unlisted_gap, unlisted_pairs, widened
+from rve.geometry.pose import start_pose
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
+from rve.paper import ten_rings
+from rve.paper.motion import TERMS
+from rve.paper.stewart_trinkle import Dynamics, StewartTrinkleOptions, gyroscopic_torque, solve
+from rve.solve import solve_table
 
 # Strains end at mu_end / force: 1e-13 over forces of 1e-4 and more.
 TOLERANCE = 1e-9

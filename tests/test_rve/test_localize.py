@@ -9,19 +9,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rve.cell import Pose, find_contacts
 from rve.cli import main
-from rve.curtain_state import Curtain, read_curtain
-from rve.errors import InputError
-from rve.load import cauchy_line_load, deformation_gradient, second_pk
-from rve.localize import LocalizeOptions, localize, locked_states, mirrored, shares
-from rve.localize_job import draw
-from rve.ring_field import axes_of_weave, find_sites, fit_of, place_rings
-from rve.ring_files import tubes, write_ring_vtu
-from rve.ring_forces import cauchy_of, cell_forces, directions, largest_forces
-from rve.spring import lattice_strain
-from rve.sweep import Cell, locked
-from rve.weave import SIX_IN_ONE
+from rve.common.errors import InputError
+from rve.geometry.cell import Cell
+from rve.geometry.contacts import find_contacts
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
+from rve.geometry.pose import Pose
+from rve.geometry.weave import SIX_IN_ONE
+from rve.localization.curtain import Curtain, read_curtain
+from rve.localization.files import tubes, write_ring_vtu
+from rve.localization.forces import cauchy_of, cell_forces, directions, largest_forces
+from rve.localization.job import draw
+from rve.localization.poses import LocalizeOptions, localize, locked_states, mirrored, shares
+from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
+from rve.localization.springs import lattice_strain
+from rve.solve import locked
 
 CELL, OPTIONS = Cell(), LocalizeOptions()
 WEIGHTS = np.array([1.0, 2.0, 1.0])
@@ -495,7 +497,7 @@ def test_a_pose_in_a_mirror_keeps_its_links(states):
 def test_a_renderer_that_fails_is_named_and_leaves_no_picture(hung, tmp_path, monkeypatch):
     assert "the renderer ended with code 1" in draw(tmp_path)
     assert not (tmp_path / "rings.png").exists()
-    monkeypatch.setattr("rve.localize_job.draw", lambda folder: "the renderer ended with code 1 (no screen)")
+    monkeypatch.setattr("rve.localization.job.draw", lambda folder: "the renderer ended with code 1 (no screen)")
     result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--window", "0,0,30,30")
     assert result.exit_code == 1
     assert "rings.png: the renderer ended with code 1 (no screen); the other files are written" in result.stderr

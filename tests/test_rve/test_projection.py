@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve import stewart_trinkle as st
-from rve.contact import are_linked, local_minima
-from rve.load import cauchy_line_load
-from rve.projection import alternating_projection
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE
+from rve.equilibrium.system import Equations
+from rve.geometry.circles import are_linked, local_minima
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.paper import stewart_trinkle as st
+from rve.paper.alternating_projection import alternating_projection
 
 
 @pytest.fixture(scope="module")

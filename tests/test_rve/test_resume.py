@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rve import resume
-from rve.errors import InputError
-from rve.load import cauchy_line_load
-from rve.resume import SweepOptions, sweep
-from rve.stewart_trinkle import StewartTrinkleOptions, solve
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE
+from rve.common.errors import InputError
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.paper import checkpoints as resume
+from rve.paper.checkpoints import SweepOptions, sweep
+from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
 
 OPTIONS = StewartTrinkleOptions(max_steps=45)
 LOADS = cauchy_line_load(np.array([0.0, 10.0, 20.0, 30.0, 45.0]), np.array([90.0, 40.0, 55.0, 20.0, 5.0]))
@@ -108,10 +108,10 @@ def test_a_killed_process_loses_nothing_but_its_last_steps(whole, tmp_path):
     code = "import sys, numpy as np; from tests_loads import go; go(sys.argv[1])"
     (tmp_path / "tests_loads.py").write_text(
         "import numpy as np\n"
-        "from rve.load import cauchy_line_load\n"
-        "from rve.resume import SweepOptions, sweep\n"
-        "from rve.stewart_trinkle import StewartTrinkleOptions\n"
-        "from rve.weave import FOUR_IN_ONE\n"
+        "from rve.geometry.kinematics import cauchy_line_load\n"
+        "from rve.paper.checkpoints import SweepOptions, sweep\n"
+        "from rve.paper.stewart_trinkle import StewartTrinkleOptions\n"
+        "from rve.geometry.weave import FOUR_IN_ONE\n"
         "def go(folder):\n"
         f"    s = np.array({LOADS.tolist()!r})\n"
         "    how = SweepOptions(folder=folder, block=2, save_every=1)\n"

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from rve.errors import InputError
-from rve.load import cauchy_line_load
-from rve.resume import SweepOptions
-from rve.st_table import solve_table_stewart_trinkle, with_compliance
-from rve.stewart_trinkle import StewartTrinkleOptions
-from rve.sweep import Cell, solve_table
+from rve.common.errors import InputError
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.paper.checkpoints import SweepOptions
+from rve.paper.stewart_trinkle import StewartTrinkleOptions
+from rve.paper_table import solve_table_stewart_trinkle, with_compliance
+from rve.solve import solve_table
 from rve.table import read_table, write_table
 
 ALPHA, BETA = np.array([0.0, 20.0, 30.0, 10.0]), np.array([45.0, 30.0, 60.0, -20.0])

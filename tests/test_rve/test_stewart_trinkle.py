@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve import stewart_trinkle as st
-from rve.compliance import soften, strain
-from rve.equilibrium import solve_equilibrium
-from rve.load import cauchy_line_load
-from rve.stewart_trinkle import Dynamics, StewartTrinkleOptions
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE
+from rve.equilibrium.compliance import soften, strain
+from rve.equilibrium.interior_point import solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.paper import stewart_trinkle as st
+from rve.paper.stewart_trinkle import Dynamics, StewartTrinkleOptions
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
 OPTIONS = StewartTrinkleOptions()

@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from rve import study
-from rve.errors import InputError
-from rve.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
-from rve.sweep import Cell
+from rve.common.errors import InputError
+from rve.geometry.cell import Cell
+from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
+from rve.study import comparison as study
 
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)] + ["contacts_missed.png"]
 

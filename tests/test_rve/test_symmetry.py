@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.cell import moved
-from rve.equilibrium import DirectOptions, follow, solve_equilibrium, unit_loads
-from rve.load import cauchy_line_load
-from rve.symmetry import (
+from rve.equilibrium.interior_point import DirectOptions, follow, solve_equilibrium, unit_loads
+from rve.equilibrium.symmetry import (
     expanded,
     is_confirmed,
     is_symmetric,
@@ -17,8 +15,10 @@ from rve.symmetry import (
     symmetric_start,
     symmetry_of,
 )
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import moved
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
 
 OPTIONS = DirectOptions()
 WEAVES = ((FOUR_IN_ONE, 0.1), (SIX_IN_ONE, 0.12))

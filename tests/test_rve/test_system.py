@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from rve.cell import find_contacts, moved, start_pose
-from rve.equilibrium import carry_forces
-from rve.load import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
-from rve.system import Equations, lattice_load
-from rve.weave import FOUR_IN_ONE, WEAVES
+from rve.equilibrium.interior_point import carry_forces
+from rve.equilibrium.system import Equations, lattice_load
+from rve.geometry.contacts import find_contacts
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
+from rve.geometry.pose import moved, start_pose
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES
 
 
 def random_pose(weave, rng, amount=0.08):

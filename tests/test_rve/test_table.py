@@ -9,18 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rve.files import atomic_path
-from rve.ranges import grid, parse_angles, read_loads
-from rve.sweep import Cell, solve_table
-from rve.table import (
-    COLUMNS,
-    COMPLIANCE_COLUMNS,
-    InputError,
-    joined_tables,
-    provenance_path,
-    read_table,
-    write_table,
-)
+from rve.common.errors import InputError
+from rve.common.files import atomic_path
+from rve.directions import grid, parse_angles, read_loads
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
+from rve.table import COLUMNS, COMPLIANCE_COLUMNS, joined_tables, provenance_path, read_table, write_table
 
 
 @pytest.fixture(scope="module")

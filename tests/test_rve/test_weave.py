@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rve.cell import find_contacts, moved, pair_maps, reduction, start_pose
-from rve.contact import distance_gradient
-from rve.equilibrium import DirectOptions, solve_equilibrium
-from rve.errors import InputError
-from rve.load import cauchy_line_load
-from rve.sweep import Cell, solve_table
-from rve.system import Equations
-from rve.weave import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, supercell
+from rve.common.errors import InputError
+from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.circles import distance_gradient
+from rve.geometry.contacts import find_contacts
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import moved, pair_maps, reduction, start_pose
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, WEAVES, supercell
+from rve.solve import solve_table
 
 
 @pytest.mark.parametrize("name", WEAVES)

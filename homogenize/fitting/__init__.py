@@ -1,0 +1,1 @@
+"""From table rows to a law: rows, bounds, refinement, stiffness, error report."""

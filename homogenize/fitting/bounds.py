@@ -1,0 +1,67 @@
+"""What the rows alone prove about the support function: a bound from inside and one from outside, no reference needed.
+
+Inside: each row's strain is admissible, so h(S) >= max S:E_i. Outside: each row's half-space S_i:E <= h_i holds, and
+C = I + 2E is positive semidefinite for every deformation, so h(S) <= max S:E over these. Half-spaces of singular C,
+v.C v >= 0 for `DIRECTIONS` vectors v, keep the outer polyhedron bounded where the rows' loads do not reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from homogenize.fitting.rows import Rows, with_mirror
+from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
+from homogenize.laws.protocol import CellInfo
+from homogenize.laws.vertices import highest, outer_vertices
+from rve.common.tensor import WEIGHT, dyad, eigenvalues, trace
+from rve.common.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Vertices of the inner hull and of the outer polyhedron, as strains: inner (k, 3), outer (m, 3)."""
+
+    inner: Array
+    outer: Array
+
+    def lower(self, S: Array) -> Array:
+        """Lower bound of h at S (n, 3), (n,)."""
+        return highest(S, self.inner)
+
+    def upper(self, S: Array) -> Array:
+        """Upper bound of h at S (n, 3), (n,)."""
+        return highest(S, self.outer)
+
+
+def bounds_of(rows: Rows) -> Bounds:
+    """Inner and outer bound of the convex set behind the rows, mirror images included.
+
+    InputError if the half-spaces do not bound the strain under tension (all loads along one direction, for instance).
+    """
+    both = with_mirror(rows)
+    return Bounds(both.E, outer_vertices(both.S, both.h))
+
+
+RIM = 720
+
+
+def outer_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+    """The rows' half-spaces and their mirror images."""
+    both = with_mirror(rows)
+    return polyhedral_law(both.S, both.h, stiffness, cell)
+
+
+def inner_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+    """The hull of the rows' strains minus the tensile cone; between two rim loads it is passed by less than 1e-5."""
+    from scipy.spatial import ConvexHull
+
+    E = with_mirror(rows).E
+    angle = np.pi * np.arange(RIM) / RIM
+    rim = dyad(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    facets = ConvexHull(E, qhull_options="QJ").equations[:, :3] / WEIGHT
+    facets = facets[trace(facets) > 0.0]
+    facets = facets[eigenvalues(facets)[0] >= 0.0]
+    S = np.vstack([facets / trace(facets)[:, None], rim])
+    return polyhedral_law(S, highest(S, E), stiffness, cell)

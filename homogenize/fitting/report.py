@@ -1,0 +1,166 @@
+"""How wrong a law can be: bounds without any reference, rows left out, the worst direction by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.rows import Normality, Rows, subset, with_mirror
+from homogenize.laws.protocol import MembraneLaw
+from rve.common.errors import InputError
+from rve.common.tensor import disc, from_disc
+from rve.common.types import Array
+
+DIRECTIONS = 1000
+SEED = 2026
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Largest and mean error of the support at unit trace of S, where it is largest, over `count` loads."""
+
+    count: int
+    maximum: float
+    mean: float
+    worst_S: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ErrorReport:
+    """What is known of a law's error; supports at unit trace of S, so that they compare with strains.
+
+    `rows`: the law at the rows it was fitted to. `held_out`: rows left out in turn, the law refitted without them; None
+    where no refit was possible. `gap`: outer minus inner bound at random tensile loads, with no reference at all.
+    `below`, `above`: by how much the law leaves the two bounds there, zero if it stays between.
+    """
+
+    kind: str
+    normality: str
+    rows: Misfit
+    held_out: Misfit | None
+    gap: Misfit
+    below: float
+    above: float
+    not_unique: int
+    dropped: tuple[str, ...]
+
+    def text(self) -> str:
+        """The report in lines that a person reads."""
+        lines = [f"{self.kind} law: {self.normality}"]
+        if self.dropped:
+            lines.append(f"left out: {'; '.join(self.dropped[:5])}{'; ...' if len(self.dropped) > 5 else ''}")
+        if self.not_unique:
+            lines.append(f"{self.not_unique} rows have no unique strain: theirs is one of many")
+        lines.append(_line("error of h at the rows", self.rows))
+        if self.held_out is not None:
+            lines.append(_line("error of h at rows left out", self.held_out))
+        lines.append(_line("outer minus inner bound of h", self.gap))
+        lines.append(
+            f"the law leaves the bounds by {self.below:.1e} below, {self.above:.1e} above (h at unit trace of S)"
+        )
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers for a law file."""
+        return asdict(self)
+
+
+def _line(title: str, misfit: Misfit) -> str:
+    S = ", ".join(f"{x:.4f}" for x in misfit.worst_S)
+    return f"{title}: max {misfit.maximum:.2e} at S = ({S}), mean {misfit.mean:.2e}, {misfit.count} loads"
+
+
+def misfit_of(S: Array, error: Array) -> Misfit:
+    """Summary of errors (n,) at loads S (n, 3)."""
+    size = np.abs(error)
+    worst = int(np.argmax(size))
+    s11, s12, s22 = (float(x) for x in S[worst])
+    return Misfit(len(S), float(size[worst]), float(size.mean()), (s11, s12, s22))
+
+
+def random_loads(count: int = DIRECTIONS, seed: int = SEED) -> Array:
+    """Tensile loads of unit trace, uniform over the disc of (S11 - S22, 2 S12), every tenth of rank one, (count, 3)."""
+    rng = np.random.default_rng(seed)
+    radius = np.sqrt(rng.uniform(size=count))
+    radius[::10] = 1.0
+    angle = rng.uniform(0.0, 2.0 * np.pi, size=count)
+    return from_disc(radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def error_report(
+    law: MembraneLaw, rows: Rows, found: Normality, refit: Callable[[Rows], MembraneLaw] | None
+) -> ErrorReport:
+    """The report of a law fitted to `rows`; `refit` fits the same kind to fewer rows, None skips that part."""
+    bounds = bounds_of(rows)
+    S = random_loads()
+    lower, upper, h = bounds.lower(S), bounds.upper(S), law.support(S)
+    held_out = None if refit is None else held_out_misfit(rows, refit)
+    return ErrorReport(
+        law.name,
+        found.sentence(),
+        misfit_of(rows.S, law.support(rows.S) - rows.h),
+        held_out,
+        misfit_of(S, upper - lower),
+        float(np.maximum(lower - h, 0.0).max()),
+        float(np.maximum(h - upper, 0.0).max()),
+        int((~rows.unique).sum()),
+        rows.dropped,
+    )
+
+
+def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw], folds: int = FOLDS) -> Misfit | None:
+    """Every row left out once, with its neighbours kept; rows at the rim of the sampled cone stay in, they span it."""
+    inner = np.flatnonzero(~on_hull(rows))
+    if len(inner) < folds:
+        return None
+    S, error = [], []
+    for fold in range(folds):
+        out = inner[fold::folds]
+        keep = np.setdiff1d(np.arange(len(rows)), out)
+        try:
+            law = refit(subset(rows, keep))
+        except InputError:
+            return None
+        S.append(rows.S[out])
+        error.append(law.support(rows.S[out]) - rows.h[out])
+    return misfit_of(np.concatenate(S), np.concatenate(error))
+
+
+def on_hull(rows: Rows) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """True for rows whose load spans the sampled cone, (n,): corners of the hull of all loads in the disc."""
+    polygon = sampled_cone(rows)
+    x = disc(rows.S)
+    return np.array([bool((np.abs(polygon - point).max(axis=1) < 1e-7).any()) for point in x])
+
+
+def sampled_cone(rows: Rows) -> Array:
+    """Corners (k, 2) in the disc of the hull of all loads of the rows, mirror images included, in turn."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    x = disc(with_mirror(rows).S)
+    try:
+        return np.asarray(x[ConvexHull(x).vertices])
+    except QhullError as error:
+        raise InputError(
+            "the rows' loads lie on one line: a law needs loads that differ in angle and in ratio"
+        ) from error
+
+
+RIM_STEP_DEG = 45.0
+"""Rim loads farther apart than this in the disc (half of it in space) leave the rim between them unsampled."""
+
+
+def is_sampled(polygon: Array, S: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Whether loads S (n, 3) lie in the sampled cone, (n,): in the polygon, or between two close corners on the rim."""
+    x = disc(S / (S[:, 0] + S[:, 2])[:, None])
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    edge = end - start
+    side = edge[:, 0] * (x[:, 1:] - start[:, 1]) - edge[:, 1] * (x[:, :1] - start[:, 0])
+    on_rim = (np.hypot(start[:, 0], start[:, 1]) > 1.0 - 1e-6) & (np.hypot(end[:, 0], end[:, 1]) > 1.0 - 1e-6)
+    close = (start * end).sum(axis=1) > np.cos(np.radians(RIM_STEP_DEG))
+    return np.asarray(((side >= -1e-9) | (on_rim & close)).all(axis=1))

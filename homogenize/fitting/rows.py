@@ -1,0 +1,173 @@
+"""From table rows to Hermite data of the support function, tested before anything is fitted to them.
+
+Each converged row is a value and a gradient at once: S_i of unit trace, h_i = S_i:E_i and E_i = dh/dS. Where the strain
+is not unique only the value counts. The mirror image of a row under the weave symmetry is a row as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.errors import InputError
+from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from rve import StrainTable
+
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+NORMALITY_TOLERANCE = 1e-8
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Sampled boundary of K+: S (n, 3) of unit trace, E (n, 3), h (n,) = S:E, `unique` (n,), row number `source` (n,).
+
+    `dropped` says in words which rows of the table were left out and why.
+    """
+
+    S: Array
+    E: Array
+    h: Array
+    unique: Mask
+    source: Index
+    dropped: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.h)
+
+
+@dataclass(frozen=True, eq=False)
+class Normality:
+    """How well rows belong to one convex set: `slack` = min over all pairs of S_i:(E_i - E_j), zero or negative.
+
+    `worst` (i, j) are the row numbers of the worst pair; `blamed` the fewest rows, found greedily, without which all
+    pairs are within `tolerance`.
+    """
+
+    slack: float
+    worst: tuple[int, int]
+    blamed: tuple[int, ...]
+    tolerance: float
+
+    @property
+    def holds(self) -> bool:
+        """True if no pair of rows contradicts convexity by more than the tolerance."""
+        return self.slack >= -self.tolerance
+
+    def sentence(self) -> str:
+        """The finding in words."""
+        if self.holds:
+            return f"normality holds: S_i:(E_i - E_j) >= {self.slack:.1e} for all pairs of rows"
+        rows = ", ".join(str(i) for i in self.blamed[:10]) + (", ..." if len(self.blamed) > 10 else "")
+        return (
+            f"the rows do not lie on one convex set: S_i:(E_i - E_j) = {self.slack:.3e} for rows {self.worst[0]} and "
+            f"{self.worst[1]} (allowed {-self.tolerance:.0e}); without rows {rows} the others agree, and --noise "
+            f"{-1.1 * self.slack:.0e} fits a law that is off by as much there"
+        )
+
+
+def rows_from_table(table: StrainTable) -> Rows:
+    """Hermite data of the converged rows of a table; row numbers count from 0 in the table's order.
+
+    Failed rows, rows that are not tensile and exact duplicates are dropped by name. InputError if nothing is left.
+    """
+    number = np.arange(len(table.alpha_deg))
+    size = trace(table.S)
+    finite = np.isfinite(table.S).all(axis=1) & np.isfinite(table.E).all(axis=1)
+    ok = table.converged & finite & (size > 0.0)
+    determinant = table.S[:, 0] * table.S[:, 2] - table.S[:, 1] ** 2
+    tensile = determinant >= -ROUNDING * size**2
+    dropped = [f"row {i}: status {table.status[i]}" for i in number[~table.converged]]
+    dropped += [f"row {i}: not a finite load with S11 + S22 > 0" for i in number[table.converged & ~ok]]
+    dropped += [f"row {i}: the load is not tensile" for i in number[ok & ~tensile]]
+    keep = number[ok & tensile]
+    if not keep.size:
+        raise InputError("the table has no converged tensile row")
+    S = table.S[keep] / size[keep, None]
+    E = table.E[keep]
+    first = first_of_duplicates(S, E)
+    dropped += [f"row {i}: the same load and strain as an earlier row" for i in keep[~first]]
+    S, E, keep = S[first], E[first], keep[first]
+    return Rows(S, E, double_dot(S, E), np.asarray(table.unique, bool)[keep], keep, tuple(dropped))
+
+
+def first_of_duplicates(S: Array, E: Array) -> Mask:
+    """True for rows that do not repeat an earlier one to within rounding, (n,)."""
+    key = np.round(np.hstack([S, E]) / ROUNDING).astype(np.int64)
+    first = np.zeros(len(S), bool)
+    first[np.unique(key, axis=0, return_index=True)[1]] = True
+    return first
+
+
+def with_mirror(rows: Rows) -> Rows:
+    """The rows and their images under S12 -> -S12, E12 -> -E12; a row that is its own image appears once."""
+    other = (np.abs(rows.S[:, 1]) > ROUNDING) | (np.abs(rows.E[:, 1]) > ROUNDING)
+    return Rows(
+        np.vstack([rows.S, mirror(rows.S[other])]),
+        np.vstack([rows.E, mirror(rows.E[other])]),
+        np.concatenate([rows.h, rows.h[other]]),
+        np.concatenate([rows.unique, rows.unique[other]]),
+        np.concatenate([rows.source, rows.source[other]]),
+        rows.dropped,
+    )
+
+
+def rows_to_dict(rows: Rows) -> dict[str, Any]:
+    """Loads, strains and flags of the rows as plain lists, for a law file."""
+    return {"S": rows.S.tolist(), "E": rows.E.tolist(), "unique": rows.unique.tolist()}
+
+
+def rows_from_dict(data: Any) -> Rows:
+    """The rows that `rows_to_dict` wrote; InputError if they are not tensile loads with strains of a real cell."""
+    try:
+        S, E, unique = np.array(data["S"], float), np.array(data["E"], float), np.array(data["unique"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"needs lists S, E and unique of one length: {error}") from error
+    if not len(S) or S.shape != (len(S), 3) or E.shape != S.shape or unique.shape != (len(S),) or unique.dtype != bool:
+        raise InputError(
+            f"needs S (n, 3), E (n, 3) and n flags unique, got shapes {S.shape}, {E.shape} and {unique.shape}"
+        )
+    cell = eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
+    good = np.isfinite(S).all(axis=1) & np.isfinite(E).all(axis=1) & (np.abs(trace(S) - 1.0) < ROUNDING) & cell
+    good &= eigenvalues(S)[0] >= -ROUNDING
+    if not good.all():
+        i = int(np.argmin(good))
+        pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
+        raise InputError(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
+    return Rows(S, E, double_dot(S, E), unique, np.arange(len(S)))
+
+
+def subset(rows: Rows, keep: Mask | Index) -> Rows:
+    """The rows chosen by a mask or an index."""
+    return Rows(rows.S[keep], rows.E[keep], rows.h[keep], rows.unique[keep], rows.source[keep], rows.dropped)
+
+
+def normality(rows: Rows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:
+    """Tests S_i:(E_i - E_j) >= -tolerance for all pairs, mirror images included (Prager's ideal locking).
+
+    >>> E = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
+    >>> S = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, 0.5]])
+    >>> normality(Rows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))).worst
+    (0, 1)
+    """
+    both = with_mirror(rows)
+    gap = both.h[:, None] - (both.S * WEIGHT) @ both.E.T
+    i, j = np.unravel_index(int(np.argmin(gap)), gap.shape)
+    bad = gap < -tolerance
+    blamed: list[int] = []
+    alive = np.ones(len(both), bool)
+    while (bad & alive[:, None] & alive).any():
+        count = bad & alive[:, None] & alive
+        per_row = np.bincount(both.source, count.sum(axis=0) + count.sum(axis=1))
+        blamed.append(int(np.argmax(per_row)))
+        alive &= both.source != blamed[-1]
+    worst = (int(both.source[i]), int(both.source[j]))
+    return Normality(min(float(gap[i, j]), 0.0), worst, tuple(sorted(blamed)), tolerance)

@@ -1,0 +1,146 @@
+"""The net law: two families of inextensible fibres that turn freely where they cross, one parameter.
+
+The rings of the mesh hang on straight diagonal chains, |x2 + x3| <= 4 (r1 - r2) and |x2 - x3| <= 4 (r1 - r2), and this
+alone explains most of what the mesh does. With the unit directions n of the families in the reference state and
+C = I + 2E a strain is admissible if n.C n <= l^2 for both, l the stretch at which a fibre is taut.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from homogenize.laws.protocol import STIFFNESS, CellInfo, Cut, HalfSpaces, Response, check_finite
+from rve.common.errors import InputError
+from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
+from rve.common.tensor import WEIGHT, double_dot, dyad, trace
+from rve.common.types import Array
+from rve.common.values import checked, finite, numbers
+
+ROUNDING = 1e-6
+"""Of the length of a direction in a file, and the least sine between two."""
+STATED_STIFFNESS = 1000.0
+"""N/mm: the contact stiffness 1e6 kg/s2 of the paper, one contact per ring and pitch; a stand-in for the compliance."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetLaw:
+    """Two families of fibres along `directions` (2, 2), one unit vector per row, taut at stretch `limit`.
+
+    `stiffness` (N/mm) is the line load per unit of Green strain beyond locking, for each family alone.
+    """
+
+    directions: Array
+    limit: float
+    stiffness: float = STATED_STIFFNESS
+    cell: CellInfo | None = None
+    name: str = "net"
+
+    @property
+    def compliance(self) -> Array:
+        """Strain per line load (3, 3), in the metric in which the two fibres do not interact, mm/N."""
+        lift = self._lift()
+        return lift.T @ (lift * WEIGHT) / self.stiffness
+
+    def collapsed(self) -> Array:
+        """The two fully drawn states C = I + 2E, both families in one line: triples (2, 3), each of rank one."""
+        to_both = np.linalg.inv(self.directions)  # directions @ v = (1, +-1)
+        return dyad(self.limit * (to_both @ np.array([[1.0, 1.0], [1.0, -1.0]])).T)
+
+    def support(self, S: Array) -> Array:
+        """h(S) = max S:E over the strains of the net, (n,): one of the two drawn states maximises under tension.
+
+        The condition that I + 2E is positive semidefinite, which every deformation obeys, belongs to the set; without
+        it a net would not bound a load outside the plane of its two fibre dyads.
+        """
+        check_finite(S, "line loads")
+        C = self.collapsed()
+        return 0.5 * (np.maximum(double_dot(S, C[0]), double_dot(S, C[1])) - trace(S))
+
+    def half_spaces(self) -> HalfSpaces:
+        """The two fibres: n n^T : E <= (l^2 - 1)/2; with I + 2E positive semidefinite these two bound the set."""
+        return HalfSpaces(dyad(self.directions), np.full(2, 0.5 * (self.limit**2 - 1.0)))
+
+    def cut(self, E: Array) -> Cut:
+        """The half-space each E (n, 3) violates most: min over the segment of drawn states of the largest eigenvalue.
+
+        max over S of unit trace of S:E - h(S) = min over t of the largest eigenvalue of E - E(t) (von Neumann), and
+        the eigenvalue of a pencil of 2 x 2 tensors is minimised in closed form. At an inner t the answer is a fibre.
+        """
+        check_finite(E)
+        E_ends = 0.5 * (self.collapsed() - np.array([1.0, 0.0, 1.0]))
+        D = E_ends[1] - E_ends[0]
+        d = np.array([0.5 * (D[0] - D[2]), D[1]])
+        size = float(np.hypot(d[0], d[1]))
+        M = E - E_ends[0]
+        q = np.stack([0.5 * (M[:, 0] - M[:, 2]), M[:, 1]], axis=-1)
+        along, across = q @ d / size, (q[:, 1] * d[0] - q[:, 0] * d[1]) / size
+        slope = 0.5 * float(trace(D)) / size  # in (-1, 1), because D is indefinite
+        t_free = (along + slope * np.abs(across) / math.sqrt(1.0 - slope**2)) / size
+        t = np.clip(t_free, 0.0, 1.0)
+        q = q - t[:, None] * d
+        length = np.hypot(q[:, 0], q[:, 1])
+        unit = q / np.where(length > 0.0, length, 1.0)[:, None]
+        S = np.stack([0.5 * (1.0 + unit[:, 0]), 0.5 * unit[:, 1], 0.5 * (1.0 - unit[:, 0])], axis=-1)
+        fibres = dyad(self.directions)
+        nearest = np.argmax(E @ (fibres * WEIGHT).T, axis=1)
+        S = np.where((t == t_free)[:, None], fibres[nearest], S)
+        h = self.support(S)
+        return Cut(S, h, double_dot(S, E) - h)
+
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent of the elastic net: each taut fibre is a linear spring in its own Green strain."""
+        check_finite(E)
+        N = dyad(self.directions)
+        excess = np.maximum(E @ (N * WEIGHT).T - 0.5 * (self.limit**2 - 1.0), 0.0)
+        S = self.stiffness * excess @ N
+        dyads = self.stiffness * N[:, :, None] * (N * WEIGHT)[:, None, :]
+        C = np.einsum("nf,fij->nij", (excess > 0.0).astype(float), dyads)
+        return Response(0.5 * self.stiffness * (excess**2).sum(axis=1), S, C, E - excess @ self._lift())
+
+    def _lift(self) -> Array:
+        """Strain (2, 3) per unit of excess of each fibre, in the metric in which the two fibres do not interact."""
+        N = dyad(self.directions)
+        gram = (N * WEIGHT) @ N.T
+        return np.linalg.solve(gram, N)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Directions, limit stretch and stiffness as plain numbers."""
+        return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
+
+
+def net_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> NetLaw:
+    """The net law that `NetLaw.to_dict` wrote; InputError names a missing or impossible entry."""
+    directions = checked(data, "directions", numbers(2, 2, least=-1.0 - ROUNDING, most=1.0 + ROUNDING), where)
+    if np.abs((directions**2).sum(axis=1) - 1.0).max() > ROUNDING or abs(np.linalg.det(directions)) < ROUNDING:
+        raise InputError(f"{where} directions = {directions.tolist()}: must be two different unit vectors")
+    limit = checked(data, "limit", finite(least=1e-3, most=1e3), where)
+    return NetLaw(directions, limit, checked(data, "stiffness_N_per_mm", STIFFNESS, where), cell)
+
+
+def diagonal_net(limit: float = 1.0, stiffness: float = STATED_STIFFNESS) -> NetLaw:
+    """The abstract net: two families at +45 and -45 degrees, taut at stretch `limit`."""
+    return NetLaw(np.array([[1.0, 1.0], [1.0, -1.0]]) / math.sqrt(2.0), limit, stiffness)
+
+
+def ring_cell(
+    r1_mm: float, r2_mm: float, b_x_mm: float, b_y_mm: float, density_kg_per_mm3: float = STEEL_KG_PER_MM3
+) -> CellInfo:
+    """The cell of the 4-in-1 weave: two rings of this density, steel by default, on every b_x times b_y."""
+    mass = areal_mass(r1_mm, r2_mm, 0.5 * b_x_mm * b_y_mm, density_kg_per_mm3)
+    return CellInfo(r1_mm, r2_mm, b_x_mm, b_y_mm, mass)
+
+
+def ring_net(cell: CellInfo, stiffness: float = STATED_STIFFNESS) -> NetLaw:
+    """The net of a ring mesh: diagonals (b_x, +-b_y) that can be drawn to 4 (r1 - r2).
+
+    >>> law = ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526))
+    >>> float(round(law.limit, 5))
+    1.07394
+    """
+    diagonal = math.hypot(cell.b_x_mm, cell.b_y_mm)
+    n = np.array([[cell.b_x_mm, cell.b_y_mm], [cell.b_x_mm, -cell.b_y_mm]]) / diagonal
+    return NetLaw(n, 4.0 * (cell.r1_mm - cell.r2_mm) / diagonal, stiffness, cell)

@@ -1,0 +1,134 @@
+"""The polyhedral law: the rows' own half-spaces, from outside or from inside, no fit at all.
+
+Outer form: {E : S_i:E <= h_i}, all that the rows allow. Inner form: the hull of the rows' strains minus the tensile
+cone, all that the rows reach; its half-spaces are the hull's tensile facets and `RIM` loads of rank one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from homogenize.laws.net import STATED_STIFFNESS
+from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite, stiffness_matrix
+from homogenize.laws.vertices import highest, outer_vertices
+from rve.common.errors import InputError
+from rve.common.tensor import IDENTITY, double_dot, eigenvalues, from_disc, trace
+from rve.common.types import Array
+from rve.common.values import checked, numbers
+
+COLLAPSED = 0.05
+"""Vertices with an eigenvalue of C = I + 2E below this are cells drawn to a line: they stay off the map."""
+
+
+MOST_HALF_SPACES = 50_000
+"""In a law file. A table of 403 rows gives some 5,000; reading takes longer in proportion."""
+MOST_STRAIN = 1e3
+"""Bound of h and of the components of S in a law file; strains of rings are below 1."""
+MAP_PAYS = 300
+"""Points per call from which a map of the half-spaces is made, in half a second for four thousand of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolyhedralLaw:
+    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
+
+    S: Array
+    h: Array
+    vertices: Array
+    stiffness: Array
+    cell: CellInfo | None = None
+    name: str = "polyhedral"
+
+    @property
+    def compliance(self) -> Array:
+        """Inverse of the stiffness, mm/N."""
+        return np.asarray(np.linalg.inv(self.stiffness))
+
+    def support(self, S: Array) -> Array:
+        """h(S) = max over the vertices of S:E, (n,)."""
+        check_finite(S, "line loads")
+        return highest(S, self.vertices)
+
+    def half_spaces(self) -> HalfSpaces:
+        """Seventeen tight ones: the equibiaxial load, eight half-way to the rim of the tensile cone, eight on it."""
+        angle = 0.25 * np.pi * np.arange(8)
+        ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        S = from_disc(np.vstack([np.zeros((1, 2)), 0.5 * ring, ring]))
+        return HalfSpaces(S, self.support(S))
+
+    def facets(self) -> HalfSpaces:
+        """All half-spaces of the law; those that others imply are among them."""
+        return HalfSpaces(self.S, self.h)
+
+    def cut(self, E: Array) -> Cut:
+        """The most violated of the law's own half-spaces; no load between them is violated more."""
+        check_finite(E)
+        worst, _ = self._body(len(E)).worst(np.ascontiguousarray(E.T))
+        S, h = self.S[worst], self.h[worst]
+        return Cut(S, h, double_dot(S, E) - h)
+
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent beyond locking, by exact active sets."""
+        check_finite(E)
+        return respond(E, self._body(len(E)))
+
+    def _body(self, count: int) -> Polyhedron:
+        """The half-spaces prepared for the projection of `count` points: with a map only where it pays to make it."""
+        return self._mapped if count >= MAP_PAYS else self._plain
+
+    @cached_property
+    def _plain(self) -> Polyhedron:
+        return polyhedron_of(self.S, self.h, self.stiffness)
+
+    @cached_property
+    def _mapped(self) -> Polyhedron:
+        """Made once: the law never changes."""
+        open_cells = self.vertices[eigenvalues(2.0 * self.vertices + IDENTITY)[0] > COLLAPSED]
+        if not len(open_cells):
+            return self._plain
+        x = np.stack([0.5 * (open_cells[:, 0] - open_cells[:, 2]), open_cells[:, 1]], axis=1)
+        margin = 0.02 + 0.02 * np.ptp(x, axis=0)
+        return polyhedron_of(self.S, self.h, self.stiffness, np.array([x.min(axis=0) - margin, x.max(axis=0) + margin]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Half-spaces and stiffness; the vertices follow from them."""
+        return {"S": self.S.tolist(), "h": self.h.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
+
+
+def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+    """The law of half-spaces S (m, 3) positive semidefinite, h (m,); InputError if they are not tensile or contradict.
+
+    >>> law = polyhedral_law(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.5, 0.2]))
+    >>> law.support(np.array([[0.5, 0.0, 0.5]])).round(9)
+    array([0.35])
+    """
+    S, h = np.asarray(S, float), np.asarray(h, float)
+    if S.ndim != 2 or S.shape[1] != 3 or h.shape != (len(S),) or not np.isfinite(S).all() or not np.isfinite(h).all():
+        raise InputError("half-spaces are finite triples S with one finite h each")
+    size = trace(S)
+    if not (size > 0.0).all() or (eigenvalues(S)[0] < -1e-9 * size).any():
+        raise InputError("a half-space of the law is not tensile")
+    S, h = S / size[:, None], h / size
+    stiffness = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
+    return PolyhedralLaw(S, h, outer_vertices(S, h), stiffness, cell)
+
+
+def polyhedral_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> PolyhedralLaw:
+    """The law that `PolyhedralLaw.to_dict` wrote; InputError names a missing or impossible entry."""
+    S = checked(data, "S", numbers(None, 3, least=-MOST_STRAIN, most=MOST_STRAIN, longest=MOST_HALF_SPACES), where)
+    h = checked(data, "h", numbers(None, least=-MOST_STRAIN, most=MOST_STRAIN), where)
+    if len(h) != len(S):
+        raise InputError(f"{where} h: has {len(h)} numbers for {len(S)} half-spaces S")
+    size = trace(S)
+    bad = np.flatnonzero(~(size > 1e-6) | (eigenvalues(S)[0] < -1e-9 * size))
+    if len(bad):
+        raise InputError(f"{where} S: half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
+    try:
+        return polyhedral_law(S, h, stiffness_matrix(data, where), cell)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where} {error}") from error

@@ -1,0 +1,130 @@
+"""What a membrane law is: the records it answers with and the protocol it follows.
+
+Symmetric 2 x 2 tensors are triples (11, 12, 22) of tensor components on the last axis, the leading axis is the point:
+S:E = S11 E11 + 2 S12 E12 + S22 E22. Line loads and stiffnesses are in N/mm, strains have no unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from rve.common.errors import InputError
+from rve.common.rings import RING_CHECKS
+from rve.common.types import Array
+from rve.common.values import checked, entry, finite, numbers
+
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
+"""N/mm, of every strain. A wider range leaves no digits between stress and energy."""
+STIFFNESS = finite(least=LEAST_STIFFNESS, most=MOST_STIFFNESS)
+_WEIGHT = np.array([1.0, 2.0, 1.0])
+
+
+def check_finite(values: Array, what: str = "strains") -> None:
+    """InputError that names the first row of `values` (n, 3) that is not three finite numbers."""
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")
+
+
+def stiffness_matrix(data: dict[str, Any], where: str) -> Array:
+    """The entry stiffness_N_per_mm (3, 3) of a law file; InputError unless it is symmetric and positive definite.
+
+    In tensor components: with W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
+    """
+    M: Array = checked(data, "stiffness_N_per_mm", numbers(3, 3, least=-MOST_STIFFNESS, most=MOST_STIFFNESS), where)
+    Q = _WEIGHT[:, None] * M
+    if np.abs(Q - Q.T).max() > 1e-9 * np.abs(Q).max():
+        raise InputError(f"{where} stiffness_N_per_mm = {M.tolist()}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
+    least = float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
+    if not least >= LEAST_STIFFNESS:
+        raise InputError(
+            f"{where} stiffness_N_per_mm = {M.tolist()}: is not positive definite, its least stiffness is {least:g} "
+            f"N/mm; {LEAST_STIFFNESS:g} is needed"
+        )
+    return M
+
+
+@dataclass(frozen=True)
+class CellInfo:
+    """The rings behind a law: what a scene needs to know of them, in mm and kg/m2.
+
+    b_x_mm, b_y_mm: sides of the reference cell, one primitive cell.
+    """
+
+    r1_mm: float = entry(RING_CHECKS["r1_mm"])
+    r2_mm: float = entry(RING_CHECKS["r2_mm"])
+    b_x_mm: float = entry(RING_CHECKS["b_x_mm"])
+    b_y_mm: float = entry(RING_CHECKS["b_y_mm"])
+    areal_mass_kg_per_m2: float = entry(RING_CHECKS["areal_mass_kg_per_m2"])
+
+
+@dataclass(frozen=True)
+class HalfSpaces:
+    """Half-spaces S_i:E <= h_i with S_i positive semidefinite and of unit trace.
+
+    S (m, 3); h (m,).
+    """
+
+    S: Array
+    h: Array
+
+
+@dataclass(frozen=True)
+class Cut:
+    """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,)."""
+
+    S: Array
+    h: Array
+    violation: Array
+
+
+@dataclass(frozen=True)
+class Response:
+    """Elastic answer beyond locking: energy (n,), S = dPsi/dE (n, 3), C (n, 3, 3), closest locked strain E_star (n, 3).
+
+    The tangent maps tensor components to tensor components, S = C dE with dE the triple (dE11, dE12, dE22); the factor
+    2 of the shear product is inside C.
+    """
+
+    energy: Array
+    S: Array
+    C: Array
+    E_star: Array
+
+
+class MembraneLaw(Protocol):
+    """A tensile, convex membrane law: the set K+ of admissible strains and the elasticity beyond it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def cell(self) -> CellInfo | None: ...
+
+    @property
+    def compliance(self) -> Array:
+        """The metric of the response, E - E_star = compliance S: (3, 3) in tensor components, mm/N."""
+        ...
+
+    def support(self, S: Array) -> Array:
+        """h(S) = max S:E over K+ for S (n, 3) positive semidefinite, (n,)."""
+        ...
+
+    def half_spaces(self) -> HalfSpaces:
+        """A few half-spaces that contain K+ and bound it under tension: where a cutting-plane method starts."""
+        ...
+
+    def cut(self, E: Array) -> Cut:
+        """The half-space each E (n, 3) violates most; violation <= 0 means that E is admissible."""
+        ...
+
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent of the elastic law at E (n, 3)."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """The law as plain numbers, lists and strings: what its file holds."""
+        ...

@@ -1,0 +1,1 @@
+"""Certified intervals: equilibrated stresses, upper and lower bound, adaptive meshes."""

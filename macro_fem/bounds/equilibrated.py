@@ -1,0 +1,180 @@
+"""Equilibrated stresses: the hybrid element whose cone program bounds the potential from below.
+
+In every triangle the stress P is linear, its tractions P n are continuous (linear on every edge, the element of
+Brezzi, Douglas and Marini, doi 10.1007/BF01389710), -div P = q in every triangle. Any such P gives, for the
+*continuous* curtain,
+
+    -l.x  >=  sum of support tractions times held positions  -  integral of psi*(P),   psi*(P) = max of P:F in the law,
+
+and the integral is at most the mean over the corners of each triangle, psi* being convex. The best such bound is
+again a cone program, and its unknowns look like displacements: u_T in each triangle (for -div P = q) and two values
+u_e at the ends of each edge (for the tractions). The gradient that P sees at the corner v of a triangle is
+
+    G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
+
+so the arrays of `macro_fem.fem.assembly.Discretization` describe it: seven nodes, three points, constant coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import skfem
+
+from homogenize import MembraneLaw
+from macro_fem.fem.assembly import Discretization, discretize, load_vector
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.loads import disk_areas, weight_per_area
+from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.schema import Scene
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+NAME = "equilibrium"
+
+
+@dataclass(frozen=True, eq=False)
+class DualMesh:
+    """The hybrid element on a mesh: `disc`, and where its unknowns sit.
+
+    Node 2 f + k belongs to end k (corner `facets[k, f]`) of edge f, node 2 n_facets + c to triangle c.
+    """
+
+    mesh: CurtainMesh
+    disc: Discretization
+
+    @property
+    def facets(self) -> np.ndarray:
+        """Corner numbers (2, n_facets) of the ends of the edges."""
+        return self.mesh.mesh.facets
+
+    def edge_lengths(self) -> Array:
+        """Length of every edge (n_facets,), mm."""
+        ends = self.mesh.mesh.p[:, self.facets]
+        return np.hypot(*(ends[:, 1] - ends[:, 0]))
+
+
+def dual_mesh(mesh: CurtainMesh) -> DualMesh:
+    """The hybrid element on a mesh of triangles; InputError for quadrilaterals."""
+    sk = mesh.mesh
+    if not isinstance(sk, skfem.MeshTri1):
+        raise InputError("bounds need a mesh of triangles, this one has quadrilaterals")
+    flat = discretize(sk, "P1")
+    n_facets, n_cells = sk.facets.shape[1], sk.t.shape[1]
+    dofs = np.empty((n_cells, 7), dtype=np.int64)
+    # skfem numbers the edges of a triangle (0, 1), (1, 2), (0, 2); the corner opposite to each:
+    for local, (a, b) in enumerate(((0, 1), (1, 2), (0, 2))):
+        facet = sk.t2f[local]
+        for column, corner in ((2 * local, a), (2 * local + 1, b)):
+            dofs[:, column] = 2 * facet + (sk.facets[1, facet] == sk.t[corner])
+    dofs[:, 6] = 2 * n_facets + np.arange(n_cells)
+    ends = sk.p[:, sk.facets]  # (2, end, facet)
+    nodes = np.concatenate([ends.transpose(2, 1, 0).reshape(-1, 2), sk.p[:, sk.t].mean(axis=1).T])
+    disc = replace(
+        flat,
+        element=NAME,
+        nodes=nodes,
+        cell_dofs=dofs,
+        shape_values=np.tile(np.array([0.0] * 6 + [1.0]), (3, 1)),
+        shape_gradients=_reference_gradients(flat.shape_gradients[0]),
+        weight=np.tile(flat.weight / 3.0, 3),
+    )
+    return DualMesh(mesh, disc)
+
+
+def _reference_gradients(corner_gradients: Array) -> Array:
+    """Coefficients (3 corners, 2, 7) of G(v) from grad lam (2, 3) of the reference triangle; see the module header."""
+    result = np.zeros((3, 2, 7))
+    for v in range(3):
+        result[v, :, 6] = -3.0 * corner_gradients[:, v]
+        for local, (a, b, opposite) in enumerate(((0, 1, 2), (1, 2, 0), (0, 2, 1))):
+            shares = {a: (1.0 / 3.0, 1.0 / 6.0), b: (1.0 / 6.0, 1.0 / 3.0)}.get(v, (0.0, 0.0))
+            for k in range(2):
+                result[v, :, 2 * local + k] = -6.0 * shares[k] * corner_gradients[:, opposite]
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Tethers:
+    """Edges that stand for a point: reaction or load is spread over them instead of acting at corner `corner`.
+
+    facet (k,), near (k,): which end of the facet the point is at; centre (k, 2): where the point is held (nan for
+    loads).
+    """
+
+    facet: np.ndarray
+    near: np.ndarray
+    centre: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DualProblem:
+    """The hybrid problem: supported element, nodal forces, tethers of points, and what spread loads may cost."""
+
+    dual: DualMesh
+    fem: SupportedFem
+    force: Array
+    tethers: Tethers
+    point_load_cost: float
+
+
+def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
+    """Nodal forces (n_nodes, 2) of an even traction (2,) in N/mm on edges: half of each edge's force at each end."""
+    force = np.zeros((dual.disc.n_nodes, 2))
+    half = 0.5 * dual.edge_lengths()[facets][:, None] * traction
+    np.add.at(force, 2 * facets, half)
+    np.add.at(force, 2 * facets + 1, half)
+    return force
+
+
+def edges_at_corner(dual: DualMesh, corner: int) -> tuple[np.ndarray, np.ndarray]:
+    """The edges that meet at a corner of the mesh and which of their ends it is."""
+    near, facet = np.nonzero(dual.facets == corner)
+    return facet, near
+
+
+def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
+    """How far the law lets a line along each direction (n, 2) stretch: sqrt(1 + 2 h(e e^T)) (n,)."""
+    e = directions / np.linalg.norm(directions, axis=1)[:, None]
+    S = np.stack([e[:, 0] ** 2, e[:, 0] * e[:, 1], e[:, 1] ** 2], axis=-1)
+    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(S), 0.0))
+
+
+def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:
+    """Nodal forces (n_nodes, 2) and the most that spreading point loads over edges may change the potential, N mm."""
+    disc, mesh = dual.disc, dual.mesh
+    force = load_vector(disc, np.array([0.0, -weight_per_area(scene, law.cell)]))
+    for bar in scene.load.bar:
+        facets = mesh.edges[bar.edge]
+        length = dual.edge_lengths()[facets].sum()
+        force += traction_forces(dual, facets, np.array([0.0, -bar.mass * scene.load.gravity / length]))
+    for edge in scene.load.edge:
+        force += traction_forces(dual, mesh.edges[edge.edge], factor * np.array(edge.force))
+    cost = 0.0
+    for point in scene.load.point:
+        part, extra = _spread_point(dual, law, np.array(point.at), factor * np.array(point.force))
+        force += part
+        cost += extra
+    for patch in scene.load.patch:
+        force += _patch(dual, np.array(patch.at), patch.radius, factor * np.array(patch.force))
+    return force, cost
+
+
+def _spread_point(dual: DualMesh, law: MembraneLaw, at: Array, load: Array) -> tuple[Array, float]:
+    """A point load spread evenly over the edges at the nearest corner, and its cost: |f| times the mean distance."""
+    corner = int(np.argmin(np.linalg.norm(dual.mesh.mesh.p.T - at, axis=1)))
+    facets, _ = edges_at_corner(dual, corner)
+    lengths = dual.edge_lengths()[facets]
+    ends = dual.mesh.mesh.p[:, dual.facets[:, facets]]
+    stretch = largest_stretch(law, (ends[:, 1] - ends[:, 0]).T)
+    moved = float((stretch * lengths**2).sum() / (2.0 * lengths.sum()))
+    return traction_forces(dual, facets, load / lengths.sum()), float(np.linalg.norm(load)) * moved
+
+
+def _patch(dual: DualMesh, at: Array, radius: float, load: Array) -> Array:
+    """A patch load as the primal P1 discretisation has it: even within each triangle, by the area in the disk."""
+    shares = disk_areas(dual.mesh.mesh.p.T[dual.mesh.mesh.t.T], at, radius)
+    force = np.zeros((dual.disc.n_nodes, 2))
+    force[2 * dual.facets.shape[1] :] = shares[:, None] / shares.sum() * load
+    return force

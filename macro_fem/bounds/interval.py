@@ -1,0 +1,216 @@
+"""A certified interval for the potential of the continuous curtain, and where its width comes from.
+
+Upper bound: the conforming P1 curtain, admissible in every triangle. Lower bound: the equilibrated stress of
+`macro_fem.bounds.equilibrated`, with every half-space an outer one, so that it holds for the law and not for a few
+planes. Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the
+true position x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the
+edge, so that the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa
+|r| s: this is subtracted.
+
+The width of the interval is the sum over the triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from homogenize import MembraneLaw
+from macro_fem.bounds.equilibrated import (
+    DualMesh,
+    DualProblem,
+    Tethers,
+    dead_and_live,
+    dual_mesh,
+    edges_at_corner,
+    largest_stretch,
+)
+from macro_fem.fem.assembly import internal_force
+from macro_fem.scene.schema import Corners, Edge, Hooks, Point, Support
+from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
+from macro_fem.solution import CurtainSolution, gathered_start
+from macro_fem.solvers import soc
+from macro_fem.solvers.cone_program import make_program
+from macro_fem.solvers.cones import repeated
+from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
+from rve.common.types import Array
+
+BOUND_GAP = 2e-5
+"""Relative gap to which the dual program is solved: it only weakens the bound, far less than any mesh does."""
+
+
+BOUND_VIOLATION = 5e-3
+"""Violation of the law that the dual program may leave: a half-space left out weakens the bound, too."""
+INWARD = 0.05
+"""How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has
+room left, and the first steps get stuck."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """upper and lower: bounds of the potential of the continuous curtain, N mm; `status` of the dual solver.
+
+    error (n_cells,): share of every triangle in upper - lower, N mm, which it sums to; `points`: the part of it that is
+    due to supports and loads at points and to the solvers' own gaps.
+    """
+
+    upper: float
+    lower: float
+    error: Array
+    points: float
+    status: str
+    iterations: int
+    wall_s: float
+
+    @property
+    def gap(self) -> float:
+        """upper - lower, N mm."""
+        return self.upper - self.lower
+
+
+def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
+    """Bounds of the potential around a P1 solution on a mesh of triangles, at the same load step `factor`.
+
+    InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
+    """
+    begin = time.perf_counter()
+    problem = solution.problem
+    dual = dual_problem(solution, factor)
+    fem = dual.fem
+    start = fem.unknowns(_at_dual_nodes(slackened(solution), dual.dual))
+    options = RigidOptions(
+        gap=BOUND_GAP,
+        violation=BOUND_VIOLATION,
+        max_iterations=problem.scene.solver.max_iterations,
+        cones=None if solution.cones is None else repeated(solution.cones, 3),
+        drawn=False,
+    )
+    result = solve_rigid(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
+    held = fem.positions(np.zeros(fem.n))
+    value = result.dual - float((dual.force * held).sum())
+    tether_cost, moment = _tether_cost(dual, problem.law, result, held)
+    lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.disc.nodes).sum())
+    error = error_map(solution, dual, result)
+    points = solution.primal - lower - float(error.sum())
+    return Bounds(
+        upper=solution.primal,
+        lower=lower if result.converged else float("nan"),
+        error=error + _near_points(dual, moment, points),
+        points=points,
+        status=result.status,
+        iterations=result.iterations,
+        wall_s=time.perf_counter() - begin,
+    )
+
+
+def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
+    """The hybrid problem that belongs to a P1 solution."""
+    problem = solution.problem
+    scene, mesh = problem.scene, problem.mesh
+    dual = dual_mesh(mesh)
+    force, cost = dead_and_live(scene, dual, problem.law, factor)
+    mask = np.zeros((dual.disc.n_nodes, 2), bool)
+    positions = dual.disc.nodes.copy()
+    near_point = slackened(solution)
+    tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
+    for item, held in zip(scene.support, problem.supports.held, strict=True):
+        if isinstance(item, Corners | Hooks | Point):
+            for node, component, centre in zip(held.nodes, held.mask, held.positions, strict=True):
+                facet, near = edges_at_corner(dual, int(node))
+                for end in range(2):
+                    mask[2 * facet + end] |= component
+                    positions[2 * facet + end] = near_point[dual.facets[end, facet]]
+                tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
+    for item, held in zip(scene.support, problem.supports.held, strict=True):
+        if not isinstance(item, Corners | Hooks | Point):
+            _hold_edge(dual, item, held, mask, positions)
+    supports = Supports(problem.supports.held, mask, positions, np.zeros_like(mask), _bars(solution, dual, mask))
+    supports = pin_sliding(supports, mesh, dual.disc, force, scene.source)
+    parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
+    empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
+    return DualProblem(dual, supports.fem(dual.disc), force, Tethers(*parts) if parts else empty, cost)
+
+
+def _hold_edge(dual: DualMesh, item: Support, held: Held, mask: np.ndarray, positions: Array) -> None:
+    """Holds both ends of every facet of an edge support where the primal support holds the corners; in place."""
+    facets = dual.mesh.edges[item.edge if isinstance(item, Edge) else "top"]
+    number = np.full(dual.mesh.mesh.p.shape[1], -1)
+    number[held.nodes] = np.arange(len(held.nodes))
+    for end in range(2):
+        which = number[dual.facets[end, facets]]
+        node = 2 * facets + end
+        positions[node] = np.where(held.mask[which], held.positions[which], positions[node])
+        mask[node] |= held.mask[which]
+
+
+def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse.csc_matrix | None:
+    """The straight bars' edges, kept on a line in the dual as they are in the primal problem."""
+    lines = []
+    X = dual.disc.nodes
+    for bar in solution.problem.scene.load.bar:
+        if bar.straight:
+            facets = dual.mesh.edges[bar.edge]
+            nodes = np.concatenate([2 * facets, 2 * facets + 1])
+            along = X[nodes] @ np.ptp(X[nodes], axis=0)
+            lines.append(nodes[np.argsort(along, kind="stable")])
+    return straight_ties(lines, X, mask) if lines else None
+
+
+def slackened(solution: CurtainSolution) -> Array:
+    """Positions (n_nodes, 2) of the P1 curtain, drawn a little towards its slack start."""
+    return solution.x + INWARD * (gathered_start(solution.problem) - solution.x)
+
+
+def _at_dual_nodes(x: Array, dual: DualMesh) -> Array:
+    """Nodal positions x of P1 at the unknowns of the dual (n_nodes, 2)."""
+    corners = x[dual.facets]  # (2, n_facets, 2)
+    middle = x[dual.mesh.mesh.t].mean(axis=0)
+    return np.concatenate([corners.transpose(1, 0, 2).reshape(-1, 2), middle])
+
+
+def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
+    """What points cost, laid on the triangles (n_cells,) beside their edges in proportion to the moments there."""
+    share = np.zeros(dual.dual.disc.n_cells)
+    if not moment.sum() > 0.0:
+        return share
+    for side in dual.dual.mesh.mesh.f2t[:, dual.tethers.facet]:
+        there = side >= 0
+        np.add.at(share, side[there], moment[there])
+    return points * share / share.sum()
+
+
+def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held: Array) -> tuple[float, Array]:
+    """What the lower bound loses because reactions r of points act along edges, N mm, and each edge's moment (k,).
+
+    The program took the work r.x at the positions x_h of the edges; it is at least that at the point, less the
+    integral of kappa |r| s. With end values r_a (at the point) and r_b of r, linear on the edge, |r| is at most their
+    interpolation, whose moment is length^2 (|r_a| / 6 + |r_b| / 3).
+    """
+    tethers, mesh = dual.tethers, dual.dual
+    if not len(tethers.facet):
+        return 0.0, np.zeros(0)
+    balance = internal_force(mesh.disc, result.P) - dual.force
+    facet, near = tethers.facet, tethers.near
+    node = np.stack([2 * facet + near, 2 * facet + 1 - near])
+    is_held = np.isfinite(tethers.centre)
+    R = np.where(is_held, balance[node], 0.0)  # (2, k, 2): nodal reactions at the near and the far end
+    moved = (R * np.where(is_held, held[node] - tethers.centre, 0.0)).sum()
+    length = mesh.edge_lengths()[facet]
+    r = (4.0 * R - 2.0 * R[::-1]) / length[:, None]
+    size = np.linalg.norm(r, axis=-1)
+    ends = mesh.mesh.mesh.p[:, mesh.facets[:, facet]]
+    kappa = largest_stretch(law, (ends[:, 1] - ends[:, 0]).T)
+    moment = kappa * length**2 * (size[0] / 6.0 + size[1] / 3.0)
+    return float(moved + moment.sum()), moment
+
+
+def error_map(solution: CurtainSolution, dual: DualProblem, result: RigidResult) -> Array:
+    """Integral of psi*(P) - P:F over every triangle (n_cells,), F of the P1 curtain, psi* from above by sum c |y1|."""
+    program = make_program(dual.fem, dual.fem.gather(dual.force), result.cones, 1.0, 1.0)
+    psi = result.cones.sum(program.c * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
+    n = dual.dual.disc.n_cells
+    work = (result.P * np.tile(solution.F, (3, 1, 1))).sum(axis=(1, 2))
+    return (dual.dual.disc.weight * (psi - work)).reshape(3, n).sum(axis=0)

@@ -1,0 +1,1 @@
+"""Finite elements: assembly, linear solvers, supports as held components, the elastic membrane."""

@@ -1,0 +1,1 @@
+"""What a solved curtain leaves: files, pictures, line loads, decisions in words."""

@@ -1,0 +1,286 @@
+"""Files of a solved curtain: summary.json, support_forces.csv and curtain.vtu, each written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from homogenize import CellInfo
+from macro_fem.fem.assembly import cell_mean
+from macro_fem.output import line_load
+from macro_fem.scene.loads import PER_MM2, areal_mass
+from macro_fem.scene.places import counterclockwise
+from macro_fem.solution import CurtainSolution, Problem
+from rve.common.files import write_text, write_whole
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from macro_fem.bounds.adapt import Level
+
+VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """summary.json in `folder`, where numbers that are not finite are null, and support_forces.csv beside it."""
+    content = json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n"
+    write_text(folder / "summary.json", content)
+    write_text(folder / "support_forces.csv", support_table(summary["support_forces"]))
+
+
+def support_table(supports: list[dict[str, Any]]) -> str:
+    """The forces of supports point by point as CSV: number and name of the support, reference position, force.
+
+    >>> print(support_table([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}]), end="")
+    support_number,support,x_mm,y_mm,force_x_N,force_y_N
+    1,top,0.0,9.0,0.5,2.0
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N"))
+    for number, support in enumerate(supports, start=1):
+        for point in support["points"]:
+            table.writerow((number, support["support"], *point["at_mm"], *point["force_N"]))
+    return text.getvalue()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return value if not isinstance(value, float) or np.isfinite(value) else None
+
+
+def summarize(solution: CurtainSolution) -> dict[str, Any]:
+    """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
+
+    Heights are y coordinates; hang_deg is the angle of the weave, rings what the law is made of: `rve localize`
+    needs both. Potentials are -sum force . displacement in N mm; their gap is an error bound of the
+    discrete problem.
+    """
+    problem = solution.problem
+    disc = problem.disc
+    state = solution.state()
+    area = cell_area(solution)
+    return {
+        "status": solution.status,
+        "message": solution.message,
+        "mean_height_mm": solution.mean_height(),
+        "lowest_point_mm": float(solution.x[:, 1].min()),
+        "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
+        **line_load.summary(solution),
+        "total_load_N": problem.force.sum(axis=0).tolist(),
+        "support_forces": support_forces(solution),
+        "nodes_held": int(problem.supports.mask.any(axis=1).sum()),
+        "length_held_mm": held_length(problem, [held.facets for held in problem.supports.held]),
+        "potential_primal_N_mm": solution.primal,
+        "potential_dual_N_mm": solution.dual,
+        "relative_gap": solution.relative_gap,
+        "residual": solution.residual,
+        "stretch_beyond_locking": solution.stretch_excess,
+        "iterations": solution.iterations,
+        "cells": disc.n_cells,
+        "dofs": int(problem.fem.n),
+        "element": disc.element,
+        "pattern": problem.mesh.pattern,
+        "law": problem.law.name,
+        "hang_deg": problem.scene.curtain.hang,
+        "rings": rings(problem.law.cell),
+        **masses(solution),
+        "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
+        "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
+        "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
+        "wall_s": solution.wall_s,
+        "versions": versions(),
+    }
+
+
+def rings(cell: CellInfo | None) -> dict[str, float] | None:
+    """Radii and reference cell of the law, without its areal mass, which a scene may replace."""
+    if cell is None:
+        return None
+    return {key: value for key, value in asdict(cell).items() if key != "areal_mass_kg_per_m2"}
+
+
+def masses(solution: CurtainSolution) -> dict[str, Any]:
+    """The areal mass that weighs the curtain, whether scene or law told it, and the mass of the whole curtain."""
+    mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
+    total = mass * PER_MM2 * float(cell_area(solution).sum())
+    return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
+
+
+def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
+    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
+
+    A component held by two supports counts for the first, so that the forces of all points balance the loads.
+    `at_mm` is the reference position. `nodes_held` and `length_held_mm` also count what an earlier support holds.
+    """
+    problem, reactions = solution.problem, solution.reactions
+    taken = np.zeros(reactions.shape, bool)
+    forces = []
+    for held in problem.supports.held:
+        own = np.zeros_like(taken)
+        own[held.nodes] = held.mask
+        own &= ~taken
+        taken |= own
+        part = np.where(own, reactions, 0.0)
+        nodes = held.nodes[own[held.nodes].any(axis=1)]
+        at = problem.disc.nodes[nodes]
+        forces.append(
+            {
+                "support": held.name,
+                "force_N": part.sum(axis=0).tolist(),
+                "largest_nodal_force_N": float(np.linalg.norm(part, axis=1).max()),
+                "nodes_held": len(held.nodes),
+                "length_held_mm": held_length(problem, [held.facets]),
+                "points": [
+                    {"at_mm": place, "force_N": force}
+                    for place, force in zip(at.tolist(), part[nodes].tolist(), strict=True)
+                ],
+            }
+        )
+    return forces
+
+
+def held_length(problem: Problem, facets: list[np.ndarray]) -> float:
+    """Length in mm of the facets (k,) of several supports, each counted once."""
+    mesh = problem.mesh.mesh
+    ends = mesh.p[:, mesh.facets[:, np.unique(np.concatenate(facets))]]
+    return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
+
+
+def cell_area(solution: CurtainSolution) -> Array:
+    """Reference area of each cell (n_cells,), mm2."""
+    disc = solution.problem.disc
+    return disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computed the answer."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {"python": platform.python_version()}
+    for package in ("ring-mesh", "numpy", "scipy", "scikit-fem", "scikit-sparse", "clarabel"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def bounds_summary(level: Level) -> dict[str, Any]:
+    """Bounds of the potential of the continuous curtain, N mm, and their gap over total load times size.
+
+    Where weight is the only load the potential is the mean height, so that this is bounded too.
+    """
+    solution, bounds = level.solution, level.bounds
+    problem = solution.problem
+    total = float(np.abs(problem.force).sum())
+    load = problem.scene.load
+    summary = {
+        "status": bounds.status,
+        "cells": problem.disc.n_cells,
+        "upper_N_mm": bounds.upper,
+        "lower_N_mm": bounds.lower,
+        "gap_N_mm": bounds.gap,
+        "gap_over_load_times_height": bounds.gap / (total * problem.mesh.height) if total > 0.0 else 0.0,
+        "part_of_gap_due_to_points_N_mm": bounds.points,
+        "wall_s": solution.wall_s + bounds.wall_s,
+    }
+    if total > 0.0 and load.gravity > 0.0 and not (load.edge or load.point or load.patch or load.bar):
+        mean = solution.mean_height()
+        summary["mean_height_mm"] = [mean - bounds.gap / total, mean]
+    return summary
+
+
+def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:
+    """curtain_0001.vtu and so on, one per load step, and curtain.pvd that lists them by the share of the load."""
+    lines = []
+    for number, solution in enumerate(steps, start=1):
+        name = f"curtain_{number:04d}.vtu"
+        write_vtu(folder / name, solution)
+        lines.append(f'    <DataSet timestep="{number / len(steps):.9g}" part="0" file="{name}"/>')
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
+    content = head + "\n".join(lines) + "\n  </Collection>\n</VTKFile>\n"
+    write_text(folder / "curtain.pvd", content)
+
+
+def corner_positions(solution: CurtainSolution) -> Array:
+    """Deformed corners of the mesh (n_corners, 2): nodal values, or for CR the mean over the cells at a corner."""
+    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
+    if disc.element != "CR":
+        return solution.x[: mesh.p.shape[1]]
+    middle = solution.x[disc.cell_dofs].mean(axis=1)
+    X = mesh.p.T[mesh.t.T]
+    F = cell_mean(disc, solution.F)
+    at_corners = middle[:, None] + np.einsum("cij,ckj->cki", F, X - X.mean(axis=1, keepdims=True))
+    sums = np.zeros((mesh.p.shape[1], 2))
+    np.add.at(sums, mesh.t.T, at_corners)
+    return sums / np.bincount(mesh.t.ravel(), minlength=len(sums))[:, None]
+
+
+def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
+    """The curtain as VTU: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
+
+    Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
+    deformed state. `extra` holds more cell data (n_cells, ...), such as an error map.
+    """
+    import meshio
+
+    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
+    values, direction = solution.principal()
+    F = cell_mean(disc, solution.F)
+    in_space = np.einsum("cij,cj->ci", F, direction)
+    cell_data: dict[str, Sequence[Array]] = {
+        "E_11_12_22": [cell_mean(disc, solution.E)],
+        "S_11_12_22_N_per_mm": [cell_mean(disc, solution.S)],
+        "line_load_1_N_per_mm": [values[:, 0]],
+        "line_load_2_N_per_mm": [values[:, 1]],
+        "direction_1": [_in_space(in_space)],
+        "state_0_slack_1_wrinkled_2_taut": [solution.state().astype(float)],
+        **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
+    }
+    document = meshio.Mesh(
+        _in_space(mesh.p.T),
+        [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
+        point_data={
+            "displacement_mm": _in_space(corner_positions(solution) - mesh.p.T),
+            "support_force_N": _in_space(corner_forces(solution.problem, solution.reactions)),
+        },
+        cell_data=cell_data,
+    )
+    write_whole(path, lambda temporary: document.write(temporary, file_format="vtu"))
+
+
+def corner_forces(problem: Problem, forces: Array) -> Array:
+    """Nodal forces (n_nodes, 2) at the corners of the mesh (n_corners, 2), with the same sum and moment.
+
+    A force at the middle of a side or cell is shared equally between its corners.
+    """
+    mesh = problem.mesh.mesh
+    tree = cKDTree(problem.disc.nodes)
+    result = np.zeros((mesh.p.shape[1], 2))
+    left = forces.copy()
+    for groups in (np.arange(mesh.p.shape[1])[None], mesh.facets, mesh.t):  # each of shape (corners, number)
+        distance, node = tree.query(mesh.p[:, groups].mean(axis=1).T)
+        here = distance < 1e-9 * problem.mesh.size
+        for corners in groups[:, here]:
+            np.add.at(result, corners, left[node[here]] / len(groups))
+        left[node[here]] = 0.0
+    return result
+
+
+def _in_space(plane: Array) -> Array:
+    """Vectors (n, 2) with a third component 0."""
+    return np.column_stack([plane, np.zeros(len(plane))])

@@ -1,0 +1,185 @@
+"""The largest line load of a curtain: at a point, and averaged over one cell of the weave.
+
+At a held or loaded point the stress of a membrane grows without bound as the mesh is refined, about as one over the
+distance. Rings cannot carry less than the load of one cell: the mean of P over an area b_x b_y is finite, converges
+with the mesh, and is what the rings there bear. The mean at a point is taken over the part of the curtain nearest to
+it, in the reference state, that has this area: a disk inside, half a disk on an edge, a quarter at a corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from macro_fem.fem.assembly import cell_mean
+from macro_fem.scene.schema import Corners, Hooks, Point
+from macro_fem.solution import CurtainSolution
+from rve.common.types import Array
+
+PIECES = 8.0
+"""Cells larger than the averaging area's diameter over this are cut into pieces: the mean is known to a part in 100."""
+MOST_CUTS = 64
+"""Pieces along a side of a cell; larger cells have one value over several averaging areas anyway."""
+WIDEST = 2.5
+"""Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and more."""
+LOCAL = 1.25
+"""Line loads this many times their average over a cell change over less than a cell."""
+FINE = 0.25
+"""Sides of mesh cells over that of the averaging area with which the average at a held point is known to 5 %."""
+NEAR = 2.0
+"""The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
+
+
+@dataclass(frozen=True)
+class LineLoad:
+    """A principal line load in N per mm of reference length, and where it is (2,) in the reference state, mm."""
+
+    value: float
+    at: Array
+
+
+def summary(solution: CurtainSolution) -> dict[str, Any]:
+    """The largest line loads for summary.json; averages are None for a law that has no cell."""
+    cell = solution.problem.law.cell
+    area = None if cell is None else cell.b_x_mm * cell.b_y_mm
+    peak = largest(solution)
+    mean = None if area is None else largest_mean(solution, area)
+    return {
+        "max_principal_line_load_N_per_mm": peak.value,
+        "max_principal_line_load_at_mm": peak.at.tolist(),
+        "max_line_load_over_a_cell_N_per_mm": None if mean is None else mean.value,
+        "max_line_load_over_a_cell_at_mm": None if mean is None else mean.at.tolist(),
+        "line_load_averaged_over_mm2": area,
+        "line_load_warning": warning(solution, peak, mean, area),
+    }
+
+
+def warning(solution: CurtainSolution, peak: LineLoad, mean: LineLoad | None, area: float | None) -> str | None:
+    """A sentence where the largest line load depends on the mesh; None where it does not."""
+    is_local = mean is not None and peak.value > LOCAL * mean.value
+    if not (is_local or is_singular(solution, peak)):
+        return None
+    x, y = peak.at
+    text = (
+        f"the largest line load, at ({x:g}, {y:g}) mm, grows with every refinement of the mesh, as it does at held and "
+        "loaded points"
+    )
+    if area is None:
+        return f"{text}; the law has no cell to average it over"
+    text += ": judge the rings by max_line_load_over_a_cell_N_per_mm"
+    side = np.sqrt(float(_areas(_triangles(solution)[0]).max()))
+    if side > FINE * np.sqrt(area):
+        text += (
+            f", which needs mesh cells of {FINE * np.sqrt(area):.2g} mm there, less than the {side:.2g} mm of this mesh"
+        )
+    return text
+
+
+def largest(solution: CurtainSolution) -> LineLoad:
+    """The largest principal line load of any cell, and the middle of that cell."""
+    values, _ = solution.principal()
+    cell = int(values[:, 0].argmax())
+    mesh = solution.problem.mesh.mesh
+    return LineLoad(float(values[cell, 0]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
+
+
+def largest_mean(solution: CurtainSolution, area: float) -> LineLoad:
+    """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh.
+
+    A mean is at most the largest value of the cells it is taken over. Corners are visited in the order of this bound,
+    until it is no more than the largest mean found.
+    """
+    corners, P = _triangles(solution)
+    mesh = solution.problem.mesh.mesh
+    X = mesh.p.T[np.unique(mesh.t)]
+    near = Nearby(corners, P, area)
+    bound = near.bound(X)
+    best = LineLoad(0.0, X[0])
+    for i in np.argsort(-bound, kind="stable"):
+        if bound[i] <= best.value:
+            break
+        value = float(np.linalg.svd(near.mean(X[i]), compute_uv=False)[0])
+        best = LineLoad(value, X[i]) if value > best.value else best
+    return best
+
+
+class Nearby:
+    """Averages of P (n, 2, 2), constant in each triangle `corners` (n, 3, 2), over the `area` nearest to a point."""
+
+    def __init__(self, corners: Array, P: Array, area: float) -> None:
+        self.corners, self.P, self.area = corners, P, area
+        self.middle = corners.mean(axis=1)
+        self.size = np.linalg.svd(P, compute_uv=False)[:, 0]
+        self.reach = float(np.linalg.norm(corners - self.middle[:, None], axis=-1).max())
+        self.radius = float(np.sqrt(area / np.pi))
+        self.tree = cKDTree(self.middle)
+
+    def bound(self, X: Array) -> Array:
+        """The largest singular value of any triangle that an average at each of X (n, 2) may take in (n,)."""
+        around = self.tree.query_ball_point(X, WIDEST * self.radius + self.reach)
+        return np.array([self.size[cells].max() for cells in around])
+
+    def mean(self, x: Array) -> Array:
+        """P (2, 2) averaged over the area nearest to x (2,); over all triangles if they have less."""
+        radius = 1.1 * self.radius
+        while True:
+            cells = np.array(self.tree.query_ball_point(x, radius + self.reach, return_sorted=True), dtype=int)
+            points, weight, cell = _pieces(self.corners[cells], 2.0 * self.radius / PIECES)
+            distance = np.linalg.norm(points - x, axis=1)
+            order = np.argsort(distance, kind="stable")
+            before = np.cumsum(weight[order]) - weight[order]
+            part = np.clip(self.area - before, 0.0, weight[order])
+            if len(cells) == len(self.P) or (part[-1] == 0.0 and distance[order][part > 0.0].max() <= radius):
+                return np.asarray(np.tensordot(part, self.P[cells[cell[order]]], axes=1) / part.sum())
+            radius *= 1.4
+
+
+def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
+    """Whether a line load belongs to a point that is held or loaded: there it depends on the mesh."""
+    problem = solution.problem
+    held = zip(problem.scene.support, problem.supports.held, strict=True)
+    nodes = [one.nodes for item, one in held if isinstance(item, Corners | Hooks | Point)]
+    points = [problem.disc.nodes[np.concatenate(nodes)]] if nodes else []
+    points += [np.array([load.at]) for load in problem.scene.load.point]
+    if not points:
+        return False
+    corners, _ = _triangles(solution)
+    side = float(np.sqrt(_areas(corners).max()))
+    return bool(np.linalg.norm(np.concatenate(points) - peak.at, axis=1).min() < NEAR * side)
+
+
+def _triangles(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the recovered P (n, 2, 2) of their cells."""
+    mesh = solution.problem.mesh.mesh
+    P = solution.recovered(cell_mean(solution.problem.disc, solution.P))
+    t = mesh.t.T
+    if t.shape[1] == 4:
+        t, P = np.concatenate([t[:, [0, 1, 2]], t[:, [0, 2, 3]]]), np.concatenate([P, P])
+    return mesh.p.T[t], P
+
+
+def _areas(corners: Array) -> Array:
+    """Areas (n,) of triangles (n, 3, 2)."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+
+
+def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:
+    """Middles (n, 2), areas (n,) and triangles (n,) of equal parts of the triangles, of about `side` mm or less."""
+    cuts = np.clip(np.ceil(np.sqrt(_areas(corners)) / side), 1, MOST_CUTS).astype(int)
+    points, weights, cell = [], [], []
+    for k in np.unique(cuts):
+        which = np.flatnonzero(cuts == k)
+        i, j = np.divmod(np.arange(k * k), k)
+        up = i + j < k
+        # the lower-left halves of a k x k grid, and the upper-right ones folded back below the diagonal
+        u = np.where(up, i + 1.0 / 3.0, k - i - 1.0 / 3.0) / k
+        v = np.where(up, j + 1.0 / 3.0, k - j - 1.0 / 3.0) / k
+        shape = np.stack([1.0 - u - v, u, v], axis=-1)
+        points.append(np.einsum("pc,nck->npk", shape, corners[which]).reshape(-1, 2))
+        weights.append(np.repeat(_areas(corners[which]) / k**2, k * k))
+        cell.append(np.repeat(which, k * k))
+    return np.concatenate(points), np.concatenate(weights), np.concatenate(cell)

@@ -1,0 +1,208 @@
+"""Pictures of curtains with matplotlib, made without a screen; every function takes a solution and returns the axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from macro_fem.output.files import corner_positions
+from macro_fem.solution import CurtainSolution
+from rve.common.files import write_whole
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ARROWS = 700
+"""About so many principal directions are drawn."""
+STATE_COLOURS = ("#c9d3df", "#f2b872", "#8c2d19")
+STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
+
+
+def triangles_of(solution: CurtainSolution) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (n, 3) of corner numbers and the cell of each (n,); quadrilaterals are cut in two."""
+    t = solution.problem.mesh.mesh.t.T
+    cells = np.arange(len(t))
+    if t.shape[1] == 3:
+        return t, cells
+    return np.concatenate([t[:, [0, 1, 2]], t[:, [0, 2, 3]]]), np.concatenate([cells, cells])
+
+
+def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | None = None, **style: Any) -> Axes:
+    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
+    ax = _axes(ax)
+    triangles, cell = triangles_of(solution)
+    corners = corner_positions(solution)
+    colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=np.asarray(values)[cell], **style)
+    assert ax.figure is not None
+    bar = ax.figure.colorbar(colours, ax=ax, shrink=0.75, pad=0.02)
+    bar.set_label(label)
+    _frame(solution, ax)
+    return ax
+
+
+def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+    """The deformed curtain coloured by its largest principal line load, with principal directions and supports."""
+    from matplotlib.colors import PowerNorm
+
+    values, direction = solution.principal()
+    top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
+    ax = plot_field(
+        solution,
+        values[:, 0],
+        "largest principal line load, N/mm (reference length)",
+        ax,
+        cmap="YlOrRd",
+        norm=PowerNorm(0.5, vmin=0.0, vmax=max(top, 1e-300)),
+    )
+    _directions(solution, values, direction, ax)
+    _supports(solution, ax)
+    ax.set_title(_title(solution), fontsize=10)
+    return ax
+
+
+def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+    """Where the curtain is slack, drawn in one direction (it would wrinkle) or taut in both."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    ax = _axes(ax)
+    triangles, cell = triangles_of(solution)
+    corners = corner_positions(solution)
+    ax.tripcolor(
+        corners[:, 0],
+        corners[:, 1],
+        triangles,
+        facecolors=solution.state()[cell].astype(float),
+        cmap=ListedColormap(STATE_COLOURS),
+        vmin=0.0,
+        vmax=2.0,
+    )
+    patches = [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)]
+    _frame(solution, ax)
+    ax.legend(handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3, frameon=False, fontsize=8)
+    _supports(solution, ax)
+    return ax
+
+
+def plot_error(solution: CurtainSolution, density: Array, ax: Axes | None = None) -> Axes:
+    """Where the gap between the bounds comes from: its density (n_cells,) over four decades."""
+    from matplotlib.colors import LogNorm
+
+    top = max(float(density.max(initial=0.0)), 1e-300)
+    shown = np.clip(density, 1e-4 * top, top)
+    ax = plot_field(
+        solution, shown, "gap between the bounds, N mm per mm2", ax, cmap="viridis", norm=LogNorm(1e-4 * top, top)
+    )
+    ax.set_title("where the bounds differ", fontsize=10)
+    return ax
+
+
+def save_picture(path: Path, solution: CurtainSolution, error: Array | None = None) -> None:
+    """curtain.png: line loads with directions beside the states, and the error map if there is one."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    extent = np.ptp(np.vstack([solution.x, solution.problem.disc.nodes]), axis=0)
+    panels = 2 if error is None else 3
+    height = float(np.clip(5.0 * extent[1] / extent[0], 3.0, 9.0)) + 1.2
+    figure = Figure(figsize=(6.2 * panels, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, panels)
+    plot_line_loads(solution, axes[0])
+    plot_states(solution, axes[1])
+    if error is not None:
+        plot_error(solution, error, axes[2])
+    write_whole(path, lambda temporary: figure.savefig(temporary, dpi=130))
+
+
+def _axes(ax: Axes | None) -> Axes:
+    if ax is not None:
+        return ax
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure.subplots()
+
+
+def _title(solution: CurtainSolution) -> str:
+    load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
+    height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
+    return f"total load {load:.4g} N, {height}"
+
+
+def _frame(solution: CurtainSolution, ax: Axes) -> None:
+    """Reference outline, equal scales, units."""
+    mesh = solution.problem.mesh.mesh
+    ends = mesh.p[:, mesh.facets[:, mesh.boundary_facets()]]
+    gap = np.full((1, ends.shape[2]), np.nan)
+    ax.plot(
+        np.concatenate([ends[0], gap]).T.ravel(),
+        np.concatenate([ends[1], gap]).T.ravel(),
+        color="0.45",
+        lw=0.8,
+        ls=(0, (4, 3)),
+        label="reference",
+    )
+    ax.set_aspect("equal")
+    ax.set_xlabel("x, mm")
+    ax.set_ylabel("y, mm")
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: Axes) -> None:
+    """Short strokes along the larger principal line load in the deformed state, longer where it is larger."""
+    from matplotlib.collections import LineCollection
+
+    from macro_fem.fem.assembly import cell_mean
+
+    top = float(np.quantile(values[:, 0], 0.995))
+    mesh = solution.problem.mesh.mesh
+    middle = mesh.p.T[mesh.t.T].mean(axis=1)
+    cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * top), ARROWS)
+    if not len(cells):
+        return
+    F = cell_mean(solution.problem.disc, solution.F)[cells]
+    along = np.einsum("cij,cj->ci", F, direction[cells])
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+    centre = corner_positions(solution)[mesh.t.T[cells]].mean(axis=1)
+    length = 0.02 * solution.problem.mesh.size * np.sqrt(np.minimum(values[cells, 0] / top, 1.0))
+    half = 0.5 * along * length[:, None]
+    ax.add_collection(
+        LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors="0.15", linewidths=0.6)
+    )
+
+
+def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
+    """Of the chosen points (n, 2), the one next to the middle of each of about `number` squares around all points.
+
+    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
+    [1, 2]
+    """
+    low = points.min(axis=0)
+    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
+    place = (points[chosen] - low) / side
+    square = np.floor(place).astype(np.int64)
+    away = ((place - square - 0.5) ** 2).sum(axis=1)
+    order = np.lexsort((away, square[:, 1], square[:, 0]))
+    first = np.unique(square[order], axis=0, return_index=True)[1]
+    return np.sort(chosen[order][first])
+
+
+def _supports(solution: CurtainSolution, ax: Axes) -> None:
+    """What is held: lines along edges, triangles at nodes held in both components, circles where one slides."""
+    from matplotlib.collections import LineCollection
+
+    mask = solution.problem.supports.mask
+    mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)
+    facets = np.unique(np.concatenate([held.facets for held in solution.problem.supports.held]))
+    ax.add_collection(LineCollection(list(corners[mesh.facets[:, facets].T]), colors="#1f4e79", linewidths=2.0))
+    x = solution.x
+    both, one = mask.all(axis=1), mask.any(axis=1) & ~mask.all(axis=1)
+    size = 40.0 if both.sum() + one.sum() < 40 else 12.0
+    ax.scatter(x[both, 0], x[both, 1], marker="v", s=size, color="#1f4e79", zorder=5)
+    ax.scatter(x[one, 0], x[one, 1], marker="o", s=size, facecolors="white", edgecolors="#1f4e79", zorder=5)

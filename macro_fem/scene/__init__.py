@@ -1,0 +1,1 @@
+"""What a scene file says: records, mesh, outline, edges, supports, loads."""

@@ -1,0 +1,253 @@
+"""Named edges of a plane mesh: chains of its boundary by their direction, holes, and named lines of a mesh file.
+
+The boundary is followed with the mesh on its left, so that loops around the mesh turn left and loops around holes turn
+right. Outer loops are cut into chains at corners, where the boundary turns by more than 40 degrees. A chain whose
+normal departs from that of its chord by more than 45 degrees, such as a semicircle, is cut further where it changes
+between facing up, facing down and upright. "top" is then made of the chains that lie at the greatest height, or, if
+there are none, of those that reach it and face up more than sideways, or of all that reach it and face up: the whole of
+an arch, both slopes of a gable. "bottom", "left" and "right" are found in the same way; a chain has one name.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from macro_fem.scene.outline import distance_to_polygon
+from rve.common.types import Array
+
+CORNER = math.radians(40.0)
+"""The boundary turns by more than this at a corner. Larger: obtuse corners of a polygon join their sides to one chain.
+Smaller: a coarsely divided arch falls into pieces."""
+BENT = math.cos(math.radians(45.0))
+"""Least cosine between the normals of a chain and of its chord; a chain that is bent further is cut again."""
+UPRIGHT = 1e-3
+"""A boundary facet whose normal has a smaller vertical component is upright: neither top nor bottom."""
+DIRECTIONS = {"top": (0.0, 1.0), "bottom": (0.0, -1.0), "left": (-1.0, 0.0), "right": (1.0, 0.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed piece of the boundary, mesh on the left: `facets` (k,) in order and the node (k,) where each begins."""
+
+    facets: np.ndarray
+    nodes: np.ndarray
+
+
+def canonical(name: str) -> str:
+    """The name of an edge as it is stored: "hole-1", "hole_1" and "hole1" are "hole 1".
+
+    >>> canonical("hole-2"), canonical("top")
+    ('hole 2', 'top')
+    """
+    hole = re.fullmatch(r"hole[-_ ]?(\d+)", name)
+    return f"hole {int(hole[1])}" if hole else name
+
+
+def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Facet numbers by name: "outline", top, bottom, left, right, "hole 1", ..., and `lines` of node pairs (k, 2).
+
+    `holes` are the polygons whose order numbers the holes; without them holes are numbered by their centres from left
+    to right. A single hole is also called "hole". A line named in the file comes before an edge of the same name.
+    """
+    loops = boundary_loops(mesh)
+    outer = [loop for loop in loops if _area(mesh.p[:, loop.nodes].T) > 0.0]
+    inner = _in_order(mesh, [loop for loop in loops if _area(mesh.p[:, loop.nodes].T) <= 0.0], holes)
+    edges = {"outline": np.concatenate([loop.facets for loop in outer])}
+    edges |= _sides(mesh, [chain for loop in outer for chain in _chains(mesh, loop)])
+    edges |= {f"hole {number}": loop.facets for number, loop in enumerate(inner, start=1)}
+    if len(inner) == 1:
+        edges["hole"] = inner[0].facets
+    edges |= {canonical(name): facets_between(mesh, pairs) for name, pairs in lines.items()}
+    return {name: np.sort(facets) for name, facets in edges.items() if len(facets)}
+
+
+def facets_between(mesh: Any, pairs: np.ndarray) -> np.ndarray:
+    """The facets (k,) of a mesh between pairs of nodes (k, 2); pairs that are no facet of it are left out."""
+    n = mesh.p.shape[1]
+    keys = np.sort(mesh.facets, axis=0)
+    number = keys[0].astype(np.int64) * n + keys[1]
+    order = np.argsort(number)
+    asked = np.sort(pairs, axis=1)
+    wanted = asked[:, 0].astype(np.int64) * n + asked[:, 1]
+    place = np.minimum(np.searchsorted(number[order], wanted), len(order) - 1)
+    found = order[place]
+    return np.unique(found[number[found] == wanted])
+
+
+def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The edges of a mesh on a refinement of it that halves facets or keeps them."""
+    a, b = fine.p[:, fine.facets[0]].T, fine.p[:, fine.facets[1]].T
+    tiny = 1e-9 * float(np.ptp(fine.p, axis=1).max())
+    found = {}
+    for name, facets in edges.items():
+        ends = coarse.p[:, coarse.facets[:, facets]]
+        middles = cKDTree(ends.mean(axis=1).T)
+        is_part = middles.query(0.5 * (a + b))[0] < tiny
+        for one, other in ((a, b), (b, a)):
+            distance, parent = middles.query(one)
+            to_ends = np.linalg.norm(ends[:, :, parent] - other.T[:, None, :], axis=0)
+            is_part |= (distance < tiny) & (to_ends.min(axis=0) < tiny)
+        found[name] = np.flatnonzero(is_part)
+    return found
+
+
+def boundary_loops(mesh: Any) -> list[Loop]:
+    """The closed loops of the boundary. Where two meet at a node each keeps to its own cells."""
+    rim = mesh.boundary_facets()
+    start, end = mesh.facets[0, rim].copy(), mesh.facets[1, rim].copy()
+    centre = mesh.p[:, mesh.t[:, mesh.f2t[0, rim]]].mean(axis=1)
+    a, b = mesh.p[:, start], mesh.p[:, end]
+    right = (b[0] - a[0]) * (centre[1] - a[1]) - (b[1] - a[1]) * (centre[0] - a[0]) < 0.0
+    start[right], end[right] = end[right], start[right].copy()
+    following = _following(mesh.p.T, start, end)
+    left = np.ones(len(rim), bool)
+    loops = []
+    for first in range(len(rim)):
+        loop = []
+        facet = first
+        while left[facet]:
+            left[facet] = False
+            loop.append(facet)
+            facet = int(following[facet])
+        if loop:
+            loops.append(Loop(rim[loop], start[loop]))
+    return loops
+
+
+def _following(points: Array, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The facet (k,) that follows each: of several at a node the first one clockwise from the way back."""
+    order = np.argsort(start, kind="stable")
+    low, high = np.searchsorted(start[order], end, "left"), np.searchsorted(start[order], end, "right")
+    following = order[np.minimum(low, len(order) - 1)]
+    for facet in np.flatnonzero(high - low > 1):
+        choices = order[low[facet] : high[facet]]
+        back = points[start[facet]] - points[end[facet]]
+        ahead = points[end[choices]] - points[end[facet]]
+        turn = np.arctan2(back[1], back[0]) - np.arctan2(ahead[:, 1], ahead[:, 0])
+        following[facet] = choices[np.argmin(np.mod(turn, 2.0 * np.pi))]
+    return np.asarray(following)
+
+
+def paths(pairs: Iterable[tuple[int, int]], points: Array) -> list[np.ndarray]:
+    """Lines of nodes, each from its left end, made of pairs of neighbours; closed ones repeat their first node."""
+    beside: dict[int, list[int]] = {}
+    for a, b in pairs:
+        beside.setdefault(int(a), []).append(int(b))
+        beside.setdefault(int(b), []).append(int(a))
+
+    def by_place(node: int) -> tuple[float, float]:
+        return float(points[node, 0]), float(points[node, 1])
+
+    ends = sorted((node for node, others in beside.items() if len(others) == 1), key=by_place)
+    found = []
+    for first in (*ends, *sorted(beside, key=by_place)):
+        path = [first]
+        while beside[path[-1]]:
+            ahead = min(beside[path[-1]], key=by_place)
+            beside[path[-1]].remove(ahead)
+            beside[ahead].remove(path[-1])
+            path.append(ahead)
+        if len(path) > 1:
+            found.append(np.array(path))
+    return found
+
+
+def _area(corners: Array) -> float:
+    x, y = (corners - corners[0]).T
+    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+
+
+def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:
+    """Hole loops in the order of the polygons `holes`, or of their centres."""
+    if holes and len(loops) == len(holes):
+        nearest = [
+            int(np.argmin([distance_to_polygon(mesh.p[:, loop.nodes].T, hole).mean() for hole in holes]))
+            for loop in loops
+        ]
+        return [loops[k] for k in np.argsort(nearest, kind="stable")]
+    digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
+    centres = [tuple(np.round(mesh.p[:, loop.nodes].mean(axis=1) / digits)) for loop in loops]
+    return [loops[k] for k in sorted(range(len(loops)), key=centres.__getitem__)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """Facets (k,) of a chain, its mean normal, and the least and greatest coordinates of its nodes (2,)."""
+
+    facets: np.ndarray
+    normal: Array
+    low: Array
+    high: Array
+
+
+def _chains(mesh: Any, loop: Loop) -> list[_Chain]:
+    """The chains of an outer loop; see the module header."""
+    at = mesh.p[:, loop.nodes].T
+    step = np.roll(at, -1, axis=0) - at
+    length = np.linalg.norm(step, axis=1)
+    normal = np.stack([step[:, 1], -step[:, 0]], axis=-1) / length[:, None]
+    before = np.roll(normal, 1, axis=0)
+    turn = np.arctan2(before[:, 0] * normal[:, 1] - before[:, 1] * normal[:, 0], (before * normal).sum(axis=1))
+    kind = np.where(np.abs(normal[:, 1]) < UPRIGHT, 0.0, np.sign(normal[:, 1]))
+    is_corner = np.abs(turn) > CORNER
+    parts: list[np.ndarray] = []
+    for part in _cut(is_corner):
+        chord = (normal[part] * length[part, None]).sum(axis=0)
+        is_bent = (normal[part] @ chord).min() < BENT * np.linalg.norm(chord) or not is_corner.any()
+        changes = kind[part] != kind[np.roll(part, 1)]
+        changes[0] |= bool(is_corner.any())
+        if is_bent:
+            parts.extend(part[piece] for piece in _cut(changes))
+        else:
+            parts.append(part)
+    ends = np.roll(at, -1, axis=0)
+    return [
+        _Chain(
+            loop.facets[part],
+            (normal[part] * length[part, None]).sum(axis=0) / length[part].sum(),
+            np.minimum(at[part], ends[part]).min(axis=0),
+            np.maximum(at[part], ends[part]).max(axis=0),
+        )
+        for part in parts
+    ]
+
+
+def _cut(before: np.ndarray) -> list[np.ndarray]:
+    """The places of a closed row in pieces that begin where `before` is true; the whole row if it is nowhere."""
+    places = np.arange(len(before))
+    first = np.flatnonzero(before)
+    if not len(first):
+        return [places]
+    return list(np.split(np.roll(places, -first[0]), (first - first[0])[1:]))
+
+
+def _sides(mesh: Any, chains: list[_Chain]) -> dict[str, np.ndarray]:
+    """Facets of top, bottom, left and right; see the module header."""
+    low, high = mesh.p.min(axis=1), mesh.p.max(axis=1)
+    tiny = 1e-6 * float(np.hypot(*(high - low)))
+    found: dict[str, np.ndarray] = {}
+    for name, direction in DIRECTIONS.items():
+        d = np.array(direction)
+        axis, is_high = int(np.argmax(np.abs(d))), d.sum() > 0.0
+
+        def depth(chain: _Chain, nearest: bool, axis: int = axis, is_high: bool = is_high) -> float:
+            """How far the chain's nearest or farthest node is from the extreme of the mesh in this direction."""
+            if is_high:
+                return float(high[axis] - (chain.high if nearest else chain.low)[axis])
+            return float((chain.low if nearest else chain.high)[axis] - low[axis])
+
+        facing = [c for c in chains if c.normal @ d > UPRIGHT and depth(c, True) < tiny]
+        level = [c for c in facing if depth(c, False) < tiny]
+        flat = [c for c in facing if c.normal @ d > (1.0 + 1e-9) * abs(c.normal[1 - axis])]
+        chosen = level or flat or facing
+        chains = [c for c in chains if not any(c is one for one in chosen)]
+        if chosen:
+            found[name] = np.concatenate([c.facets for c in chosen])
+    return found

@@ -1,0 +1,125 @@
+"""Loads of a scene as nodal forces, consistent with the element's shape functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import skfem
+
+from homogenize import CellInfo
+from macro_fem.fem.assembly import Discretization, load_vector
+from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.schema import Bar, EdgeLoad, PatchLoad, PointLoad, Scene
+from macro_fem.scene.supports import point_node
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+PER_MM2 = 1e-6
+"""m2 per mm2: kg/m2 times m/s2 is N/m2."""
+
+FACET_ELEMENTS = {
+    "P1": skfem.ElementTriP1,
+    "P2": skfem.ElementTriP2,
+    "CR": skfem.ElementTriCR,
+    "Q1": skfem.ElementQuad1,
+    "Q2": skfem.ElementQuad2,
+}
+
+
+def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
+    """Areal mass in kg/m2 and where it comes from: "scene" (`areal_mass`), else "law"; InputError if neither knows."""
+    if scene.curtain.areal_mass is not None:
+        return scene.curtain.areal_mass, "scene"
+    if cell is None:
+        raise InputError(f"{scene.source}: [curtain] areal_mass: is missing, and the law has no rings to tell it")
+    return cell.areal_mass_kg_per_m2, "law"
+
+
+def weight_per_area(scene: Scene, cell: CellInfo | None) -> float:
+    """Weight of the curtain in N/mm2; InputError if its areal mass is not known."""
+    return areal_mass(scene, cell)[0] * scene.load.gravity * PER_MM2
+
+
+def nodal_forces(
+    scene: Scene, mesh: CurtainMesh, disc: Discretization, cell: CellInfo | None, factor: float = 1.0
+) -> Array:
+    """All loads (n_nodes, 2) in N; live loads (edges, points, patches) are scaled by `factor`, weights are not."""
+    dead = load_vector(disc, np.array([0.0, -weight_per_area(scene, cell)]))
+    for bar in scene.load.bar:
+        dead += bar_weight(bar, scene, mesh, disc)
+    live = np.zeros_like(dead)
+    for edge in scene.load.edge:
+        live += edge_load(edge, scene, mesh, disc)
+    for point in scene.load.point:
+        live += point_load(point, scene, disc)
+    for patch in scene.load.patch:
+        live += patch_load(patch, scene, mesh, disc)
+    return dead + factor * live
+
+
+def edge_load(load: EdgeLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
+    """A force per reference length along a named edge."""
+    where = f"{scene.source}: [load.edge] edge"
+    return edge_shares(mesh, disc, load.edge, where)[:, None] * np.array(load.force)
+
+
+def bar_weight(bar: Bar, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
+    """The weight of a bar, spread evenly over its edge."""
+    shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
+    return shares[:, None] / shares.sum() * np.array([0.0, -bar.mass * scene.load.gravity])
+
+
+def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
+    """Integral of every shape function over a named edge (n_nodes,), mm."""
+    facets = mesh.edge(name, where)
+    basis = skfem.FacetBasis(mesh.mesh, FACET_ELEMENTS[disc.element](), facets=facets, intorder=2)
+    return skfem.LinearForm(lambda v, w: v).assemble(basis)
+
+
+def point_load(load: PointLoad, scene: Scene, disc: Discretization) -> Array:
+    """A force on the node at a point; InputError if there is none."""
+    force = np.zeros((disc.n_nodes, 2))
+    force[point_node(load.at, disc, f"{scene.source}: [load.point]")] = load.force
+    return force
+
+
+def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
+    """A force spread over a disk, even within each cell; InputError if the disk holds no part of the curtain."""
+    shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(load.at), load.radius)
+    if shares.sum() <= 0.0:
+        raise InputError(
+            f"{scene.source}: [load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain"
+        )
+    area = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+    even = np.tile(shares / area, disc.n_quad)
+    return load_vector(disc, even[:, None] * np.array(load.force) / shares.sum())
+
+
+def disk_areas(corners: Array, centre: Array, radius: float) -> Array:
+    """The area (n,) that each of the polygons with these corners (n, k, 2) shares with a disk.
+
+    Every side adds the part of the disk between it and the centre: a triangle where it is inside, sectors elsewhere.
+
+    >>> square = np.array([[[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]])
+    >>> bool(np.allclose(disk_areas(square, np.zeros(2), 2.0), np.pi))
+    True
+    """
+    a = corners - centre
+    b = np.roll(a, -1, axis=1)
+    along = b - a
+    length2 = np.maximum((along * along).sum(axis=-1), 1e-300)
+    middle = -(a * along).sum(axis=-1) / length2
+    reach2 = middle**2 - ((a * a).sum(axis=-1) - radius**2) / length2
+    reach = np.sqrt(np.maximum(reach2, 0.0))
+    enters, leaves = (a + np.clip(middle + sign * reach, 0.0, 1.0)[..., None] * along for sign in (-1.0, 1.0))
+    parts = _cross(enters, leaves) + radius**2 * (_angle(a, enters) + _angle(leaves, b))
+    shares = 0.5 * np.abs(parts.sum(axis=1))
+    return np.asarray(np.where(shares > 1e-12 * radius**2, shares, 0.0))
+
+
+def _cross(u: Array, v: Array) -> Array:
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+
+def _angle(u: Array, v: Array) -> Array:
+    """The angle from u to v (n, k), radians."""
+    return np.asarray(np.arctan2(_cross(u, v), (u * v).sum(axis=-1)))

@@ -1,0 +1,183 @@
+"""Triangles inside any outline with holes: a lattice of the weave inside, the outline's own points around it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from rve.common.types import Array
+
+MAX_LATTICE = 8_000_000
+"""Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""
+CLEARANCE = 0.55
+"""Least distance of a lattice point to the boundary in units of the spacing: keeps boundary triangles from slivers."""
+
+
+def regular_polygon(radius: float, sides: int) -> Array:
+    """Corners (sides, 2) of the polygon with the area of the disk of `radius` around the origin, one at the top."""
+    angle = 0.5 * math.pi + 2.0 * math.pi * np.arange(sides) / sides
+    same_area = radius * math.sqrt(2.0 * math.pi / (sides * math.sin(2.0 * math.pi / sides)))
+    return same_area * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def mesh_outline(
+    outline: Array, holes: list[Array], cells: int, aspect: float, angle: float
+) -> tuple[Array, np.ndarray]:
+    """Points (n, 2) and counterclockwise triangles (m, 3) of the region inside `outline` and outside `holes`.
+
+    The width is divided into `cells`; inner edges follow both diagonal families of a weave with cell sides in the ratio
+    `aspect` whose y axis is turned by `angle` (radians). ValueError if the polygons touch, cross or leave no region,
+    or are finer than the cells.
+    """
+    _check_polygons(outline, holes)
+    spacing = float(np.ptp(outline[:, 0])) / cells
+    border = [_subdivided(polygon, spacing) for polygon in (outline, *holes)]
+    on_border = np.concatenate(border)
+    inner = _lattice(outline, spacing, aspect, angle)
+    inner = inner[inside(inner, outline, holes)]
+    for polygon in (outline, *holes):
+        inner = inner[distance_to_polygon(inner, polygon, 2.0 * spacing) > CLEARANCE * spacing]
+    points = np.concatenate([on_border, inner])
+    triangles = Delaunay(points).simplices
+    triangles = triangles[inside(points[triangles].mean(axis=1), outline, holes)]
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    twice_area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[twice_area < 0.0] = triangles[twice_area < 0.0][:, ::-1]
+    triangles = triangles[np.abs(twice_area) > 1e-6 * spacing**2]
+    _check_border(triangles, [len(part) for part in border])
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return points[used], triangles.reshape(-1, 3)
+
+
+def inside(points: Array, outline: Array, holes: list[Array]) -> np.ndarray:
+    """Which points (n, 2) lie inside the outline and outside every hole, (n,)."""
+    result = _in_polygon(points, outline)
+    for hole in holes:
+        result &= ~_in_polygon(points, hole)
+    return result
+
+
+def _in_polygon(points: Array, polygon: Array) -> np.ndarray:
+    """Even-odd rule; each side looks only at the points of its heights."""
+    order = np.argsort(points[:, 1])
+    x, y = points[order].T
+    result = np.zeros(len(points), bool)
+    for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if ay == by:
+            continue
+        start, stop = np.searchsorted(y, (min(ay, by), max(ay, by)))
+        result[start:stop] ^= x[start:stop] < ax + (y[start:stop] - ay) * (bx - ax) / (by - ay)
+    back = np.empty_like(result)
+    back[order] = result
+    return back
+
+
+def distance_to_polygon(points: Array, polygon: Array, reach: float = math.inf) -> Array:
+    """Distance (n,) to the nearest side, or `reach` where that is farther; each side looks only at points in reach."""
+    order = np.argsort(points[:, 1])
+    lifted = points[order]
+    best = np.full(len(points), reach)
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        low, high = min(a[1], b[1]) - reach, max(a[1], b[1]) + reach
+        part = slice(*np.searchsorted(lifted[:, 1], (low, high)))
+        along = b - a
+        s = np.clip((lifted[part] - a) @ along / (along @ along), 0.0, 1.0)
+        best[part] = np.minimum(best[part], np.linalg.norm(lifted[part] - a - s[:, None] * along, axis=1))
+    back = np.empty_like(best)
+    back[order] = best
+    return back
+
+
+def _subdivided(polygon: Array, spacing: float) -> Array:
+    """The polygon's corners and points between them at most `spacing` apart."""
+    parts = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        n = max(1, math.ceil(float(np.linalg.norm(b - a)) / spacing - 1e-9))
+        parts.append(a + (b - a) * (np.arange(n) / n)[:, None])
+    return np.concatenate(parts)
+
+
+def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Array:
+    """Corners and centres of rectangles spacing x aspect spacing, turned by `angle`, that cover the outline."""
+    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    reach = np.abs((outline - centre) @ turn).max(axis=0) + spacing * (1.0 + aspect)
+    n, m = math.ceil(reach[0] / spacing), math.ceil(reach[1] / (spacing * aspect))
+    if 8 * n * m > MAX_LATTICE:
+        raise ValueError(
+            f"outline: the lattice of the weave around it has {8 * n * m:.3g} points, at most {MAX_LATTICE:.3g} are "
+            "allowed; use fewer cells, or a shape that is less slender across the weave"
+        )
+    i, j = np.meshgrid(np.arange(-n, n + 1.0), np.arange(-m, m + 1.0), indexing="ij")
+    corners = np.stack([i.ravel(), j.ravel()], axis=-1)
+    local = np.concatenate([corners, corners + 0.5]) * spacing * np.array([1.0, aspect])
+    return centre + local @ turn.T
+
+
+def _check_polygons(outline: Array, holes: list[Array]) -> None:
+    names = ["outline", *(f"hole {k}" for k in range(1, len(holes) + 1))]
+    polygons = [outline, *holes]
+    for name, polygon in zip(names, polygons, strict=True):
+        if np.any(np.linalg.norm(polygon - np.roll(polygon, -1, axis=0), axis=1) == 0.0):
+            raise ValueError(f"{name}: has two equal corners in a row")
+        if _crosses(polygon, polygon, same=True):
+            raise ValueError(f"{name}: crosses itself")
+        if abs(_area(polygon)) <= 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2:
+            raise ValueError(f"{name}: has no area, its corners lie on a line")
+    for k, hole in enumerate(holes, start=1):
+        if not np.all(_in_polygon(hole, outline)) or _crosses(hole, outline, same=False):
+            raise ValueError(f"holes: hole {k} is not inside the outline")
+        for j, other in enumerate(holes[: k - 1], start=1):
+            if _crosses(hole, other, same=False) or _in_polygon(hole[:1], other)[0] or _in_polygon(other[:1], hole)[0]:
+                raise ValueError(f"holes: hole {k} and hole {j} overlap")
+
+
+def _area(polygon: Array) -> float:
+    """Signed area."""
+    x, y = (polygon - polygon[0]).T
+    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+
+
+def _crosses(one: Array, two: Array, *, same: bool) -> bool:
+    """Whether any sides of two polygons cross or touch; of the same polygon, sides that are not neighbours."""
+    a, b = one, np.roll(one, -1, axis=0)
+    for k, (c, d) in enumerate(zip(two, np.roll(two, -1, axis=0), strict=True)):
+        hit = (_side(a, b, c) * _side(a, b, d) <= 0.0) & (_side(c, d, a) * _side(c, d, b) <= 0.0)
+        if same:
+            n = len(one)
+            hit[[k, (k - 1) % n, (k + 1) % n]] = False
+        # sides on one line touch only where their boxes do
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        hit &= np.all((low <= np.maximum(c, d)) & (high >= np.minimum(c, d)), axis=1)
+        if hit.any():
+            return True
+    return False
+
+
+def _side(a: Array, b: Array, c: Array) -> Array:
+    ab, ac = b - a, c - a
+    return np.sign(ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0])
+
+
+def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
+    """Every piece of the border is an edge of the mesh: else corners are closer together than the cells."""
+    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    edges = set(map(tuple, pairs.tolist()))
+    start = 0
+    for length in lengths:
+        number = start + np.arange(length)
+        for a, b in zip(number.tolist(), np.roll(number, -1).tolist(), strict=True):
+            if (min(a, b), max(a, b)) not in edges:
+                raise ValueError("outline and holes: come closer to each other than the cells are wide; use more cells")
+        start += length
+
+
+def least_angle(points: Array, triangles: np.ndarray) -> float:
+    """The smallest angle of all triangles in degrees: the quality of a mesh."""
+    p = points[triangles]
+    edge = np.roll(p, -1, axis=1) - p
+    back = -np.roll(edge, 1, axis=1)
+    cosine = (edge * back).sum(-1) / (np.linalg.norm(edge, axis=-1) * np.linalg.norm(back, axis=-1))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)).min()))

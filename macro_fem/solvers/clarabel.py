@@ -1,0 +1,221 @@
+"""The rigid curtain as a cone program solved by clarabel: an independent oracle for `macro_fem.solvers.rigid`.
+
+    minimise -l.z   subject to   ||F_q(z) L_i||_F <= c_i,   S_i = L_i L_i^T,   c_i^2 = 2 h_i + tr S_i
+
+Second-order cones of dimension 1 + d rank S_i, at every point for the half-spaces the law starts with; those that the
+answer violates are added and the program is solved again (cutting planes). clarabel's homogeneous embedding needs no
+interior point and returns a certificate when there is no admissible state. P. J. Goulart, Y. Chen, arXiv 2405.12762.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from homogenize import MembraneLaw
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.solvers.cone_program import Iteration
+from macro_fem.solvers.cones import Cones, first_cones, law_cut, with_cuts
+from macro_fem.solvers.rigid import REACH, RigidResult, law_slack
+from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
+from rve.common.errors import require
+from rve.common.types import Array
+
+ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+"""Errors that count as an answer: clarabel often ends "almost solved", short of what it was asked for."""
+FLAT = 1e-12
+"""Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
+
+
+@dataclass(frozen=True)
+class ConicOptions:
+    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain)."""
+
+    gap: float = 1e-10
+    feasibility: float = 1e-10
+    violation: float = 1e-8
+    max_rounds: int = 30
+
+
+def solve_conic(
+    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: ConicOptions = ConicOptions()
+) -> RigidResult:
+    """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `RigidResult`.
+
+    InputError if clarabel is not installed.
+    """
+    total = load_scale(load, fem.weight)
+    task = _Task(fem, load, size, total, gradient_matrix(fem), fem.gradient(np.zeros(fem.n)).ravel())
+    clarabel = _clarabel()
+    cones = first_cones(law, len(fem.weight))
+    history: list[Iteration] = []
+    found = _solve(clarabel, task, cones, options)
+    while True:
+        if found.is_refuted:
+            stop = "infeasible"
+            break
+        S, h, g = law_cut(law, fem.gradient(found.z))
+        new = np.flatnonzero(g < -options.violation)
+        history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
+        if not found.is_solved or not len(new):
+            stop = "closed" if found.is_solved else "stalled"
+            break
+        if len(history) == options.max_rounds:
+            stop = "iterations"
+            break
+        cones, _ = with_cuts(cones, new, S[new], h[new])
+        found = _solve(clarabel, task, cones, options)
+    return _record(stop, law, task, cones, found, options, history)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What stays the same in all rounds: B and the part F0 of the flat gradients that supports impose."""
+
+    fem: SupportedFem
+    load: Array
+    size: float
+    total: float
+    B: sparse.csr_matrix
+    F0: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Unknowns z (n,), multipliers lam (nc,) in N/mm and the stress P (nq, d, 2) of clarabel's last iterate.
+
+    Its bounds and unbalanced forces are computed from these, whatever clarabel says of them; `is_solved` and
+    `is_refuted` are what it says.
+    """
+
+    z: Array
+    lam: Array
+    P: Array
+    dual: float
+    gap: float
+    unbalanced: float
+    is_solved: bool
+    is_refuted: bool
+    iterations: int
+
+
+def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
+    """B (nq d 2, n): free unknowns to flat deformation gradients."""
+    disc, d = fem.disc, fem.d
+    n_points, n_local = disc.n_points, disc.dofs.shape[1]
+    point = np.repeat(np.arange(n_points), n_local)
+    scalar = [
+        sparse.csr_matrix((disc.grad[:, :, j].ravel(), (point, disc.dofs.ravel())), shape=(n_points, disc.n_nodes))
+        for j in range(2)
+    ]
+    rows, columns, values = [], [], []
+    for a in range(d):
+        for j in range(2):
+            entry = scalar[j].tocoo()
+            rows.append((entry.row * d + a) * 2 + j)
+            columns.append(entry.col * d + a)
+            values.append(entry.data)
+    shape = (n_points * d * 2, disc.n_nodes * d)
+    full = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+    if fem.tie is not None:
+        return (full @ fem.tie).tocsr()
+    return full[:, np.flatnonzero(fem.free)]
+
+
+def square_roots(S: Array) -> tuple[Array, np.ndarray]:
+    """L (n, 2, 2) with L L^T = S for triples S (n, 3), larger column first, and the ranks (n,) 1 or 2."""
+    values, vectors = np.linalg.eigh(np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1))
+    values = values[:, ::-1]
+    return vectors[:, :, ::-1] * np.sqrt(np.maximum(values, 0.0))[:, None, :], 1 + (values[:, 1] > FLAT)
+
+
+def _clarabel() -> Any:
+    require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    import clarabel
+
+    return clarabel
+
+
+def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> _Found:
+    """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
+    fem, B, size = task.fem, task.B, task.size
+    d = fem.d
+    L, rank = square_roots(cones.S)
+    dimension = 1 + d * rank
+    start = np.concatenate([[0], np.cumsum(dimension)])
+    c = np.sqrt(2.0 * cones.size)
+    rows, columns, values = [], [], []
+    for k in range(2):
+        use = np.flatnonzero(rank > k)
+        for a in range(d):
+            for j in range(2):
+                rows.append(start[use] + 1 + k * d + a)
+                columns.append((cones.point[use] * d + a) * 2 + j)
+                values.append(L[use, j, k])
+    shape = (int(start[-1]), B.shape[0])
+    M = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+    b = M @ task.F0
+    b[start[:-1]] = c
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = options.gap
+    settings.tol_feas = options.feasibility
+    A = (-size * (M @ B)).tocsc()
+    kinds = [clarabel.SecondOrderConeT(int(n)) for n in dimension]
+    answer = clarabel.DefaultSolver(
+        sparse.csc_matrix((fem.n, fem.n)), -task.load / task.total, A, b, kinds, settings
+    ).solve()
+    is_refuted = str(answer.status) in ("PrimalInfeasible", "AlmostPrimalInfeasible")
+    x, z = np.array(answer.x), np.array(answer.z)
+    if is_refuted or not (np.isfinite(x).all() and np.isfinite(z).all()):
+        x, z = np.zeros(fem.n), np.zeros(len(b))
+    y = task.total * size * z
+    w_head, w_tail = y[start[:-1]], np.where(np.isin(np.arange(len(y)), start[:-1]), 0.0, y)
+    flat = -np.asarray(M.T @ w_tail)  # w P at the points
+    weight = fem.weight[:, None, None]
+    P = flat.reshape(-1, d, 2) / weight
+    z = size * x
+    unbalanced = float(np.abs(task.load - fem.force(P)).sum()) / task.total
+    dual = -float(w_head @ c) + float(flat @ task.F0) - REACH * unbalanced * task.total * size
+    return _Found(
+        z=z,
+        lam=w_head / fem.weight[cones.point] / c,
+        P=P,
+        dual=dual,
+        gap=(-float(task.load @ z) - dual) / (task.total * size),
+        unbalanced=unbalanced,
+        is_solved=str(answer.status) in ("Solved", "AlmostSolved"),
+        is_refuted=is_refuted,
+        iterations=int(answer.iterations),
+    )
+
+
+def _record(
+    stop: str,
+    law: MembraneLaw,
+    task: _Task,
+    cones: Cones,
+    found: _Found,
+    options: ConicOptions,
+    history: list[Iteration],
+) -> RigidResult:
+    fem = task.fem
+    return RigidResult(
+        stop=stop,
+        evidence=Evidence(found.gap, found.unbalanced, -law_slack(law, fem.gradient(found.z))),
+        asked=ATTAINED,
+        z=found.z,
+        lam=found.lam,
+        y_tail=np.zeros((len(found.lam), 2 * fem.d)),
+        cones=cones,
+        P=found.P,
+        S=cones.stress(found.lam),
+        primal=-float(task.load @ found.z),
+        dual=found.dual,
+        iterations=found.iterations,
+        history=tuple(history),
+        reach=Reach(0.0, 1.0) if found.is_refuted else FREE,
+    )

@@ -1,0 +1,202 @@
+"""The locking constraints of a curtain: per quadrature point a few half-spaces S:E <= h, each one a second-order cone.
+
+S:E(F) <= h with E = (F^T F - I)/2 and S = L L^T reads ||F L||_F <= sqrt(2 h + tr S): convex in F for every d. The slack
+
+    g = h - S:E(F) = (c^2 - ||F L||_F^2) / 2,   c^2 = 2 h + tr S
+
+is concave in F with gradient -F S. Points carry different numbers of half-spaces, so these are kept as one flat list.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from homogenize import HalfSpaces, MembraneLaw
+from macro_fem.fem.turned import TurnedLaw
+from rve.common.types import Array
+
+LAW_CHUNK = 20_000
+"""Points per call of `law.cut`: keeps its (points, half-spaces) table inside some 100 MB."""
+
+FLAT = 0.05
+"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
+
+
+@dataclass(frozen=True)
+class Cones:
+    """Half-spaces of all points: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where each point begins.
+
+    Every point has at least one half-space.
+    """
+
+    point: np.ndarray
+    S: Array
+    h: Array
+    first: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.h)
+
+    @property
+    def size(self) -> Array:
+        """c^2 / 2 = h + tr S / 2 (nc,): the slack at F = 0, the natural unit of a slack."""
+        return self.h + 0.5 * (self.S[:, 0] + self.S[:, 2])
+
+    def slack(self, F: Array) -> Array:
+        """g = c^2/2 - (F S):F/2 (nc,) for F (nq, d, 2)."""
+        C = right_cauchy_green(F)[self.point]
+        S = self.S
+        return self.size - 0.5 * (S[:, 0] * C[:, 0] + 2.0 * S[:, 1] * C[:, 1] + S[:, 2] * C[:, 2])
+
+    def pull(self, F: Array) -> Array:
+        """F S (nc, d, 2): minus the gradient of every slack."""
+        return times_triple(F[self.point], self.S)
+
+    def sum(self, values: Array) -> Array:
+        """Sums over the half-spaces of each point: (nc, ...) to (nq, ...)."""
+        return np.add.reduceat(values, self.first, axis=0)
+
+    def sum_of_squares(self, v: Array, weight: Array) -> Array:
+        """Sums of weight v v^T over the half-spaces of each point, (nq, m, m) for v (nc, m); one half is computed."""
+        m = v.shape[1]
+        out = np.empty((m, m, len(self.first)))
+        for i in range(m):
+            scaled = weight * v[:, i]
+            for j in range(i + 1):
+                out[i, j] = out[j, i] = self.sum(scaled * v[:, j])
+        return out.transpose(2, 0, 1)
+
+    def stress(self, lam: Array) -> Array:
+        """S_q = sum of lam_i S_i (nq, 3)."""
+        return np.stack([self.sum(lam * self.S[:, k]) for k in range(3)], axis=-1)
+
+
+def right_cauchy_green(F: Array) -> Array:
+    """C = F^T F as triples (n, 3) for F (n, d, 2)."""
+    a, b = F[:, :, 0], F[:, :, 1]
+    return np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1)
+
+
+def green_strain(F: Array) -> Array:
+    """E = (F^T F - I)/2 as triples (n, 3) for F (n, d, 2)."""
+    return 0.5 * (right_cauchy_green(F) - np.array([1.0, 0.0, 1.0]))
+
+
+def times_triple(F: Array, S: Array) -> Array:
+    """F S (n, d, 2) for F (n, d, 2) and triples S (n, 3)."""
+    out = np.empty_like(F)
+    out[:, :, 0] = F[:, :, 0] * S[:, :1] + F[:, :, 1] * S[:, 1:2]
+    out[:, :, 1] = F[:, :, 0] * S[:, 1:2] + F[:, :, 1] * S[:, 2:]
+    return out
+
+
+def ddot(A: Array, B: Array) -> Array:
+    """A:B (n,) for A, B (n, d, 2)."""
+    return np.einsum("nij,nij->n", A, B)
+
+
+def first_cones(law: MembraneLaw, n_points: int) -> Cones:
+    """The half-spaces the law starts with, at each of `n_points` points."""
+    return same_cones(law.half_spaces(), n_points)
+
+
+def same_cones(start: HalfSpaces, n_points: int) -> Cones:
+    """The same half-spaces at each of `n_points` points."""
+    m = len(start.h)
+    return Cones(
+        np.repeat(np.arange(n_points), m),
+        np.tile(start.S, (n_points, 1)),
+        np.tile(start.h, n_points),
+        np.arange(n_points) * m,
+    )
+
+
+@runtime_checkable
+class Faceted(Protocol):
+    """A law with finitely many half-spaces."""
+
+    def facets(self) -> HalfSpaces:
+        """All of them."""
+        ...
+
+
+def facets_of(law: MembraneLaw) -> HalfSpaces | None:
+    """All half-spaces of a law, in the frame of the curtain; None if they are not a finite list."""
+    if isinstance(law, TurnedLaw):
+        own = facets_of(law.law)
+        return None if own is None else HalfSpaces(own.S @ law.to_curtain.T, own.h)
+    return law.facets() if isinstance(law, Faceted) else None
+
+
+def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cones, np.ndarray]:
+    """`cones` and the half-spaces S (k, 3), h (k,) at `point` (k,); and where the old and new ones (nc + k,) come from.
+
+    The second array orders per-half-space data of old ones followed by new ones.
+    """
+    n = len(cones)
+    order = np.insert(np.arange(n), np.searchsorted(cones.point, point, side="right"), n + np.arange(len(point)))
+    added = np.bincount(point, minlength=len(cones.first))
+    return (
+        Cones(
+            np.concatenate([cones.point, point])[order],
+            np.concatenate([cones.S, S])[order],
+            np.concatenate([cones.h, h])[order],
+            cones.first + np.cumsum(added) - added,
+        ),
+        order,
+    )
+
+
+def repeated(cones: Cones, times: int) -> Cones:
+    """The half-spaces of n points for `times` copies of these points, one copy after the other."""
+    n, nc = len(cones.first), len(cones)
+    copies = np.arange(times)[:, None]
+    return Cones(
+        (cones.point + n * copies).ravel(),
+        np.tile(cones.S, (times, 1)),
+        np.tile(cones.h, times),
+        (cones.first + nc * copies).ravel(),
+    )
+
+
+def taken_from(cones: Cones, source: np.ndarray) -> Cones:
+    """For each new point the half-spaces of point `source` (n,) of the old ones."""
+    count = np.bincount(cones.point, minlength=len(cones.first))[source]
+    first = np.cumsum(count) - count
+    point = np.repeat(np.arange(len(source)), count)
+    old = np.repeat(cones.first[source], count) + np.arange(len(point)) - first[point]
+    return Cones(point, cones.S[old], cones.h[old], first)
+
+
+def steadied(cones: Cones, keep: np.ndarray) -> np.ndarray:
+    """`keep` (nc,) and what Newton's matrix needs to stay definite: at every point one well-conditioned S, or all."""
+    det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
+    roundest = np.maximum.reduceat(det, cones.first)[cones.point]
+    return np.asarray(keep | (det >= roundest) | (roundest < FLAT))
+
+
+def only(cones: Cones, keep: np.ndarray) -> Cones:
+    """The half-spaces marked by `keep` (nc,); every point must retain one."""
+    point = cones.point[keep]
+    return Cones(point, cones.S[keep], cones.h[keep], np.searchsorted(point, np.arange(len(cones.first))))
+
+
+def law_cut(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
+    """The half-space of the law nearest to (or most violated by) each F (n, d, 2): S (n, 3), h (n,), slack g (n,)."""
+    return _cut(law, green_strain(F))
+
+
+def least_slack(law: MembraneLaw, E: Array) -> float:
+    """The least slack of the law over all strains E (n, 3), over h + tr S / 2; negative where one is not admissible."""
+    S, h, slack = _cut(law, E)
+    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())
+
+
+def _cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
+    parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
+    S = np.concatenate([part.S for part in parts])
+    h = np.concatenate([part.h for part in parts])
+    return S, h, -np.concatenate([part.violation for part in parts])

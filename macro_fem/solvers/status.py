@@ -1,0 +1,162 @@
+"""The status of an answer: decided here and only here, from the numbers that are reported with it.
+
+A solver says why it stopped. Whether its answer is one follows from the gap between its bounds, the forces that do not
+balance and the violation of the law, all recomputed from the answer itself, and from how far apart the supports are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rve.common.types import Array
+
+ROUNDING = 1e-6
+"""Errors up to this much above what was asked are accepted once rounding stops a solver; the message gives them."""
+AT_LIMIT = 1e-4
+"""Relative stretch within which supports count as being at the mesh's largest stretch: `Reach`."""
+NO_LOAD = 1e-6
+"""N/mm2: what unbalanced forces are compared with in a curtain without load."""
+
+
+def load_scale(force: Array, weight: Array) -> float:
+    """What forces are compared with, N: the sum of the loads `force`, or a small part of the areas `weight`."""
+    return float(np.abs(force).sum()) or float(weight.sum()) * NO_LOAD
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What an answer's own numbers say, all relative.
+
+    gap: upper minus lower bound over load times size; unbalanced: sum of the forces on free unknowns that do not
+    balance over the sum of the loads; violation: of the law, over h + tr S / 2, negative inside.
+    """
+
+    gap: float
+    unbalanced: float
+    violation: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers are."""
+        return bool(np.isfinite([self.gap, self.unbalanced, self.violation]).all())
+
+    @property
+    def error(self) -> float:
+        """The largest of the three; infinite if one is not finite."""
+        return max(abs(self.gap), self.unbalanced, self.violation) if self.is_finite else float("inf")
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The largest relative gap, unbalanced forces and violation of the law with which an answer counts as one."""
+
+    gap: float
+    unbalanced: float
+    violation: float
+
+    def is_met(self, evidence: Evidence, more: float = 0.0) -> bool:
+        """Whether no number of an answer is larger than asked by more than `more`."""
+        return evidence.is_finite and (
+            abs(evidence.gap) <= self.gap + more
+            and evidence.unbalanced <= self.unbalanced + more
+            and evidence.violation <= self.violation + more
+        )
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Bounds of the factor by which the supports could be moved apart before no admissible state is left.
+
+    A factor above 1 is equivalent to a state in which every half-space is slack (Slater's condition). Then the total of
+    the multipliers is at most of the order of the load over (factor - 1). At factor 1 the supports hold the mesh at its
+    largest stretch: stresses that balance no load may be added, and the load does not bound line loads.
+    """
+
+    lower: float
+    upper: float
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the mesh can certainly stretch further."""
+        return self.lower > 1.0 + AT_LIMIT
+
+    @property
+    def excess(self) -> float:
+        """The relative stretch beyond locking that the supports certainly ask for; 0 where they may be in reach."""
+        return max(0.0, 1.0 / self.upper - 1.0) if self.upper > 0.0 else 0.0
+
+    @property
+    def is_out(self) -> bool:
+        """Whether the supports are certainly out of reach."""
+        return self.excess > AT_LIMIT
+
+    @property
+    def is_at_limit(self) -> bool:
+        """Neither."""
+        return not self.is_free and not self.is_out
+
+
+FREE = Reach(np.inf, np.inf)
+"""Supports that can be moved apart for ever, such as a single point."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One status per way to end, and its sentence: what happened and what to try."""
+
+    status: str
+    message: str
+
+
+INFEASIBLE = (
+    "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
+    "beyond locking; move the supports together or use a smaller gather"
+)
+CONVERGED = "the gap between upper and lower bound is closed"
+ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
+TAUT = (
+    "the supports are as far apart as the mesh can stretch, within {limit:g} %: loads do not decide the line loads and "
+    "support forces there. Those of this answer are those of rings that give{give}; move the supports together"
+)
+WHY = {
+    "closed": "the answer does not have the accuracy asked for: {numbers}; ask for a wider solver.tolerance",
+    "iterations": "stopped after {n} iterations with {numbers}: raise solver.max_iterations",
+    "stalled": "rounding leaves no progress at {numbers}: ask for a wider solver.tolerance",
+    "not_convex": "no regularisation made the tangent definite, {numbers}: take smaller load steps",
+    "not_finite": "the law has no finite energy: a cell is turned inside out; take smaller load steps",
+}
+"""What a solver stopped for, where its answer is none."""
+NUMBERS = (
+    "a relative gap of {0.gap:.1e}, unbalanced forces of {0.unbalanced:.1e} of the load, a violation of the law of "
+    "{0.violation:.1e}"
+)
+
+
+def judged(
+    stop: str, evidence: Evidence, asked: Accuracy, n: int, reach: Reach = FREE, give: float | None = None
+) -> Verdict:
+    """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
+
+    stop: why the solver stopped, "infeasible" or a key of `WHY`; give: by how much rings gave in a problem that was
+    relaxed, None where they are elastic.
+
+    >>> asked = Accuracy(1e-9, 1e-9, 1e-8)
+    >>> judged("closed", Evidence(1e-10, 0.0, 0.0), asked, 9).status
+    'converged'
+    >>> judged("closed", Evidence(0.048, 0.0, 0.0), asked, 9).status
+    'stalled'
+    """
+    if stop == "infeasible" or reach.is_out:
+        return Verdict("infeasible", INFEASIBLE.format(excess=100.0 * reach.excess))
+    numbers = NUMBERS.format(evidence)
+    if not evidence.is_finite:
+        return Verdict("not_finite", WHY["not_finite"])
+    is_rounded = stop in ("closed", "stalled") and asked.is_met(evidence, ROUNDING)
+    if not (asked.is_met(evidence) or is_rounded):
+        return Verdict("stalled" if stop == "closed" else stop, WHY[stop].format(n=n, numbers=numbers))
+    if reach.is_at_limit:
+        how = ", by their stiffness" if give is None else f" {100.0 * give:.3g} % beyond locking"
+        return Verdict("taut", TAUT.format(limit=100.0 * AT_LIMIT, give=how))
+    return Verdict("converged", CONVERGED if asked.is_met(evidence) else ROUNDED.format(numbers=numbers))

@@ -1,0 +1,107 @@
+"""How much farther apart the supports could be, and curtains whose supports are as far apart as the mesh can stretch.
+
+With the supported positions multiplied by a factor t, positions t x_held + T z, the largest factor is a cone program,
+
+    maximise  t   over z, t   subject to   S:E(F(z, t)) <= h(S)   for every tensile S, at every point,
+
+whose constraints are slack at z = 0, t = 0: it always has a solution, and so has its dual, a stress that balances no
+load (a self-stress). Its optimum t* tells three cases apart. t* > 1: the answer / t* is slack everywhere, so
+multipliers are bounded by the load over t* - 1. t* < 1: the supports are out of reach, and the self-stress proves it.
+t* = 1: the supports hold the mesh at its largest stretch, and any multiple of the self-stress may be added to the
+multipliers.
+
+In the last case the dual problem has no solution, or no bounded set of them, and an interior point that must keep away
+from the law's boundary has no place to be. So the rings are let give a little: the law is met by F / (1 + g), that is,
+the curtain x / (1 + g) hangs from supports which are drawn together by as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from homogenize import MembraneLaw
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.solvers.rigid import RigidOptions, RigidResult, law_slack, solve_rigid
+from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
+from rve.common.types import Array
+
+GIVES = (AT_LIMIT, 1e-3)
+"""By how much rings may give, tried in turn: the answer is off by its square root, multipliers are its inverse."""
+GAP = 1e-7
+"""What double precision leaves of the gap beside multipliers that are so large."""
+REACH_GAP = 1e-6
+"""Accuracy of the factor, far below AT_LIMIT."""
+SURE = 2.0
+"""The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT."""
+
+Solve = Callable[[SupportedFem, Array, Array, RigidOptions], RigidResult]
+"""A rigid solver of a discretisation under loads (n,) from unknowns (n,)."""
+
+
+def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float, solve: Solve | None = None) -> Reach:
+    """How much farther apart the supports could be; cheap where the unknowns `start` already are slack everywhere.
+
+    `size` (mm) is the extent of the curtain; `solve` another solver than our own interior point.
+    """
+    room = law_slack(law, fem.gradient(start))
+    if room > SURE * 2.0 * AT_LIMIT:
+        return Reach(_stretchable(1.0, min(room, 1.0 - 1e-9)), np.inf)
+    wider = movable(fem, size)
+    if wider is None:
+        return FREE
+    load = np.zeros(wider.n)
+    load[-1] = 1.0
+
+    def bounds(z: Array, dual: float) -> Reach:
+        factor = max(0.0, float(z[-1]) / size)
+        return Reach(_stretchable(factor, law_slack(law, wider.gradient(z))), max(0.0, -dual / size))
+
+    def is_decided(z: Array, dual: float) -> bool:
+        return bounds(z, dual).lower > 1.0 + SURE * AT_LIMIT
+
+    options = RigidOptions(REACH_GAP, REACH_GAP, drawn=False, enough=is_decided)
+    zero = np.zeros(wider.n)
+    result = solve_rigid(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options)
+    return bounds(result.z, result.dual)
+
+
+def _stretchable(factor: float, room: float) -> float:
+    """How far a state at `factor` may be scaled: |F L|^2 = (1 - room) c^2 at the fullest half-space."""
+    return factor / float(np.sqrt(1.0 - room)) if factor > 0.0 else 0.0
+
+
+def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
+    """The discretisation with one more unknown, `size` mm times the factor on all held positions.
+
+    These count from their mean, which moves nothing. None if nothing is held apart.
+    """
+    held = ~fem.free.reshape(fem.x_held.shape)
+    centre = np.where(held, fem.x_held, 0.0).sum(axis=0) / np.maximum(held.sum(axis=0), 1)
+    apart = np.where(held, fem.x_held - centre, 0.0)
+    if np.abs(apart).max() < 1e-12 * size:
+        return None
+    tied = fem.tied()
+    column = sparse.csc_matrix(apart.reshape(-1, 1) / size)
+    return replace(tied, x_held=np.zeros_like(apart), tie=sparse.hstack([tied.tie, column]).tocsc())
+
+
+def solve_taut(
+    fem: SupportedFem, load: Array, start: Array, options: RigidOptions, reach: Reach, solve: Solve
+) -> tuple[RigidResult, float]:
+    """The answer for rings that give, with its own bounds, and by how much; the last one tried if none converges.
+
+    They give as much as the supports are out of reach, and a little more.
+    """
+    loose = replace(options, gap=max(GAP, options.gap))
+    for more in GIVES:
+        give = max(0.0, 1.0 / reach.lower - 1.0) + more
+        nearer = replace(fem, x_held=fem.x_held / (1.0 + give))
+        result = solve(nearer, load, start / (1.0 + give), loose)
+        if result.converged:
+            break
+    scale = 1.0 + give
+    return replace(result, z=scale * result.z, primal=scale * result.primal, dual=scale * result.dual), give

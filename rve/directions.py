@@ -1,0 +1,100 @@
+"""Angles and load files as a user types them."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from rve.common.errors import InputError
+from rve.common.types import Array
+from rve.common.values import shown
+from rve.table import ranged_column, read_columns
+
+MOST_VALUES = 100_000
+"""Load directions of one table: more take hours, and a typing error asks for billions."""
+MOST_DEGREES = 360.0
+
+
+def parse_angles(text: str, name: str) -> Array:
+    """Angles in degrees from "first:last:step" (both ends included) or a list "7.5,12.5"; raises InputError.
+
+    >>> parse_angles("0:45:15", "--alpha")
+    array([ 0., 15., 30., 45.])
+    """
+    try:
+        if ":" not in text:
+            values = np.array([float(part) for part in text.split(",")])
+        else:
+            first, last, step = (float(part) for part in text.split(":"))
+            if not (np.isfinite([first, last, step]).all() and step != 0.0 and (last - first) / step >= 0.0):
+                raise InputError(f"{name} = {shown(text)}: the step must lead from the first to the last value")
+            count = np.floor((last - first) / step + 1e-9) + 1
+            if count > MOST_VALUES:
+                raise InputError(f"{name} = {shown(text)}: {count:.3g} values are more than {MOST_VALUES}")
+            values = first + step * np.arange(int(count))
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(f"{name} = {shown(text)}: write first:last:step or a list such as 7.5,12.5") from None
+    if not np.isfinite(values).all():
+        raise InputError(f"{name} = {shown(text)}: angles must be finite numbers of degrees")
+    if np.abs(values).max() > MOST_DEGREES:
+        raise InputError(f"{name} = {shown(text)}: angles must be from {-MOST_DEGREES:g} to {MOST_DEGREES:g} degrees")
+    return values
+
+
+def grid(alpha: Array, beta: Array) -> tuple[Array, Array]:
+    """All combinations, beta running fastest: two arrays of alpha.size * beta.size values; InputError for too many."""
+    if alpha.size * beta.size > MOST_VALUES:
+        raise InputError(
+            f"{alpha.size} values of alpha times {beta.size} of beta are more than {MOST_VALUES} load directions; "
+            "take larger steps"
+        )
+    a, b = np.meshgrid(alpha, beta, indexing="ij")
+    return a.ravel(), b.ravel()
+
+
+def graded_grid() -> tuple[Array, Array]:
+    """403 load directions, close where the strain changes fast: beta near 0 and 90, alpha beyond 30 degrees.
+
+    There it moves by 0.05 within half a degree of beta; elsewhere the steps are 5 degrees, as in the paper.
+    """
+    near = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
+    far = np.array([82.5, 85.0, 86.0, 87.0, 88.0, 88.5, 89.0, 90.0])
+    alpha = np.concatenate([np.arange(0.0, 30.0, 5.0), np.arange(30.0, 46.0, 2.5)])
+    return grid(alpha, np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
+
+
+def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+    """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
+    columns = read_columns(path, ("alpha_deg", "beta_deg"))
+    out = []
+    for name in ("alpha_deg", "beta_deg"):
+        values = ranged_column(path, columns, name, MOST_DEGREES)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise InputError(
+                f"{path}: line {bad[0] + 2}, column {name}: {shown(columns[name][bad[0]])} is not a finite number"
+            )
+        if len(values) > MOST_VALUES:
+            raise InputError(f"{path}: has {len(values)} load directions, at most {MOST_VALUES} are allowed")
+        out.append(values)
+    return out[0], out[1]
+
+
+def parse_window(text: str | None) -> tuple[float, float, float, float] | None:
+    """A window from "x0,y0,x1,y1" in mm, or None for None; raises InputError.
+
+    >>> parse_window("0,0,50,80.5")
+    (0.0, 0.0, 50.0, 80.5)
+    """
+    if text is None:
+        return None
+    try:
+        x0, y0, x1, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--window = {shown(text)}: write x0,y0,x1,y1 in mm") from None
+    if not (np.isfinite([x0, y0, x1, y1]).all() and x0 < x1 and y0 < y1):
+        raise InputError(f"--window = {shown(text)}: must be finite numbers with x0 < x1 and y0 < y1")
+    return x0, y0, x1, y1

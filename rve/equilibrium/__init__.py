@@ -1,0 +1,1 @@
+"""Locked states by the direct solver: equations, interior point, limits, symmetry, compliance."""

@@ -1,0 +1,288 @@
+"""Finite contact stiffness: equilibrium, rigid limit by extrapolation, and the locking compliance dE/dS.
+
+A contact of stiffness k lets rings overlap: gap + lam/k = 0 where lam > 0. In units of r1 and of the size s_hat of the
+line load only the ratio kappa = k/s_hat counts (k and s_hat both in N/mm): penetrations are lam/kappa, and strains
+differ from the rigid ones by a multiple of 1/kappa. Per primitive cell each contact is there once.
+
+The locking compliance of a unit load is D(kappa) = dE/dS at constant k, a 3 x 3 matrix of tensor components (11, 12,
+22): dE_i = sum_j D_ij dS_j. At s_hat N/mm and k N/mm the compliance in mm/N is D(k/s_hat)/s_hat. Since the contact
+energy is a potential, diag(1, 2, 1) D is symmetric. D has a rigid limit, the curvature of the locking surface, with D
+S = 0; the stretch along S itself, D S, is proportional to 1/kappa.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+from rve.equilibrium.contact_qp import Programme, solve_contact_step
+from rve.equilibrium.interior_point import Equilibrium, carry_forces
+from rve.equilibrium.system import Equations, System, lattice_load
+from rve.geometry.contacts import Contacts, find_contacts
+from rve.geometry.kinematics import green_lagrange, second_pk
+from rve.geometry.pose import Pose, moved, reduction
+
+Flags = NDArray[np.bool_]
+
+_CONVEX, _STIFF = 1e-4, 1e6  # least curvature and largest stiffness of the programme that finds the working contacts
+_WEIGHT = np.array([1.0, 2.0, 1.0])
+
+
+@dataclass(frozen=True)
+class SoftOptions:
+    """tolerance: weighted residual R; reach: gap in r1 from which contacts are seen; step: largest coordinate change
+    per iteration; start: ratio kappa of the first stage, from the rigid pose; factor: between stages.
+    """
+
+    tolerance: float = 1e-11
+    reach: float = 0.1
+    step: float = 0.05
+    start: float = 1e10
+    factor: float = 10.0
+    max_iterations: int = 40
+
+
+@dataclass(frozen=True)
+class SoftEquilibrium:
+    """Equilibria at finite contact stiffness.
+
+    pose (n cases, in r1), contacts and lam (n, p, SLOTS) in s_hat r1; R (n,); iterations (n,): of all stages; status
+    (n,) "converged" or "stalled"; compliance (n, 3, 3): D for a unit line load, nan where there is none.
+    """
+
+    pose: Pose
+    contacts: Contacts
+    lam: Array
+    R: Array
+    iterations: NDArray[np.intp]
+    status: NDArray[np.str_]
+    compliance: Array
+
+
+def _bordered(system: System, active: Flags, flexibility: Array) -> Array:
+    """Matrices [[-J, -G^T], [G, 1/kappa]] (n, m + c, m + c) on the active contacts, identity rows elsewhere."""
+    n, m = system.r.shape
+    G = np.where(active[..., None], system.G, 0.0)
+    size = m + active.shape[1]
+    K = np.zeros((n, size, size))
+    K[:, :m, :m] = -system.J
+    K[:, :m, m:] = -G.transpose(0, 2, 1)
+    K[:, m:, :m] = G
+    at = np.arange(m, size)
+    K[:, at, at] = np.where(active, flexibility, 1.0)
+    return K
+
+
+def _columns(present: Flags) -> NDArray[np.intp]:
+    """Slots of the contacts of each case, padded by empty ones, (n, c)."""
+    count = int(present.sum(axis=1).max(initial=1))
+    return np.argsort(~present, axis=1, kind="stable")[:, :count]
+
+
+@dataclass(frozen=True)
+class _Slots:
+    """Contacts of a batch packed into c columns: their slots, gaps, forces, 1/kappa, and which are pressed."""
+
+    slot: NDArray[np.intp]
+    system: System
+    gap: Array
+    lam: Array
+    flexibility: Array
+    active: Flags
+
+
+def _packed(equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array) -> _Slots:
+    con = soft.contacts
+    n = len(s)
+    present = con.present.reshape(n, -1)
+    slot = _columns(present)
+    system = equations.assemble(soft.pose, con, soft.lam, s)
+    system = replace(system, G=np.take_along_axis(system.G, slot[..., None], axis=1))
+    there = np.take_along_axis(present, slot, axis=1)
+    gap = np.where(there, np.take_along_axis(con.gap.reshape(n, -1), slot, axis=1), 1.0)
+    lam = np.take_along_axis(soft.lam.reshape(n, -1), slot, axis=1)
+    flexibility = 1.0 / np.repeat(kappa, con.gap.shape[2])[slot]
+    return _Slots(slot, system, gap, lam, flexibility, _pressed(system, there, gap, flexibility))
+
+
+def _pressed(system: System, there: Flags, gap: Array, flexibility: Array) -> Flags:
+    """Which contacts carry a force after the next step: those of a convex quadratic programme near the equations.
+
+    A step that changes one set of contacts for another by the signs of gaps and forces alone cycles at vertices, where
+    more contacts touch than the cell has coordinates.
+    """
+    value, vector = np.linalg.eigh(-0.5 * (system.J + system.J.transpose(0, 2, 1)))
+    A = np.matmul(vector * np.maximum(value, _CONVEX)[:, None, :], vector.transpose(0, 2, 1))
+    k = np.where(there, 1.0 / np.maximum(flexibility, 1.0 / _STIFF), 0.0)
+    return solve_contact_step(Programme(A, system.f, system.G, gap, k)).lam > 0.0
+
+
+def _iterated(
+    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: SoftOptions
+) -> tuple[SoftEquilibrium, Flags]:
+    """One Newton step of each case, and which had converged before it."""
+    n = len(s)
+    k = _packed(equations, soft, s, kappa)
+    off = np.where(k.active, np.abs(k.gap + k.lam * k.flexibility), np.where(k.lam > 0.0, np.inf, 0.0)).max(axis=1)
+    R = k.system.weighted_residual
+    done = (options.tolerance > R) & (off <= 1e-14)
+    rest = np.where(k.active, -(k.gap + k.lam * k.flexibility), -k.lam)
+    K = _bordered(k.system, k.active, k.flexibility)
+    x = np.linalg.solve(K, np.concatenate([k.system.r, rest], axis=1)[..., None])[..., 0]
+    m = k.system.r.shape[1]
+    length = np.minimum(1.0, options.step / np.maximum(np.abs(x[:, :m]).max(axis=1), 1e-300))
+    length[done] = 0.0
+    pose = moved(soft.pose, length[:, None] * x[:, :m])
+    lam = np.zeros(soft.lam.reshape(n, -1).shape)
+    np.put_along_axis(lam, k.slot, np.maximum(k.lam + length[:, None] * x[:, m:], 0.0), axis=1)
+    contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
+    lam = _carried(soft.contacts, lam.reshape(soft.lam.shape), contacts)
+    return replace(soft, pose=pose, contacts=contacts, lam=lam, R=R, iterations=soft.iterations + ~done), done
+
+
+def _carried(old: Contacts, lam: Array, new: Contacts) -> Array:
+    """Forces at the new contacts of each pair; a contact without a force has none, not the barrier's smallest."""
+    out = carry_forces(old, lam, new, np.zeros(len(lam)))
+    return np.where(out > 1e-15, out, 0.0)
+
+
+def soften(
+    found: Equilibrium,
+    s: Array,
+    equations: Equations,
+    kappa: float | Array,
+    reference: tuple[float, float],
+    options: SoftOptions = SoftOptions(),
+) -> SoftEquilibrium:
+    """Equilibria at the stiffness ratio kappa = k/s_hat near the rigid ones `found`, with their compliances.
+
+    s (n, 3): line loads of any size; kappa: one number, or one for each pair of rings (p,); reference: sides b_x, b_y
+    of the undeformed cell in r1. Newton's method on a ladder of ratios from the rigid limit down to kappa. Cases that
+    are not converged in `found`, or are not found again, have the status "stalled" and no compliance.
+    """
+    s = s / np.sqrt(s[:, :1] ** 2 + 2.0 * s[:, 1:2] ** 2 + s[:, 2:] ** 2)
+    target = np.broadcast_to(np.asarray(kappa, dtype=float), (len(equations.weave.pairs),))
+    contacts = find_contacts(found.pose, equations.weave, equations.wire, options.reach)
+    n = len(s)
+    soft = SoftEquilibrium(
+        found.pose,
+        contacts,
+        _carried(found.contacts, found.lam, contacts),
+        np.full(n, np.nan),
+        np.zeros(n, dtype=int),
+        found.status,
+        np.full((n, 3, 3), np.nan),
+    )
+    stages = max(0, int(np.ceil(np.log(options.start / target.min()) / np.log(options.factor))))
+    for stage in range(stages, -1, -1):
+        soft = _stage(equations, soft, s, target * options.factor**stage, options)
+    good = soft.status == "converged"
+    if good.any():
+        soft.compliance[good] = locking_compliance(equations, _taken(soft, good), s[good], target, reference)
+    return soft
+
+
+def _taken(soft: SoftEquilibrium, keep: Flags) -> SoftEquilibrium:
+    rows = np.flatnonzero(keep)
+    rest = {name: getattr(soft, name)[rows] for name in ("lam", "R", "iterations", "status", "compliance")}
+    return SoftEquilibrium(pose=soft.pose.take(rows), contacts=soft.contacts.take(rows), **rest)
+
+
+def _stage(
+    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: SoftOptions
+) -> SoftEquilibrium:
+    """Newton's method at one stiffness for the cases that have come so far."""
+    rows = np.flatnonzero(soft.status == "converged")
+    part = _taken(soft, soft.status == "converged")
+    done = np.zeros(len(rows), dtype=bool)
+    for _ in range(options.max_iterations):
+        if done.all():
+            break
+        part, done = _iterated(equations, part, s[rows], kappa, options)
+    out = {name: getattr(soft, name).copy() for name in ("lam", "R", "iterations", "status")}
+    for name in ("lam", "R", "iterations"):
+        out[name][rows] = getattr(part, name)
+    out["status"][rows[~done]] = "stalled"
+    return replace(soft, pose=soft.pose.put(rows, part.pose), contacts=soft.contacts.put(rows, part.contacts), **out)
+
+
+def deformation(pose: Pose, reference: tuple[float, float]) -> Array:
+    """Deformation gradients (n, 2, 2) of poses, eq. (1), for a reference cell with sides b_x, b_y in r1."""
+    return np.stack([pose.a1 / reference[0], pose.a2 / reference[1]], axis=2)
+
+
+def locking_compliance(
+    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, reference: tuple[float, float]
+) -> Array:
+    """D = dE/dS (n, 3, 3) at constant contact stiffness by implicit differentiation of the equilibrium.
+
+    From J dq + G^T dlam + (df/ds) ds = 0 and G dq + dlam/kappa = 0 follow dE/ds and, with F S F^T = det(F) s, dS/ds.
+    nan where the equilibrium is not isolated.
+    """
+    k = _packed(equations, soft, s, kappa)
+    n, m = k.system.r.shape
+    T = reduction(soft.pose)
+    df = np.stack(
+        [np.einsum("ni,nij->nj", lattice_load(soft.pose, np.tile(e, (n, 1)))[0], T[:, :4]) for e in np.eye(3)], axis=2
+    )
+    K = _bordered(k.system, k.active, k.flexibility)
+    # Whether a mode is free does not depend on the stiffness; a moderate one keeps round-off out of the answer.
+    moderate = np.where(k.active, np.minimum(1.0 / k.flexibility, 1e4), 0.0)
+    G = k.system.G
+    condensed = np.matmul(G.transpose(0, 2, 1) * moderate[:, None, :], G) - k.system.J
+    free = np.abs(np.linalg.eigvals(condensed)).min(axis=1) < 1e-9
+    K[free] = np.eye(K.shape[1])
+    dq = np.linalg.solve(K, np.concatenate([df, np.zeros((n, K.shape[1] - m, 3))], axis=1))[:, :m]
+    F = deformation(soft.pose, reference)
+    dF = np.einsum("nxym,nmj->nxyj", _gradient_of_F(soft.pose, reference), dq[:, :3])
+    FtdF = np.einsum("nkx,nkyj->nxyj", F, dF)
+    dE = 0.5 * (FtdF + FtdF.transpose(0, 2, 1, 3))
+    D = np.einsum("nij,njk->nik", _triples(dE), np.linalg.inv(_pk_derivative(F, dF, s)))
+    D[free] = np.nan
+    return D
+
+
+def _triples(tensor: Array) -> Array:
+    return np.stack([tensor[:, 0, 0], tensor[:, 0, 1], tensor[:, 1, 1]], axis=1)
+
+
+def _gradient_of_F(pose: Pose, reference: tuple[float, float]) -> Array:
+    """Derivative of F with respect to x2, y3, t, (n, 2, 2, 3)."""
+    x2, y3, t = pose.lattice.T
+    out = np.zeros((len(x2), 2, 2, 3))
+    out[:, 0, 0, 0], out[:, 1, 0, 0], out[:, 1, 0, 2] = 1.0, t, x2
+    out[:, 1, 1, 1], out[:, 0, 1, 1], out[:, 0, 1, 2] = 1.0, t, y3
+    return out / np.asarray(reference)[None, None, :, None]
+
+
+def _pk_derivative(F: Array, dF: Array, s: Array) -> Array:
+    """dS/ds (n, 3, 3) for F that moves by dF (n, 2, 2, 3): dS = F^-1 (J ds + dJ s) F^-T - F^-1 dF S - (F^-1 dF S)^T."""
+    n = len(s)
+    inverse = np.linalg.inv(F)
+    triple = second_pk(F, s)
+    S = np.stack([triple[:, [0, 1]], triple[:, [1, 2]]], axis=1)
+    turn = np.einsum("nxk,nkyj->nxyj", inverse, dF)
+    dJ_over_J = np.einsum("nxxj->nj", turn)
+    back = np.einsum("nxkj,nky->nxyj", turn, S)
+    direct = np.stack([second_pk(F, np.tile(e, (n, 1))) for e in np.eye(3)], axis=2)
+    return direct + triple[:, :, None] * dJ_over_J[:, None, :] - _triples(back + back.transpose(0, 2, 1, 3))
+
+
+def symmetric_defect(D: Array) -> Array:
+    """How far diag(1, 2, 1) D is from symmetric, relative to its size, (n,); the potential makes it zero."""
+    W = _WEIGHT[:, None] * D
+    skew = np.abs(W - W.transpose(0, 2, 1)).max(axis=(1, 2))
+    return np.asarray(skew / np.abs(W).max(axis=(1, 2)))
+
+
+def rigid_limit(coarse: Array, fine: Array, factor: float) -> Array:
+    """Extrapolation of any quantity from kappa and factor * kappa to rigid contact; its error falls like 1/kappa^2."""
+    return np.asarray((factor * fine - coarse) / (factor - 1.0))
+
+
+def strain(pose: Pose, reference: tuple[float, float]) -> Array:
+    """Green-Lagrange strain (n, 3) of poses."""
+    return green_lagrange(deformation(pose, reference))

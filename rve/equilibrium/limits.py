@@ -1,0 +1,200 @@
+"""Where the load leaves the strain free: detection, and the limit from inside the tensile cone.
+
+At beta = 0 and about 15 to 40 degrees of alpha the load only tightens one straight chain of rings; the rest of the cell
+may move. Such a row gets the limit of the strain for a vanishing second principal load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
+from rve.equilibrium.system import Equations, System
+from rve.geometry.contacts import Contacts
+from rve.geometry.pose import Pose, moved
+
+# Second principal load over the first, each half of the one before: the way to the limit.
+_SIZES = 1.6e-2 * 0.5 ** np.arange(7)
+# Values at d, d/2 and d/4 extrapolate to zero with an error of third order.
+_WEIGHTS = np.array([1.0, -6.0, 8.0]) / 3.0
+
+
+def strain_is_unique(equations: Equations, found: Equilibrium, s: Array, tolerance: float = 1e-8) -> NDArray[np.bool_]:
+    """Whether the strain of each equilibrium is isolated, (n,): False where a mode without stiffness moves the lattice.
+
+    Modes are the directions that keep every loaded contact closed; their stiffness is the reduced Jacobian, in units of
+    s r1^2. A mode that moves only rings inside the cell leaves the strain unique.
+    """
+    unique = np.ones(len(s), dtype=bool)
+    for i, stiffness, motions in loose_motions(equations, found, s):
+        unique[i] = not np.any(np.abs(motions[:3, stiffness < tolerance]) > 1e-6)
+    return unique
+
+
+def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterator[tuple[int, Array, Array]]:
+    """For every converged case that is not held by its loaded contacts alone: its number, the stiffnesses (k,) and the
+    motions (m, k) that keep these contacts closed, in units of s r1^2.
+    """
+    system = equations.assemble(found.pose, found.contacts, found.lam, s)
+    loaded = (found.lam > 1e-6) & found.contacts.present
+    for i in np.flatnonzero(found.status == "converged"):
+        G = system.G[i][loaded[i].ravel()]
+        _, sizes, V = np.linalg.svd(G)
+        modes = V[np.count_nonzero(sizes > 1e-7) :].T
+        if modes.shape[1]:
+            values, vectors = np.linalg.eigh(-modes.T @ (0.5 * (system.J[i] + system.J[i].T)) @ modes)
+            yield int(i), values, modes @ vectors
+
+
+def _inward(s: Array, size: float) -> Array:
+    """Line loads with the smaller principal value raised by `size` times the larger one."""
+    mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
+    radius = np.hypot(half, s[:, 1])
+    n1 = np.stack([radius + half, s[:, 1], radius - half], axis=1) / np.maximum(2.0 * radius, 1e-300)[:, None]
+    return s + size * (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
+
+
+def _trail(s: Array, equations: Equations, options: DirectOptions) -> list[Equilibrium]:
+    """Equilibria for ever smaller second loads, each from a pose near the one before.
+
+    The start of a solve is its predecessor stopped early, at complementarity 1e-3 of the second load, where gaps are
+    still open: from a cold start such loads take ten times as many iterations, or stall.
+    """
+    found, start = [], None
+    for size in _SIZES:
+        loads, mu = _inward(s, size), 1e-3 * size
+        early = replace(options, attempts=1, mu_end=mu, tolerance=mu)
+        if start is not None:
+            early = replace(early, mu_start=8.0 * mu)
+        path = solve_equilibrium(loads, equations, early, start)
+        exact = replace(options, attempts=1, mu_start=mu)
+        found.append(solve_equilibrium(loads, equations, exact, path.pose))
+        start = path.pose
+    return found
+
+
+def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
+    """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
+
+    The smallest three additions whose extrapolation Newton's method confirms count; status "no-limit" if none do.
+    """
+    trail = _trail(s, equations, options)
+    result = replace(trail[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
+    iterations = np.sum([part.iterations for part in trail], axis=0)
+    left = np.arange(len(s))
+    for last in range(len(trail) - 1, 1, -1):
+        limit = _extrapolated(
+            [part.take(left) for part in trail[last - 2 : last + 1]], s[left], equations, options, last
+        )
+        good = np.flatnonzero(limit.status == "converged")
+        result = result.put(left[good], limit.take(good))
+        left = np.delete(left, good)
+        if not len(left):
+            break
+    return replace(result, iterations=iterations)
+
+
+def _extrapolated(
+    three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, last: int
+) -> Equilibrium:
+    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone."""
+    lattice, centres, normals = (
+        np.einsum("k,k...->...", _WEIGHTS, np.stack([getattr(part.pose, name) for part in three]))
+        for name in ("lattice", "centres", "normals")
+    )
+    guess = Pose(lattice, centres, normals / np.linalg.norm(normals, axis=2, keepdims=True))
+    reach = _reach(guess, three[-1], equations, options, 1e-3 * _SIZES[last])
+    pose, _, _, _ = polish(guess, equations, s, options, reach)
+    pose, lam, contacts, R = polish(pose, equations, s, options)
+    # Newton's steps may drift along the free mode: then the guess was too far away.
+    change = np.abs(three[-1].pose.lattice - three[-2].pose.lattice).max(axis=1)
+    stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
+    known = np.all([part.status == "converged" for part in three], axis=0)
+    ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
+    status = np.where(ok, "converged", "no-limit")
+    return replace(three[-1], pose=pose, lam=lam, contacts=contacts, R=R, status=status)
+
+
+def _reach(guess: Pose, found: Equilibrium, equations: Equations, options: DirectOptions, force: float) -> Array:
+    """Gap (n,) within which the guess keeps every pair of rings that carries more than `force` in `found`."""
+    contacts = equations.contacts(guess, options.reach)
+    loaded = ((found.lam > force) & found.contacts.present).sum(axis=2)
+    gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
+    last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
+    widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
+    return 1.5 * widest + 1e-6
+
+
+def touching(contacts: Contacts, reach: float | Array) -> NDArray[np.bool_]:
+    """Contacts whose gap is below `reach`, one number or one per case, (n, p, SLOTS)."""
+    return contacts.present & (contacts.gap < np.reshape(reach, (-1, 1, 1)))
+
+
+def contact_forces(system: System, active: NDArray[np.bool_]) -> Array:
+    """Forces >= 0 of the active contacts (n, c) that balance the load best, in the norm of the mass matrix."""
+    lam = np.zeros(active.shape)
+    for i, rows in enumerate(active):
+        if rows.any():
+            root = np.linalg.cholesky(np.linalg.inv(system.M[i])).T
+            lam[i, rows] = nnls(root @ system.G[i][rows].T, -root @ system.f[i])[0]
+    return lam
+
+
+def polish(
+    pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
+) -> tuple[Pose, Array, Contacts, Array]:
+    """Newton on r = 0 and gap = 0 of all touching contacts; least-norm steps, so that a free mode stays where it is.
+
+    Returns pose, forces (n, p, SLOTS), contacts and weighted residual R (n,). Converges quadratically from a pose near
+    an equilibrium whose touching contacts are known (tests/test_rve/test_equilibrium.py).
+    """
+    lam = np.zeros(())
+    for step in range(steps + 1):
+        contacts = equations.contacts(pose, options.reach)
+        active = touching(contacts, reach)
+        flat = active.reshape(len(s), -1)
+        lam = np.zeros(contacts.gap.shape)
+        bare = equations.assemble(pose, contacts, lam, s)
+        lam = contact_forces(bare, flat).reshape(contacts.gap.shape)
+        system = equations.assemble(pose, contacts, lam, s)
+        if step == steps:
+            break
+        dq = np.zeros(system.r.shape)
+        for i, rows in enumerate(flat):
+            G = system.G[i][rows]
+            size = len(G)
+            A = np.block([[system.J[i], G.T], [G, np.zeros((size, size))]])
+            b = -np.concatenate([system.r[i], contacts.gap[i].ravel()[rows]])
+            dq[i] = np.linalg.lstsq(A, b, rcond=1e-9)[0][: len(dq[i])]
+        pose = moved(pose, np.clip(dq, -1e-2, 1e-2))
+    return pose, lam, contacts, system.weighted_residual
+
+
+def with_limits(
+    s: Array, equations: Equations, found: Equilibrium, options: DirectOptions
+) -> tuple[Equilibrium, NDArray[np.bool_]]:
+    """Equilibria with non-unique rows replaced by their limits, and the flags `unique` (n,).
+
+    Uniaxial and nearly uniaxial loads that have stalled are approached on the same way, from inside the tensile cone.
+    A row whose limit cannot be found keeps one of its equilibria and gets the status "no-limit".
+    """
+    unique = strain_is_unique(equations, found, s)
+    slender = np.abs(s[:, 0] * s[:, 2] - s[:, 1] ** 2) < _SIZES[0] * (s[:, 0] + s[:, 2]) ** 2
+    stalled = (found.status == "stalled") & slender
+    rows = np.flatnonzero(~unique | stalled)
+    if not len(rows):
+        return found, unique
+    limit = limit_equilibrium(s[rows], equations, options)
+    good = limit.status == "converged"
+    found = replace(found, status=np.where(unique, found.status, "no-limit"))
+    found = found.put(rows[good], limit.take(np.flatnonzero(good)))
+    reached = rows[good & stalled[rows]]
+    if len(reached):
+        unique[reached] = strain_is_unique(equations, found.take(reached), s[reached])
+    return found, unique

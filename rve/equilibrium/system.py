@@ -1,0 +1,236 @@
+"""The equilibrium equations of the periodic cell and their exact derivatives, batched over load cases.
+
+Unknown are the 9 reduced coordinates (4-in-1) and one force per contact:
+
+    r = f(q) + G(q)^T lam = 0,    gap(q) >= 0,    lam >= 0,    lam gap = 0.
+
+f is a constant Cauchy line load s on the *current* cell: s.(a2y, -a2x) on a1 and s.(-a1y, a1x) on a2. It follows the
+deformation, so its derivative is unsymmetric. J = dr/dq holds load stiffness, contact curvature and the curvature of
+the lattice coordinates. Lengths are in units of r1 and forces in units of s r1. Another `Load` may take its place:
+springs towards a given pose are in `spring`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+from rve.geometry.circles import distance_gradient, distance_hessian
+from rve.geometry.contacts import Contacts, find_contacts
+from rve.geometry.pose import Pose, pair_maps, reduction
+from rve.geometry.weave import Weave
+
+_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+IDLE = 1e-6
+"""Contacts with less force, in units of s r1, do without curvature: a tenth to a third of them, and no step changes."""
+
+
+@dataclass(frozen=True)
+class System:
+    """Equations of a batch of n poses with m coordinates and c contact slots.
+
+    r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix
+    of the rings for unit density, which weighs the residual (eq. 9); size (n,): the force it is measured against.
+    """
+
+    r: Array
+    f: Array
+    J: Array
+    G: Array
+    M: Array
+    size: Array
+
+    def take(self, rows: NDArray[np.bool_]) -> System:
+        """The equations of these cases."""
+        return System(*(column[rows] for column in vars(self).values()))
+
+    def put(self, rows: NDArray[np.intp], other: System) -> System:
+        """A copy in which the equations of `rows` are replaced by those of `other`."""
+        columns = []
+        for name, part in vars(other).items():
+            array = getattr(self, name).copy()
+            array[rows] = part
+            columns.append(array)
+        return System(*columns)
+
+    @property
+    def weighted_residual(self) -> Array:
+        """R of eq. (9) on the static system, (n,), without unit."""
+        return weighted_size(self.r, self.M) / self.size
+
+
+def weighted_size(f: Array, M: Array) -> Array:
+    """Size (n,) of generalised forces f (n, m) weighed by the mass matrices M (n, m, m), as in eq. (9)."""
+    return np.sqrt(np.maximum(np.einsum("ni,ni->n", f, np.linalg.solve(M, f[..., None])[..., 0]), 0.0))
+
+
+class Load(Protocol):
+    """What pulls at a cell; `s` holds one row of numbers per case whose meaning is the load's own."""
+
+    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """Generalised force (n, m) on the reduced coordinates and its derivative (n, m, m); T is reduction(pose)."""
+        ...
+
+    def size(self, f: Array, M: Array) -> Array:
+        """The force (n,) that residuals are measured against, for forces f (n, k) and mass matrices M (n, k, k)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LineLoad:
+    """The Cauchy line loads s (n, 3); residuals are relative to them."""
+
+    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """See Load."""
+        f4, K4 = lattice_load(pose, s)
+        Ta = T[:, :4]
+        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K4), Ta)
+        add_lattice_curvature(J, f4)
+        return np.einsum("ni,nij->nj", f4, Ta), J
+
+    def size(self, f: Array, M: Array) -> Array:
+        """See Load."""
+        return weighted_size(f, M)
+
+
+def add_lattice_curvature(J: Array, on_lattice: Array) -> None:
+    """Adds to J (n, m, m) what forces (n, 4) on (a1, a2) do where a1y = t x2 and a2x = t y3 are bilinear."""
+    for row, component in ((0, 1), (1, 2)):
+        J[:, row, 2] += on_lattice[:, component]
+        J[:, 2, row] += on_lattice[:, component]
+
+
+def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
+    """Generalised force (n, 4) on (a1, a2) of the Cauchy line load s (n, 3), and its derivative (n, 4, 4)."""
+    full = np.stack([s[:, [0, 1]], s[:, [1, 2]]], axis=1)
+    K = np.zeros((len(s), 4, 4))
+    K[:, :2, 2:] = full @ _TURN
+    K[:, 2:, :2] = -(full @ _TURN)
+    return np.einsum("nij,nj->ni", K, np.concatenate([pose.a1, pose.a2], axis=1)), K
+
+
+def mass_matrix(weave: Weave, wire: float) -> Array:
+    """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1."""
+    k = weave.classes
+    size = 4 + 2 * (k - 1) + 3 * k
+    M = np.zeros((size, size))
+    inertia = 0.5 + 0.625 * wire**2  # of a torus about a diameter; the axial one weighs no coordinate
+    for ring, i, j in weave.rings:
+        for x in range(2):
+            v = np.zeros(size)
+            v[x], v[2 + x] = i, j
+            if ring > 0:
+                v[2 + 2 * ring + x] = 1.0
+            M += np.outer(v, v)
+        rows = slice(2 + 2 * k + 3 * ring, 5 + 2 * k + 3 * ring)
+        M[rows, rows] += inertia * np.eye(3)
+    return M
+
+
+def mirror_modes(weave: Weave) -> Array:
+    """Motions (m, k) that keep the mirror x -> -x of the cell: sides, rows along y, tilts about x.
+
+    Ring k keeps its share of the cell along x; the rotation and the tilts about the other axis stay zero.
+    """
+    k = weave.classes
+    m = 4 * k + 1
+    stretch = np.zeros(m)
+    stretch[0] = 1.0
+    stretch[3 : 2 * k + 1 : 2] = weave.start_centres[1:, 0] / weave.start_lattice[0]
+    rows = [1, *range(4, 2 * k + 1, 2), *range(2 * k + 1, m, 2)]
+    return np.column_stack([stretch, np.eye(m)[:, rows]])
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
+
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
+    (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
+    far_pairs: whether pairs too far apart to touch are sampled all the same; idle_curvature: whether contacts without
+    force take part in J with their curvature.
+    """
+
+    weave: Weave
+    wire: float
+    maps: Array
+    mass: Array
+    modes: Array
+    load: Load = field(default_factory=LineLoad)
+    middle: tuple[int, int] | None = None
+    far_pairs: bool = False
+    idle_curvature: bool = False
+
+    @staticmethod
+    def of(weave: Weave, wire: float, modes: Array | None = None, load: Load | None = None) -> Equations:
+        """Equations of a weave with wire radius r2/r1; by default all coordinates are free and a line load pulls."""
+        free = np.eye(4 * weave.classes + 1) if modes is None else modes
+        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or LineLoad())
+
+    def contacts(self, pose: Pose, reach: float) -> Contacts:
+        """Every contact of these poses whose gap is below `reach` (in r1)."""
+        return find_contacts(pose, self.weave, self.wire, reach, far_pairs=self.far_pairs)
+
+    def motions(self, pose: Pose) -> Array:
+        """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""
+        if self.middle is None:
+            return self.modes[None]
+        i, j = self.middle
+        x2, y3, t = pose.lattice.T
+        B = np.tile(self.modes, (len(t), 1, 1))
+        B[:, 3, 0], B[:, 3, 1], B[:, 3, 2] = 0.5 * i, 0.5 * j * t, 0.5 * j * y3
+        B[:, 4, 0], B[:, 4, 1], B[:, 4, 2] = 0.5 * i * t, 0.5 * j, 0.5 * i * x2
+        return B
+
+    def displacement(self, y: Array, pose: Pose) -> Array:
+        """Reduced displacement (n, m) from a pose by the mode amplitudes y (n, k)."""
+        v = np.matmul(self.motions(pose), y[..., None])[..., 0]
+        if self.middle is not None:  # a1y = t x2 and a2x = t y3 are bilinear, and the second ring follows them
+            i, j = self.middle
+            v[:, 3] += 0.5 * j * y[:, 1] * y[:, 2]
+            v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
+        return v
+
+    def assemble(
+        self, pose: Pose, contacts: Contacts, lam: Array, s: Array, curved: NDArray[np.bool_] | None = None
+    ) -> System:
+        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...).
+
+        curved (n,): cases whose J holds the curvature of the contacts, by default all.
+        """
+        n, pairs = len(s), len(self.weave.pairs)
+        T = reduction(pose)
+        m = T.shape[2]
+        case, pair = np.divmod(contacts.minima.pair, pairs)
+        g = distance_gradient(contacts.minima)
+        LT = np.matmul(self.maps[pair], T[case])
+        G_rows = np.matmul(g[:, None, :], LT)[:, 0]
+        force = lam[contacts.present]
+
+        f, J = self.load.force(pose, T, s)
+        r = f.copy()
+        np.add.at(r, case, force[:, None] * G_rows)
+        works = force > (-1.0 if self.idle_curvature else IDLE)
+        bent = np.flatnonzero(works if curved is None else works & curved[case])
+        H = distance_hessian(contacts.minima.take(bent), contacts.normal_a[bent], contacts.normal_b[bent], 1.0)
+        LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
+        np.add.at(J, case[bent], force[bent, None, None] * LTHLT)
+        on_lattice = np.zeros((n, 4))
+        np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
+        add_lattice_curvature(J, on_lattice)
+
+        G = np.zeros((n, *contacts.present.shape[1:], m))
+        G[contacts.present] = G_rows
+        M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
+        B = self.motions(pose)
+        Bt = B.transpose(0, 2, 1)
+        f, M = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B
+        J = Bt @ J @ B
+        if self.middle is not None:
+            add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
+        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G.reshape(n, -1, m) @ B, M, self.load.size(f, M))

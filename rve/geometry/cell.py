@@ -1,0 +1,60 @@
+"""The mesh: radii, weave, grain and density."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rve.common.errors import InputError
+from rve.common.rings import (
+    LEAST_KG_PER_MM3,
+    LEAST_MM,
+    MOST_KG_PER_MM3,
+    MOST_MM,
+    STEEL_KG_PER_MM3,
+    ring_volume,
+)
+from rve.geometry.weave import FOUR_IN_ONE, Weave
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3.
+
+    Raises InputError for radii that are not positive numbers and for wire too thick for the weave.
+    """
+
+    r1: float = 5.0
+    r2: float = 0.5
+    weave: Weave = FOUR_IN_ONE
+    grain: str = "y"
+    density: float = STEEL_KG_PER_MM3
+
+    def __post_init__(self) -> None:
+        for name, value in (("r1", self.r1), ("r2", self.r2), ("density", self.density)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{name} = {value}: must be a positive number")
+        for name, value in (("r1", self.r1), ("r2", self.r2)):
+            if not LEAST_MM <= value <= MOST_MM:
+                raise InputError(f"{name} = {value}: must lie between 1e-9 and 1e9 mm")
+        if not LEAST_KG_PER_MM3 <= self.density <= MOST_KG_PER_MM3:
+            raise InputError(f"density = {self.density}: must lie between 1e-12 and 1e3 kg/mm3")
+        if self.grain not in ("x", "y"):
+            raise InputError(f"grain = {self.grain!r}: must be x or y")
+        limit = self.weave.jamming_ratio
+        if not self.r1 / self.r2 > limit:
+            raise InputError(
+                f"r2 = {self.r2}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f}; "
+                f"here r1/r2 = {self.r1 / self.r2:.4f}"
+            )
+
+    @property
+    def wire(self) -> float:
+        """r2/r1."""
+        return self.r2 / self.r1
+
+    @property
+    def ring_mass(self) -> float:
+        """Mass of one ring in kg."""
+        return self.density * ring_volume(self.r1, self.r2)

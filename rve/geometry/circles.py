@@ -1,0 +1,315 @@
+"""Contact of two congruent tori: every local minimum of the distance of their centre circles, with two derivatives.
+
+Ring A has its centre at the origin and unit normal n_a, ring B its centre at d and unit normal n_b; both centre circles
+have radius r1. Points on them are rho_a and d + rho_b, w = d + rho_b - rho_a joins them, D = |w|, and u = w / D is the
+contact normal, from A to B. The gap is D - 2 r2, negative in penetration. The leading axis is the pair or the contact.
+
+The distance of a point to a circle is closed form, so one angle is left: sample it, take every local minimum, polish by
+a safeguarded Newton iteration (DESIGN: a global minimum, or one alternating projection, misses contacts).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+
+Index = NDArray[np.intp]
+
+# Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature r1^2/D a minimum may have a
+# twin between two samples, so its neighbourhood is sampled again.
+_SOFT = 0.5
+# Coaxial and coincident rings have curvature 0 to round-off, and a distance all the same.
+_ROUND_OFF = 1e-9
+
+
+@dataclass(frozen=True)
+class Minima:
+    """Local minima of the distance of two circles, one row per minimum.
+
+    pair (m,) row of the input; normal (m, 3) unit vector from the point of A to the point of B; rho_a, rho_b (m, 3)
+    points relative to their centres; distance (m,); curvature (m,) of the distance along ring a, over r1^2 / distance:
+    1 for a stiff minimum, 0 for one that is about to merge with another or to vanish.
+    """
+
+    pair: Index
+    normal: Array
+    rho_a: Array
+    rho_b: Array
+    distance: Array
+    curvature: Array
+
+    def take(self, rows: NDArray[np.bool_] | Index) -> Minima:
+        """The minima of these rows."""
+        return Minima(*(column[rows] for column in vars(self).values()))
+
+    def joined(self, *others: Minima) -> Minima:
+        """These minima and the others, one after the other."""
+        columns = zip(*(vars(part).values() for part in (self, *others)), strict=True)
+        return Minima(*(np.concatenate(column) for column in columns))
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Scalar product over the last axis of length 3, written out: ten times faster than einsum on short axes."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector product over the last axis, written out: several times faster than np.cross on many short rows."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    out[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return out
+
+
+def tangent_frame(n: Array) -> tuple[Array, Array]:
+    """Two unit vectors e1, e2 with e1 x e2 = n for unit normals n (..., 3).
+
+    The frame of Duff et al., "Building an orthonormal basis, revisited", JCGT 6 (2017): no branch, no square root.
+    """
+    sign = np.copysign(1.0, n[..., 2])
+    a = -1.0 / (sign + n[..., 2])
+    b = n[..., 0] * n[..., 1] * a
+    e1 = np.stack([1.0 + sign * n[..., 0] ** 2 * a, sign * b, -sign * n[..., 0]], axis=-1)
+    e2 = np.stack([b, sign + n[..., 1] ** 2 * a, -n[..., 1]], axis=-1)
+    return e1, e2
+
+
+def foot_on_circle(p: Array, n: Array, r: float) -> Array:
+    """Point of the circle (centre 0, unit normal n, radius r) closest to p (..., 3).
+
+    Every point of the circle is as close when p lies on its axis; the first frame vector is taken then.
+    """
+    q = p - dot(p, n)[..., None] * n
+    length = np.sqrt(dot(q, q))
+    on_axis = length <= 1e-14 * r
+    if np.any(on_axis):
+        q = np.where(on_axis[..., None], tangent_frame(n)[0], q)
+        length = np.where(on_axis, 1.0, length)
+    return q * (r / length)[..., None]
+
+
+def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> NDArray[np.bool_]:
+    """Whether circle B passes once through the disk of circle A, (n,): the linking number is +1 or -1, not 0.
+
+    Circle B meets the plane of A in at most two points; exactly one of them inside the disk means linked.
+    """
+    c = dot(n_a, n_b)
+    in_plane = n_a - c[:, None] * n_b  # gradient in the plane of B of the height above plane A
+    length = np.sqrt(np.maximum(dot(in_plane, in_plane), 1e-30))  # parallel planes: x stays a number
+    e = in_plane / length[:, None]
+    x = -dot(n_a, d) / length  # height above plane A is length * x in the frame (e, f) of circle B
+    inside = r1**2 - x**2
+    crosses = (inside > 0.0) & (length > 1e-12)
+    y = np.sqrt(np.maximum(inside, 0.0))[:, None]
+    f = cross(n_b, e)
+    foot = d + x[:, None] * e
+    first = dot(foot + y * f, foot + y * f) < r1**2
+    second = dot(foot - y * f, foot - y * f) < r1**2
+    return crosses & (first != second)
+
+
+def _slope_and_curvature(
+    angle: Array, d: Array, n_a: Array, e1: Array, e2: Array, n_b: Array, r1: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Value, first and second derivative of f(angle) = distance of the point of A to circle B, and both points."""
+    rho_a = r1 * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
+    tau_a = cross(n_a, rho_a)
+    rho_b = foot_on_circle(rho_a - d, n_b, r1)
+    tau_b = cross(n_b, rho_b)
+    w = d + rho_b - rho_a
+    # Centre circles that cross have no normal; the floor keeps the numbers finite, the gap is -2 r2 all the same.
+    distance = np.maximum(np.sqrt(dot(w, w)), 1e-12 * r1)
+    u = w / distance[:, None]
+    slope = -dot(u, tau_a)
+    f_aa = (r1**2 - slope**2) / distance + dot(u, rho_a)
+    f_bb = r1**2 / distance - dot(u, rho_b)
+    f_ab = -dot(tau_a, tau_b) / distance
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = f_aa - np.where(f_bb > 0.0, f_ab**2 / f_bb, 0.0)
+    return distance, slope, curvature, rho_a, rho_b
+
+
+def _polish(
+    pair: Index, angle: Array, width: float | Array, d: Array, n_a: Array, n_b: Array, r1: float
+) -> tuple[Array, Minima]:
+    """Newton on the slope, kept inside the bracket angle +- width by bisection; angles and minima."""
+    d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
+    e1, e2 = tangent_frame(n_a)
+    angle, low, high = angle.copy(), angle - width, angle + width
+    # Rows at rest leave, so that none depends on the company it is polished in; most need five rounds, a few thirty.
+    go = np.arange(len(angle))
+    for _ in range(40):
+        at = angle[go]
+        _, slope, curvature, _, _ = _slope_and_curvature(at, d[go], n_a[go], e1[go], e2[go], n_b[go], r1)
+        left = low[go] = np.where(slope < 0.0, at, low[go])
+        right = high[go] = np.where(slope > 0.0, at, high[go])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = at - slope / curvature
+        good = (curvature > 0.0) & (newton >= left) & (newton <= right)
+        trial = np.where(good, newton, 0.5 * (left + right))
+        # A stationary point to round-off moves no further; slope is in mm per radian.
+        step = np.where(np.abs(slope) > 1e-15 * r1, trial - at, 0.0)
+        angle[go] = at + step
+        go = go[np.abs(step) > 1e-9]
+        if not len(go):
+            break
+    distance, slope, curvature, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, e1, e2, n_b, r1)
+    normal = (d + rho_b - rho_a) / distance[:, None]
+    return angle, Minima(pair, normal, rho_a, rho_b, distance, curvature * distance / r1**2)
+
+
+def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
+    """Squared distance less r1^2, (n, k), between circle B and the points of A at angles start (n,) + offset (k,).
+
+    Squared distance = z^2 + (|q| - r1)^2 with p = rho_a - d, height z = p.n_b and in-plane part q; both p.p and z are
+    linear in (cos, sin), so that no vector is formed.
+    """
+    e1, e2 = tangent_frame(n_a)
+    c, s = np.cos(start)[:, None], np.sin(start)[:, None]
+    co, so = np.cos(offset), np.sin(offset)
+    cosine, sine = r1 * (c * co - s * so), r1 * (s * co + c * so)
+    z = dot(e1, n_b)[:, None] * cosine + dot(e2, n_b)[:, None] * sine - dot(d, n_b)[:, None]
+    pp = r1**2 + dot(d, d)[:, None] - 2.0 * (dot(e1, d)[:, None] * cosine + dot(e2, d)[:, None] * sine)
+    return pp - 2.0 * r1 * np.sqrt(np.maximum(pp - z * z, 0.0))
+
+
+def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = np.inf, samples: int = 48) -> Minima:
+    """Every local minimum of the distance of two circles, for all pairs at once.
+
+    d, n_a, n_b (n, 3): centre of B seen from A in mm, unit normals; r1 in mm. Minima farther than `reach` mm are left
+    out. Returns `Minima` sorted by pair. Minima less than about 0.02 rad apart count as one: their distances then
+    differ by less than 1e-9 r1.
+
+    >>> import numpy as np
+    >>> two = local_minima(np.array([[9.0, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]]), 5.0)
+    >>> two.distance.round(12)
+    array([1.])
+    """
+    step = 2.0 * np.pi / samples
+    f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), d, n_a, n_b, r1)
+    is_min = (f <= np.roll(f, 1, axis=1)) & (f < np.roll(f, -1, axis=1))
+    lonely = ~is_min.any(axis=1)
+    is_min[lonely, np.argmin(f[lonely], axis=1)] = True
+    # The distance falls by no more than r1 per radian: minima that cannot come within reach are not polished.
+    is_min &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
+    pair, column = np.nonzero(is_min)
+    angle, found = _polish(pair, step * column.astype(np.float64), step, d, n_a, n_b, r1)
+    near = found.distance <= reach
+    soft = near & (found.curvature < _SOFT)
+    hidden, place = _shoulders(f, reach, step, r1)
+    if not (soft.any() or len(hidden)):
+        return found.take(near)
+    around = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
+    return _with_twins(found, near, soft, around, reach, (d, n_a, n_b), r1)
+
+
+def _shoulders(f: Array, reach: float, step: float, r1: float) -> tuple[Index, Array]:
+    """Pairs (k,) and angles (k,) between samples f (n, m) where the slope keeps its sign but has its least size.
+
+    A minimum in a basin narrower than two samples looks like that: one in 700 of random pairs within 0.9 r1
+    (benchmarks/stability/degenerate.py counts what is missed).
+    """
+    before = np.roll(f, 1, axis=1)
+    slope = np.roll(f, -1, axis=1) - f
+    left, right = f - before, np.roll(slope, -1, axis=1)
+    size = np.abs(slope)
+    flat = (left * slope > 0.0) & (slope * right > 0.0) & (size <= np.abs(left)) & (size <= np.abs(right))
+    flat &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
+    pair, column = np.nonzero(flat)
+    return pair, step * (column.astype(np.float64) + 0.5)
+
+
+def _with_twins(
+    found: Minima,
+    near: NDArray[np.bool_],
+    soft: NDArray[np.bool_],
+    around: tuple[Index, Array],
+    reach: float,
+    circles: tuple[Array, Array, Array],
+    r1: float,
+) -> Minima:
+    """The near minima and those that the coarse sampling has missed: it looks closer `around` these angles."""
+    pair, angle = around
+    d, n_a, n_b = circles
+    # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
+    offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))
+    width = np.diff(offset)
+    f = _samples(angle, offset, d[pair], n_a[pair], n_b[pair], r1)
+    slope = np.diff(f, axis=1) / width
+    row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
+    bracket = np.maximum(width[column], width[column + 1])
+    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, d, n_a, n_b, r1)
+    # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
+    stable = found.curvature > -_ROUND_OFF
+    twins = twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach))
+    parts = [found.take(near & ~soft), found.take(soft & stable), twins]
+    return _joined(parts, r1)
+
+
+def _joined(parts: list[Minima], r1: float) -> Minima:
+    """All parts, each point once, sorted by pair and distance."""
+    both = parts[0].joined(*parts[1:])
+    order = np.lexsort((both.distance, both.pair))
+    both = both.take(order)
+    first = np.ones(len(order), dtype=bool)
+    # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
+    for back in range(1, 8):
+        same_pair = both.pair[back:] == both.pair[:-back]
+        gap = both.rho_a[back:] - both.rho_a[:-back]
+        first[back:] &= ~(same_pair & (dot(gap, gap) < (1e-4 * r1) ** 2))
+    return both.take(first)
+
+
+def distance_gradient(m: Minima) -> Array:
+    """Derivative of the distance with respect to (d, theta_a, theta_b), (m, 9), by the envelope theorem.
+
+    theta are rotation vectors of the rings in space: dD = u . dd - (rho_a x u) . dtheta_a + (rho_b x u) . dtheta_b.
+    Units 1 and mm (per radian).
+    """
+    return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
+
+
+def _minus_cross_matrix(a: Array) -> Array:
+    """Matrix of theta -> theta x a, (m, 3, 3)."""
+    out = np.zeros((*a.shape, 3))
+    out[:, 0, 1], out[:, 0, 2] = a[:, 2], -a[:, 1]
+    out[:, 1, 0], out[:, 1, 2] = -a[:, 2], a[:, 0]
+    out[:, 2, 0], out[:, 2, 1] = a[:, 1], -a[:, 0]
+    return out
+
+
+def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float) -> Array:
+    """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
+
+    n_a, n_b (m, 3) are the normals of the two rings of each minimum. With q = (d, theta) and the two angles phi that
+    place the points, the implicit function theorem gives H = D_qq - D_qphi D_phiphi^-1 D_phiq. A minimum that is about
+    to vanish (det D_phiphi -> 0) has an unbounded H; its determinant is kept above 1e-10 of its scale.
+    """
+    u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
+    eye = np.eye(3)
+    W = np.concatenate(
+        [np.broadcast_to(eye, (len(dist), 3, 3)), -_minus_cross_matrix(ra), _minus_cross_matrix(rb)], axis=2
+    )
+    uW = np.matmul(u[:, None, :], W)
+    D_qq = (np.matmul(W.transpose(0, 2, 1), W) - uW.transpose(0, 2, 1) * uW) / dist[:, None, None]
+    for block, rho, sign in ((slice(3, 6), ra, -1.0), (slice(6, 9), rb, 1.0)):
+        outer = u[:, :, None] * rho[:, None, :]
+        spin = 0.5 * (outer + outer.transpose(0, 2, 1)) - dot(u, rho)[:, None, None] * eye
+        D_qq[:, block, block] += sign * spin
+    ta, tb = cross(n_a, ra), cross(n_b, rb)
+    w_phi = np.stack([-ta, tb], axis=2)  # dw/dphi_a, dw/dphi_b; both normal to u at a minimum
+    D_qp = np.matmul(W.transpose(0, 2, 1), w_phi) / dist[:, None, None]
+    D_qp[:, 3:6, 0] -= cross(ta, u)
+    D_qp[:, 6:9, 1] += cross(tb, u)
+    aa = r1**2 / dist + dot(u, ra)
+    bb = r1**2 / dist - dot(u, rb)
+    ab = -dot(ta, tb) / dist
+    scale = (r1**2 / dist) ** 2
+    det = np.maximum(aa * bb - ab**2, 1e-10 * scale)
+    inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
+    return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))

@@ -1,0 +1,80 @@
+"""Line loads and strains of a plane membrane: equations (1)-(5) and (11) of the paper.
+
+Symmetric tensors are triples (11, 12, 22) on the last axis; the leading axis is the load case.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rve.common.types import Array
+
+
+def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:
+    """Cauchy line load s of unit size, (n, 3), eq. (3): s1 = cos(beta), s2 = sin(beta), principal axis 1 at alpha.
+
+    Multiples of 90 degrees are exact: no round-off shear, no round-off compression.
+
+    >>> cauchy_line_load([0.0], [90.0])
+    array([[0., 0., 1.]])
+    """
+    (ca, sa), (s1, s2) = _cos_sin(alpha_deg), _cos_sin(beta_deg)
+    s = np.stack([ca**2 * s1 + sa**2 * s2, ca * sa * (s1 - s2), sa**2 * s1 + ca**2 * s2], axis=-1)
+    return s + 0.0  # no negative zeros in tables
+
+
+def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
+    angle = np.asarray(degrees, dtype=float)
+    quarter = np.round(angle / 90.0)
+    rest = np.radians(angle - 90.0 * quarter)
+    c, s = np.cos(rest), np.sin(rest)
+    turn = quarter.astype(int) % 4
+    cos = np.choose(turn, [c, -s, -c, s])
+    sin = np.choose(turn, [s, c, -s, -c])
+    return cos, sin
+
+
+def green_lagrange(F: Array) -> Array:
+    """Green-Lagrange strain (n, 3) of deformation gradients F (n, 2, 2), eq. (2)."""
+    c = np.stack(
+        [
+            F[:, 0, 0] ** 2 + F[:, 1, 0] ** 2,
+            F[:, 0, 0] * F[:, 0, 1] + F[:, 1, 0] * F[:, 1, 1],
+            F[:, 0, 1] ** 2 + F[:, 1, 1] ** 2,
+        ],
+        axis=1,
+    )
+    return 0.5 * (c - np.array([1.0, 0.0, 1.0]))
+
+
+def deformation_gradient(E: Array) -> Array:
+    """Deformation gradient F (n, 2, 2) of strains E (n, 3) under the rotation rule (5), tan(gamma) = y2/x2 = x3/y3.
+
+    The rule makes F = [[u, t v], [t u, v]], hence sin(2 gamma) = C12 / sqrt(C11 C22) with C = I + 2E. Raises ValueError
+    where I + 2E is not positive definite.
+
+    >>> deformation_gradient(np.array([[0.625, 0.0, 0.0]])).round(12)
+    array([[[1.5, 0. ],
+            [0. , 1. ]]])
+    """
+    c11, c12, c22 = 1.0 + 2.0 * E[:, 0], 2.0 * E[:, 1], 1.0 + 2.0 * E[:, 2]
+    if np.any(~((c11 > 0.0) & (c22 > 0.0) & (c12**2 < c11 * c22))):
+        raise ValueError("the strain squeezes the cell to nothing: I + 2E must be positive definite")
+    length1, length2 = np.sqrt(c11), np.sqrt(c22)
+    gamma = 0.5 * np.arcsin(c12 / (length1 * length2))
+    c, s = np.cos(gamma), np.sin(gamma)
+    return np.stack([np.stack([length1 * c, length2 * s], 1), np.stack([length1 * s, length2 * c], 1)], 1)
+
+
+def second_pk(F: Array, s: Array) -> Array:
+    """Second Piola-Kirchhoff line load S = J F^-1 s F^-T, (n, 3), of Cauchy line loads s (n, 3)."""
+    f11, f12, f21, f22 = F[:, 0, 0], F[:, 0, 1], F[:, 1, 0], F[:, 1, 1]
+    J = f11 * f22 - f12 * f21
+    # J F^-1 = adj F, so S = adj(F) s adj(F)^T / J
+    s11, s12, s22 = s[:, 0], s[:, 1], s[:, 2]
+    a11, a12, a21, a22 = f22, -f12, -f21, f11
+    S11 = a11 * a11 * s11 + 2.0 * a11 * a12 * s12 + a12 * a12 * s22
+    S12 = a11 * a21 * s11 + (a11 * a22 + a12 * a21) * s12 + a12 * a22 * s22
+    S22 = a21 * a21 * s11 + 2.0 * a21 * a22 * s12 + a22 * a22 * s22
+    return np.stack([S11, S12, S22], axis=1) / J[:, None]

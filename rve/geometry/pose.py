@@ -1,0 +1,115 @@
+"""The periodic cell: rings, pose, generalised coordinates, and the contacts of a pose.
+
+Internally lengths are in units of r1, so results are free of units. The generalised velocity of a cell with K classes
+is (a1 (2), a2 (2), c_1 .. c_{K-1} (2 each), omega_0 .. omega_{K-1} (3 each)): 12 numbers for K = 2. The reduced one is
+(x2, y3, t = tan gamma; centres; two tilts per ring): 9 numbers for K = 2. The rotation rule (5) has removed one, and
+the spin of a torus about its own axis is no coordinate at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+from rve.geometry.circles import cross, dot, tangent_frame
+from rve.geometry.weave import Weave
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Positions of n cells in units of r1: lattice (n, 3) = x2, y3, t; centres (n, K, 2); normals (n, K, 3)."""
+
+    lattice: Array
+    centres: Array
+    normals: Array
+
+    @property
+    def a1(self) -> Array:
+        """First lattice vector (x2, t x2), (n, 2)."""
+        return np.stack([self.lattice[:, 0], self.lattice[:, 2] * self.lattice[:, 0]], axis=1)
+
+    @property
+    def a2(self) -> Array:
+        """Second lattice vector (t y3, y3), (n, 2)."""
+        return np.stack([self.lattice[:, 2] * self.lattice[:, 1], self.lattice[:, 1]], axis=1)
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Pose:
+        """The poses of these rows."""
+        return Pose(self.lattice[rows], self.centres[rows], self.normals[rows])
+
+    def put(self, rows: NDArray[np.intp], other: Pose) -> Pose:
+        """A copy in which `rows` are replaced by `other`."""
+        out = Pose(self.lattice.copy(), self.centres.copy(), self.normals.copy())
+        out.lattice[rows], out.centres[rows], out.normals[rows] = other.lattice, other.centres, other.normals
+        return out
+
+
+def start_pose(weave: Weave, count: int) -> Pose:
+    """The slack pose of largest clearance, `count` times."""
+    return Pose(
+        *(
+            np.tile(part, (count, *[1] * part.ndim))
+            for part in (weave.start_lattice, weave.start_centres, weave.start_normals)
+        )
+    )
+
+
+def moved(pose: Pose, v: Array) -> Pose:
+    """The pose after the reduced displacement v (n, m): centres add, normals turn by the exponential map."""
+    n, k = pose.normals.shape[:2]
+    centres = pose.centres.copy()
+    centres[:, 1:] += v[:, 3 : 2 * k + 1].reshape(n, k - 1, 2)
+    tilt = v[:, 2 * k + 1 :].reshape(n, k, 2)
+    e1, e2 = tangent_frame(pose.normals)
+    omega = tilt[..., :1] * e1 + tilt[..., 1:] * e2
+    angle = np.sqrt(dot(omega, omega))[..., None]
+    turn = cross(omega, pose.normals)
+    normals = np.cos(angle) * pose.normals + np.sinc(angle / np.pi) * turn
+    return Pose(pose.lattice + v[:, :3], centres, normals / np.sqrt(dot(normals, normals))[..., None])
+
+
+def reduction(pose: Pose) -> Array:
+    """Matrix T (n, m_full, m) from reduced to generalised velocities."""
+    n, k = pose.normals.shape[:2]
+    full, reduced = 4 + 2 * (k - 1) + 3 * k, 3 + 2 * (k - 1) + 2 * k
+    T = np.zeros((n, full, reduced))
+    x2, y3, t = pose.lattice.T
+    T[:, 0, 0], T[:, 1, 0], T[:, 1, 2] = 1.0, t, x2
+    T[:, 3, 1], T[:, 2, 1], T[:, 2, 2] = 1.0, t, y3
+    for i in range(2 * (k - 1)):
+        T[:, 4 + i, 3 + i] = 1.0
+    e1, e2 = tangent_frame(pose.normals)
+    for i in range(k):
+        rows = slice(2 + 2 * k + 3 * i, 5 + 2 * k + 3 * i)
+        T[:, rows, 1 + 2 * k + 2 * i] = e1[:, i]
+        T[:, rows, 2 + 2 * k + 2 * i] = e2[:, i]
+    return T
+
+
+def pair_maps(weave: Weave) -> Array:
+    """Matrices L (p, 9, m_full) from generalised velocities to (d, theta_a, theta_b) of each pair of rings."""
+    k = weave.classes
+    L = np.zeros((len(weave.pairs), 9, 4 + 2 * (k - 1) + 3 * k))
+    for p, (a, b, i, j) in enumerate(weave.pairs):
+        for x in range(2):
+            L[p, x, x], L[p, x, 2 + x] = i, j
+            if a > 0:
+                L[p, x, 2 + 2 * a + x] -= 1.0
+            if b > 0:
+                L[p, x, 2 + 2 * b + x] += 1.0
+        for x in range(3):
+            L[p, 3 + x, 2 + 2 * k + 3 * a + x] = 1.0
+            L[p, 6 + x, 2 + 2 * k + 3 * b + x] = 1.0
+    return L
+
+
+def pair_geometry(pose: Pose, weave: Weave) -> tuple[Array, Array, Array]:
+    """Offset d and the two normals of every pair, each (n, p, 3)."""
+    a, b, i, j = weave.pairs.T
+    offset = pose.centres[:, b] - pose.centres[:, a]
+    offset = offset + i[:, None] * pose.a1[:, None] + j[:, None] * pose.a2[:, None]
+    d = np.concatenate([offset, np.zeros((*offset.shape[:2], 1))], axis=2)
+    return d, pose.normals[:, a], pose.normals[:, b]

@@ -1,0 +1,128 @@
+"""Weaves: which rings a periodic cell has, which of them link, and where a slack cell starts.
+
+All rings with the same class are lattice translates of each other. Class 0 sits at the origin, class k at c_k, and ring
+(k, i, j) at c_k + i a1 + j a2. A weave holds no radii: poses are in units of the centre-circle radius r1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+
+
+@dataclass(frozen=True)
+class Weave:
+    """A periodic pattern of interlinked rings.
+
+    pairs (m, 4): class of ring a, class of ring b, lattice shift (i, j) of ring b; every contact that can occur, each
+    once. linked (m,): which of them interlink. rings (n, 3): class and shift of the rings whose mass weighs the
+    residual (the ten rings of the paper for 4-in-1). The slack start pose, in units of r1: start_lattice (3,) = x2, y3,
+    tan gamma; start_centres (K, 2); start_normals (K, 3). is_mirrored: start pose and pairs are their own mirror image
+    in x, so that (alpha, beta) and (-alpha, beta) are one load and the reference cell is a rectangle.
+    jamming_ratio: r1/r2 below which no slack pose exists. repeat: primitive cells along a1 and a2.
+    """
+
+    name: str
+    pairs: NDArray[np.intp]
+    linked: NDArray[np.bool_]
+    rings: NDArray[np.intp]
+    start_lattice: Array
+    start_centres: Array
+    start_normals: Array
+    is_mirrored: bool
+    jamming_ratio: float
+    repeat: tuple[int, int] = (1, 1)
+
+    @property
+    def classes(self) -> int:
+        """Independent rings in one lattice cell."""
+        return len(self.start_centres)
+
+    @property
+    def caveat(self) -> str:
+        """What the next step cannot do with tables of this weave, one sentence; empty if nothing."""
+        if self.is_mirrored:
+            return ""
+        return (
+            f"the {self.name} weave is not its own mirror image, but homogenize fit adds every row's mirror image, "
+            "so it refuses this table (by -0.146 for 6-in-1 at r1/r2 = 10); the rows themselves are not affected"
+        )
+
+
+def _two_rows(
+    links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_], NDArray[np.intp]]:
+    """Pairs, links and weighing rings of rows A, B, A, B ...: ring A links the B rings at the shifts `links`."""
+    pairs = [(0, 1, i, j) for i in range(-reach, reach) for j in range(-2, 2)]
+    pairs += [(k, k, i, j) for k in range(2) for i, j in same]
+    linked = [a != b and (i, j) in links for a, b, i, j in pairs]
+    rings = [(0, i, j) for j in range(3) for i in range(2)] + [(1, i, j) for j in range(2) for i in range(2)]
+    return np.array(pairs), np.array(linked), np.array(rings)
+
+
+_NEAR = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
+_TILT = np.radians(34.114592859)
+
+# Start poses are those of largest clearance; half of it is the thickest wire, the jamming limit
+# (tests/test_rve/test_weave.py finds poses and limits again by sequential linear programming).
+FOUR_IN_ONE = Weave(
+    "4-in-1",
+    *_two_rows({(0, 0), (-1, 0), (0, -1), (-1, -1)}, 2, _NEAR),
+    np.array([2.502395550, 1.246968277, 0.0]),
+    np.array([[0.0, 0.0], [1.251197775, 0.6234841385]]),
+    np.array([[0.0, np.sin(_TILT), np.cos(_TILT)], [0.0, -np.sin(_TILT), np.cos(_TILT)]]),
+    True,
+    3.980926980,
+)
+
+# Each ring links three rings of the row above and three of the row below, so the rings of a row overlap like shingles
+# and lean along x too. The mirror image leans the other way: two mirror forms of one mesh.
+SIX_IN_ONE = Weave(
+    "6-in-1",
+    *_two_rows({(i, j) for i in (-1, 0, 1) for j in (0, -1)}, 4, (*_NEAR, (3, 0), (2, 1), (2, -1), (3, 1), (3, -1))),
+    np.array([1.22213041, 1.30114408, 0.23404368]),
+    np.array([[0.0, 0.0], [0.15226224, 0.65057204]]),
+    np.array([[-0.41265208, 0.58663338, 0.69683536], [0.41265208, -0.58663338, 0.69683536]]),
+    False,
+    5.943203815,
+)
+
+WEAVES = {w.name: w for w in (FOUR_IN_ONE, SIX_IN_ONE)}
+
+
+def supercell(weave: Weave, nx: int, ny: int) -> Weave:
+    """The same weave with nx x ny independent primitive cells in one lattice cell.
+
+    Ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
+    """
+    count = weave.classes
+
+    def placed(k: int, i: int, j: int) -> tuple[int, int, int]:
+        (shift_x, ix), (shift_y, iy) = divmod(i, nx), divmod(j, ny)
+        return k + count * (ix + nx * iy), shift_x, shift_y
+
+    cells = [(ix, iy) for iy in range(ny) for ix in range(nx)]
+    pairs = [
+        (a + count * (ix + nx * iy), *placed(b, ix + i, iy + j))
+        for a, b, i, j in weave.pairs.tolist()
+        for ix, iy in cells
+    ]
+    x2, y3, t = weave.start_lattice
+    a1, a2 = np.array([x2, t * x2]), np.array([t * y3, y3])
+    centres = [centre + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres]
+    return Weave(
+        f"{weave.name} {nx} x {ny}",
+        np.array(pairs),
+        np.repeat(weave.linked, len(cells)),
+        np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
+        np.array([nx * x2, ny * y3, t]),
+        np.array(centres),
+        np.tile(weave.start_normals, (len(cells), 1)),
+        weave.is_mirrored,
+        weave.jamming_ratio,
+        (nx * weave.repeat[0], ny * weave.repeat[1]),
+    )

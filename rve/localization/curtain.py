@@ -1,0 +1,176 @@
+"""What `localize` needs of a solved curtain: its VTU, and the weave that the summary beside it names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.errors import InputError
+from rve.common.jobs import check_belongs
+from rve.common.reading import read_json_object
+from rve.common.rings import RING_CHECKS, check_rings
+from rve.common.types import Array
+from rve.common.values import checked, finite, shown
+from rve.common.vtu import VtuFile, read_vtu
+
+CURTAIN_RECORD = "summary.json"
+"""The file that stands for a curtain's job; it lists the others by their checksums."""
+HANG_DEG = finite(least=-360.0, most=360.0)
+MOST_NUMBER = 1e12
+"""Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
+_CELL_FIELDS = {
+    "E": ("E_11_12_22", 3),
+    "S": ("S_11_12_22_N_per_mm", 3),
+    "line_load": ("line_load_1_N_per_mm", 1),
+    "state": ("state_0_slack_1_wrinkled_2_taut", 1),
+}
+
+
+@dataclass(frozen=True)
+class Curtain:
+    """A solved curtain in its own axes.
+
+    X, x (p, 2): corners before and after, mm; triangles (t, 3) of corner numbers; cell (t,): cell of each triangle
+    (quadrilaterals are cut in two); per cell the strain E (c, 3), the line load S (c, 3) in N/mm averaged over
+    neighbours, the largest principal line load (c,) and the state (c,): 0 slack, 1 drawn in one direction, 2 taut.
+    """
+
+    X: Array
+    x: Array
+    triangles: NDArray[np.intp]
+    cell: NDArray[np.intp]
+    E: Array
+    S: Array
+    line_load: Array
+    state: NDArray[np.intp]
+
+
+def read_curtain(path: Path) -> Curtain:
+    """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise.
+
+    Points are the reference state and `displacement_mm` leads to the deformed one. Files of older versions have the
+    deformed state as points and the reference state as `reference_mm`, by which they are told.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: {'is a folder, not a VTU' if path.is_dir() else 'there is no such file'}")
+    data = read_vtu(path)
+    kinds = [*data.cells, *data.other]
+    if kinds not in (["triangle"], ["quad"]):
+        raise InputError(f"{path}: needs cells of one kind, triangle or quad, it has {kinds}")
+    cells = data.cells[kinds[0]]
+    fields = {key: _field(path, data.cell_data, *names, len(cells)) for key, names in _CELL_FIELDS.items()}
+    X, at = _states(path, data)
+    triangles, owner = cells, np.arange(len(cells))
+    if kinds == ["quad"]:
+        triangles, owner = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(owner, 2)
+    _check_triangles(path, X, triangles, owner)
+    S = _recovered(fields["S"], X, cells, triangles, owner)
+    state = fields["state"].astype(int)
+    return Curtain(X, at, triangles, owner, fields["E"], S, fields["line_load"], state)
+
+
+def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
+    """Reference and deformed positions (p, 2) of the points, told by which fields the file has."""
+    points, number = np.asarray(data.points, dtype=float), len(data.points)
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: a point is not finite")
+    if "reference_mm" in data.point_data:  # an older version: points are deformed
+        reference, deformed = _field(path, data.point_data, "reference_mm", 3, number), points
+    else:
+        reference, deformed = points, points + _field(path, data.point_data, "displacement_mm", 3, number)
+    for state in (reference, deformed):
+        if np.abs(state).max() > MOST_NUMBER:
+            raise InputError(f"{path}: a coordinate is {np.abs(state).max():g} mm, at most {MOST_NUMBER:g} is allowed")
+        if np.abs(state[:, 2:]).max(initial=0.0) > 1e-9 * np.abs(state).max():
+            raise InputError(f"{path}: is not plane, z reaches {np.abs(state[:, 2]).max():g} mm")
+    return reference[:, :2], deformed[:, :2]
+
+
+def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) -> Array:
+    """The field as (count, width), or (count,) for width 1."""
+    if name not in data:
+        raise InputError(f"{path}: has no field {name}; is it the curtain.vtu of macro_fem run?")
+    found = np.asarray(data[name], dtype=float)
+    if found.size != count * width:
+        raise InputError(f"{path}: field {name} has {found.size} numbers, not {count} times {width}")
+    if not np.isfinite(found).all():
+        raise InputError(f"{path}: field {name} holds a number that is not finite")
+    if np.abs(found).max() > MOST_NUMBER:
+        raise InputError(f"{path}: field {name} reaches {np.abs(found).max():g}, at most {MOST_NUMBER:g} is allowed")
+    return found.reshape((count, width) if width > 1 else count)
+
+
+def _areas(X: Array, triangles: NDArray[np.intp]) -> Array:
+    (ax, ay), (bx, by) = ((X[triangles[:, k]] - X[triangles[:, 0]]).T for k in (1, 2))
+    return np.asarray(0.5 * np.abs(ax * by - ay * bx))
+
+
+def _check_triangles(path: Path, X: Array, triangles: NDArray[np.intp], owner: NDArray[np.intp]) -> None:
+    if triangles.min() < 0 or triangles.max() >= len(X):
+        raise InputError(f"{path}: a cell names point {triangles.max()}, there are {len(X)}")
+    area = _areas(X, triangles)
+    if not area.min() > 1e-12 * area.max():
+        raise InputError(f"{path}: cell {owner[int(np.argmin(area))]} has no area in the reference state")
+
+
+def _recovered(
+    S: Array, X: Array, cells: NDArray[np.intp], triangles: NDArray[np.intp], owner: NDArray[np.intp]
+) -> Array:
+    """S averaged over the cells at each corner, then over the corners of each cell.
+
+    The stress of locked cells is right on average only: neighbours share a load as the equilibrium of corners happens
+    to leave it. Averages of tensions are tensions.
+    """
+    area = np.bincount(owner, weights=_areas(X, triangles), minlength=len(cells))
+    corners, size = cells.ravel(), cells.shape[1]
+    total = np.bincount(corners, weights=np.repeat(area, size), minlength=len(X))
+    columns = [np.bincount(corners, weights=np.repeat(area * c, size), minlength=len(X)) for c in S.T]
+    at_corners = np.stack(columns, axis=1) / np.maximum(total, 1e-300)[:, None]
+    return np.asarray(at_corners[cells].mean(axis=1))
+
+
+@dataclass(frozen=True)
+class WeaveOfCurtain:
+    """Radii in mm, angle from the vertical to the weave's y axis, sides (b_x, b_y) in mm if the summary names them.
+
+    `solved`: how the solver of the curtain ended, as the summary says.
+    """
+
+    r1: float
+    r2: float
+    hang_deg: float
+    sides: tuple[float, float] | None
+    solved: str
+
+
+def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
+    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows, or
+    the summary is that of another VTU."""
+    path = vtu.parent / CURTAIN_RECORD
+    known = read_json_object(path) if path.is_file() else {}
+    if known:
+        check_belongs(vtu, path, known, "run macro_fem again, or put the two files of one run side by side")
+    rings = known.get("rings") or {}
+    if not isinstance(rings, dict):
+        raise InputError(f"{path}: rings = {shown(rings)}: is not a table of names and values")
+    asked = (("--r1", r1, "r1_mm", rings), ("--r2", r2, "r2_mm", rings), ("--hang", hang_deg, "hang_deg", known))
+    missing = [(option, key) for option, given, key, table in asked if given is None and table.get(key) is None]
+    if missing:
+        options, keys = (", ".join(names) for names in zip(*missing, strict=True))
+        says = "does not tell" if path.is_file() else "there is no such file to tell"
+        raise InputError(f"{path}: {says} {keys}; give {options}")
+    values = {}
+    for option, given, key, table in asked:
+        check = HANG_DEG if key == "hang_deg" else RING_CHECKS[key]
+        values[key] = (
+            checked(table, key, check, f"{path}:") if given is None else checked({option: given}, option, check, "")
+        )
+    is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
+    own = check_rings(rings, f"{path}: rings") if is_own else {}
+    sides = (own["b_x_mm"], own["b_y_mm"]) if is_own else None
+    solved = str(known.get("status", "unknown"))
+    return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides, solved)

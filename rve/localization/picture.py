@@ -1,0 +1,152 @@
+"""rings.png: the whole curtain ring by ring, and its worst cell close by.
+
+Run as `python -m rve.localization.picture FOLDER`.
+
+A process of its own, because a renderer without a screen may crash; it draws from rings.vtu and localize.json.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rve.common.files import atomic_path
+from rve.common.types import Array
+from rve.localization.files import TUBE, tubes
+
+LEAST = 3e-3
+"""Contact forces below this part of the greatest one are drawn as none."""
+STEPS = ("#8b9bab", "#c7b08a", "#e39a3c", "#d2491f", "#9c1127", "#3f0d1f")
+"""Colours from no force to the greatest: steel, then ever hotter."""
+FINE = (36, 12)
+
+
+def colours(count: int = 64) -> list[str]:
+    """STEPS with even shades in between, for a logarithmic scale."""
+    rgb = np.array([[int(step[i : i + 2], 16) for i in (1, 3, 5)] for step in STEPS], dtype=float)
+    at = np.linspace(0.0, len(STEPS) - 1.0, count)
+    shades = np.column_stack([np.interp(at, np.arange(len(STEPS)), channel) for channel in rgb.T])
+    return [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in np.round(shades).astype(int)]
+
+
+def read_rings(path: Path) -> tuple[Array, Array, dict[str, Array]]:
+    """Centres and normals (n, 3) and numbers per ring from a rings.vtu of lines or of tubes."""
+    import pyvista
+
+    mesh = pyvista.read(path)
+    ring = np.asarray(mesh.cell_data["ring"])
+    first = np.unique(ring, return_index=True)[1]
+    points = np.asarray(mesh.points, dtype=float).reshape(len(first), -1, 3)
+    if len(first) < mesh.n_cells:  # tubes: more than one cell per ring
+        points = points.reshape(len(first), *TUBE, 3).mean(axis=2)
+    centre = points.mean(axis=1)
+    quarter = points.shape[1] // 4
+    normal = np.cross(points[:, 0] - centre, points[:, quarter] - centre)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return centre, normal, {name: np.asarray(values)[first] for name, values in mesh.cell_data.items()}
+
+
+def add_rings(plotter: Any, placed: tuple[Array, Array], radii: tuple[float, float], force: Array, style: Any) -> None:
+    """Adds tori coloured by contact force (n,) in N to a plotter.
+
+    style: points along and around a ring, greatest force of the scale, arguments of the scalar bar or None.
+    """
+    import pyvista
+
+    around, top, bar = style
+    points, quads = tubes(*placed, radii, around)
+    faces = quads.reshape(-1, 4)
+    mesh = pyvista.PolyData(points.astype(np.float32), np.column_stack([np.full(len(faces), 4), faces]).ravel())
+    mesh.point_data["N"] = np.repeat(np.maximum(force, LEAST * top), around[0] * around[1]).astype(np.float32)
+    plotter.add_mesh(
+        mesh,
+        scalars="N",
+        cmap=colours(),
+        log_scale=True,
+        clim=(LEAST * top, top),
+        smooth_shading=True,
+        ambient=0.25,
+        diffuse=0.8,
+        specular=0.5,
+        specular_power=20,
+        show_scalar_bar=bar is not None,
+        scalar_bar_args=bar,
+    )
+
+
+def draw(folder: Path) -> None:
+    """Writes rings.png beside rings.vtu."""
+    import pyvista
+    from PIL import Image
+
+    summary = json.loads((folder / "localize.json").read_text(encoding="utf-8"))
+    centre, normal, data = read_rings(folder / "rings.vtu")
+    radii = (summary["r1_mm"], summary["r2_mm"])
+    force = np.asarray(data["contact_force_N"], dtype=float)
+    top = max(float(np.quantile(force, 0.998)), 1e-12)
+    at = np.argmin(((data["reference_mm"][:, :2] - summary["worst_cell"]["reference_mm"]) ** 2).sum(axis=1))
+    plotter: Any = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[1600, 800], border=False)
+    plotter.set_background("white")
+    plotter.subplot(0, 0)
+    around = (24, 6) if len(centre) < 6000 else (14, 4)
+    # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
+    thick = max(radii[1], 0.6e-3 * float(np.ptp(centre, axis=0).max()))
+    bar = {
+        "title": "largest contact force on the ring, N",
+        "width": 0.6,
+        "position_x": 0.2,
+        "position_y": 0.02,
+        "color": "black",
+        "fmt": "%.2g",
+        "n_labels": 4,
+        "title_font_size": 18,
+        "label_font_size": 16,
+    }
+    add_rings(plotter, (centre, normal), (radii[0], thick), force, (around, top, bar))
+    half = 8.0 * radii[0]
+    # The worst cell is often a corner: the window stays inside the curtain.
+    low, high = centre.min(axis=0), centre.max(axis=0)
+    edge = np.minimum(0.85 * half, 0.5 * (high - low))
+    middle = np.clip(centre[at], low + edge, high - edge)
+    plotter.add_mesh(_frame(middle, half), color="black", line_width=2)
+    _look(plotter, centre, 0.62)
+    plotter.subplot(0, 1)
+    near = (np.abs(centre - middle) < 1.5 * half).all(axis=1)
+    add_rings(plotter, (centre[near], normal[near]), radii, force[near], (FINE, top, None))
+    _tilted(plotter, middle, half)
+    image = plotter.screenshot(return_img=True)
+    plotter.close()
+    with atomic_path(folder / "rings.png") as temporary:
+        # 256 colours are plenty for rings in shades of one scale, in a third of the bytes.
+        Image.fromarray(image).quantize(256).save(temporary, optimize=True)
+
+
+def _frame(middle: Array, half: float) -> Any:
+    import pyvista
+
+    corners = middle + half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]])
+    return pyvista.lines_from_points(corners)
+
+
+def _look(plotter: Any, centre: Array, share: float) -> None:
+    """Straight from above, the whole curtain in the upper part of the panel."""
+    low, high = centre.min(axis=0), centre.max(axis=0)
+    middle, size = 0.5 * (low + high), float((high - low)[:2].max()) + 30.0
+    eye, focus = middle + size * np.array([0.0, 0.0, 10.0]), middle - size * np.array([0.0, 0.06, 0.0])
+    plotter.camera_position = [tuple(eye), tuple(focus), (0, 1, 0)]
+    plotter.camera.parallel_projection = True
+    plotter.camera.parallel_scale = share * size
+
+
+def _tilted(plotter: Any, middle: Array, half: float) -> None:
+    """From below and from the side, so that one sees how the rings lie."""
+    plotter.camera_position = [tuple(middle + half * np.array([0.6, -2.2, 4.2])), tuple(middle), (0, 1, 0)]
+    plotter.camera.view_angle = 24.0
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]))

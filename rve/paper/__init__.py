@@ -1,0 +1,1 @@
+"""The paper's method: Stewart-Trinkle time stepping, all ten rings, alternating projection."""

@@ -1,0 +1,66 @@
+"""Contact points by alternating projection, as in the paper (Fig. 7): an option, kept to show what it misses.
+
+A point of circle A is projected on circle B, that one back on A, and so on until both rest. The pair converges
+linearly to *one* local minimum of the distance, whichever the start leads to; the contraction factor tends to 1 where
+two minima merge. Two starts per pair, the paper's largest number of contact points, find both minima only if the
+starts lie on both sides of the ridge between them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rve.common.types import Array
+from rve.geometry.circles import Minima, cross, dot, foot_on_circle
+from rve.geometry.contacts import Contacts, contacts_of
+from rve.geometry.pose import Pose, pair_geometry
+from rve.geometry.weave import Weave
+
+
+def alternating_projection(
+    d: Array, n_a: Array, n_b: Array, start: Array, *, tolerance: float = 1e-12, max_iterations: int = 400
+) -> Minima:
+    """The minimum that alternating projection ends in, one row per pair; circles of radius 1.
+
+    d, n_a, n_b (n, 3): centre of B seen from A, unit normals; start (n, 3): any points near ring A. Iterates until the
+    point on A moves by less than `tolerance`, at most `max_iterations` times: where minima merge it stops short.
+    """
+    rho_a = foot_on_circle(start, n_a, 1.0)
+    todo = np.arange(len(d))
+    for _ in range(max_iterations):
+        on_b = d[todo] + foot_on_circle(rho_a[todo] - d[todo], n_b[todo], 1.0)
+        new = foot_on_circle(on_b, n_a[todo], 1.0)
+        way = new - rho_a[todo]
+        rho_a[todo] = new
+        todo = todo[dot(way, way) > tolerance**2]
+        if not len(todo):
+            break
+    rho_b = foot_on_circle(rho_a - d, n_b, 1.0)
+    w = d + rho_b - rho_a
+    distance = np.maximum(np.sqrt(dot(w, w)), 1e-12)
+    u = w / distance[:, None]
+    f_aa, f_bb = 1.0 / distance + dot(u, rho_a), 1.0 / distance - dot(u, rho_b)
+    f_ab = -dot(cross(n_a, rho_a), cross(n_b, rho_b)) / distance
+    curvature = (f_aa - f_ab**2 / np.maximum(f_bb, 1e-300)) * distance
+    return Minima(np.arange(len(d)), u, rho_a, rho_b, distance, curvature)
+
+
+def find_contacts_by_projection(pose: Pose, weave: Weave, wire: float, reach: float) -> Contacts:
+    """Contacts below `reach` (in r1) that two alternating projections per pair of rings find.
+
+    They start at the points of ring A nearest to and farthest from the centre of ring B. See `cell.find_contacts`.
+    """
+    d, n_a, n_b = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
+    limit = 2.0 * wire + reach
+    near = np.flatnonzero(dot(d, d) < (2.0 + limit) ** 2)
+    part = (d[near], n_a[near], n_b[near])
+    ends = [alternating_projection(*part, sign * part[0]) for sign in (1.0, -1.0)]
+    apart = ends[0].rho_a - ends[1].rho_a
+    new = dot(apart, apart) > 1e-4**2
+    found = ends[0].joined(ends[1].take(new))
+    found = found.take(found.distance <= limit)
+    order = np.lexsort((found.distance, found.pair))
+    found = found.take(order)
+    return contacts_of(
+        Minima(near[found.pair], *(getattr(found, name) for name in list(vars(found))[1:])), (d, n_a, n_b), weave, wire
+    )

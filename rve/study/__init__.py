@@ -1,0 +1,1 @@
+"""The paper's study for this implementation: its load cases and figures."""

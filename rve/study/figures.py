@@ -1,0 +1,192 @@
+"""Pictures of the study: Figs. 9 to 17 of the paper for our implementation, and where alternating projection fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rve.geometry.circles import are_linked, local_minima
+from rve.paper.alternating_projection import alternating_projection
+from rve.plots import draw_case, figure, save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rve.study.comparison import Study
+
+
+NAMES = ("E11", "E12", "E22")
+COLOURS = ("#33658a", "#d17a22", "#5b8c5a")
+
+
+def load_cases(study: Study) -> Figure:
+    """Fig. 9: angles of the cases, and their line loads in space."""
+    fig, _ = figure(10.0, 4.5, ncols=2)
+    fig.clear()
+    plane, space = fig.add_subplot(1, 2, 1), fig.add_subplot(1, 2, 2, projection="3d")
+    plane.plot(study.beta_deg, study.alpha_deg, "o", ms=4, color=COLOURS[0])
+    plane.set(xlabel="ratio angle beta, degrees", ylabel="principal angle alpha, degrees")
+    _loads_in_space(space, study)
+    fig.suptitle(f"{len(study.s)} load cases")
+    return fig
+
+
+def _loads_in_space(ax: Any, study: Study) -> None:
+    ax.scatter(*study.s[:, [0, 1, 2]].T, c=study.beta_deg, cmap="viridis", s=14)
+    ax.set(xlabel="s_xx / s_hat", ylabel="s_xy / s_hat", zlabel="s_yy / s_hat")
+
+
+def strains(study: Study) -> Figure:
+    """Fig. 13: strain components against beta for each alpha; lines the direct solver, marks the paper's scheme."""
+    fig, axes = figure(13.0, 4.6, ncols=3)
+    import matplotlib
+
+    shades = matplotlib.colormaps["viridis"]
+    values = np.unique(study.alpha_deg)
+    for k, ax in enumerate(axes):
+        for alpha in values:
+            rows = np.flatnonzero(study.alpha_deg == alpha)
+            colour = shades(alpha / max(values.max(), 1.0))
+            ax.plot(study.beta_deg[rows], study.table.E[rows, k], "-", color=colour, lw=1.0, label=f"{alpha:g}")
+            ax.plot(study.beta_deg[rows], study.E[rows, k], "o", color=colour, ms=3, mfc="none")
+        free = ~study.table.unique
+        ax.plot(study.beta_deg[free], study.table.E[free, k], "x", color="#c1121f", ms=5)
+        ax.set(xlabel="ratio angle beta, degrees", ylabel=NAMES[k])
+    axes[-1].legend(title="alpha, degrees", fontsize=7, ncols=2)
+    fig.suptitle(
+        "lines: direct solver; circles: paper's scheme; red crosses: strain not unique (limit from inside)", fontsize=9
+    )
+    return fig
+
+
+def surface(study: Study) -> Figure:
+    """Fig. 14: line loads, and the convex surface of locked strains."""
+    fig, _ = figure(11.0, 5.0, ncols=2)
+    fig.clear()
+    left, right = (fig.add_subplot(1, 2, k, projection="3d") for k in (1, 2))
+    _loads_in_space(left, study)
+    E = study.table.E
+    alphas, betas = np.unique(study.alpha_deg), np.unique(study.beta_deg)
+    if len(E) == len(alphas) * len(betas) and len(alphas) > 1 and len(betas) > 1:
+        sheet = E.reshape(len(alphas), len(betas), 3)
+        for sign in (1.0, -1.0):  # the weave is symmetric: alpha -> -alpha mirrors the shear
+            right.plot_surface(sheet[..., 0], sign * sheet[..., 1], sheet[..., 2], color=COLOURS[0], alpha=0.35, lw=0.3)
+    right.scatter(*study.E.T, c=study.beta_deg, cmap="viridis", s=10)
+    right.set(xlabel="E11", ylabel="E12", zlabel="E22")
+    fig.suptitle("line loads and locked strains; the mirrored half (-alpha) is drawn as a surface only", fontsize=9)
+    return fig
+
+
+def steps(study: Study) -> Figure:
+    """Fig. 15: accepted steps of each case."""
+    fig, ax = figure(8.0, 4.2)
+    number = np.arange(1, len(study.s) + 1)
+    for name, mark, colour in (("converged", "o", COLOURS[0]), ("", "x", "#c1121f")):
+        rows = (study.rest.status == "converged") == bool(name)
+        if rows.any():
+            label = name or "not converged"
+            ax.semilogy(number[rows], study.rest.steps[rows], mark, ms=4, color=colour, label=label)
+    ax.axhspan(150, 300, color="0.88", zorder=0, label="most cases of the paper")
+    ax.set(xlabel="load case (beta runs fastest)", ylabel="accepted steps n")
+    ax.legend(fontsize=8)
+    return fig
+
+
+def clock(study: Study) -> Figure:
+    """Fig. 16: cumulated time against steps."""
+    fig, ax = figure(6.4, 4.6)
+    marks = ax.scatter(study.rest.steps, study.rest.time, c=study.beta_deg, cmap="viridis", s=18)
+    ax.axhspan(45.0, 60.0, color="0.88", zorder=0)
+    ax.set(xscale="log", yscale="log", xlabel="accepted steps n", ylabel="cumulated time, s")
+    ax.set_title("grey: accumulation of cases in the paper, 45 to 60 s", fontsize=9)
+    fig.colorbar(marks, label="beta, degrees")
+    return fig
+
+
+def progress_of_two(study: Study) -> Figure | None:
+    """Fig. 17: strain, R and kinetic energy against time for cases 1 and 190; None if the study has neither."""
+    from rve.study.comparison import history_strain, side_contact_times
+
+    cases = [(pair, study.case(*pair)) for pair in ((0.0, 0.0), (45.0, 90.0))]
+    known = [(pair, case) for pair, case in cases if case is not None]
+    if not known:
+        return None
+    fig, axes = figure(6.0 * len(known), 6.4, nrows=2, ncols=len(known), squeeze=False, sharex="col")
+    for column, (pair, case) in enumerate(known):
+        h = study.history
+        rows = np.flatnonzero(h.case == case)
+        upper, lower = axes[:, column]
+        for k, values in enumerate(history_strain(study, rows).T):
+            upper.plot(h.time[rows], values, color=COLOURS[k], label=NAMES[k])
+        lower.semilogy(h.time[rows], h.R[rows], color=COLOURS[0], label="R")
+        lower.semilogy(
+            h.time[rows], np.maximum(h.kinetic[rows], 1e-300), color=COLOURS[1], label="kinetic energy, 1e-6 J"
+        )
+        lower.set_ylim(1e-24, 10.0)
+        kinks = side_contact_times(study, case)
+        for ax in (upper, lower):
+            for kink in filter(np.isfinite, kinks):
+                ax.axvline(kink, color="0.6", lw=0.8)
+            ax.legend(fontsize=8)
+        upper.set(ylabel="strain", title=f"alpha = {pair[0]:g} deg, beta = {pair[1]:g} deg")
+        lower.set(xlabel="time, s", ylabel="R, kinetic energy")
+    fig.suptitle(
+        "grey lines: from here on one, and all, of the final contacts between rings that do not interlink press",
+        fontsize=9,
+    )
+    return fig
+
+
+def missed_contacts(tilt_deg: float = 34.0, size: int = 121) -> Figure:
+    """Where alternating projection misses minima: two linked rings tilted by +-`tilt_deg` about x, over their offset.
+
+    Colour: minima found by Newton's method on all sampled minima less those that projections from one start (left), and
+    from two starts (right), end in.
+    """
+    x = np.linspace(-1.9, 1.9, size)
+    dx, dy = (part.ravel() for part in np.meshgrid(x, x))
+    d = np.stack([dx, dy, 0.0 * dx], axis=1)
+    tilt = np.radians(tilt_deg)
+    n_a = np.tile([0.0, np.sin(tilt), np.cos(tilt)], (len(d), 1))
+    n_b = np.tile([0.0, -np.sin(tilt), np.cos(tilt)], (len(d), 1))
+    count = np.bincount(local_minima(d, n_a, n_b, 1.0).pair, minlength=len(d))
+    linked = are_linked(d, n_a, n_b, 1.0)
+    ends = [alternating_projection(d, n_a, n_b, sign * d) for sign in (1.0, -1.0)]
+    both = 1 + (np.linalg.norm(ends[0].rho_a - ends[1].rho_a, axis=1) > 1e-4)
+    fig, axes = figure(10.5, 4.6, ncols=2, sharey=True)
+    for ax, found, title in ((axes[0], 1, "one start"), (axes[1], both, "two starts")):
+        missing = np.where(linked, count - found, np.nan).reshape(size, size)
+        picture = ax.pcolormesh(x, x, missing, cmap="coolwarm", vmin=-1.0, vmax=1.0, shading="nearest", rasterized=True)
+        share = np.nanmean(missing > 0.0) / np.mean(linked)
+        ax.set(
+            xlabel="offset of the rings along x, r1", title=f"{title}: misses a contact in {share:.0%} of linked pairs"
+        )
+        ax.set_aspect("equal")
+    axes[0].set_ylabel("offset of the rings along y, r1")
+    fig.suptitle("alternating projection started towards the other ring, and away from it", fontsize=9)
+    fig.colorbar(picture, ax=axes, label="contacts missed (blue: one counted twice)", ticks=[-1, 0, 1])
+    return fig
+
+
+def draw_all(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
+    """Draw every picture of the study into a folder."""
+    pictures: dict[str, Callable[[], Figure | None]] = {
+        "fig_09": lambda: load_cases(study),
+        "fig_10": lambda: draw_case(0.0, 90.0, study.cell),
+        "fig_11": lambda: draw_case(0.0, 0.0, study.cell),
+        "fig_12": lambda: draw_case(45.0, 0.0, study.cell),
+        "fig_13": lambda: strains(study),
+        "fig_14": lambda: surface(study),
+        "fig_15": lambda: steps(study),
+        "fig_16": lambda: clock(study),
+        "fig_17": lambda: progress_of_two(study),
+        "contacts_missed": missed_contacts,
+    }
+    for name, draw in pictures.items():
+        tell(f"drawing {name}.png")
+        fig = draw()
+        if fig is not None:
+            save(fig, folder / f"{name}.png")
