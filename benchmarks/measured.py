@@ -32,7 +32,7 @@ def rings() -> Said:
     """Rows about `rve`."""
     rows = []
     for ratio in (5.0, 10.0, 20.0, 50.0):
-        found, seconds = least_seconds(partial(solve_table, *loads(), Cell(5.0, 5.0 / ratio)), long=np.inf)
+        found, seconds = least_seconds(partial(solve_table, Cell(5.0, 5.0 / ratio), loads()), long=np.inf)
         numbers = (
             f"{found.converged.sum()} converged in {seconds:.2f} s; R <= {np.nanmax(found.R):.0e}, gap >= "
             f"{np.nanmin(found.min_gap_mm):.0e} mm, normality >= {normality(found).min():.0e}"
@@ -43,12 +43,12 @@ def rings() -> Said:
 
 def law(folder: Path) -> Said:
     """Rows about `homogenize`; leaves table.csv and law.json in the folder."""
-    write_table(solve_table(*loads()), folder / "table.csv")
+    write_table(solve_table(Cell(), loads()), folder / "table.csv")
     fitted, seconds = least_seconds(lambda: fit_table(folder / "table.csv"))
     fitted.save(folder / "law.json")
     rng = np.random.default_rng(0)
     alpha, beta = rng.uniform(-90.0, 90.0, 300), rng.uniform(0.0, 90.0, 300)
-    truth = solve_table(alpha, beta)
+    truth = solve_table(Cell(), (alpha, beta))
     strains = [strain_answer(folder / "law.json", a, b) for a, b in zip(alpha, beta, strict=True)]
     predicted = np.array([[answer[name] for name in ("E11", "E12", "E22")] for answer in strains], dtype=float)
     # The law is made for the work of a load, which is unique where the strain is not.
@@ -74,7 +74,7 @@ def curtains(folder: Path) -> Said:
         return run_scene(scene, folder / "law.json", folder / "out", picture=False)
 
     rows = []
-    stretch = solve_table([0.0], [0.0]).x2_mm[0, 0] / 11.0
+    stretch = solve_table(Cell(), ([0.0], [0.0])).x2_mm[0, 0] / 11.0
     for name, hang, support, height in (
         ("hung along y from a fixed edge", "y", "top", 500.0),
         ("the same, gathered to 80 %", "y", {"kind": "top", "gather": 0.8}, 500.0),

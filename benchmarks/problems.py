@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.directions import grid
+from rve.directions import product
 from rve.table import StrainTable
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 def loads(step: float = 5.0, first_beta: float = 0.0) -> tuple[Array, Array]:
     """Directions alpha from 0 to 45 and beta from `first_beta` to 90 degrees, (n,) each; the paper's 190 by default."""
-    return grid(np.arange(0.0, 45.01, step), np.arange(first_beta, 90.01, step))
+    return product(np.arange(0.0, 45.01, step), np.arange(first_beta, 90.01, step))
 
 
 def normality(table: StrainTable) -> Array:

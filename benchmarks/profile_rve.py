@@ -10,6 +10,7 @@ from benchmarks.problems import loads
 from benchmarks.report.files import write_page
 from benchmarks.report.measure import least_seconds, profiled
 from benchmarks.report.records import Section, table
+from rve.geometry.cell import Cell
 from rve.solve import solve_table
 
 STAGES = {
@@ -29,8 +30,8 @@ COMMAND = "OMP_NUM_THREADS=1 python -m benchmarks.profile_rve"
 def measure() -> Section:
     """The shares of the stages."""
     given = loads()
-    plain, inner = (least_seconds(partial(solve_table, *some))[1] for some in (given, loads(first_beta=5.0)))
-    _, of = profiled(lambda: solve_table(*given))
+    plain, inner = (least_seconds(partial(solve_table, Cell(), some))[1] for some in (given, loads(first_beta=5.0)))
+    _, of = profiled(lambda: solve_table(Cell(), given))
     rows = []
     for title, name in STAGES.items():
         calls, share = of(name)

@@ -67,9 +67,9 @@ def setting_for(accuracy: float) -> Setting:
 
 def grid_of(spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Load directions alpha of 0 to 45 and beta of 0 to 90 degrees, `spacing` apart."""
-    from rve.directions import grid
+    from rve.directions import product
 
-    return grid(np.arange(0.0, 45.01, spacing), np.arange(0.0, 90.01, spacing))
+    return product(np.arange(0.0, 45.01, spacing), np.arange(0.0, 90.01, spacing))
 
 
 def extrapolated(first: float, *finer: float) -> float:
@@ -94,7 +94,7 @@ def make_table(out: Path, spacing: float) -> Path:
 
     alpha, beta = grid_of(spacing)
     with click.progressbar(length=len(alpha), label="1 rings   ") as bar:
-        table = solve_table(alpha, beta, Cell(r1=5.0, r2=0.5), progress=bar.update)
+        table = solve_table(Cell(r1=5.0, r2=0.5), (alpha, beta), progress=bar.update)
     write_table(table, out / "table.csv")
     save(draw_case(45.0, 0.0, Cell()), out / "cell.png")
     click.echo(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.R.max():.1e}")

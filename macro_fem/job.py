@@ -1,13 +1,17 @@
-"""One job: a scene file in, a folder with summary, VTU and picture out."""
+"""From a scene to its answer, and to a folder with summary, VTU and picture."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from homogenize import MembraneLaw, default_law, load_law
-from macro_fem.bounds.adapt import Level, levels
+from macro_fem.bounds.adapt import Level
+from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
 from macro_fem.output.explain import decisions
@@ -20,8 +24,103 @@ from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.types import Array
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurtainResult:
+    """A solved scene: `steps`, the curtain at each load step, the last one at full load; `levels` of a scene that asks
+    for bounds, each a finer mesh than the one before.
+    """
+
+    scene: Scene
+    steps: tuple[CurtainSolution, ...]
+    levels: tuple[Level, ...] = ()
+
+    @property
+    def solution(self) -> CurtainSolution:
+        """The curtain at full load, on the finest mesh."""
+        return self.steps[-1]
+
+    @property
+    def status(self) -> str:
+        """How the solve at full load ended, "converged" if it is the answer."""
+        return self.solution.status
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
+        return self._summary(picture=False)
+
+    def save(self, folder: str | Path, *, picture: bool = True, inputs: Sequence[Path | None] = ()) -> dict[str, Any]:
+        """Write summary.json, curtain.vtu, support_forces.csv and curtain.png into `folder`; the summary.
+
+        With more than one load step curtain.pvd lists one VTU per step. All files appear together, and what they replace
+        is gone (`rve.common.jobs`). InputError where they cannot be written, or would overwrite one of `inputs`.
+        """
+        if picture:
+            require("matplotlib", "plots", "curtain.png", "ask for none")
+        check_out_job(folder, RECORD, inputs=inputs)
+        summary = self._summary(picture=picture)
+        bounds = self.levels[-1].bounds if self.levels else None
+        with job(folder, RECORD, inputs) as staged:
+            _write(staged, list(self.steps), bounds, picture=picture)
+            write_summary(staged, summary)
+        return summary
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Line loads of the deformed curtain with their directions, on `ax` or axes of their own (matplotlib)."""
+        require("matplotlib", "plots", "plot()", "read curtain.vtu in another program")
+        from macro_fem.output.plots import plot_line_loads
+
+        return plot_line_loads(self.solution, ax)
+
+    def _summary(self, *, picture: bool) -> dict[str, Any]:
+        summary = summarize(self.solution)
+        if self.levels:
+            lines = [bounds_summary(level) for level in self.levels]
+            summary |= {"bounds": lines[-1], "levels": lines}
+        features = decisions(self.solution, bounds=bool(self.levels), picture=picture)
+        summary["features"] = [decision.to_dict() for decision in features]
+        if len(self.steps) > 1:
+            count = len(self.steps)
+            summary["steps"] = [_step_line(one, step, count) for step, one in enumerate(self.steps, 1)]
+        return summary
+
+    def __str__(self) -> str:
+        one = self.solution
+        return f"CurtainResult: {one.status}, mean height {one.mean_height():.3f} mm, {one.problem.disc.n_cells} cells"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: status, and the numbers of the summary that are single values."""
+        rows = [(k, v) for k, v in self.summary.items() if isinstance(v, str | int | float)]
+        body = "".join(f"<tr><th>{escape(k)}</th><td>{escape(format(v))}</td></tr>" for k, v in rows)
+        return f"<p>{escape(str(self))}</p><table>{body}</table>"
+
+
+def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
+    """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
+
+    An answer that has not converged is returned with the status that names why. InputError if the scene makes no sense
+    or its supports are out of reach.
+
+    >>> from macro_fem.scene.schema import Scene
+    >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")
+    >>> solve(scene).status
+    'converged'
+    """
+    law = default_law() if law is None else law
+    steps = scene.load.steps
+    early = [_solved(scene, law, step / steps, say) for step in range(1, steps)]
+    if asks_bounds(scene):
+        say("solving with bounds")
+        levels = tuple(_with_bounds(scene, law))
+        return CurtainResult(scene, (*early, levels[-1].solution), levels)
+    return CurtainResult(scene, (*early, _solved(scene, law, 1.0, say)))
 
 
 def run_scene(
@@ -33,12 +132,10 @@ def run_scene(
     force: tuple[str, ...] = (),
     say: Say = silent,
 ) -> dict[str, Any]:
-    """Solves the scene, writes its files into `out` and returns the summary; `force` adds to that of the scene.
+    """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
 
-    curtain.vtu and curtain.png show the full load; with more than one load step curtain.pvd lists one VTU per step.
-    All files appear together, and what they replace is gone (`rve.common.jobs`).
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
-    `say` is told what is being solved.
+    What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
@@ -51,23 +148,7 @@ def run_scene(
     inputs = [scene_path, law_path, mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)
-    steps = scene.load.steps
-    early = [_solved(scene, law, step / steps, say) for step in range(1, steps)]
-    if asks_bounds(scene):
-        say("solving with bounds")
-    final = _with_bounds(scene, law) if asks_bounds(scene) else []
-    solution = final[-1].solution if final else _solved(scene, law, 1.0, say)
-    bounds = final[-1].bounds if final else None
-    summary = summarize(solution)
-    if final:
-        summary |= {"bounds": bounds_summary(final[-1]), "levels": [bounds_summary(level) for level in final]}
-    summary["features"] = [decision.to_dict() for decision in decisions(solution, bounds=bool(final), picture=picture)]
-    if early:
-        summary["steps"] = [_step_line(one, step, scene.load.steps) for step, one in enumerate([*early, solution], 1)]
-    with job(out, RECORD, inputs) as folder:
-        _write(folder, [*early, solution], bounds, picture=picture)
-        write_summary(folder, summary)
-    return summary
+    return solve(scene, law, say=say).save(out, picture=picture, inputs=inputs)
 
 
 def with_force(scene: Scene, force: tuple[str, ...]) -> Scene:
@@ -102,7 +183,7 @@ def _solved(scene: Scene, law: MembraneLaw, factor: float, say: Say = silent) ->
 
 def _with_bounds(scene: Scene, law: MembraneLaw) -> list[Level]:
     """All levels of refinement; InputError if not even the first mesh has a solution."""
-    found = list(levels(scene, law))
+    found = list(refined_levels(scene, law))
     if not found:
         coarse = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
         solution = _solved(coarse, law, 1.0)

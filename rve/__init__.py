@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rve.common.errors import InputError as InputError
     from rve.common.errors import NotConverged as NotConverged
+    from rve.directions import LoadDirections as LoadDirections
+    from rve.directions import graded_grid as graded_grid
     from rve.directions import grid as grid
+    from rve.directions import read_loads as read_loads
     from rve.equilibrium.interior_point import DirectOptions as DirectOptions
     from rve.geometry.cell import Cell as Cell
     from rve.geometry.kinematics import cauchy_line_load as cauchy_line_load
@@ -26,14 +29,17 @@ _MODULES = {
     "Cell": "rve.geometry.cell",
     "DirectOptions": "rve.equilibrium.interior_point",
     "InputError": "rve.common.errors",
+    "LoadDirections": "rve.directions",
     "NotConverged": "rve.common.errors",
     "StrainTable": "rve.table",
     "WEAVES": "rve.geometry.weave",
     "Weave": "rve.geometry.weave",
     "cauchy_line_load": "rve.geometry.kinematics",
     "deformation_gradient": "rve.geometry.kinematics",
+    "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
     "grid": "rve.directions",
+    "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
     "solve_table": "rve.solve",
@@ -46,13 +52,16 @@ __all__ = [
     "Cell",
     "DirectOptions",
     "InputError",
+    "LoadDirections",
     "NotConverged",
     "StrainTable",
     "Weave",
     "cauchy_line_load",
     "deformation_gradient",
+    "graded_grid",
     "green_lagrange",
     "grid",
+    "read_loads",
     "read_table",
     "second_pk",
     "solve_table",

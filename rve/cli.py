@@ -78,19 +78,19 @@ def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, 
     if method == "stewart-trinkle":
         moving = StewartTrinkleOptions(gyroscopic="gyroscopic" in checked_force(how["force"], MOVING))
         options = SweepOptions(folder=how["checkpoint"], workers=how["workers"])
-        return solve_table_stewart_trinkle(*directions, mesh, moving, how=options)
+        return solve_table_stewart_trinkle(mesh, directions, moving, how=options)
     if how["checkpoint"] is not None or how["workers"] != 1:
         raise InputError(
             "--checkpoint and --workers belong to --method stewart-trinkle; the direct solver needs neither"
         )
     hidden = not sys.stderr.isatty()
     with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=hidden) as bar:
-        return solve_table(*directions, mesh, DirectOptions(force=checked_force(how["force"])), progress=bar.update)
+        return solve_table(mesh, directions, DirectOptions(force=checked_force(how["force"])), progress=bar.update)
 
 
 def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
     """The load directions asked for: a file, the graded set, or a grid."""
-    from rve.directions import graded_grid, grid, parse_angles, read_loads
+    from rve.directions import graded_grid, parse_angles, product, read_loads
 
     if (loads is not None) + graded + (alpha is not None or beta is not None) > 1:
         raise InputError("--loads, --graded and --alpha with --beta are three ways to say which loads: give one")
@@ -99,7 +99,7 @@ def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str |
     if graded:
         return graded_grid()
     alpha, beta = "0:45:5" if alpha is None else alpha, "0:90:5" if beta is None else beta
-    return grid(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
+    return product(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
 
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
@@ -175,7 +175,7 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
         require("matplotlib", "plots", "--plot")
         check_out_file(plot, "--plot")
     mesh = _cell(**cell)
-    found = solve_table([alpha], [beta], mesh, DirectOptions(force=checked_force(force)))
+    found = solve_table(mesh, ([alpha], [beta]), DirectOptions(force=checked_force(force)))
     if explain:
         _explain(found)
     status = str(found.status[0])

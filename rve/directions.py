@@ -1,8 +1,9 @@
-"""Angles and load files as a user types them."""
+"""Load directions: grids, files, and angles as a user types them."""
 
 from __future__ import annotations
 
 import os
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,18 +45,39 @@ def parse_angles(text: str, name: str) -> Array:
     return values
 
 
-def grid(alpha: Array, beta: Array) -> tuple[Array, Array]:
-    """All combinations, beta running fastest: two arrays of alpha.size * beta.size values; InputError for too many."""
+class LoadDirections(NamedTuple):
+    """Principal angles alpha_deg (n,) and ratio angles beta_deg (n,) of n line loads, in degrees."""
+
+    alpha_deg: Array
+    beta_deg: Array
+
+
+def grid(step: float = 5.0) -> LoadDirections:
+    """The paper's grid: alpha from 0 to 45 and beta from 0 to 90 degrees in steps of `step`, beta running fastest.
+
+    InputError for a step that is not between 0.1 and 45 degrees, or leads to neither end.
+
+    >>> len(grid(5.0).alpha_deg)
+    190
+    """
+    if not 0.1 <= step <= 45.0 or abs(round(45.0 / step) * step - 45.0) > 1e-9:
+        raise InputError(f"step = {step}: must divide 45 degrees and lie between 0.1 and 45")
+    count = round(45.0 / step)
+    return product(np.linspace(0.0, 45.0, count + 1), np.linspace(0.0, 90.0, 2 * count + 1))
+
+
+def product(alpha: Array, beta: Array) -> LoadDirections:
+    """All combinations of angles in degrees, beta running fastest; InputError for too many."""
     if alpha.size * beta.size > MOST_VALUES:
         raise InputError(
             f"{alpha.size} values of alpha times {beta.size} of beta are more than {MOST_VALUES} load directions; "
             "take larger steps"
         )
     a, b = np.meshgrid(alpha, beta, indexing="ij")
-    return a.ravel(), b.ravel()
+    return LoadDirections(a.ravel(), b.ravel())
 
 
-def graded_grid() -> tuple[Array, Array]:
+def graded_grid() -> LoadDirections:
     """403 load directions, close where the strain changes fast: beta near 0 and 90, alpha beyond 30 degrees.
 
     There it moves by 0.05 within half a degree of beta; elsewhere the steps are 5 degrees, as in the paper.
@@ -63,10 +85,10 @@ def graded_grid() -> tuple[Array, Array]:
     near = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     far = np.array([82.5, 85.0, 86.0, 87.0, 88.0, 88.5, 89.0, 90.0])
     alpha = np.concatenate([np.arange(0.0, 30.0, 5.0), np.arange(30.0, 46.0, 2.5)])
-    return grid(alpha, np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
+    return product(alpha, np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
 
 
-def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+def read_loads(path: str | os.PathLike[str]) -> LoadDirections:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
     columns = read_columns(path, ("alpha_deg", "beta_deg"))
     out = []
@@ -80,7 +102,7 @@ def read_loads(path: str | os.PathLike[str]) -> tuple[Array, Array]:
         if len(values) > MOST_VALUES:
             raise InputError(f"{path}: has {len(values)} load directions, at most {MOST_VALUES} are allowed")
         out.append(values)
-    return out[0], out[1]
+    return LoadDirections(out[0], out[1])
 
 
 def parse_window(text: str | None) -> tuple[float, float, float, float] | None:

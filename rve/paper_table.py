@@ -20,28 +20,27 @@ from rve.table import StrainTable
 
 
 def solve_table_stewart_trinkle(
-    alpha_deg: ArrayLike,
-    beta_deg: ArrayLike,
-    cell: Cell | None = None,
+    cell: Cell,
+    loads: tuple[ArrayLike, ArrayLike],
     options: StewartTrinkleOptions | None = None,
     how: SweepOptions | None = None,
 ) -> StrainTable:
-    """The strain-load table of load directions (n,) in degrees as the paper's scheme finds it, at its contact
-    stiffness.
+    """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the paper's scheme
+    at its contact stiffness.
 
     Strains refer to the rigid reference cell and differ from rigid ones in proportion to load over stiffness; minimum
     gaps are negative. Where `unique` is 0 (which the direct solver tells) E is where the motion ends. `iterations` are
     accepted steps. Radius and density come from the cell. `how` says where checkpoints go and how many workers there
     are. Raises InputError for senseless angles or options, NotConverged if there is no reference cell.
     """
-    cell, how = cell or Cell(), how or SweepOptions()
+    how = how or SweepOptions()
     options = replace(options or StewartTrinkleOptions(), r1_mm=cell.r1, density=cell.density)
     try:
         options.validate()
     except ValueError as error:
         raise InputError(str(error)) from error
     began = time.perf_counter()
-    alpha, beta = checked_angles(alpha_deg, beta_deg)
+    alpha, beta = checked_angles(*loads)
     sides = reference_sides(cell, DirectOptions())
     direct, s, unique = locked(alpha, beta, cell, DirectOptions())
     tensile = direct.status != "compressive"

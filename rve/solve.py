@@ -124,25 +124,24 @@ def checked_angles(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Ar
 
 
 def solve_table(
-    alpha_deg: ArrayLike,
-    beta_deg: ArrayLike,
-    cell: Cell | None = None,
+    cell: Cell,
+    loads: tuple[ArrayLike, ArrayLike],
     options: DirectOptions | None = None,
     *,
     progress: Callable[[int], None] | None = None,
 ) -> StrainTable:
-    """The strain-load table of the load directions (alpha, beta) in degrees, each (n,), by the direct solver.
+    """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the direct solver.
 
     The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
     it fails. Other rows that fail keep their status and have nan elsewhere. `progress` is called with the number of
     rows done since the last call.
 
-    >>> solve_table([0.0], [45.0]).x2_mm.round(4)
+    >>> solve_table(Cell(), ([0.0], [45.0])).x2_mm.round(4)
     array([[13.1163,  0.    ]])
     """
-    cell, options = cell or Cell(), options or DirectOptions()
+    options = options or DirectOptions()
     began = time.perf_counter()
-    alpha, beta = checked_angles(alpha_deg, beta_deg)
+    alpha, beta = checked_angles(*loads)
     b_x, b_y = reference_sides(cell, options)
     blocks, works = [], []
     for first in range(0, len(alpha), BLOCK):

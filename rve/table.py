@@ -13,12 +13,12 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.errors import InputError
+from rve.common.errors import InputError, require
 from rve.common.files import TABLE_FORMAT, check_out_table, sidecar_path, write_text
 from rve.common.jobs import check_belongs, complete, job
 from rve.common.reading import MOST_CSV_BYTES, read_json_object, read_text
@@ -26,6 +26,9 @@ from rve.common.rings import check_rings
 from rve.common.types import Array
 from rve.common.values import shown, shown_key
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 __all__ = [
     "COLUMNS",
@@ -97,6 +100,43 @@ class StrainTable:
     def converged(self) -> NDArray[np.bool_]:
         """Rows to rely on, (n,)."""
         return self.status == "converged"
+
+    def to_pandas(self) -> DataFrame:
+        """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold the provenance.
+
+        InputError if pandas is not installed.
+        """
+        require("pandas", "notebook", "to_pandas()", "read the CSV file in another way")
+        from pandas import DataFrame
+
+        numbers = np.column_stack(
+            [self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm, self.R, self.min_gap_mm]
+        )
+        columns: dict[str, Any] = dict(zip(COLUMNS[:14], numbers.T, strict=True))
+        for name in COLUMNS[14:]:
+            columns[name] = getattr(self, name)
+        columns["unique"] = self.unique.astype(int)
+        if self.compliance is not None:
+            columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
+        frame = DataFrame(columns)
+        frame.attrs.update(self.provenance)
+        return frame
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the CSV and its sidecar JSON, both or none; see `write_table`."""
+        write_table(self, path)
+
+    def __str__(self) -> str:
+        known = self.provenance
+        rings = f", r1 = {known['r1_mm']:g} mm, r2 = {known['r2_mm']:g} mm" if "r2_mm" in known else ""
+        return f"StrainTable: {int(self.converged.sum())} of {len(self)} rows converged{rings}"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary line and the first rows."""
+        head = "".join(f"<th>{name}</th>" for name in COLUMNS[:8])
+        rows = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S])[:5]
+        body = "".join("<tr>" + "".join(f"<td>{x:.6g}</td>" for x in row) + "</tr>" for row in rows)
+        return f"<p>{self}</p><table><tr>{head}</tr>{body}</table>"
 
 
 def joined_tables(tables: list[StrainTable]) -> StrainTable:

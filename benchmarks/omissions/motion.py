@@ -67,9 +67,9 @@ def measure(full: bool) -> Section:
 
 def forced(term: str, given: tuple[Array, Array]) -> Row:
     """A term and those it needs, against the direct solver; the longer run is made once."""
-    plain, without = least_seconds(partial(solve_table, *given, Cell()))
+    plain, without = least_seconds(partial(solve_table, Cell(), given))
     options = DirectOptions(force=motion_terms((term,)))
-    moved, with_it = least_seconds(partial(solve_table, *given, Cell(), options), repeats=1)
+    moved, with_it = least_seconds(partial(solve_table, Cell(), given, options), repeats=1)
     change, count = float(np.abs(moved.E - plain.E).max()), len(plain)
     ok = bool(moved.converged.all() and plain.converged.all())
     return trial(term, f"{count} load{'s' * (count > 1)}", (without, with_it), change, TOLERANCE, ok=ok)

@@ -57,7 +57,7 @@ def tables() -> list[Row]:
     cell = Cell()
 
     def E(add: Callable[[StrainTable], StrainTable] = lambda table: table) -> Any:
-        return add(solve_table(*loads(15.0), cell)).E
+        return add(solve_table(cell, loads(15.0))).E
 
     others = {
         "--span": lambda table: with_span(table, cell),
@@ -70,11 +70,11 @@ def case_picture(folder: Path) -> list[Row]:
     """The picture of one load."""
 
     def drawn() -> Any:
-        E = solve_table([20.0], [30.0], Cell()).E
+        E = solve_table(Cell(), ([20.0], [30.0])).E
         save(draw_case(20.0, 30.0, Cell()), folder / "case.png")
         return E
 
-    return unchanged("rve case", lambda: solve_table([20.0], [30.0], Cell()).E, {"--plot": drawn})
+    return unchanged("rve case", lambda: solve_table(Cell(), ([20.0], [30.0])).E, {"--plot": drawn})
 
 
 def curtain(folder: Path, cells: int) -> list[Row]:

@@ -32,7 +32,7 @@ def measure(full: bool) -> Section:
     """The section."""
     cells = CELLS | (THIN if full else {})
     given = loads(first_beta=5.0)
-    plain = {name: least_seconds(partial(solve_table, *given, cell), long=3.0) for name, cell in cells.items()}
+    plain = {name: least_seconds(partial(solve_table, cell, given), long=3.0) for name, cell in cells.items()}
     trials = [forced(feature, name, cell, plain[name], given) for feature in FORCED for name, cell in cells.items()]
     text = (
         f"Tables of {len(given[0])} loads (alpha 0:45:5, beta 5:90:5) with `rve table --force FEATURE`. `asymmetry`: "
@@ -68,7 +68,7 @@ def measure(full: bool) -> Section:
 
 def forced(feature: str, name: str, cell: Cell, plain: tuple[StrainTable, float], given: tuple[Array, Array]) -> Row:
     """One feature in one cell, against the default table."""
-    found, seconds = least_seconds(lambda: solve_table(*given, cell, DirectOptions(force=(feature,))), long=3.0)
+    found, seconds = least_seconds(lambda: solve_table(cell, given, DirectOptions(force=(feature,))), long=3.0)
     both = found.converged & plain[0].converged
     change = float(np.abs(found.E - plain[0].E)[both].max())
     ok = bool((found.converged == plain[0].converged).all())

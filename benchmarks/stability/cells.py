@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.problems import normality
 from benchmarks.report.measure import Row, count_of, outcomes, refusal
 from benchmarks.report.records import Section, table
-from rve.directions import grid
+from rve.directions import product
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -34,7 +34,7 @@ def ratio_row(weave: Weave, ratio: float) -> Row:
     row: Row = {"weave": weave.name, "r1/r2": ratio}
     if ratio <= weave.jamming_ratio:
         return row | {OUTCOME: refusal(lambda: Cell(R1, R1 / ratio, weave))}
-    table = solve_table(*grid(ALPHA, BETA), Cell(R1, R1 / ratio, weave))
+    table = solve_table(Cell(R1, R1 / ratio, weave), product(ALPHA, BETA))
     work = normality(table).min()
     return row | {
         OUTCOME: outcomes(table.status),

@@ -44,7 +44,7 @@ def random_tables(count: int, each: int) -> list[tuple[float, StrainTable]]:
     out = []
     for ratio in ratios:
         alpha, beta = rng.uniform(-180.0, 180.0, each), rng.uniform(0.0, 90.0, each)
-        out.append((float(ratio), solve_table(alpha, beta, Cell(R1, R1 / ratio))))
+        out.append((float(ratio), solve_table(Cell(R1, R1 / ratio), (alpha, beta))))
     return out
 
 
@@ -65,14 +65,14 @@ def outside_rows() -> list[Row]:
     """Compressive loads, and angles that are not numbers."""
     rows = []
     for beta in (-1e-9, -0.01, -1.0, 90.0 + 1e-9, 90.01, 91.0, 180.0, 269.0):
-        table = solve_table([20.0], [beta])
+        table = solve_table(Cell(), ([20.0], [beta]))
         status = str(table.status[0])
         given = np.isfinite(table.E).any()
         rows.append(
             {"beta, degrees": f"{beta:.12g}", "status": status, "message": SENTENCES[status], "any number given": given}
         )
     for value in (np.nan, np.inf):
-        message = refusal(partial(solve_table, [20.0], [value]))
+        message = refusal(partial(solve_table, Cell(), ([20.0], [value])))
         rows.append({"beta, degrees": str(value), "status": "refused", "message": message, "any number given": False})
     return rows
 
@@ -84,7 +84,7 @@ def measure(full: bool) -> Section:
     parts = [found[first : first + size] for first in range(0, len(found), size)]
     rows = [row(f"{part[0][0]:.1f} to {part[-1][0]:.1f}", [table for _, table in part]) for part in parts]
     rims = [
-        {"loads of": kind} | row(f"{ratio:g}", [solve_table(CIRCLE, beta, Cell(R1, R1 / ratio))])
+        {"loads of": kind} | row(f"{ratio:g}", [solve_table(Cell(R1, R1 / ratio), (CIRCLE, beta))])
         for kind, beta in RIMS.items()
         for ratio in (5.0, 10.0, 20.0, 50.0)
     ]

@@ -39,7 +39,7 @@ LEAST = 1e-6
 
 def table_of(spacing: float, options: DirectOptions | None = None) -> StrainTable:
     """Load directions `spacing` degrees apart."""
-    return solve_table(*loads(spacing), Cell(r1=5.0, r2=0.5), options)
+    return solve_table(Cell(r1=5.0, r2=0.5), loads(spacing), options)
 
 
 @cache

@@ -233,9 +233,9 @@ def degenerate_rows() -> list[Row]:
 
 
 TEXT = f"""Rings as circles of radius 1. A contact search has to find **every** local minimum of the distance below
-{REACH:g}: linked rings touch in two places. Newton (`rve.geometry.circles`, the default) samples ring A and refines each
-valley with a second-order iteration; alternating projection (`rve.paper.alternating_projection`) is the paper's, from
-two starts; brute force takes the lowest samples."""
+{REACH:g}: linked rings touch in two places. Newton (`rve.geometry.circles`, the default) samples ring A and refines
+each valley with a second-order iteration; alternating projection (`rve.paper.alternating_projection`) is the paper's,
+from two starts; brute force takes the lowest samples."""
 
 
 def measure(full: bool) -> Section:

@@ -20,6 +20,7 @@ from homogenize.strain import locked_strain
 from rve.common.tensor import double_dot, from_disc, trace
 from rve.common.types import Array
 from rve.directions import graded_grid
+from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import StrainTable
 
@@ -41,7 +42,7 @@ FORMS = {H_MOST: ".1e", H_MEAN: ".1e", E_MOST: ".1e", E_MEAN: ".1e", ABOVE: ".1%
 def unseen_directions(count: int, seed: int = SEED) -> StrainTable:
     """Random directions over the paper's range, each solved by `rve` directly, never part of a fit."""
     rng = np.random.default_rng(seed)
-    return solve_table(rng.uniform(0.0, 45.0, count), rng.uniform(0.0, 90.0, count))
+    return solve_table(Cell(), (rng.uniform(0.0, 45.0, count), rng.uniform(0.0, 90.0, count)))
 
 
 def errors_of(law: MembraneLaw, unseen: StrainTable) -> Row:
@@ -171,8 +172,8 @@ def measure(full: bool) -> Section:
     """The section: spacing of the table, kinds of law, speed."""
     unseen = unseen_directions(2000 if full else 600)
     steps = (15.0, 10.0, 5.0, 2.5) + (1.25,) * full
-    uniform = {step: least_seconds(partial(solve_table, *loads(step)), long=0.0) for step in steps}
-    graded = least_seconds(partial(solve_table, *graded_grid()), long=0.0)
+    uniform = {step: least_seconds(partial(solve_table, Cell(), loads(step)), long=0.0) for step in steps}
+    graded = least_seconds(partial(solve_table, Cell(), graded_grid()), long=0.0)
     named = [(f"{step:g} degrees", *timed, refine.NEWS) for step, timed in uniform.items()]
     named += [(f"{step:g} degrees", *uniform[step], GRADED_RESOLUTION) for step in (5.0, 2.5)]
     named += [("graded", *graded, resolution) for resolution in (refine.NEWS, GRADED_RESOLUTION, 3e-6)]

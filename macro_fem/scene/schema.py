@@ -6,7 +6,7 @@ from (0, 0) to (width, height), a disk is centred at (0, 0).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +249,24 @@ class Scene:
     load: Load
     solver: Solver
     source: Path
+
+    @classmethod
+    def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
+        """A rectangle of width by height mm under its own weight, not hung yet; more keys of [curtain] by name.
+
+        >>> Scene.rectangle(1000, 500).hung_by("corners", gather=0.9).support
+        (Corners(gather=0.9, move=(0.0, 0.0)),)
+        """
+        tables = {"curtain": {"width": width, "height": height, **curtain}, "mesh": {"cells": cells}}
+        scene = read_scene(tables | {"support": {"kind": "top"}})
+        return replace(scene, support=())
+
+    def hung_by(self, kind: str, **keys: Any) -> Scene:
+        """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
+        added = _read_supports({"kind": kind, **keys}, self.source)
+        scene = replace(self, support=(*self.support, *added))
+        check_solver(scene, self.source)
+        return scene
 
 
 def load_scene(path: str | Path) -> Scene:

@@ -22,7 +22,7 @@ from rve.common.files import write_text
 from rve.common.jobs import check_out_job, job
 from rve.common.types import Array
 from rve.common.versions import versions
-from rve.directions import grid
+from rve.directions import product
 from rve.equilibrium.compliance import strain
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -69,7 +69,7 @@ class Study:
 
 def paper_grid() -> tuple[Array, Array]:
     """The 190 load cases of the paper's Fig. 9 in its order, beta running fastest."""
-    return grid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0))
+    return product(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0))
 
 
 def solve_study(
@@ -87,7 +87,7 @@ def solve_study(
     alpha, beta = np.asarray(alpha_deg, dtype=float), np.asarray(beta_deg, dtype=float)
     s = cauchy_line_load(alpha, beta)
     began = time.perf_counter()
-    table = solve_table(alpha, beta, cell)
+    table = solve_table(cell, (alpha, beta))
     between = time.perf_counter()
     rest = st.solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
     ended = time.perf_counter()

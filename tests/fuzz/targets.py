@@ -24,6 +24,7 @@ from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from rve.directions import parse_angles, parse_window, read_loads
 from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.localization.curtain import read_curtain, read_weave
@@ -61,7 +62,7 @@ def law(r2=0.5, mass=None):
 @cache
 def table():
     """Four rows: locked, locked, compressive, free."""
-    return solve_table([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0])
+    return solve_table(Cell(), ([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0]))
 
 
 def make_table(folder):

@@ -49,7 +49,7 @@ def test_all_features_of_rings_are_in_the_report():
 @pytest.mark.parametrize("feature", rings.FORCED)
 def test_a_feature_of_rings_forced(feature):
     loads = np.array([20.0, 10.0]), np.array([30.0, 60.0])
-    plain = solve_table(*loads, Cell()), 1.0
+    plain = solve_table(Cell(), loads), 1.0
     row = rings.forced(feature, "two loads", Cell(), plain, loads)
     assert row["same"]
     assert row["default"] == LEFT_OUT

@@ -10,6 +10,7 @@ from benchmarks.report.measure import at_most, outcomes, refusal
 from benchmarks.report.records import Report, differences
 from benchmarks.stability import cells, curtains, features, laws, loads, pairs, stepping
 from homogenize.io import default_law
+from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
 from rve.geometry.weave import FOUR_IN_ONE
 
@@ -94,5 +95,5 @@ def test_ladders_span_the_decades_asked_for():
 def test_loads_come_out_the_same_twice():
     rows = [loads.row("x", [t for _, t in loads.random_tables(500, 250)]) | {"s": 0.0} for _ in range(2)]
     assert rows[0] == rows[1]
-    rim = loads.solve_table(loads.CIRCLE, loads.RIMS["uniaxial, beta = 0"])
+    rim = loads.solve_table(Cell(), (loads.CIRCLE, loads.RIMS["uniaxial, beta = 0"]))
     assert loads.row("y", [rim])["outcome"] == "48 converged"

@@ -73,7 +73,7 @@ def test_nearly_uniaxial_loads_need_the_way_from_inside_the_cone():
     assert unique[0]
     assert found.R[0] < 1e-9
     # The strain lies on the way to the limit: between those of a larger second load and of none.
-    near = solve_table([30.0, 30.0], [0.0, 0.02], Cell(5.0, 0.25))
+    near = solve_table(Cell(5.0, 0.25), ([30.0, 30.0], [0.0, 0.02]))
     assert np.abs(10.0 * found.pose.lattice[0, 0] / 2.0 - near.x2_mm[0, 0]) < 5.0 * np.abs(np.diff(near.x2_mm[:, 0]))[0]
 
 
@@ -118,7 +118,7 @@ def test_jammed_wire_needs_its_refusal():
 
 
 def test_loads_that_push_need_their_name():
-    assert solve_table([20.0], [-1.0]).status[0] == "compressive"
+    assert solve_table(Cell(), ([20.0], [-1.0])).status[0] == "compressive"
     bare = solve_equilibrium(cauchy_line_load([20.0], [-20.0]), TEN, DirectOptions(attempts=1))
     assert bare.status[0] == "stalled"
 

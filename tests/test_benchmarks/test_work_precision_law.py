@@ -26,6 +26,7 @@ from benchmarks.work_precision.law import (
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.rows import rows_from_table
 from homogenize.laws.net import diagonal_net
+from rve.geometry.cell import Cell
 from rve.solve import solve_table
 
 
@@ -36,11 +37,11 @@ def unseen():
 
 @pytest.fixture(scope="module")
 def coarse():
-    return solve_table(*loads(15.0))
+    return solve_table(Cell(), loads(15.0))
 
 
 def test_directions_are_unseen_and_their_own(unseen, coarse):
-    again = solve_table(unseen.alpha_deg[:3], unseen.beta_deg[:3])
+    again = solve_table(Cell(), (unseen.alpha_deg[:3], unseen.beta_deg[:3]))
     np.testing.assert_allclose(again.E, unseen.E[:3], atol=1e-12)
     assert unseen.converged.all()
     assert len(coarse) == 4 * 7
@@ -49,7 +50,7 @@ def test_directions_are_unseen_and_their_own(unseen, coarse):
 
 
 def test_errors_fall_with_the_rows_and_stay_inside_the_bounds(unseen, coarse):
-    finer = solve_table(*loads(7.5))
+    finer = solve_table(Cell(), loads(7.5))
     wide, close = spacing_rows([("15", coarse, 1.0, 3e-5), ("7.5", finer, 1.0, 3e-5)], unseen)
     assert close[H_MEAN] < 0.4 * wide[H_MEAN]
     assert close[E_MEAN] < 0.7 * wide[E_MEAN]

@@ -16,6 +16,7 @@ from homogenize.strain import StrainOptions, locked_strain
 from homogenize.strain_bounds import strain_bounds
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
+from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
 from rve.solve import solve_table
 from rve.table import read_table
@@ -154,7 +155,7 @@ def test_a_row_is_answered_with_the_row():
 
 def test_strains_solved_off_the_grid_lie_within_the_bounds():
     rng = np.random.default_rng(21)
-    unseen = solve_table(rng.uniform(-90.0, 90.0, 25), rng.uniform(0.0, 90.0, 25))
+    unseen = solve_table(Cell(), (rng.uniform(-90.0, 90.0, 25), rng.uniform(0.0, 90.0, 25)))
     assert unseen.converged.all()
     found = locked_strain(default_law(), unseen.alpha_deg, unseen.beta_deg, rows=rows_from_table(read_table(TABLE)))
     width = (found.E_max - found.E_min).max(axis=1)
@@ -172,7 +173,7 @@ def test_all_of_600_directions_and_the_dent_lie_within_the_bounds():
     rng = np.random.default_rng(2027)
     alpha = np.concatenate([rng.uniform(-90.0, 90.0, 600), rng.uniform(38.0, 47.0, 60), np.linspace(40.0, 45.0, 21)])
     beta = np.concatenate([rng.uniform(0.0, 90.0, 600), rng.uniform(85.0, 90.0, 60), np.full(21, 90.0)])
-    unseen = solve_table(alpha, beta)
+    unseen = solve_table(Cell(), (alpha, beta))
     assert unseen.converged.all()
     bounds = strain_bounds(rows_from_table(read_table(TABLE)), cauchy_line_load(alpha, beta))
     assert np.all(bounds.E_min - 1e-8 <= unseen.E)

@@ -7,6 +7,8 @@ import pytest
 
 from homogenize.fitting.fit import fit
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces
+from rve.directions import grid
+from rve.geometry.cell import Cell
 from rve.solve import solve_table
 
 WEIGHT = np.array([1.0, 2.0, 1.0])
@@ -88,5 +90,4 @@ def scene_tables():
 @pytest.fixture(scope="session")
 def fitted_law():
     """The law that `rve table` and `homogenize fit` make with their own defaults."""
-    alpha, beta = np.meshgrid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0), indexing="ij")
-    return fit(solve_table(alpha.ravel(), beta.ravel())).law
+    return fit(solve_table(Cell(), grid())).law

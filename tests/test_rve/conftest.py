@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from rve.directions import grid
+from rve.directions import product
+from rve.geometry.cell import Cell
 from rve.solve import solve_table
 
 
 @pytest.fixture(scope="session")
 def paper_table():
     """Table of the paper's grid for r1 = 5 mm, r2 = 0.5 mm."""
-    return solve_table(*grid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0)))
+    return solve_table(Cell(), product(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0)))
 
 
 @pytest.fixture(scope="session")

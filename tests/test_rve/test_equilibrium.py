@@ -67,7 +67,7 @@ def test_free_strains_are_flagged_and_are_limits(paper_table):
     chain = np.linalg.norm(paper_table.x2_mm[free] + paper_table.x3_mm[free], axis=1)
     np.testing.assert_allclose(chain, 18.0, atol=1e-9)
     # Linear extrapolation from two small angles lands on the reported limit.
-    far, near = (solve_table(paper_table.alpha_deg[free], np.full(len(free), beta)).E for beta in (0.1, 0.05))
+    far, near = (solve_table(Cell(), (paper_table.alpha_deg[free], np.full(len(free), beta))).E for beta in (0.1, 0.05))
     error = np.abs(2 * near - far - paper_table.E[free]).max()
     assert error < 4e-4
     assert error < 0.1 * np.abs(near - paper_table.E[free]).max()
@@ -75,7 +75,7 @@ def test_free_strains_are_flagged_and_are_limits(paper_table):
 
 def test_span_of_a_free_strain():
     """The work of the load is the same over the whole span; the strain is not."""
-    table = solve_table([25.0, 30.0], [0.0, 30.0])
+    table = solve_table(Cell(), ([25.0, 30.0], [0.0, 30.0]))
     assert table.unique.tolist() == [False, True]
     span = strain_span(table, Cell())
     assert span.shape == (1, 3, 2)
@@ -125,18 +125,18 @@ def same_strain(first, second, tolerance):
 def test_mirror_and_axis_symmetry():
     """E12 changes sign with alpha, and (alpha, beta) is the load (alpha + 90, 90 - beta)."""
     alpha, beta = np.array([12.0, 33.0, 45.0, 71.0]), np.array([20.0, 55.0, 0.0, 35.0])
-    plain, mirrored = solve_table(alpha, beta), solve_table(-alpha, beta)
+    plain, mirrored = solve_table(Cell(), (alpha, beta)), solve_table(Cell(), (-alpha, beta))
     np.testing.assert_allclose(mirrored.E, plain.E * [1, -1, 1], atol=1e-9)
-    turned = solve_table(alpha + 90.0, 90.0 - beta)
+    turned = solve_table(Cell(), (alpha + 90.0, 90.0 - beta))
     np.testing.assert_allclose(turned.E, plain.E, atol=1e-9)
-    half_turn = solve_table(alpha + 180.0, beta)
+    half_turn = solve_table(Cell(), (alpha + 180.0, beta))
     np.testing.assert_allclose(half_turn.E, plain.E, atol=1e-9)
 
 
 def test_grain_along_x_is_the_mesh_turned_over():
     alpha, beta = np.array([12.0, 33.0, 50.0]), np.array([20.0, 55.0, 70.0])
-    y = solve_table(90.0 - alpha, beta)
-    x = solve_table(alpha, beta, Cell(grain="x"))
+    y = solve_table(Cell(), (90.0 - alpha, beta))
+    x = solve_table(Cell(grain="x"), (alpha, beta))
     np.testing.assert_allclose(x.E, y.E[:, ::-1], atol=1e-9)
     np.testing.assert_allclose(x.S, y.S[:, ::-1], atol=1e-9)
     assert x.provenance["b_x_mm"] == pytest.approx(y.provenance["b_y_mm"], abs=1e-9)
@@ -145,8 +145,8 @@ def test_grain_along_x_is_the_mesh_turned_over():
 @settings(deadline=None, max_examples=6)
 @given(st.floats(1e-4, 1e4), st.floats(-85, 85), st.floats(2, 88))
 def test_units_do_not_matter(scale, alpha, beta):
-    plain = solve_table([alpha], [beta], Cell(5.0, 0.5))
-    scaled = solve_table([alpha], [beta], Cell(5.0 * scale, 0.5 * scale, density=1.0))
+    plain = solve_table(Cell(5.0, 0.5), ([alpha], [beta]))
+    scaled = solve_table(Cell(5.0 * scale, 0.5 * scale, density=1.0), ([alpha], [beta]))
     assert plain.status[0] == scaled.status[0] == "converged"
     np.testing.assert_allclose(scaled.E, plain.E, atol=1e-9)
     equations = Equations.of(FOUR_IN_ONE, 0.1)
@@ -185,16 +185,16 @@ def test_renumbered_rings_and_shifted_cell():
 
 def test_batch_size_and_order_do_not_matter(paper_table):
     order = np.random.default_rng(3).permutation(190)[:40]
-    again = solve_table(paper_table.alpha_deg[order], paper_table.beta_deg[order])
+    again = solve_table(Cell(), (paper_table.alpha_deg[order], paper_table.beta_deg[order]))
     np.testing.assert_allclose(again.E, paper_table.E[order], atol=1e-9)
-    alone = solve_table(paper_table.alpha_deg[order[:1]], paper_table.beta_deg[order[:1]])
+    alone = solve_table(Cell(), (paper_table.alpha_deg[order[:1]], paper_table.beta_deg[order[:1]]))
     np.testing.assert_allclose(alone.E, paper_table.E[order[:1]], atol=1e-10)
 
 
 @pytest.mark.parametrize("ratio", [4.0, 5.0, 10.0, 20.0])
 def test_radius_ratios(ratio):
     alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 90.0])
-    table = solve_table(alpha.ravel(), beta.ravel(), Cell(5.0, 5.0 / ratio))
+    table = solve_table(Cell(5.0, 5.0 / ratio), (alpha.ravel(), beta.ravel()))
     assert (table.status == "converged").all()
     work = np.einsum("ik,ijk->ij", table.S * [1, 2, 1], table.E[:, None] - table.E[None])
     assert work.min() > -1e-8
@@ -203,7 +203,7 @@ def test_radius_ratios(ratio):
 @pytest.mark.parametrize("ratio", [50.0, 100.0])
 def test_thin_wire(ratio):
     alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 75.0])
-    table = solve_table(alpha.ravel(), beta.ravel(), Cell(5.0, 5.0 / ratio))
+    table = solve_table(Cell(5.0, 5.0 / ratio), (alpha.ravel(), beta.ravel()))
     assert (table.status == "converged").all()
 
 
@@ -312,14 +312,14 @@ def test_the_tolerance_bounds_the_residual_and_decides_when_to_stop():
 
 def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
     """A load along the chain has a limit; where its equilibrium is not confirmed the row has a status and no strain."""
-    assert solve_table([25.0], [0.0]).status[0] == "converged"
+    assert solve_table(Cell(), ([25.0], [0.0])).status[0] == "converged"
 
     def unconfirmed(*args, **rest):
         pose, lam, contacts, R = polish(*args, **rest)
         return pose, lam, contacts, np.maximum(R, 1e-3)
 
     monkeypatch.setattr("rve.equilibrium.limits.polish", unconfirmed)
-    table = solve_table([25.0, 25.0], [0.0, 30.0])
+    table = solve_table(Cell(), ([25.0, 25.0], [0.0, 30.0]))
     assert table.status.tolist() == ["no-limit", "converged"]
     assert table.unique.tolist() == [False, True]
     assert np.isnan(table.E[0]).all()
@@ -329,13 +329,13 @@ def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
 def test_a_limit_off_its_trail_is_no_answer(monkeypatch):
     """An extrapolation to the wrong place: Newton finds an equilibrium far from the guess, which is not the limit."""
     monkeypatch.setattr("rve.equilibrium.limits._WEIGHTS", np.array([10.0, 0.0, -9.0]))
-    table = solve_table([25.0], [0.0])
+    table = solve_table(Cell(), ([25.0], [0.0]))
     assert table.status.tolist() == ["no-limit"]
     assert np.isnan(table.E).all()
 
 
 def test_compressive_loads_are_named():
-    table = solve_table([0.0, 0.0, 10.0], [-1.0, 91.0, 45.0])
+    table = solve_table(Cell(), ([0.0, 0.0, 10.0], [-1.0, 91.0, 45.0]))
     assert list(table.status) == ["compressive", "compressive", "converged"]
     assert np.isnan(table.E[:2]).all()
 
@@ -378,7 +378,7 @@ def test_locked_strains_have_a_dent_that_no_other_start_removes():
     alpha = np.arange(40.0, 45.1, 0.5)
     beta = np.full(len(alpha), 90.0)
     found, s, _ = locked(alpha, beta, Cell(), DirectOptions())
-    table = solve_table(alpha, beta)
+    table = solve_table(Cell(), (alpha, beta))
     slack = np.einsum("ik,ijk->ij", table.S * [1, 2, 1], table.E[:, None] - table.E[None])
     assert table.converged.all()
     assert -1e-3 < slack.min() < -1e-5

@@ -29,7 +29,7 @@ LOADS = np.array([0.0, 20.0, 45.0, 10.0]), np.array([45.0, 30.0, 60.0, 80.0])
 
 @pytest.fixture(scope="module")
 def plain():
-    return solve_table(*LOADS)
+    return solve_table(Cell(), LOADS)
 
 
 def said(table):
@@ -39,7 +39,7 @@ def said(table):
 
 @pytest.mark.parametrize("feature", [name for name in FEATURES if name != "constraints"])
 def test_a_forced_feature_changes_no_strain(plain, feature):
-    forced = solve_table(*LOADS, options=DirectOptions(force=(feature,)))
+    forced = solve_table(Cell(), LOADS, options=DirectOptions(force=(feature,)))
     assert forced.converged.all()
     assert np.abs(forced.E - plain.E).max() < TOLERANCE
     assert not said(plain)[feature].used
@@ -48,7 +48,7 @@ def test_a_forced_feature_changes_no_strain(plain, feature):
 
 
 def test_all_constraints_written_out_change_no_strain(plain):
-    forced = solve_table(LOADS[0][:1], LOADS[1][:1], options=DirectOptions(force=("constraints",)))
+    forced = solve_table(Cell(), (LOADS[0][:1], LOADS[1][:1]), options=DirectOptions(force=("constraints",)))
     assert np.abs(forced.E - plain.E[:1]).max() < TOLERANCE
     assert all(said(forced)[term].used for term in TERMS)
     assert forced.iterations[0] > 3 * plain.iterations[0]  # time steps, not Newton's
@@ -58,7 +58,7 @@ def test_the_words_agree_with_the_work(plain):
     work = plain.provenance["work"]
     assert work["symmetric"] == work["cases"] == 4
     assert f"{work['least_near']} to {work['most_near']} of the 28" in said(plain)["far-pairs"].why
-    both = said(solve_table(*LOADS, options=DirectOptions(force=("asymmetry", "unlisted-pairs"))))
+    both = said(solve_table(Cell(), LOADS, options=DirectOptions(force=("asymmetry", "unlisted-pairs"))))
     assert both["asymmetry"].used
     assert both["unlisted-pairs"].used
     assert "of the 161" in both["far-pairs"].why
@@ -77,7 +77,7 @@ def test_unlisted_pairs_are_listed_when_they_overlap(plain):
     """A weave that forgets its side neighbours: rings would overlap there, and the run sees it."""
     kept = np.array([a != b or (i, j) not in ((1, 0), (1, 1), (1, -1)) for a, b, i, j in FOUR_IN_ONE.pairs.tolist()])
     forgetful = replace(FOUR_IN_ONE, pairs=FOUR_IN_ONE.pairs[kept], linked=FOUR_IN_ONE.linked[kept])
-    found = solve_table([10.0], [80.0], Cell(weave=forgetful))
+    found = solve_table(Cell(weave=forgetful), ([10.0], [80.0]))
     assert found.provenance["work"]["widened"]
     assert said(found)["unlisted-pairs"].used
     assert np.abs(found.E[0] - plain.E[3]).max() < TOLERANCE
@@ -101,16 +101,16 @@ def test_the_gap_of_unlisted_pairs_is_a_bound():
 
 
 def test_thick_wire_has_more_pairs_in_reach():
-    thick, thin = (solve_table([0.0], [45.0], Cell(5.0, r2)).provenance["work"] for r2 in (1.2, 0.25))
+    thick, thin = (solve_table(Cell(5.0, r2), ([0.0], [45.0])).provenance["work"] for r2 in (1.2, 0.25))
     assert thick["most_near"] > thin["most_near"]
 
 
 def test_a_weave_without_symmetry_uses_all_coordinates():
     large = supercell(FOUR_IN_ONE, 2, 1)
-    found = solve_table([0.0], [45.0], Cell(weave=large))
+    found = solve_table(Cell(weave=large), ([0.0], [45.0]))
     assert found.provenance["work"]["symmetric"] == 0
     assert said(found)["asymmetry"].used
-    assert solve_table([0.0], [45.0], Cell(5.0, 0.625, SIX_IN_ONE)).provenance["work"]["symmetric"] == 1
+    assert solve_table(Cell(5.0, 0.625, SIX_IN_ONE), ([0.0], [45.0])).provenance["work"]["symmetric"] == 1
 
 
 def test_gyroscopic_torques_vanish_unless_a_ring_spins_about_its_axis():

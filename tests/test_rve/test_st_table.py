@@ -17,11 +17,11 @@ ALPHA, BETA = np.array([0.0, 20.0, 30.0, 10.0]), np.array([45.0, 30.0, 60.0, -20
 
 @pytest.fixture(scope="module")
 def direct():
-    return solve_table(ALPHA, BETA)
+    return solve_table(Cell(), (ALPHA, BETA))
 
 
 def test_both_methods_give_one_table(direct, tmp_path):
-    found = solve_table_stewart_trinkle(ALPHA, BETA, how=SweepOptions(folder=tmp_path, block=3))
+    found = solve_table_stewart_trinkle(Cell(), (ALPHA, BETA), how=SweepOptions(folder=tmp_path, block=3))
     assert list(found.status) == ["converged"] * 3 + ["compressive"]
     assert found.E[:3] == pytest.approx(direct.E[:3], abs=2e-6)
     assert found.S[:3] == pytest.approx(direct.S[:3], abs=2e-5)
@@ -35,15 +35,15 @@ def test_both_methods_give_one_table(direct, tmp_path):
 
 def test_senseless_options_are_bad_input():
     with pytest.raises(InputError, match="option damping = -1"):
-        solve_table_stewart_trinkle([0.0], [45.0], options=StewartTrinkleOptions(damping=-1.0))
+        solve_table_stewart_trinkle(Cell(), ([0.0], [45.0]), options=StewartTrinkleOptions(damping=-1.0))
 
 
 def test_compliance_predicts_the_strain_between_rows(direct, tmp_path):
     """At a stiffness so large that the rows are those of rigid contact, D is the slope of the table."""
     stiff = with_compliance(direct, 1e9)
     turn = 0.01
-    near = solve_table(ALPHA[:3], BETA[:3] + turn)
-    far = solve_table(ALPHA[:3], BETA[:3] - turn)
+    near = solve_table(Cell(), (ALPHA[:3], BETA[:3] + turn))
+    far = solve_table(Cell(), (ALPHA[:3], BETA[:3] - turn))
     predicted = np.einsum("nij,nj->ni", stiff.compliance[:3], near.S - far.S)
     assert predicted == pytest.approx(near.E - far.E, rel=1e-4, abs=1e-7)
     assert np.isnan(stiff.compliance[3]).all()
@@ -63,7 +63,7 @@ def test_twice_the_load_on_twice_the_stiffness_is_half_as_compliant(direct):
 
 
 def test_grain_along_x_swaps_the_axes(direct):
-    turned = with_compliance(solve_table(90.0 - ALPHA[:3], BETA[:3], Cell(grain="x")), 1e4, Cell(grain="x"))
+    turned = with_compliance(solve_table(Cell(grain="x"), (90.0 - ALPHA[:3], BETA[:3])), 1e4, Cell(grain="x"))
     straight = with_compliance(direct, 1e4)
     s = cauchy_line_load(90.0 - ALPHA[:3], BETA[:3])
     assert s[:, ::-1] == pytest.approx(cauchy_line_load(ALPHA[:3], BETA[:3]), abs=1e-15)

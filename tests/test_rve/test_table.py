@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rve.common.errors import InputError
 from rve.common.files import atomic_path
-from rve.directions import grid, parse_angles, read_loads
+from rve.directions import parse_angles, product, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import COLUMNS, COMPLIANCE_COLUMNS, joined_tables, provenance_path, read_table, write_table
@@ -19,7 +19,7 @@ from rve.table import COLUMNS, COMPLIANCE_COLUMNS, joined_tables, provenance_pat
 
 @pytest.fixture(scope="module")
 def small():
-    return solve_table([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0])
+    return solve_table(Cell(), ([0.0, 20.0, 10.0, 30.0], [90.0, 30.0, 95.0, 0.0]))
 
 
 def same(first, second):
@@ -127,7 +127,7 @@ def test_ranges_that_are_none():
     for text in ("", "a", "1:2", "0:10:0", "0:10:-1", "nan", "0:inf:1", "1:2:3:4", "0:1e9:1e-3"):
         with pytest.raises(InputError, match="--alpha"):
             parse_angles(text, "--alpha")
-    a, b = grid(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    a, b = product(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
     assert a.tolist() == [1, 1, 2, 2]
     assert b.tolist() == [3, 4, 3, 4]
 
@@ -161,8 +161,8 @@ def test_impossible_rings(radii, words):
 
 def test_loads_that_are_no_loads():
     with pytest.raises(InputError, match="as many"):
-        solve_table([1.0, 2.0], [3.0])
+        solve_table(Cell(), ([1.0, 2.0], [3.0]))
     with pytest.raises(InputError, match="finite"):
-        solve_table([np.nan], [3.0])
+        solve_table(Cell(), ([np.nan], [3.0]))
     with pytest.raises(InputError, match="at least one"):
-        solve_table([], [])
+        solve_table(Cell(), ([], []))

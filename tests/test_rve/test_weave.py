@@ -59,8 +59,8 @@ def mirrored(weave):
 @pytest.mark.parametrize("ratio", [6.5, 10.0])
 def test_six_in_one_locks_convexly_and_has_two_mirror_forms(ratio):
     alpha, beta = (x.ravel() for x in np.meshgrid([-45.0, 0.0, 20.0], [0.0, 30.0, 60.0, 90.0]))
-    one = solve_table(alpha, beta, Cell(5.0, 5.0 / ratio, SIX_IN_ONE))
-    other = solve_table(-alpha, beta, Cell(5.0, 5.0 / ratio, mirrored(SIX_IN_ONE)))
+    one = solve_table(Cell(5.0, 5.0 / ratio, SIX_IN_ONE), (alpha, beta))
+    other = solve_table(Cell(5.0, 5.0 / ratio, mirrored(SIX_IN_ONE)), (-alpha, beta))
     assert (one.status == "converged").all()
     np.testing.assert_allclose(other.E, one.E * [1, -1, 1], atol=1e-8)
     work = np.einsum("ik,ijk->ij", one.S * [1, 2, 1], one.E[:, None] - one.E[None])
