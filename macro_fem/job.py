@@ -59,8 +59,8 @@ class CurtainResult:
     def save(self, folder: str | Path, *, picture: bool = True, inputs: Sequence[Path | None] = ()) -> dict[str, Any]:
         """Write summary.json, curtain.vtu, support_forces.csv and curtain.png into `folder`; the summary.
 
-        With more than one load step curtain.pvd lists one VTU per step. All files appear together, and what they replace
-        is gone (`rve.common.jobs`). InputError where they cannot be written, or would overwrite one of `inputs`.
+        With more than one load step curtain.pvd lists one VTU per step. All files appear together, and what they
+        replace is gone (`rve.common.jobs`). InputError where they cannot be written, or would overwrite one of `inputs`.
         """
         if picture:
             require("matplotlib", "plots", "curtain.png", "ask for none")

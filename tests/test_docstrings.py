@@ -11,7 +11,7 @@ PACKAGES = ("rve", "homogenize", "macro_fem")
 
 def modules():
     for package in PACKAGES:
-        for found in pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}."):
+        for found in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             if not found.name.endswith("__main__"):
                 yield found.name
 

@@ -18,7 +18,8 @@ import numpy as np
 
 OTHER = {
     *("cli", "plots", "files", "io", "report", "explain", "errors", "job"),
-    *("picture", "records", "resume", "ship", "study", "main", "init"),
+    *("picture", "records", "checkpoints", "ship", "comparison", "figures", "main", "init", "schema", "progress"),
+    *("command", "jobs", "reading", "values", "vtu", "gmsh", "types", "versions"),
 }
 """Modules with one of these words in their names read, write, draw or explain: they are no numerics."""
 PAIRS = (

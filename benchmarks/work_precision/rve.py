@@ -171,7 +171,9 @@ def generic(given: Problem, tolerance: float, name: str, start: str) -> Answer:
 def absent(method: str, command: str) -> list[Row]:
     """The row of a method that is not installed here."""
     none = cells(np.full(1, np.nan), np.zeros(1, bool), np.nan, 0, "-")
-    return [{"method": method, "setting": f"not installed (`{command}`)"} | none | {"solved": "-"}]
+    return [
+        {"method": method, "setting": f"not installed (`{command}`)"} | none | {"solved": "-", "work per case": None}
+    ]
 
 
 def generic_runs(given: Problem, full: bool) -> list[Row]:

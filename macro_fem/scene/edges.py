@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.scene.outline import distance_to_polygon
+from rve.common.errors import InputError
 from rve.common.types import Array
 
 CORNER = math.radians(40.0)
@@ -99,7 +100,10 @@ def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dic
 
 
 def boundary_loops(mesh: Any) -> list[Loop]:
-    """The closed loops of the boundary. Where two meet at a node each keeps to its own cells."""
+    """The closed loops of the boundary. Where two meet at a node each keeps to its own cells.
+
+    InputError where cells overlap, so that the boundary is not made of closed lines.
+    """
     rim = mesh.boundary_facets()
     start, end = mesh.facets[0, rim].copy(), mesh.facets[1, rim].copy()
     centre = mesh.p[:, mesh.t[:, mesh.f2t[0, rim]]].mean(axis=1)
@@ -107,6 +111,10 @@ def boundary_loops(mesh: Any) -> list[Loop]:
     right = (b[0] - a[0]) * (centre[1] - a[1]) - (b[1] - a[1]) * (centre[0] - a[0]) < 0.0
     start[right], end[right] = end[right], start[right].copy()
     following = _following(mesh.p.T, start, end)
+    counts = np.bincount(following, minlength=len(rim))
+    if counts.max(initial=1) > 1:
+        x, y = mesh.p[:, start[counts.argmax()]]
+        raise InputError(f"cells overlap at ({x:g}, {y:g}): the boundary there is no closed line")
     left = np.ones(len(rim), bool)
     loops = []
     for first in range(len(rim)):

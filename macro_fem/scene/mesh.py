@@ -253,7 +253,12 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
     mesh = mesh_type(points.T.copy(), cells.T.copy())
     _check_sides(mesh, where)
-    return CurtainMesh(mesh, "file", named_edges(mesh, [], physical_lines(data, mesh, used, where)))
+    lines = physical_lines(data, mesh, used, where)
+    try:
+        edges = named_edges(mesh, [], lines)
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+    return CurtainMesh(mesh, "file", edges)
 
 
 def reference_points(data: Any) -> Array:
@@ -350,7 +355,7 @@ def _least_corner(points: Array, cells: np.ndarray) -> Array:
 
 def signed_areas(points: Array, cells: np.ndarray) -> Array:
     """Areas (n_cells,) of polygons given by their corners in order, positive if counterclockwise."""
-    x, y = points[cells, 0], points[cells, 1]
+    x, y = np.moveaxis(points[cells] - points[cells[:, :1]], 2, 0)  # from a corner: far from the origin digits cancel
     return 0.5 * (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
 
 

@@ -3,11 +3,13 @@
 import meshio
 import numpy as np
 import pytest
+import skfem
 from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_scene
 from macro_fem.output.files import held_length, summarize
+from macro_fem.scene.edges import named_edges
 from macro_fem.scene.mesh import build_mesh, refine
 from macro_fem.scene.outline import mesh_outline
 from macro_fem.scene.schema import read_scene
@@ -213,3 +215,14 @@ def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
 def test_keys_without_effect_are_refused(tmp_path, tables, words):
     with pytest.raises(InputError, match=words):
         held(scene_of(BOX, tmp_path, **tables))
+
+
+def test_cells_that_overlap_are_refused():
+    """A triangle laid across two others leaves a boundary that is no closed line."""
+    x, y = np.meshgrid(np.arange(4.0), np.arange(4.0), indexing="ij")
+    lower = [[4 * i + j, 4 * (i + 1) + j, 4 * (i + 1) + j + 1] for i in range(3) for j in range(3)]
+    upper = [[4 * i + j, 4 * (i + 1) + j + 1, 4 * i + j + 1] for i in range(3) for j in range(3)]
+    lower[3] = [1, 4, 8]
+    mesh = skfem.MeshTri(np.stack([x.ravel(), y.ravel()]), np.array(lower + upper).T)
+    with pytest.raises(InputError, match=r"cells overlap at \(0, 1\)"):
+        named_edges(mesh, [], {})
