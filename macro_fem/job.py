@@ -60,7 +60,7 @@ class CurtainResult:
         """Write summary.json, curtain.vtu, support_forces.csv and curtain.png into `folder`; the summary.
 
         With more than one load step curtain.pvd lists one VTU per step. All files appear together, and what they
-        replace is gone (`rve.common.jobs`). InputError where they cannot be written, or would overwrite one of `inputs`.
+        replace is gone (`rve.common.jobs`). InputError where they cannot be written, or would overwrite `inputs`.
         """
         if picture:
             require("matplotlib", "plots", "curtain.png", "ask for none")
