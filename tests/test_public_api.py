@@ -1,6 +1,10 @@
 """What a user meets in a notebook: the public roots from rings to a curtain, and what they return and refuse."""
 
 import json
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,6 +13,8 @@ import pytest
 import homogenize
 import macro_fem
 import rve
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +93,10 @@ def test_what_a_scene_does_not_know_is_refused():
         macro_fem.Scene.rectangle(100, 100).hung_by("corner")
     with pytest.raises(rve.InputError, match="gather"):
         macro_fem.Scene.rectangle(100, 100).hung_by("corners", gather=-1.0)
+
+
+def test_the_lines_of_the_readme_run():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    run = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert float(run.stdout) == pytest.approx(420.26, abs=0.05)  # 3,584 cells: README's table of measured numbers
