@@ -77,3 +77,14 @@ def test_file_and_command_line(family, tmp_path):
     assert not (tmp_path / "no.json").exists()
     path.write_text("[]")
     assert runner.invoke(main, ["member", str(path), "--r1", "7", "--r2", "1", "--out", "x.json"]).exit_code == 2
+
+
+def test_half_spaces_are_those_of_the_nearest_member():
+    """Each member has its own normals: a law between members takes those of the nearest one, not of the first."""
+    members = []
+    for count, (r1, r2) in ((16, (10.0, 0.25)), (20, (10.0, 0.5)), (24, (5.0, 0.5))):
+        S = disc_grid(6, count)
+        members.append(polyhedral_law(S, truth(r2 / r1, S), None, ring_cell(r1, r2, 2.2 * r1, (2.0 + r2 / r1) * r1)))
+    family = family_of(members)
+    for ratio, nearest in ((0.03, 0), (0.06, 1), (0.09, 2)):
+        assert np.allclose(family.at(10.0, 10.0 * ratio).S, members[nearest].S)

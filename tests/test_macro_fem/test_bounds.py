@@ -1,6 +1,7 @@
 """The two bounds: they contain exact answers, close with the mesh, and each part of the proof is checked alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from homogenize.laws.net import diagonal_net
 from macro_fem.bounds.adapt import levels, marked
 from macro_fem.bounds.equilibrated import dual_mesh
-from macro_fem.bounds.interval import bound, dual_problem
+from macro_fem.bounds.interval import _near_points, bound, dual_problem
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.scene.mesh import build_mesh, refine
@@ -153,3 +154,12 @@ def test_dual_problem_holds_what_the_primal_holds(ring_like, scene_tables):
     assert held[:, 1].sum() == 2 * len(facets)
     assert held[:, 0].sum() == 1  # one component is pinned against sliding
     assert top[on_edge].sum() >= 2 * len(facets)
+
+
+def test_what_points_cost_is_laid_on_the_cells_beside_their_edges():
+    """Facet 0 lies between cells 0 and 1, facet 1 on the rim of cell 1; shares go by the moments, the sum is kept."""
+    mesh = SimpleNamespace(mesh=SimpleNamespace(f2t=np.array([[0, 1], [1, -1]])))
+    dual = SimpleNamespace(dual=SimpleNamespace(disc=SimpleNamespace(n_cells=3), mesh=mesh))
+    dual.tethers = SimpleNamespace(facet=np.array([0, 1]))
+    assert _near_points(dual, np.array([3.0, 1.0]), 14.0) == pytest.approx([6.0, 8.0, 0.0])
+    assert _near_points(dual, np.zeros(2), 14.0) == pytest.approx([0.0, 0.0, 0.0])
