@@ -146,7 +146,10 @@ def test_impossible_supports_need_the_certificate(monkeypatch):
     scene = square(support={"kind": "top", "gather": 1.65}, solver={"max_iterations": 80})
     assert solve_scene(scene, law).status == "infeasible"
     monkeypatch.setattr(solvers, "supports_reach", lambda _: FREE)
-    assert solve_scene(scene, law).status == "infeasible"  # by the curtain's own multipliers
+    refuted = solve_scene(scene, law)  # by the curtain's own multipliers
+    assert refuted.status == "infeasible"
+    proved = float(refuted.message.split(" %")[0].split()[-1])
+    assert proved == pytest.approx(100.0 * (1.65 / (18.0 / 11.0) - 1.0), abs=0.05)
     monkeypatch.setattr(rigid, "is_certificate", lambda *_: False)
     assert solve_scene(scene, law).status in ("stalled", "iterations")
 

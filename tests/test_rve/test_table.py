@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rve.common.errors import InputError
 from rve.common.files import atomic_path
-from rve.directions import parse_angles, product, read_loads
+from rve.directions import graded_grid, parse_angles, product, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import COLUMNS, COMPLIANCE_COLUMNS, joined_tables, provenance_path, read_table, write_table
@@ -166,3 +166,13 @@ def test_loads_that_are_no_loads():
         solve_table(Cell(), ([np.nan], [3.0]))
     with pytest.raises(InputError, match="at least one"):
         solve_table(Cell(), ([], []))
+
+
+def test_the_graded_grid_is_close_where_strains_change_fast():
+    """403 directions, each once; steps of 5 degrees in the middle, of half a degree beside the ends of beta."""
+    alpha, beta = graded_grid()
+    assert len(set(zip(alpha, beta, strict=True))) == len(alpha) == 403
+    steps = np.diff(np.unique(beta))
+    assert steps[0] == steps[-3] == 0.5
+    assert steps.max() == 5.0
+    assert np.diff(np.unique(alpha)).tolist() == [5.0] * 6 + [2.5] * 6
