@@ -139,6 +139,8 @@ def solve_table(
     >>> solve_table(Cell(), ([0.0], [45.0])).x2_mm.round(4)
     array([[13.1163,  0.    ]])
     """
+    if not isinstance(cell, Cell) or not isinstance(loads, tuple | list) or len(loads) != 2:
+        raise InputError("solve_table takes a Cell and a pair of angles: solve_table(Cell(r1=5, r2=0.5), grid(5.0))")
     options = options or DirectOptions()
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)

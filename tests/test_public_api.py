@@ -86,6 +86,12 @@ def test_a_grid_that_misses_its_ends_is_refused(step):
         rve.grid(step)
 
 
+def test_a_table_needs_a_cell_and_a_pair_of_angles():
+    for arguments in (([0.0], [45.0]), (rve.Cell(), 45.0), (rve.Cell(), [0.0, 15.0, 30.0])):
+        with pytest.raises(rve.InputError, match="a Cell and a pair of angles"):
+            rve.solve_table(*arguments)
+
+
 def test_what_a_scene_does_not_know_is_refused():
     with pytest.raises(rve.InputError, match="unknown"):
         macro_fem.Scene.rectangle(100, 100, colour="red")
