@@ -86,12 +86,6 @@ def test_a_grid_that_misses_its_ends_is_refused(step):
         rve.grid(step)
 
 
-def test_too_few_iterations_leave_a_named_status():
-    options = rve.DirectOptions(max_iterations=2, attempts=1)
-    with pytest.raises(rve.NotConverged, match="allow more iterations"):
-        rve.solve_table(rve.Cell(), ([20.0], [45.0]), options)
-
-
 def test_a_table_needs_a_cell_and_a_pair_of_angles():
     for arguments in (([0.0], [45.0]), (rve.Cell(), 45.0), (rve.Cell(), [0.0, 15.0, 30.0])):
         with pytest.raises(rve.InputError, match="a Cell and a pair of angles"):

@@ -110,3 +110,12 @@ def test_pairs_are_halved():
     assert symmetry_of(supercell(FOUR_IN_ONE, 2, 1)) is None
     tilted = replace(FOUR_IN_ONE, start_centres=FOUR_IN_ONE.start_centres * 1.1)
     assert symmetry_of(tilted) is None
+
+
+def test_the_limit_of_iterations_holds_in_symmetric_coordinates():
+    """Three iterations from the slack pose do not lock a cell; forty do."""
+    equations = Equations.of(FOUR_IN_ONE, 0.1)
+    s = cauchy_line_load([20.0], [45.0])
+    found, symmetric = solve_equilibrium_symmetric(s, equations, DirectOptions(max_iterations=3, attempts=1))
+    assert (found.status[0], symmetric) == ("stalled", 0)
+    assert solve_equilibrium_symmetric(s, equations, DirectOptions())[0].status[0] == "converged"
