@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from rve.cli import main
 from rve.common.errors import InputError
+from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
@@ -556,3 +557,16 @@ def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
         assert done.exit_code == 0, done.output
         assert ("not solved: its status is iterations" in done.output) is is_said
         assert json.loads((tmp_path / "rings" / "localize.json").read_text())["curtain_status"] == status
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(30.0, 4.0), (20.0, 30.0), (0.0, 80.0)])
+def test_the_largest_force_is_that_of_the_cell(alpha, beta):
+    """At (30, 4) the two contacts of a pair carry forces ten times apart: the larger one counts."""
+    s = 0.7 * cauchy_line_load([alpha], [beta])
+    assert largest_forces(s, CELL).max() == pytest.approx(cell_forces(s[0], CELL).force.max(), rel=1e-6)
+
+
+def test_forces_of_a_cell_take_their_options():
+    s = cauchy_line_load([20.0], [30.0])[0]
+    assert cell_forces(s, CELL, DirectOptions(max_iterations=2, attempts=1)).status == "stalled"
+    assert cell_forces(s, CELL).status == "converged"

@@ -176,3 +176,14 @@ def test_the_graded_grid_is_close_where_strains_change_fast():
     assert steps[0] == steps[-3] == 0.5
     assert steps.max() == 5.0
     assert np.diff(np.unique(alpha)).tolist() == [5.0] * 6 + [2.5] * 6
+
+
+def test_what_is_no_number_is_named_by_its_line(small, tmp_path):
+    path = tmp_path / "table.csv"
+    write_table(small, path)
+    path.with_suffix(".json").unlink()
+    lines = path.read_text().splitlines()
+    lines[2] = "abc" + lines[2][lines[2].index(",") :]
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"line 3, column alpha_deg: 'abc' is not a number"):
+        read_table(path)
