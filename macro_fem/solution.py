@@ -18,7 +18,7 @@ from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.newton_records import NewtonRecord
-from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, Verdict, judged, load_scale
+from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -43,7 +43,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class CurtainSolution:
+class CurtainSolution(Judged):
     """The curtain at one load step.
 
     x (n_nodes, d) positions, mm; at the points F, E, P = F S (nq, d, 2) in N per mm of reference length, and S; primal
@@ -83,16 +83,6 @@ class CurtainSolution:
     def verdict(self) -> Verdict:
         """Status and message: see `macro_fem.solvers.status`."""
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.give)
-
-    @property
-    def status(self) -> str:
-        """One word for how it ended."""
-        return self.verdict.status
-
-    @property
-    def message(self) -> str:
-        """The sentence of the status."""
-        return self.verdict.message
 
     @property
     def relative_gap(self) -> float:

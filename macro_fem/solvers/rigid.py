@@ -35,7 +35,7 @@ from macro_fem.solvers.cone_program import (
 )
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, least_slack
 from macro_fem.solvers.cutting_planes import at_rest, find, joined, pruned, widened
-from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, Verdict, judged, load_scale
+from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from rve.common.types import Array
 
 REACH = 4.0
@@ -90,7 +90,7 @@ class RigidOptions:
 
 
 @dataclass(frozen=True)
-class RigidResult:
+class RigidResult(Judged):
     """Free unknowns z, stress and multipliers of the rigid curtain, with the numbers from which its status follows.
 
     `stop` is why the solver stopped, `evidence` the errors of the answer, `asked` what they must not exceed. `primal`
@@ -119,16 +119,6 @@ class RigidResult:
     def verdict(self) -> Verdict:
         """Status and message, from the numbers."""
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
-
-    @property
-    def status(self) -> str:
-        """One word for how it ended."""
-        return self.verdict.status
-
-    @property
-    def message(self) -> str:
-        """The sentence of the status."""
-        return self.verdict.message
 
     @property
     def residual(self) -> float:

@@ -6,6 +6,7 @@ balance and the violation of the law, all recomputed from the answer itself, and
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,6 +109,25 @@ class Verdict:
 
     status: str
     message: str
+
+
+class Judged(ABC):
+    """An answer whose status and message are those of its verdict."""
+
+    @property
+    @abstractmethod
+    def verdict(self) -> Verdict:
+        """Status and message, from the numbers of the answer."""
+
+    @property
+    def status(self) -> str:
+        """One word for how it ended."""
+        return self.verdict.status
+
+    @property
+    def message(self) -> str:
+        """The sentence of the status."""
+        return self.verdict.message
 
 
 INFEASIBLE = (
