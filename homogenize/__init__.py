@@ -9,8 +9,14 @@ from rve.common.lazy import lazily
 if TYPE_CHECKING:
     from homogenize.fitting.fit import FitOptions as FitOptions
     from homogenize.fitting.fit import FitResult as FitResult
+    from homogenize.fitting.fit import cell_of as cell_of
     from homogenize.fitting.fit import fit as fit
     from homogenize.fitting.fit import fit_table as fit_table
+    from homogenize.fitting.rows import Rows as Rows
+    from homogenize.fitting.rows import rows_from_table as rows_from_table
+    from homogenize.interval import LawInterval as LawInterval
+    from homogenize.interval import law_interval as law_interval
+    from homogenize.interval import read_law_interval as read_law_interval
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
     from homogenize.io import save_law as save_law
@@ -29,15 +35,21 @@ _MODULES = {
     "FitOptions": "homogenize.fitting.fit",
     "FitResult": "homogenize.fitting.fit",
     "HalfSpaces": "homogenize.laws.protocol",
+    "LawInterval": "homogenize.interval",
     "MembraneLaw": "homogenize.laws.protocol",
     "NetLaw": "homogenize.laws.net",
     "Response": "homogenize.laws.protocol",
+    "Rows": "homogenize.fitting.rows",
+    "cell_of": "homogenize.fitting.fit",
     "default_law": "homogenize.io",
     "diagonal_net": "homogenize.laws.net",
     "fit": "homogenize.fitting.fit",
     "fit_table": "homogenize.fitting.fit",
+    "law_interval": "homogenize.interval",
     "load_law": "homogenize.io",
+    "read_law_interval": "homogenize.interval",
     "ring_net": "homogenize.laws.net",
+    "rows_from_table": "homogenize.fitting.rows",
     "save_law": "homogenize.io",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -48,15 +60,21 @@ __all__ = [
     "FitOptions",
     "FitResult",
     "HalfSpaces",
+    "LawInterval",
     "MembraneLaw",
     "NetLaw",
     "Response",
+    "Rows",
+    "cell_of",
     "default_law",
     "diagonal_net",
     "fit",
     "fit_table",
+    "law_interval",
     "load_law",
+    "read_law_interval",
     "ring_net",
+    "rows_from_table",
     "save_law",
 ]
 

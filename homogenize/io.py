@@ -27,13 +27,17 @@ READERS: dict[str, Callable[[dict[str, Any], CellInfo | None, str], MembraneLaw]
 }
 
 
+DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
+"""The file of `default_law`."""
+
+
 def default_law() -> MembraneLaw:
     """The law for r1/r2 = 10 that ships inside the package, made by `homogenize.ship`.
 
     >>> default_law().name
     'polyhedral'
     """
-    return load_law(Path(__file__).parent / "data" / "rings_10.json")
+    return load_law(DEFAULT_LAW)
 
 
 def law_record(law: MembraneLaw, provenance: dict[str, Any] | None = None) -> dict[str, Any]:

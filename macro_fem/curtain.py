@@ -98,7 +98,8 @@ def solve_locked(problem: Problem) -> CurtainSolution:
 def _by_interior_point(problem: Problem) -> Solve:
     """Our own solver, with the half-spaces that the scene begins with."""
     forced = problem.scene.solver.forces("all-half-spaces")
-    cones = all_cones(problem) if forced else coarse_cones(problem)
+    given = problem.cones
+    cones = all_cones(problem) if forced else coarse_cones(problem) if given is None else given
 
     def solve(fem: SupportedFem, load: Array, z: Array, options: RigidOptions) -> RigidResult:
         options = replace(options, cones=cones, drop_idle=not forced)
