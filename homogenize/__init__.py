@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from homogenize.fitting.fit import fit as fit
     from homogenize.fitting.fit import fit_table as fit_table
     from homogenize.fitting.rows import Rows as Rows
-    from homogenize.fitting.rows import rows_from_table as rows_from_table
     from homogenize.interval import LawInterval as LawInterval
+    from homogenize.interval import interval_of_table as interval_of_table
+    from homogenize.interval import interval_or_law as interval_or_law
     from homogenize.interval import law_interval as law_interval
     from homogenize.interval import read_law_interval as read_law_interval
     from homogenize.io import default_law as default_law
@@ -45,11 +46,12 @@ _MODULES = {
     "diagonal_net": "homogenize.laws.net",
     "fit": "homogenize.fitting.fit",
     "fit_table": "homogenize.fitting.fit",
+    "interval_of_table": "homogenize.interval",
+    "interval_or_law": "homogenize.interval",
     "law_interval": "homogenize.interval",
     "load_law": "homogenize.io",
     "read_law_interval": "homogenize.interval",
     "ring_net": "homogenize.laws.net",
-    "rows_from_table": "homogenize.fitting.rows",
     "save_law": "homogenize.io",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -70,11 +72,12 @@ __all__ = [
     "diagonal_net",
     "fit",
     "fit_table",
+    "interval_of_table",
+    "interval_or_law",
     "law_interval",
     "load_law",
     "read_law_interval",
     "ring_net",
-    "rows_from_table",
     "save_law",
 ]
 

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.rows import Rows, rows_from_dict, with_mirror
+from homogenize.fitting.fit import cell_of
+from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, with_mirror
 from homogenize.io import DEFAULT_LAW, LawFile, read_law_file
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.vertices import highest
@@ -78,6 +79,26 @@ def read_law_interval(path: str | Path = DEFAULT_LAW) -> LawInterval:
     return found
 
 
+def interval_or_law(path: str | Path) -> MembraneLaw | LawInterval:
+    """The law in a file with what its rows prove; the law alone if the file holds no rows or a net.
+
+    InputError if the file cannot be read.
+    """
+    file = read_law_file(path)
+    return interval_of_file(file, str(path)) or file.law
+
+
+def interval_of_table(path: str | Path) -> LawInterval:
+    """What the rows of a strain-load table prove; InputError if it cannot be read or its rows do not bound the strain.
+
+    Its law is the inner one.
+    """
+    from rve import read_table
+
+    table = read_table(path)
+    return law_interval(rows_from_table(table), cell=cell_of(table))
+
+
 def interval_of_file(file: LawFile, source: str) -> LawInterval | None:
     """The interval of a law that was fitted to the rows in its file; None for a law without rows or not between them.
 
@@ -90,5 +111,5 @@ def interval_of_file(file: LawFile, source: str) -> LawInterval | None:
         rows = rows_from_dict(data)
     except InputError as error:
         raise InputError(f"{source}: provenance table_rows: {error}") from error
-    stiffness = np.linalg.inv(file.law.compliance)
+    stiffness = np.asarray(np.linalg.inv(file.law.compliance))
     return law_interval(rows, file.law, stiffness, file.law.cell)

@@ -9,17 +9,20 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from homogenize import MembraneLaw, default_law, load_law
+from homogenize import LawInterval, MembraneLaw, default_law, interval_of_table, interval_or_law, read_law_interval
 from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
+from macro_fem.demand.cache import RingCache, open_cache
+from macro_fem.demand.loop import Demand, DemandOptions, solve_on_demand
 from macro_fem.output.explain import decisions
-from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
+from rve import Cell
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.types import Array
@@ -34,12 +37,13 @@ RECORD = "summary.json"
 @dataclass(frozen=True, eq=False)
 class CurtainResult:
     """A solved scene: `steps`, the curtain at each load step, the last one at full load; `levels` of a scene that asks
-    for bounds, each a finer mesh than the one before.
+    for bounds, each a finer mesh than the one before; `demand` of one whose law was asked of the rings.
     """
 
     scene: Scene
     steps: tuple[CurtainSolution, ...]
     levels: tuple[Level, ...] = ()
+    demand: Demand | None = None
 
     @property
     def solution(self) -> CurtainSolution:
@@ -48,8 +52,8 @@ class CurtainResult:
 
     @property
     def status(self) -> str:
-        """How the solve at full load ended, "converged" if it is the answer."""
-        return self.solution.status
+        """How the solve at full load ended, "converged" if it is the answer, as narrow as asked."""
+        return self.solution.status if self.demand is None else self.demand.status
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -83,7 +87,9 @@ class CurtainResult:
         summary = summarize(self.solution)
         if self.levels:
             lines = [bounds_summary(level) for level in self.levels]
-            summary |= {"bounds": lines[-1], "levels": lines}
+            summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
+        if self.demand is not None:
+            summary |= self.demand.to_dict()
         features = decisions(self.solution, bounds=bool(self.levels), picture=picture)
         summary["features"] = [decision.to_dict() for decision in features]
         if len(self.steps) > 1:
@@ -93,7 +99,7 @@ class CurtainResult:
 
     def __str__(self) -> str:
         one = self.solution
-        return f"CurtainResult: {one.status}, mean height {one.mean_height():.3f} mm, {one.problem.disc.n_cells} cells"
+        return f"CurtainResult: {self.status}, mean height {one.mean_height():.3f} mm, {one.problem.disc.n_cells} cells"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: status, and the numbers of the summary that are single values."""
@@ -102,8 +108,21 @@ class CurtainResult:
         return f"<p>{escape(str(self))}</p><table>{body}</table>"
 
 
-def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
+def solve(
+    scene: Scene,
+    law: MembraneLaw | LawInterval | None = None,
+    *,
+    rings: Cell | None = None,
+    accuracy: float | None = None,
+    cache: str | Path | None = None,
+    say: Say = silent,
+) -> CurtainResult:
     """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
+
+    Bounds of a scene that asks for them hold for the law, or for its rings if it is an interval; the curtain is then
+    that of the upper bound, by the inner law. With `rings` the law is asked of them until the interval is no wider than
+    `accuracy` (default 5e-3) times the height; `law`, an interval, is what is known to begin with, and `cache` the
+    folder where answers of the rings are kept.
 
     An answer that has not converged is returned with the status that names why. InputError if the scene makes no sense
     or its supports are out of reach.
@@ -113,14 +132,34 @@ def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) ->
     >>> solve(scene).status
     'converged'
     """
-    law = default_law() if law is None else law
-    steps = scene.load.steps
-    early = [_solved(scene, law, step / steps, say) for step in range(1, steps)]
+    if rings is not None:
+        return _on_demand(scene, law, rings, accuracy, open_cache(cache), say)
+    if accuracy is not None or cache is not None:
+        raise InputError("accuracy and cache belong to rings: give their radii as well")
+    if law is None:
+        law = read_law_interval() if asks_bounds(scene) else default_law()
+    steps, own = scene.load.steps, law.law if isinstance(law, LawInterval) else law
+    early = [_solved(scene, own, step / steps, say) for step in range(1, steps)]
     if asks_bounds(scene):
         say("solving with bounds")
         levels = tuple(_with_bounds(scene, law))
         return CurtainResult(scene, (*early, levels[-1].solution), levels)
-    return CurtainResult(scene, (*early, _solved(scene, law, 1.0, say)))
+    return CurtainResult(scene, (*early, _solved(scene, own, 1.0, say)))
+
+
+def _on_demand(
+    scene: Scene, law: MembraneLaw | LawInterval | None, rings: Cell, accuracy: float | None, cache: RingCache, say: Say
+) -> CurtainResult:
+    """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
+    bounded = replace(scene, solver=replace(scene.solver, bounds=True))
+    check_solver(bounded, scene.source)
+    options = DemandOptions() if accuracy is None else DemandOptions(accuracy)
+    if law is not None and not isinstance(law, LawInterval):
+        raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
+    found = solve_on_demand(bounded, rings, options, known=law, cache=cache, say=say)
+    steps = scene.load.steps
+    early = [_solved(scene, found.law.inner, step / steps, say) for step in range(1, steps)]
+    return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
 
 
 def run_scene(
@@ -130,9 +169,15 @@ def run_scene(
     *,
     picture: bool = True,
     force: tuple[str, ...] = (),
+    table: Path | None = None,
+    rings: Cell | None = None,
+    accuracy: float | None = None,
+    cache: Path | None = None,
     say: Say = silent,
 ) -> dict[str, Any]:
     """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
+
+    `rings`, `accuracy` and `cache`: see `solve`; `table`: a strain-load table to begin with instead of a law.
 
     InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
@@ -145,10 +190,14 @@ def run_scene(
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
     if mesh_file is not None:
         complete(mesh_file.parent, RECORD)
-    inputs = [scene_path, law_path, mesh_file]
+    inputs = [scene_path, law_path, table, mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
-    law = default_law() if law_path is None else load_law(law_path)
-    return solve(scene, law, say=say).save(out, picture=picture, inputs=inputs)
+    if table is not None and (law_path is not None or rings is None):
+        raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
+    law = None if law_path is None else interval_or_law(law_path)
+    law = law if table is None else interval_of_table(table)
+    found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache, say=say)
+    return found.save(out, picture=picture, inputs=inputs)
 
 
 def with_force(scene: Scene, force: tuple[str, ...]) -> Scene:
@@ -181,12 +230,12 @@ def _solved(scene: Scene, law: MembraneLaw, factor: float, say: Say = silent) ->
     return solution
 
 
-def _with_bounds(scene: Scene, law: MembraneLaw) -> list[Level]:
+def _with_bounds(scene: Scene, law: MembraneLaw | LawInterval) -> list[Level]:
     """All levels of refinement; InputError if not even the first mesh has a solution."""
     found = list(refined_levels(scene, law))
     if not found:
         coarse = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
-        solution = _solved(coarse, law, 1.0)
+        solution = _solved(coarse, law.inner if isinstance(law, LawInterval) else law, 1.0)
         raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {solution.message}")
     return found
 

@@ -2,10 +2,11 @@
 
 Upper bound: a conforming curtain, admissible in every triangle (`macro_fem.bounds.admissible`). Lower bound: the
 equilibrated stress of `macro_fem.bounds.equilibrated`, with every half-space an outer one, so that it holds for the law
-and not for a few planes. With an outer law below and an inner one above, the interval holds for every law between. Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the
-true position x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the
-edge, so that the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa
-|r| s: this is subtracted.
+and not for a few planes. With an outer law below and an inner one above, the interval holds for every law between.
+Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the true
+position x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the edge, so
+that the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa |r| s:
+this is subtracted.
 
 The width of the interval is the sum over the triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
 """
@@ -112,7 +113,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | N
     InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
     """
     begin = time.perf_counter()
-    upper, inner = solution.primal, solution.problem.law
+    upper, inner, area = solution.primal, solution.problem.law, solution.problem.disc.weight
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
     solution = linear_part(solution, factor, outer)
     problem = solution.problem
@@ -133,7 +134,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | N
     lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.disc.nodes).sum())
     error = error_map(gradients, dual, result)
     points = upper - lower - float(error.sum())
-    loads = None if outer is None else loads_of(solution.problem.disc.weight, solution.S, inner, problem.law)
+    loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return Bounds(
         upper=upper,
         lower=lower if result.converged else float("nan"),
