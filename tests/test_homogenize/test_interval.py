@@ -27,8 +27,10 @@ def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():
     found, S = read_law_interval(), directions()
     inner, law, outer = (one.support(S) for one in (found.inner, found.law, found.outer))
     # Between two of its 720 loads of rank one the inner law is passed by less than 1e-5.
-    assert (law >= inner - 2e-5).all() and (outer >= law - 1e-9).all()
-    assert found.width(S).max() < 0.02 and found.raised < 1e-8
+    assert (law >= inner - 2e-5).all()
+    assert (outer >= law - 1e-9).all()
+    assert found.width(S).max() < 0.02
+    assert found.raised < 1e-8
     rows = found.rows
     assert np.abs(found.width(rows.S)).max() < 2e-5
 
@@ -50,7 +52,8 @@ def test_rows_that_missed_the_largest_work_are_raised_to_what_others_do():
     wrong = replace(rows, E=low, h=double_dot(rows.S, low))
     found = law_interval(wrong)
     best = double_dot(rows.S[i], low[np.arange(len(low)) != i]).max()
-    assert found.raised == pytest.approx(best - wrong.h[i], abs=1e-12) and found.raised > 1e-3
+    assert found.raised == pytest.approx(best - wrong.h[i], abs=1e-12)
+    assert found.raised > 1e-3
     assert rows_with_largest_work(wrong).h[i] == pytest.approx(best, abs=1e-12)
     assert rows_with_largest_work(wrong).h[j] == wrong.h[j]
     assert (found.outer.support(directions()) >= found.inner.support(directions()) - 2e-5).all()

@@ -124,8 +124,10 @@ def test_more_rows_narrow_the_interval_from_both_sides():
         uppers.append(bounds.upper)
         parts.append(bounds.law_part)
     scale = np.abs(solution.problem.force).sum() * 100.0
-    assert lowers[0] < lowers[1] - 1e-3 * scale and lowers[1] < lowers[2] + 1e-5 * scale
-    assert uppers[0] > uppers[1] + 1e-4 * scale and uppers[1] > uppers[2] - 1e-6 * scale
+    assert lowers[0] < lowers[1] - 1e-3 * scale
+    assert lowers[1] < lowers[2] + 1e-5 * scale
+    assert uppers[0] > uppers[1] + 1e-4 * scale
+    assert uppers[1] > uppers[2] - 1e-6 * scale
     assert parts[0] > 2.0 * parts[1] > 4.0 * parts[2]
 
 
@@ -134,11 +136,14 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     found = solve_on_demand(scene, Cell(), DemandOptions(0.02))
     low, high = interval(found)
     scale = np.abs(found.level.solution.problem.force).sum() * 100.0
-    assert found.status == "converged" and high - low <= 0.02 * scale
+    assert found.status == "converged"
+    assert high - low <= 0.02 * scale
     finer = square(cells=8, solver={"adapt": 1})
     *_, best = levels(finer, law_interval(KNOWN.rows, cell=KNOWN.law.cell))
-    assert low < best.bounds.upper and best.bounds.lower < high
-    assert best.bounds.lower < high and low < best.bounds.lower + 1e-3 * scale
+    assert low < best.bounds.upper
+    assert best.bounds.lower < high
+    assert best.bounds.lower < high
+    assert low < best.bounds.lower + 1e-3 * scale
     assert found.asked.solves == len(known_rings) < 60
     assert [turn.ring_solves for turn in found.turns] == sorted(turn.ring_solves for turn in found.turns)
 
@@ -155,7 +160,9 @@ def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
 
 def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
     found = solve_on_demand(square(cells=4), Cell(), DemandOptions(0.05), known=KNOWN)
-    assert found.status == "converged" and found.asked.solves == 0 and found.asked.count == len(KNOWN.rows)
+    assert found.status == "converged"
+    assert found.asked.solves == 0
+    assert found.asked.count == len(KNOWN.rows)
     with pytest.raises(InputError, match="r2, b_x and b_y"):
         solve_on_demand(square(), Cell(5.0, 0.4), DemandOptions(0.05), known=KNOWN)
 
@@ -165,8 +172,10 @@ def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
     first = solve_on_demand(square(), Cell(), options, cache=cache)
     asked = len(known_rings)
     second = solve_on_demand(square(), Cell(), options, cache=cache)
-    assert asked == len(known_rings) == first.asked.solves and first.asked.hits == 0
-    assert second.asked.solves == 0 and second.asked.hits == asked
+    assert asked == len(known_rings) == first.asked.solves
+    assert first.asked.hits == 0
+    assert second.asked.solves == 0
+    assert second.asked.hits == asked
     assert interval(first) == interval(second)
     assert np.array_equal(first.level.solution.x, second.level.solution.x)
 
@@ -174,11 +183,14 @@ def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
 def test_limits_are_named(known_rings):
     scale = DemandOptions(1e-3)
     mesh = solve_on_demand(square(), Cell(), replace(scale, most_cells=100))
-    assert mesh.status == "mesh_limit" and "100 triangles" in mesh.message
+    assert mesh.status == "mesh_limit"
+    assert "100 triangles" in mesh.message
     law = solve_on_demand(square(), Cell(), replace(scale, most_solves=12))
-    assert law.status in ("law_limit", "mesh_limit") and law.asked.solves == 12
+    assert law.status in ("law_limit", "mesh_limit")
+    assert law.asked.solves == 12
     turns = solve_on_demand(square(), Cell(), replace(scale, most_turns=2))
-    assert turns.status == "turn_limit" and len(turns.turns) == 2
+    assert turns.status == "turn_limit"
+    assert len(turns.turns) == 2
 
 
 def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
@@ -203,7 +215,8 @@ def test_a_run_that_is_stopped_keeps_all_answers_but_the_one_in_flight(known_rin
     monkeypatch.setattr(rings_module, "support", stopped)
     with pytest.raises(KeyboardInterrupt):
         ask(Cell(), cache, x, NOTHING)
-    assert len(list(cache.folder.glob("*.json"))) == 5 and not list(cache.folder.glob(".part*"))
+    assert len(list(cache.folder.glob("*.json"))) == 5
+    assert not list(cache.folder.glob(".part*"))
     monkeypatch.setattr(rings_module, "support", whole)
     found = ask(Cell(), cache, x, NOTHING)
     assert (found.hits, found.solves) == (5, len(x) - 5)
@@ -237,7 +250,8 @@ def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp
     good = file.read_bytes()
     file.write_bytes(text.encode("latin-1"))
     found = ask(Cell(), cache, x, NOTHING)
-    assert (found.solves, found.hits) == (1, 0) and file.read_bytes() == good
+    assert (found.solves, found.hits) == (1, 0)
+    assert file.read_bytes() == good
     record = json.loads(good)
     file.write_text(json.dumps(record | {"E11_E12_E22": [1.0, 2.0]}))
     assert ask(Cell(), cache, x, NOTHING).solves == 1
@@ -263,7 +277,8 @@ def test_directions_are_asked_where_they_widen_most_and_apart():
     part = np.repeat([2.0, 1.0], 50)
     known = first_directions(True)
     both = widest(x, part, known, 8, True)
-    assert np.abs(both[0] - heavy * [1.0, -1.0]).max() < 0.02 and np.abs(both[1] - light).max() < 0.02
+    assert np.abs(both[0] - heavy * [1.0, -1.0]).max() < 0.02
+    assert np.abs(both[1] - light).max() < 0.02
     assert len(both) == 2  # the spread around each is less than half-way to what is known
     assert len(widest(x, part, np.vstack([known, x * [1.0, -1.0], x]), 8, True)) > 0
     assert len(widest(x, 0.0 * part, known, 8, True)) == 0
@@ -281,7 +296,8 @@ def test_directions_far_from_all_known_ones():
     known = first_directions(True)
     x = between(known, 3, True)
     folded = known * [1.0, 1.0]
-    assert (x[:, 1] >= 0.0).all() and np.hypot(*x.T).max() <= 1.0 + 1e-12
+    assert (x[:, 1] >= 0.0).all()
+    assert np.hypot(*x.T).max() <= 1.0 + 1e-12
     assert np.linalg.norm(folded[:, None] - x[None], axis=2).min() > 0.15
 
 
@@ -299,9 +315,11 @@ def test_the_summary_tells_interval_parts_and_questions(known_rings, tmp_path):
     summary = result.summary
     low, high = summary["mean_height_interval_mm"]
     assert summary["status"] == result.status == "converged"
-    assert high == pytest.approx(summary["mean_height_mm"]) and high - low <= 5.0
+    assert high == pytest.approx(summary["mean_height_mm"])
+    assert high - low <= 5.0
     assert summary["law_part_mm"] + summary["mesh_part_mm"] == pytest.approx(high - low)
-    assert summary["ring_solves"] == len(known_rings) and summary["cache_hits"] == 0
+    assert summary["ring_solves"] == len(known_rings)
+    assert summary["cache_hits"] == 0
     assert summary["turns"][-1]["lower_N_mm"] == result.levels[-1].bounds.lower
     assert "rings" in summary["interval"]
 
@@ -311,17 +329,23 @@ def test_other_loads_than_the_weight_give_an_interval_of_the_potential(known_rin
     result = solve(square("top", load=load), rings=Cell(), accuracy=0.1)
     summary = result.summary
     low, high = summary["potential_interval_N_mm"]
-    assert low < high and "mean_height_interval_mm" not in summary and "potential" in summary["interval"]
-    assert len(result.steps) == 2 and result.steps[0].status == "converged"
+    assert low < high
+    assert "mean_height_interval_mm" not in summary
+    assert "potential" in summary["interval"]
+    assert len(result.steps) == 2
+    assert result.steps[0].status == "converged"
 
 
 def test_bounds_by_a_law_alone_say_so():
     scene = square(cells=3, solver={"bounds": True})
     alone, rings = solve(scene, default_law()).summary, solve(scene).summary
-    assert alone["law_part_mm"] is None and "this law" in alone["interval"]
-    assert rings["law_part_mm"] > 0.0 and "rings" in rings["interval"]
+    assert alone["law_part_mm"] is None
+    assert "this law" in alone["interval"]
+    assert rings["law_part_mm"] > 0.0
+    assert "rings" in rings["interval"]
     (low, high), (inside, outside) = rings["mean_height_interval_mm"], alone["mean_height_interval_mm"]
-    assert low < inside + 1e-3 and high > outside - 1e-3
+    assert low < inside + 1e-3
+    assert high > outside - 1e-3
 
 
 @pytest.mark.parametrize(
@@ -344,8 +368,11 @@ def test_options_that_make_no_sense_end_in_a_sentence(tmp_path, monkeypatch, opt
     monkeypatch.chdir(tmp_path)
     Path("scene.toml").write_text('[curtain]\nwidth = 9.0\nheight = 9.0\n[support]\nkind = "top"\n')
     run = CliRunner().invoke(main, ["run", "scene.toml", "--out", "out", *options])
-    assert run.exit_code == 2 and run.stderr.count("\n") == 1 and sentence in run.stderr
-    assert not Path("out").exists() and not Path("c").exists()
+    assert run.exit_code == 2
+    assert run.stderr.count("\n") == 1
+    assert sentence in run.stderr
+    assert not Path("out").exists()
+    assert not Path("c").exists()
 
 
 def test_elements_without_bounds_are_refused():
@@ -377,7 +404,8 @@ SCENES = {
 def test_the_interval_of_real_rings_holds_the_answer_of_the_finest_law_and_mesh(name, tmp_path_factory):
     scene = SCENES[name]
     found = solve_on_demand(scene, Cell(), DemandOptions(0.03), cache=RingCache(tmp_path_factory.getbasetemp() / "c"))
-    assert found.status == "converged" and found.law.raised < 1e-8
+    assert found.status == "converged"
+    assert found.law.raised < 1e-8
     low, high = interval(found)
     fine = replace(scene, mesh=replace(scene.mesh, cells=3 * scene.mesh.cells))
     law = default_law()
@@ -401,7 +429,9 @@ def test_a_killed_process_leaves_answers_that_the_next_one_reads(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     kept = len(list(folder.glob("[!.]*.json")))
-    assert kept >= 4 and not (tmp_path / "out" / "summary.json").exists()
+    assert kept >= 4
+    assert not (tmp_path / "out" / "summary.json").exists()
     subprocess.run(command, env=environment, check=True, capture_output=True)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["cache_hits"] >= kept - 1 and summary["status"] == "converged"
+    assert summary["cache_hits"] >= kept - 1
+    assert summary["status"] == "converged"
