@@ -136,7 +136,7 @@ def starts_coarse(problem: Problem) -> bool:
     scene = problem.scene
     pays = problem.disc.n_points >= COARSE_FROM or scene.solver.forces("coarse-start")
     possible = scene.curtain.shape != "file" and not scene.solver.adapt and scene.mesh.cells >= 8
-    return pays and possible and scene.solver.kind != "conic"
+    return pays and possible and problem.cones is None and scene.solver.kind != "conic"
 
 
 def coarse_cones(problem: Problem) -> Cones | None:

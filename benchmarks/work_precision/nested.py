@@ -2,8 +2,8 @@
 
 In the nested scheme (FE2, F. Feyel and J.-L. Chaboche, doi 10.1016/S0045-7825(99)00224-8) every quadrature point has
 its own cell, which is solved in every iteration. Here the cell of a point is loaded by the stress that the point has,
-for rigid rings answer a stress, not a strain: h(S) and the half-space S:E <= h. The curtain is solved again with all
-half-spaces, until the rings of no point allow less than the law. All points know what the rings of others have
+for rigid rings answer a stress, not a strain: with h(S) and a locked strain. The curtain is solved again by the hull of
+all strains, until the rings of no point allow more than the hull. All points know what the rings of others have
 answered, which a nested scheme would not tell them: the count favours it.
 
 All methods solve the same square metre, hung by its corners, on the same mesh, so that errors are those of the law.
@@ -20,7 +20,6 @@ from benchmarks.problems import loads, square
 from benchmarks.report.measure import Row, decade, least_seconds
 from benchmarks.report.records import Diagram, Section, curves, table
 from homogenize import CellInfo, MembraneLaw, Rows, law_interval
-from homogenize.fitting.bounds import outer_law
 from homogenize.fitting.fit import FitOptions, fit
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.curtain import solve_problem
@@ -37,7 +36,7 @@ from rve.directions import graded_grid
 HEIGHT = 1000.0
 ERROR, SOLVES, SECONDS = "error of the mean height / height", "ring problems", "s"
 CLOSED = 1e-6
-"""The nested scheme ends when half-spaces that its points miss may change the mean height by less than this part."""
+"""The nested scheme ends when strains that its points miss may change the mean height by less than this part."""
 MOST_ROUNDS = 30
 ACCURACIES = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3)
 GRADED_RESOLUTION = 1e-6
@@ -68,35 +67,38 @@ def nested(cell: Cell, cells: int) -> Nested:
     """The curtain whose every point asks its rings in every round, all points at once."""
     info = ring_info(cell)
     rows = answered(cell, first_directions(cell.weave.is_mirrored), None)
-    solves = len(rows)
-    for count in range(1, MOST_ROUNDS + 1):
-        law = outer_law(rows, cell=info)
+    solves, rounds = len(rows), 0
+    for _ in range(MOST_ROUNDS):
+        law = law_interval(rows, cell=info).inner
         found = curtain(law, cells)
         taut = trace(found.S) > 1e-9 * trace(found.S).max()
         S = found.S[taut] / trace(found.S[taut])[:, None]
         weight = found.problem.disc.weight[taut] * trace(found.S[taut])
         asked = answered(cell, rounded(disc(S)), rows)
-        solves += len(S)
-        missing = np.maximum(law.support(S) - asked.h[len(rows) :], 0.0)
+        solves, rounds = solves + len(S), rounds + 1
+        missing = np.maximum(asked.h[len(rows) :] - law.support(S), 0.0)
         left = float((weight * missing).sum()) / (float(np.abs(found.problem.force).sum()) * HEIGHT)
         rows = asked
         if left < CLOSED:
             break
-    return Nested(found.mean_height(), solves, count, left)
+    return Nested(found.mean_height(), solves, rounds, left)
 
 
 def answered(cell: Cell, x: Array, before: Rows | None) -> Rows:
-    """Rows with those of the load directions x (n, 2); NotConverged rows have the largest work of a known state."""
+    """Rows with those of the load directions x (n, 2), each with the largest work that any known state does.
+
+    ValueError if a ring problem is not solved.
+    """
     S = from_disc(x)
     found = support(cell, S)
     bad = found.status != "converged"
     if bad.any():
         raise ValueError(f"{int(bad.sum())} of {len(S)} ring problems were not solved")
-    if before is None:
-        return Rows(S, found.E, found.h, found.unique, np.arange(len(S)))
-    S, E = np.vstack([before.S, S]), np.vstack([before.E, found.E])
-    h, unique = np.concatenate([before.h, found.h]), np.concatenate([before.unique, found.unique])
-    return Rows(S, E, h, unique, np.arange(len(S)))
+    columns = [(S, found.E, found.h, found.unique)]
+    if before is not None:
+        columns.insert(0, (before.S, before.E, before.h, before.unique))
+    S, E, h, unique = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    return law_interval(Rows(S, E, h, unique, np.arange(len(S)))).rows
 
 
 def by_table(cell: Cell, cells: int, directions: tuple[Array, Array], options: FitOptions) -> float:
