@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rve.geometry.weave import WEAVES as WEAVES
     from rve.geometry.weave import Weave as Weave
     from rve.solve import solve_table as solve_table
+    from rve.support_function import Support as Support
+    from rve.support_function import support as support
     from rve.table import StrainTable as StrainTable
     from rve.table import read_table as read_table
     from rve.table import write_table as write_table
@@ -33,6 +35,7 @@ _MODULES = {
     "LoadDirections": "rve.directions",
     "NotConverged": "rve.common.errors",
     "StrainTable": "rve.table",
+    "Support": "rve.support_function",
     "WEAVES": "rve.geometry.weave",
     "Weave": "rve.geometry.weave",
     "cauchy_line_load": "rve.geometry.kinematics",
@@ -44,6 +47,7 @@ _MODULES = {
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
     "solve_table": "rve.solve",
+    "support": "rve.support_function",
     "write_table": "rve.table",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -56,6 +60,7 @@ __all__ = [
     "LoadDirections",
     "NotConverged",
     "StrainTable",
+    "Support",
     "Weave",
     "cauchy_line_load",
     "deformation_gradient",
@@ -66,6 +71,7 @@ __all__ = [
     "read_table",
     "second_pk",
     "solve_table",
+    "support",
     "write_table",
 ]
 

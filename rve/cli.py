@@ -1,4 +1,4 @@
-"""Command line: `python -m rve table`, `case`, `study`, `localize`. `--help` of each says what it takes.
+"""Command line: `python -m rve table`, `case`, `support`, `study`, `localize`. `--help` of each says what it takes.
 
 How commands end: `rve.common.command_line`.
 """
@@ -30,6 +30,27 @@ def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
         click.option(
             "--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."
+        ),
+    ):
+        command = decorate(command)
+    return command
+
+
+def _branch_options(command: Callable[..., None]) -> Callable[..., None]:
+    for decorate in (
+        click.option(
+            "--reference",
+            type=click.Choice(["side-by-side", "locked"]),
+            default="side-by-side",
+            show_default=True,
+            help="Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one.",
+        ),
+        click.option(
+            "--branches",
+            type=click.Choice(["largest", "first"]),
+            default="largest",
+            show_default=True,
+            help="Where several locked states coexist: that of largest work, or the first from the slack pose.",
         ),
     ):
         command = decorate(command)
@@ -76,6 +97,8 @@ def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, 
     from rve.solve import solve_table
 
     if method == "stewart-trinkle":
+        if (how["branches"], how["reference"]) != ("largest", "side-by-side"):
+            raise InputError("--branches and --reference belong to --method direct: stewart-trinkle follows one motion")
         moving = StewartTrinkleOptions(gyroscopic="gyroscopic" in checked_force(how["force"], MOVING))
         options = SweepOptions(folder=how["checkpoint"], workers=how["workers"])
         return solve_table_stewart_trinkle(mesh, directions, moving, how=options)
@@ -85,20 +108,26 @@ def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, 
         )
     hidden = not sys.stderr.isatty()
     with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=hidden) as bar:
-        return solve_table(mesh, directions, DirectOptions(force=checked_force(how["force"])), progress=bar.update)
+        named = {name: how[name] for name in ("branches", "reference")}
+        direct = DirectOptions(force=checked_force(how["force"]), **named)
+        return solve_table(mesh, directions, direct, progress=bar.update)
 
 
-def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
-    """The load directions asked for: a file, the graded set, or a grid."""
-    from rve.directions import graded_grid, parse_angles, product, read_loads
+def _directions(weave: Any, loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
+    """The load directions asked for: a file, the graded set, or a grid; by default one all round the weave."""
+    import numpy as np
+
+    from rve.directions import graded_grid, grid, parse_angles, product, read_loads
 
     if (loads is not None) + graded + (alpha is not None or beta is not None) > 1:
         raise InputError("--loads, --graded and --alpha with --beta are three ways to say which loads: give one")
     if loads is not None:
         return read_loads(loads)
     if graded:
-        return graded_grid()
-    alpha, beta = "0:45:5" if alpha is None else alpha, "0:90:5" if beta is None else beta
+        return graded_grid(weave)
+    beta = "0:90:5" if beta is None else beta
+    if alpha is None:
+        return product(np.unique(grid(5.0, weave).alpha_deg), parse_angles(beta, "--beta"))
     return product(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
 
 
@@ -109,7 +138,7 @@ def main() -> None:
 
 @main.command()
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write.")
-@click.option("--alpha", help="Principal angles in degrees.  [default: 0:45:5]")
+@click.option("--alpha", help="Principal angles in degrees.  [default: 0:45:5, from -40 for a chiral weave]")
 @click.option("--beta", help="Ratio angles in degrees.  [default: 0:90:5]")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
@@ -121,6 +150,7 @@ def main() -> None:
 @click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm.")
 @_feature_options
+@_branch_options
 @_cell_options
 def table(out: Path, method: str, **rest: Any) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
@@ -128,18 +158,16 @@ def table(out: Path, method: str, **rest: Any) -> None:
     from rve.span import with_span
     from rve.table import write_table
 
-    how = {name: rest.pop(name) for name in ("checkpoint", "workers", "force")}
+    how = {name: rest.pop(name) for name in ("checkpoint", "workers", "force", "branches", "reference")}
     stiffness, span, explain = rest.pop("compliance"), rest.pop("span"), rest.pop("explain")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = _cell(**rest)
-    directions = _directions(**asked)
+    directions = _directions(mesh.weave, **asked)
     check_out_table(out, inputs=[asked["loads"]])
     if how["checkpoint"] is not None:
         check_out_folder(how["checkpoint"], "--checkpoint")
-    if mesh.weave.caveat:
-        click.echo(f"Warning: {mesh.weave.caveat}", err=True)
     found = _solved(method, directions, mesh, how)
     if stiffness is not None:
         found = with_compliance(found, stiffness, mesh)
@@ -154,6 +182,9 @@ def table(out: Path, method: str, **rest: Any) -> None:
     if free:
         where = "the limit from inside the tensile cone" if method == "direct" else "where the motion has ended"
         click.echo(f"{free} rows leave the strain free (unique = 0); their E is {where}")
+    several = 0 if found.branch is None else int((found.branch != "slack").sum())
+    if several:
+        click.echo(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
     for status in sorted(set(found.status) - {"converged"}):
         click.echo(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
 
@@ -191,6 +222,23 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
         from rve.plots import draw_case, save
 
         save(draw_case(alpha, beta, mesh), plot)
+
+
+@main.command(name="support")
+@click.option("--S", "load", required=True, help="S11,S12,S22: dead line load, positive semidefinite, any unit.")
+@_branch_options
+@_cell_options
+def support_command(load: str, branches: str, reference: str, **cell: Any) -> None:
+    """Print h = max S:E of a dead second Piola-Kirchhoff load and the locked state that reaches it, as JSON."""
+    from rve.directions import parse_load
+    from rve.equilibrium.interior_point import DirectOptions
+    from rve.support_function import support
+
+    found = support(_cell(**cell), parse_load(load), DirectOptions(branches=branches, reference=reference))
+    status = str(found.status[0])
+    if status != "converged":
+        raise NotConverged(f"S = {load}: {status}: {SENTENCES[status]}")
+    click.echo(json.dumps(found.row(0), indent=2))
 
 
 @main.command()

@@ -10,6 +10,7 @@ import numpy as np
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
+from rve.geometry.weave import FOUR_IN_ONE, Weave
 from rve.table import ranged_column, read_columns
 
 MOST_VALUES = 100_000
@@ -52,10 +53,12 @@ class LoadDirections(NamedTuple):
     beta_deg: Array
 
 
-def grid(step: float = 5.0) -> LoadDirections:
+def grid(step: float = 5.0, weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     """The paper's grid: alpha from 0 to 45 and beta from 0 to 90 degrees in steps of `step`, beta running fastest.
 
-    InputError for a step that is not between 0.1 and 45 degrees, or leads to neither end.
+    A weave that is not its own mirror image needs negative alpha as well, from -45 degrees on; (-45, beta) is
+    (45, 90 - beta) and appears once. InputError for a step that is not between 0.1 and 45 degrees, or leads to neither
+    end.
 
     >>> len(grid(5.0).alpha_deg)
     190
@@ -63,7 +66,12 @@ def grid(step: float = 5.0) -> LoadDirections:
     if not 0.1 <= step <= 45.0 or abs(round(45.0 / step) * step - 45.0) > 1e-9:
         raise InputError(f"step = {step}: must divide 45 degrees and lie between 0.1 and 45")
     count = round(45.0 / step)
-    return product(np.linspace(0.0, 45.0, count + 1), np.linspace(0.0, 90.0, 2 * count + 1))
+    return product(_all_round(np.linspace(0.0, 45.0, count + 1), weave), np.linspace(0.0, 90.0, 2 * count + 1))
+
+
+def _all_round(alpha: Array, weave: Weave) -> Array:
+    """Principal angles from 0 to 45 degrees, and their negatives for a weave that is not its own mirror image."""
+    return alpha if weave.is_mirrored else np.concatenate([-alpha[-2:0:-1], alpha])
 
 
 def product(alpha: Array, beta: Array) -> LoadDirections:
@@ -77,15 +85,16 @@ def product(alpha: Array, beta: Array) -> LoadDirections:
     return LoadDirections(a.ravel(), b.ravel())
 
 
-def graded_grid() -> LoadDirections:
+def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     """403 load directions, close where the strain changes fast: beta near 0 and 90, alpha beyond 30 degrees.
 
-    There it moves by 0.05 within half a degree of beta; elsewhere the steps are 5 degrees, as in the paper.
+    There it moves by 0.05 within half a degree of beta; elsewhere the steps are 5 degrees, as in the paper. For a weave
+    that is not its own mirror image there are 744, with negative alpha.
     """
     near = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     far = np.array([82.5, 85.0, 86.0, 87.0, 88.0, 88.5, 89.0, 90.0])
     alpha = np.concatenate([np.arange(0.0, 30.0, 5.0), np.arange(30.0, 46.0, 2.5)])
-    return product(alpha, np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
+    return product(_all_round(alpha, weave), np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
 
 
 def read_loads(path: str | os.PathLike[str]) -> LoadDirections:
@@ -103,6 +112,19 @@ def read_loads(path: str | os.PathLike[str]) -> LoadDirections:
             raise InputError(f"{path}: has {len(values)} load directions, at most {MOST_VALUES} are allowed")
         out.append(values)
     return LoadDirections(out[0], out[1])
+
+
+def parse_load(text: str) -> Array:
+    """A line load (3,) from "S11,S12,S22"; raises InputError.
+
+    >>> parse_load("1,0,0.5")
+    array([1. , 0. , 0.5])
+    """
+    try:
+        S11, S12, S22 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--S = {shown(text)}: write three numbers S11,S12,S22") from None
+    return np.array([S11, S12, S22])
 
 
 def parse_window(text: str | None) -> tuple[float, float, float, float] | None:

@@ -56,15 +56,17 @@ def solve_table_stewart_trinkle(
 def with_compliance(table: StrainTable, stiffness_N_per_mm: float = 1e3, cell: Cell | None = None) -> StrainTable:
     """The table with its compliance: dE/dS in mm/N at contacts of this stiffness, for a line load of 1 N/mm.
 
-    A line load of s N/mm at stiffness k has the compliance of stiffness k/s, over s. Rows that have not converged or
-    whose strain is not unique have nan. Raises InputError for a stiffness that is not positive.
+    A line load of s N/mm at stiffness k has the compliance of stiffness k/s, over s. Rows that have not converged,
+    whose strain is not unique, or whose state is not the one reached from the slack pose have nan.
+    Raises InputError for a stiffness that is not positive.
     """
     if not (np.isfinite(stiffness_N_per_mm) and stiffness_N_per_mm > 0.0):
         raise InputError(f"stiffness = {stiffness_N_per_mm}: must be a positive number of N/mm")
     cell = cell or Cell()
     b_x, b_y = reference_sides(cell, DirectOptions())
     found, s, unique = locked(table.alpha_deg, table.beta_deg, cell, DirectOptions())
-    status = np.where(unique & table.converged, found.status, "stalled")
+    slack = np.ones(len(s), dtype=bool) if table.branch is None else table.branch == "slack"
+    status = np.where(unique & table.converged & slack, found.status, "stalled")
     sides = (b_y, b_x) if cell.grain == "x" else (b_x, b_y)
     nx, ny = cell.weave.repeat
     reference = (sides[0] * nx / cell.r1, sides[1] * ny / cell.r1)

@@ -16,10 +16,13 @@ from rve.common.files import TABLE_FORMAT
 from rve.common.rings import (
     areal_mass,
 )
+from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.common.versions import versions
+from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.limits import with_limits
+from rve.equilibrium.support import DeadLoad, joined_poses, solve_dead
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import Work, motion_terms
@@ -89,20 +92,37 @@ def _solved(s: Array, cell: Cell, options: DirectOptions, weave: Weave) -> tuple
 
 
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
-    """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain, symmetric in the grain.
+    """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain. Raises NotConverged.
 
-    The symmetry is imposed. From r1/r2 of about 30 on rings may slide over each other instead (docs/theory.md, 3),
-    but side by side stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
+    options.reference = "side-by-side" imposes the symmetry of the grain: b_x = 2 (r1 + r2) at every r1/r2. From r1/r2
+    of about 22 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
+    third narrower: "locked" takes the sides of that longest state (docs/theory.md, 3).
     """
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
     along = np.array([[0.0, 0.0, 1.0]])
     found = solve_equilibrium(along, Equations.of(cell.weave, cell.wire, modes), options)
     if unlisted_gap(found.pose, cell.weave, cell.wire)[0] < 0.0:
         found = solve_equilibrium(along, Equations.of(widened(cell.weave), cell.wire, modes), options)
+    if options.reference == "locked" and found.status[0] == "converged":
+        # The work of this load is that of its length along the grain, whatever the sides.
+        longest = Equations.of(widened(cell.weave), cell.wire, load=DeadLoad((1.0, 1.0)))
+        found = solve_dead(along, longest, options)
     if found.status[0] != "converged":
         raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")
     x2, x3 = lattice_mm(found.pose, cell)
     return float(x2[0, 0]), float(x3[0, 1])
+
+
+def weave_sides(cell: Cell, sides_mm: tuple[float, float]) -> tuple[float, float]:
+    """Sides in r1, along the weave's axes, of the whole cell of `cell.weave`, for reference sides b_x, b_y in mm."""
+    (b_x, b_y), (nx, ny) = sides_mm, cell.weave.repeat
+    first, second = (b_y, b_x) if cell.grain == "x" else (b_x, b_y)
+    return first * nx / cell.r1, second * ny / cell.r1
+
+
+def weave_axes(cell: Cell) -> slice:
+    """Picks the components of a triple in the order of the weave's axes, and back."""
+    return slice(None, None, -1 if cell.grain == "x" else 1)
 
 
 def lattice_mm(pose: Pose, cell: Cell) -> tuple[Array, Array]:
@@ -133,7 +153,8 @@ def solve_table(
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the direct solver.
 
     The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
-    it fails. Other rows that fail keep their status and have nan elsewhere. `progress` is called with the number of
+    it fails. Where several locked states coexist, a row holds that of largest work (options.branches). Other rows that
+    fail keep their status and have nan elsewhere. `progress` is called with the number of
     rows done since the last call.
 
     >>> solve_table(Cell(), ([0.0], [45.0])).x2_mm.round(4)
@@ -145,17 +166,72 @@ def solve_table(
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
     b_x, b_y = reference_sides(cell, options)
-    blocks, works = [], []
+    blocks, works, states, pulls = [], [], [], []
     for first in range(0, len(alpha), BLOCK):
         rows = slice(first, first + BLOCK)
         found, s, unique, work = locked_with_work(alpha[rows], beta[rows], cell, options)
         works.append(work)
+        states.append(found.pose)
+        pulls.append(s)
         blocks.append(table_rows(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
         if progress is not None:
             progress(len(s))
-    table = joined_tables(blocks)
+    table, work = joined_tables(blocks), reduce(Work.plus, works)
+    record: dict[str, Any] = {"work": work.to_dict()}
+    if options.branches == "largest":
+        weave = widened(cell.weave) if work.widened or "unlisted-pairs" in options.force else cell.weave
+        equations = Equations.of(weave, cell.wire)
+        tensile = table.status != "compressive"
+        s = np.where(tensile[:, None], np.concatenate(pulls), np.array([0.0, 0.0, 1.0]))
+        table, record["branches"] = with_largest(table, joined_poses(states), s, cell, equations, options, (b_x, b_y))
     provenance = table_provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
-    return replace(table, provenance=provenance | {"work": reduce(Work.plus, works).to_dict()})
+    return replace(table, provenance=provenance | record)
+
+
+def with_largest(
+    table: StrainTable,
+    pose: Pose,
+    s: Array,
+    cell: Cell,
+    equations: Equations,
+    options: DirectOptions,
+    sides_mm: tuple[float, float],
+) -> tuple[StrainTable, dict[str, Any]]:
+    """The table of the locked states `pose` (n) under the Cauchy loads s (n, 3), weave axes, with every row replaced
+    under whose S another known state does more work; and which states coexist, for the sidecar.
+    """
+    began = time.perf_counter()
+    mesh = Mesh.of(equations, weave_sides(cell, sides_mm), options)
+    first = starting_rows(pose, s, table.converged, mesh)
+    rows, found, where, left = largest_rows(first, s, mesh)
+    columns: dict[str, Any] = {k: value.copy() for k, value in vars(table).items() if isinstance(value, np.ndarray)}
+    if found is not None:
+        part = table_rows(table.alpha_deg[where], table.beta_deg[where], cell, found, rows.unique[where], sides_mm)
+        for name in columns:
+            columns[name][where] = getattr(part, name)
+        mixed = np.flatnonzero(rows.branch == "coexisting")
+        columns["S"][mixed] = rows.S[mixed][:, weave_axes(cell)]
+    columns["status"] = np.where(left, "below", columns["status"]).astype("<U16")
+    for name in ("E", "S", "x2_mm", "x3_mm"):
+        columns[name][left] = np.nan
+    branches = branch_record(table, first, rows, left, time.perf_counter() - began)
+    return replace(table, **columns, branch=rows.branch), branches
+
+
+def branch_record(table: StrainTable, first: Rows, rows: Rows, left: NDArray[np.bool_], wall: float) -> dict[str, Any]:
+    """Which rows have several states, and what work each does under S, at unit trace of S."""
+    several = []
+    for i in np.flatnonzero((rows.branch != "slack") | left):
+        slack, best = double_dot(rows.S[i], first.E[i]), double_dot(rows.S[i], rows.E[i])
+        row: dict[str, Any] = {
+            "row": int(i),
+            "alpha_deg": float(table.alpha_deg[i]),
+            "beta_deg": float(table.beta_deg[i]),
+        }
+        works = {"work_from_slack": float(slack), "work": float(best)}
+        several.append(row | {"branch": "below" if left[i] else str(rows.branch[i])} | works)
+    how = "restarts from the states of other rows, their mirror images, and dead loads from the slack pose"
+    return {"maximum_by": how, "several_states": several, "wall_s": round(wall, 3)}
 
 
 def table_rows(
@@ -195,7 +271,6 @@ def table_provenance(
         "method": "direct",
         "options": asdict(options) | {"force": list(options.force)},
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
-        "caveat": cell.weave.caveat,
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},
         "wall_s": round(wall, 3),
         "versions": versions(),

@@ -75,7 +75,8 @@ class StrainTable:
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
     unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
-    method, tolerances, versions, wall time.
+    method, tolerances, versions, wall time. branch (n,) str or None: how the locked state was reached, "slack",
+    "restart", or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`).
     """
 
     alpha_deg: Array
@@ -92,6 +93,7 @@ class StrainTable:
     iterations: NDArray[np.intp]
     compliance: Array | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    branch: NDArray[np.str_] | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -116,6 +118,8 @@ class StrainTable:
         for name in COLUMNS[14:]:
             columns[name] = getattr(self, name)
         columns["unique"] = self.unique.astype(int)
+        if self.branch is not None:
+            columns["branch"] = self.branch
         if self.compliance is not None:
             columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
         frame = DataFrame(columns)
@@ -166,6 +170,8 @@ def _cells(table: StrainTable) -> list[list[str]]:
         cells = [real(x) for x in row]
         cells += [str(int(table.contacts[i])), str(int(table.unique[i])), str(table.status[i])]
         cells.append(str(int(table.iterations[i])))
+        if table.branch is not None:
+            cells.append(str(table.branch[i]))
         if table.compliance is not None:
             cells += [real(x) for x in table.compliance[i].ravel()]
         rows.append(cells)
@@ -180,7 +186,11 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), provenance_path(path)
-    header = COLUMNS + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
+    header = (
+        COLUMNS
+        + (["branch"] if table.branch is not None else [])
+        + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
+    )
     lines = [",".join(header)] + [",".join(cells) for cells in _cells(table)]
     with job(target.parent, sidecar.name, clears=False) as folder:
         write_text(folder / target.name, "\n".join(lines) + "\n")
@@ -288,6 +298,7 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         np.nan_to_num(column("iterations")).astype(int),
         compliance,
         _read_provenance(Path(path)),
+        np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
     )
 
 

@@ -110,7 +110,9 @@ def refined_half_spaces(rows: Rows, news: float = NEWS, parts: Parts = Parts()) 
     h = np.clip(h, lower, top)
     keep = (upper - h > news) | (np.arange(len(h)) >= len(h) - len(h_rim))
     S, h = S[keep], h[keep]
-    return np.vstack([from_disc(nodes.x), S, mirror(S)]), np.concatenate([nodes.h, h, h])
+    if rows.is_mirrored:
+        S, h = np.vstack([S, mirror(S)]), np.concatenate([h, h])
+    return np.vstack([from_disc(nodes.x), S]), np.concatenate([nodes.h, h])
 
 
 def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds, parts: Parts) -> Array:

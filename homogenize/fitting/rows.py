@@ -1,7 +1,7 @@
 """From table rows to Hermite data of the support function, tested before anything is fitted to them.
 
 Each converged row is a value and a gradient at once: S_i of unit trace, h_i = S_i:E_i and E_i = dh/dS. Where the strain
-is not unique only the value counts. The mirror image of a row under the weave symmetry is a row as well.
+is not unique only the value counts. Where the weave is its own mirror image, the image of a row is a row as well.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rve.common.errors import InputError
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
 from rve.common.types import Array
+from rve.common.values import shown
 
 if TYPE_CHECKING:
     from rve import StrainTable
@@ -30,7 +31,8 @@ ROUNDING = 1e-9
 class Rows:
     """Sampled boundary of K+: S (n, 3) of unit trace, E (n, 3), h (n,) = S:E, `unique` (n,), row number `source` (n,).
 
-    `dropped` says in words which rows of the table were left out and why.
+    `dropped` says in words which rows of the table were left out and why; `is_mirrored` whether the weave is its own
+    mirror image, so that every row stands for two.
     """
 
     S: Array
@@ -39,6 +41,7 @@ class Rows:
     unique: Mask
     source: Index
     dropped: tuple[str, ...] = ()
+    is_mirrored: bool = True
 
     def __len__(self) -> int:
         return len(self.h)
@@ -96,7 +99,20 @@ def rows_from_table(table: StrainTable) -> Rows:
     first = first_of_duplicates(S, E)
     dropped += [f"row {i}: the same load and strain as an earlier row" for i in keep[~first]]
     S, E, keep = S[first], E[first], keep[first]
-    return Rows(S, E, double_dot(S, E), np.asarray(table.unique, bool)[keep], keep, tuple(dropped))
+    unique = np.asarray(table.unique, bool)[keep]
+    return Rows(S, E, double_dot(S, E), unique, keep, tuple(dropped), weave_is_mirrored(table.provenance))
+
+
+def weave_is_mirrored(provenance: dict[str, Any]) -> bool:
+    """Whether the weave that a table's sidecar names is its own mirror image.
+
+    Tables without a sidecar are of the 4-in-1 weave, which is; a weave that is not known here counts as chiral, so that
+    nothing is added to its rows.
+    """
+    from rve import WEAVES
+
+    name = provenance.get("weave", "4-in-1")
+    return isinstance(name, str) and name in WEAVES and WEAVES[name].is_mirrored
 
 
 def first_of_duplicates(S: Array, E: Array) -> Mask:
@@ -108,7 +124,9 @@ def first_of_duplicates(S: Array, E: Array) -> Mask:
 
 
 def with_mirror(rows: Rows) -> Rows:
-    """The rows and their images under S12 -> -S12, E12 -> -E12; a row that is its own image appears once."""
+    """The rows and their images under S12 -> -S12, E12 -> -E12, each once; the rows alone if the weave is chiral."""
+    if not rows.is_mirrored:
+        return rows
     other = (np.abs(rows.S[:, 1]) > ROUNDING) | (np.abs(rows.E[:, 1]) > ROUNDING)
     return Rows(
         np.vstack([rows.S, mirror(rows.S[other])]),
@@ -117,12 +135,14 @@ def with_mirror(rows: Rows) -> Rows:
         np.concatenate([rows.unique, rows.unique[other]]),
         np.concatenate([rows.source, rows.source[other]]),
         rows.dropped,
+        rows.is_mirrored,
     )
 
 
 def rows_to_dict(rows: Rows) -> dict[str, Any]:
-    """Loads, strains and flags of the rows as plain lists, for a law file."""
-    return {"S": rows.S.tolist(), "E": rows.E.tolist(), "unique": rows.unique.tolist()}
+    """Loads, strains and flags of the rows as plain lists for a file, and whether the weave is its own mirror image."""
+    lists = {"S": rows.S.tolist(), "E": rows.E.tolist(), "unique": rows.unique.tolist()}
+    return lists | {"is_mirrored": rows.is_mirrored}
 
 
 def rows_from_dict(data: Any) -> Rows:
@@ -131,6 +151,9 @@ def rows_from_dict(data: Any) -> Rows:
         S, E, unique = np.array(data["S"], float), np.array(data["E"], float), np.array(data["unique"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"needs lists S, E and unique of one length: {error}") from error
+    is_mirrored = data.get("is_mirrored", True)
+    if not isinstance(is_mirrored, bool):
+        raise InputError(f"is_mirrored = {shown(is_mirrored)}: must be true or false")
     if not len(S) or S.shape != (len(S), 3) or E.shape != S.shape or unique.shape != (len(S),) or unique.dtype != bool:
         raise InputError(
             f"needs S (n, 3), E (n, 3) and n flags unique, got shapes {S.shape}, {E.shape} and {unique.shape}"
@@ -142,12 +165,13 @@ def rows_from_dict(data: Any) -> Rows:
         i = int(np.argmin(good))
         pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
         raise InputError(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
-    return Rows(S, E, double_dot(S, E), unique, np.arange(len(S)))
+    return Rows(S, E, double_dot(S, E), unique, np.arange(len(S)), is_mirrored=is_mirrored)
 
 
 def subset(rows: Rows, keep: Mask | Index) -> Rows:
     """The rows chosen by a mask or an index."""
-    return Rows(rows.S[keep], rows.E[keep], rows.h[keep], rows.unique[keep], rows.source[keep], rows.dropped)
+    columns = (rows.S[keep], rows.E[keep], rows.h[keep], rows.unique[keep], rows.source[keep])
+    return Rows(*columns, rows.dropped, rows.is_mirrored)
 
 
 def normality(rows: Rows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:

@@ -41,6 +41,9 @@ class DirectOptions:
     curvature_below: mu from which on contact curvature is in the Jacobian, 1: from the start. Left out down to 1e-2 and
     1e-3 it takes 1.1 to 1.7 and 1.9 to 2.9 times the iterations (docs/reports/omissions.md).
     force: features of `explain` that a run would leave out by itself.
+    branches: "largest" looks for the locked state of largest work wherever several coexist, "first" keeps the one
+    reached from the slack pose. reference: the cell that strains refer to, "side-by-side" or "locked"
+    (`rve.solve.reference_sides`).
     """
 
     tolerance: float = 1e-11
@@ -56,6 +59,8 @@ class DirectOptions:
     rejection: float = 3.0
     curvature_below: float = 1.0
     force: tuple[str, ...] = ()
+    branches: str = "largest"
+    reference: str = "side-by-side"
 
 
 @dataclass(frozen=True)

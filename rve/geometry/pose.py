@@ -71,6 +71,16 @@ def moved(pose: Pose, v: Array) -> Pose:
     return Pose(pose.lattice + v[:, :3], centres, normals / np.sqrt(dot(normals, normals))[..., None])
 
 
+def mirrored(pose: Pose) -> Pose:
+    """The poses of a mirrored weave of two classes seen in a mirror, x -> -x, with the same rings linked.
+
+    Ring (1, 0, 0) comes to lie at the place of ring (1, -1, 0), and its name with it.
+    """
+    turned = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres * [-1.0, 1.0], pose.normals * [-1.0, 1.0, 1.0])
+    turned.centres[:, 1:] += turned.a1[:, None]
+    return turned
+
+
 def reduction(pose: Pose) -> Array:
     """Matrix T (n, m_full, m) from reduced to generalised velocities."""
     n, k = pose.normals.shape[:2]

@@ -42,16 +42,6 @@ class Weave:
         """Independent rings in one lattice cell."""
         return len(self.start_centres)
 
-    @property
-    def caveat(self) -> str:
-        """What the next step cannot do with tables of this weave, one sentence; empty if nothing."""
-        if self.is_mirrored:
-            return ""
-        return (
-            f"the {self.name} weave is not its own mirror image, but homogenize fit adds every row's mirror image, "
-            "so it refuses this table (by -0.146 for 6-in-1 at r1/r2 = 10); the rows themselves are not affected"
-        )
-
 
 def _two_rows(
     links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]

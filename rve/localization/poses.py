@@ -23,7 +23,7 @@ from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import Contacts, find_contacts
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, mirrored
 from rve.localization.springs import Spring, lattice_strain
 from rve.solve import locked, reference_sides
 
@@ -161,16 +161,6 @@ def localize(
     rows = np.flatnonzero(flip)
     found.E[rows, 1] *= -1.0
     return replace(found, pose=found.pose.put(rows, mirrored(found.pose.take(rows))))
-
-
-def mirrored(pose: Pose) -> Pose:
-    """The poses of a mirrored weave of two classes seen in a mirror, x -> -x, with the same rings linked.
-
-    Ring (1, 0, 0) comes to lie at the place of ring (1, -1, 0), and its name with it.
-    """
-    turned = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres * [-1.0, 1.0], pose.normals * [-1.0, 1.0, 1.0])
-    turned.centres[:, 1:] += turned.a1[:, None]
-    return turned
 
 
 def _settled(

@@ -4,14 +4,17 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
 
 from homogenize.fitting.fit import fit_table
+from homogenize.fitting.rows import normality, rows_from_table
 from rve.cli import main
-from rve.common.errors import InputError
+from rve.table import read_table
 
 
 def run(*arguments):
@@ -36,19 +39,25 @@ def test_table_and_loads(tmp_path):
     assert {"r1_mm", "r2_mm", "method", "options", "versions", "wall_s"} <= provenance.keys()
 
 
-def test_a_weave_without_a_law_says_so_before_it_is_solved(tmp_path):
-    """Beside the table too: a table is made for a law, and `homogenize fit` refuses this one."""
-    six = ["table", "--weave", "6-in-1", "--alpha=-45:45:45", "--beta", "0:90:45", "--out", tmp_path / "six.csv"]
-    result = run(*six)
+def test_a_chiral_weave_is_loaded_to_both_sides_and_its_rows_have_no_images(tmp_path):
+    """The default grid covers all loads: (alpha, beta) is (alpha + 90, 90 - beta), so alpha runs from -40 to 45."""
+    out = tmp_path / "six.csv"
+    result = run("table", "--weave", "6-in-1", "--beta", "0,50", "--out", out)
     assert result.exit_code == 0, result.output
-    assert result.stderr.startswith("Warning: the 6-in-1 weave")
-    assert "homogenize fit" in result.stderr.splitlines()[0]
-    assert "homogenize fit" in json.loads((tmp_path / "six.json").read_text())["caveat"]
-    with pytest.raises(InputError, match="do not lie on one convex set"):
-        fit_table(tmp_path / "six.csv")
-    four = run("table", "--alpha", "0", "--beta", "45", "--out", tmp_path / "four.csv")
-    assert "Warning" not in four.stderr
-    assert json.loads((tmp_path / "four.json").read_text())["caveat"] == ""
+    rows = pd.read_csv(out)
+    assert sorted(set(rows.alpha_deg)) == list(range(-40, 46, 5))
+    assert set(rows.branch) <= {"slack", "restart", "coexisting"}
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert record["weave"] == "6-in-1"
+    assert record["branches"].keys() == {"maximum_by", "several_states", "wall_s"}
+    assert len(record["branches"]["several_states"]) == (rows.branch != "slack").sum()
+    law = fit_table(out).law
+    image = law.support(rows[["S11", "S12", "S22"]].to_numpy() * [1.0, -1.0, 1.0])
+    h = (rows.S11 * rows.E11 + 2.0 * rows.S12 * rows.E12 + rows.S22 * rows.E22).to_numpy()
+    assert law.support(rows[["S11", "S12", "S22"]].to_numpy()) == pytest.approx(h, abs=1e-9)
+    assert np.abs(image - h).max() > 0.1
+    with_images = replace(rows_from_table(read_table(out)), is_mirrored=True)
+    assert normality(with_images).slack < -0.1  # what the images of a chiral weave would contradict
 
 
 def test_case_prints_json_and_draws(tmp_path):

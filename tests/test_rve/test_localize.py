@@ -15,13 +15,13 @@ from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, mirrored
 from rve.geometry.weave import SIX_IN_ONE
 from rve.localization.curtain import Curtain, read_curtain
 from rve.localization.files import tubes, write_ring_vtu
 from rve.localization.forces import cauchy_of, cell_forces, directions, largest_forces
 from rve.localization.job import draw
-from rve.localization.poses import LocalizeOptions, localize, locked_states, mirrored, shares
+from rve.localization.poses import LocalizeOptions, localize, locked_states, shares
 from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
 from rve.localization.springs import lattice_strain
 from rve.solve import locked

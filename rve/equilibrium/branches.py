@@ -1,0 +1,228 @@
+"""Cauchy loads under which several locked states coexist: the one of largest work, or two of equal work.
+
+A Cauchy load has no potential, but every state locked under it is locked under its S = J F^-1 s F^-T as well. A row
+(S_i, E_i) is the largest of its states if no known state does more work under S_i: S_i:(E_i - E_j) >= 0 for all j.
+Where a state does, the row is solved again from it. It may be that each of two states does more work than the other
+under the S of the other. Then no single state is the answer: a large mesh carries the load with both states side by
+side. Their common load S*, under which both do the same work, is the one that s gives on a mixture
+(1 - t) E_A + t E_B of their strains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.tensor import WEIGHT, double_dot, trace
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.limits import strain_is_unique
+from rve.equilibrium.support import GAIN, MARGINS, DeadLoad, States, joined_poses, largest, restarted, strain_of
+from rve.equilibrium.system import Equations
+from rve.geometry.contacts import joined_contacts
+from rve.geometry.kinematics import deformation_gradient, second_pk
+from rve.geometry.pose import Pose
+
+Index = NDArray[np.intp]
+
+SAMPLE = 4
+"""One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
+ROUNDS = 6
+"""Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
+BALANCE_STEPS = 12
+BALANCED = 1e-10
+"""Difference of the works S*:E_A and S*:E_B at unit trace at which two coexisting states are in balance."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Locked states under the Cauchy loads s (n, 3), weave axes: poses, S of unit trace and E (n, 3), nan where none is
+    known; branch (n,): "slack", "restart" or "coexisting"; unique (n,), False for coexisting states.
+    """
+
+    pose: Pose
+    S: Array
+    E: Array
+    branch: NDArray[np.str_]
+    unique: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """What does not change: equations under Cauchy and under dead loads, sides of the reference cell in r1, options."""
+
+    cauchy: Equations
+    dead: Equations
+    sides: tuple[float, float]
+    options: DirectOptions
+
+    @staticmethod
+    def of(equations: Equations, sides: tuple[float, float], options: DirectOptions) -> Mesh:
+        """The mesh of these equations under Cauchy loads."""
+        return Mesh(equations, replace(equations, load=DeadLoad(sides)), sides, options)
+
+    @property
+    def has_images(self) -> bool:
+        """Whether a mirror shows the weave itself."""
+        return self.cauchy.weave.is_mirrored and self.cauchy.weave.classes == 2
+
+    def conjugate(self, E: Array, s: Array) -> Array:
+        """S (n, 3) of unit trace of the Cauchy loads s on cells with the strains E, by the rotation rule."""
+        S = second_pk(deformation_gradient(E), s)
+        return np.asarray(S / trace(S)[:, None])
+
+
+def starting_rows(pose: Pose, s: Array, good: NDArray[np.bool_], mesh: Mesh) -> Rows:
+    """Rows of the states in these poses, those with `good` (n,) only."""
+    E = np.where(good[:, None], strain_of(pose, mesh.sides), np.nan)
+    S = np.full(E.shape, np.nan)
+    S[good] = mesh.conjugate(E[good], s[good])
+    return Rows(pose, S, E, np.full(len(s), "slack", dtype="<U16"), np.ones(len(s), dtype=bool))
+
+
+def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | None, Index, NDArray[np.bool_]]:
+    """The rows with their states of largest work; equilibria of the changed rows and their numbers; contradicted (n,).
+
+    Equilibria of rows whose branch is "coexisting" are those under the dead load S, of the others under s.
+    """
+    known = dead_states(rows, mesh)
+    found: Equilibrium | None = None
+    where = np.zeros(0, dtype=np.intp)
+    for _ in range(ROUNDS):
+        bad, states = contradicted(rows, known, mesh)
+        if not len(bad):
+            break
+        best = largest(rows.S[bad], mesh.dead, mesh.sides, mesh.options, states)
+        rivals = best.states(mesh.sides)
+        known = known.joined(rivals.with_images(mesh.has_images))
+        bad = bad[np.isfinite(best.h)]
+        rows, new, done = with_rivals(rows, s, bad, rivals.pose, mesh)
+        found, where = merged(found, where, new, done)
+    bad, _ = contradicted(rows, known, mesh)
+    left = np.zeros(len(s), dtype=bool)
+    left[bad] = True
+    return rows, found, where, left
+
+
+def merged(
+    found: Equilibrium | None, where: Index, new: Equilibrium | None, rows: Index
+) -> tuple[Equilibrium | None, Index]:
+    """Equilibria of the rows `where`, replaced or joined by `new` ones of `rows`."""
+    if new is None or not len(rows):
+        return found, where
+    if found is None:
+        return new, rows
+    keep = np.flatnonzero(~np.isin(where, rows))
+    both = np.concatenate([where[keep], rows])
+    order = np.argsort(both)
+    return joined_equilibria(found.take(keep), new, order), both[order]
+
+
+def joined_equilibria(one: Equilibrium, other: Equilibrium, order: Index) -> Equilibrium:
+    """The cases of both, then in this order."""
+    names = ("lam", "R", "iterations", "status", "attempts")
+    fields = {name: np.concatenate([getattr(one, name), getattr(other, name)])[order] for name in names}
+    pose = joined_poses([one.pose, other.pose]).take(order)
+    return Equilibrium(pose=pose, contacts=joined_contacts([one.contacts, other.contacts], order), **fields)
+
+
+def dead_states(rows: Rows, mesh: Mesh) -> States:
+    """Locked states under the S of some rows as dead loads, from the slack pose, with their images."""
+    good = np.isfinite(rows.E[:, 0])
+    S = np.where(good[:, None], rows.S, 1.0)
+    thin = S[:, 0] * S[:, 2] - S[:, 1] ** 2 < 1e-6
+    sample = np.flatnonzero(good & (thin | (np.arange(len(good)) % SAMPLE == 0)))
+    once = replace(mesh.options, branches="first", attempts=1)
+    return largest(rows.S[sample], mesh.dead, mesh.sides, once).states(mesh.sides).with_images(mesh.has_images)
+
+
+def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:
+    """Rows under whose S a known state, or the image of one, does more work than their own; all known states."""
+    good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
+    own = States(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.has_images)
+    states = own.joined(known)
+    gain = (rows.S[good] * WEIGHT) @ states.E.T - double_dot(rows.S[good], rows.E[good])[:, None]
+    return good[gain.max(axis=1, initial=0.0) > GAIN], states
+
+
+def with_rivals(rows: Rows, s: Array, bad: Index, rivals: Pose, mesh: Mesh) -> tuple[Rows, Equilibrium | None, Index]:
+    """The rows `bad` solved again from their rivals, poses (k,) that do more work under their S.
+
+    A row takes the state that is reached from its rival, if that does not do less work than the old one under its own
+    S; otherwise both coexist.
+    """
+    new = restarted(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
+    again = np.flatnonzero(new.status != "converged")
+    if len(again):
+        new = new.put(again, restarted(s[bad[again]], mesh.cauchy, rivals.take(again), MARGINS[1], mesh.options))
+    got = new.status == "converged"
+    E = strain_of(new.pose, mesh.sides)
+    S = np.where(got[:, None], mesh.conjugate(np.where(got[:, None], E, 0.0), s[bad]), np.nan)
+    old = rows.E[bad]
+    climbs = got & (double_dot(S, E - old) >= -GAIN) & (double_dot(rows.S[bad], E - old) > GAIN)
+    pick = np.flatnonzero(climbs)
+    out = rows
+    if len(pick):
+        unique = strain_is_unique(mesh.cauchy, new.take(pick), s[bad[pick]])
+        out = replaced(out, bad[pick], new.pose.take(pick), S[pick], E[pick], "restart", unique)
+    rest = np.flatnonzero(~climbs)
+    if not len(rest):
+        return out, new, bad
+    ends = np.where(got[rest, None], E[rest], strain_of(rivals.take(rest), mesh.sides))
+    poses = rivals.put(np.flatnonzero(got), new.pose.take(np.flatnonzero(got))).take(rest)
+    both, S_star, fine = balanced(s[bad[rest]], rows.pose.take(bad[rest]), poses, ends, mesh)
+    ok = np.flatnonzero(fine)
+    side = both.pose
+    E_pair = strain_of(side, mesh.sides)
+    flags = np.zeros(len(ok), dtype=bool)
+    done = bad[rest[ok]]
+    out = replaced(out, done, side.take(ok), S_star[ok], E_pair[ok], "coexisting", flags)
+    keep = np.sort(np.concatenate([pick, rest[ok]]))
+    new = new.put(rest[ok], both.take(ok)).take(keep)
+    return out, new, bad[keep]
+
+
+def replaced(rows: Rows, where: Index, pose: Pose, S: Array, E: Array, branch: str, unique: NDArray[np.bool_]) -> Rows:
+    """The rows with other states at `where`."""
+    out = replace(rows, S=rows.S.copy(), E=rows.E.copy(), branch=rows.branch.copy(), unique=rows.unique.copy())
+    out.S[where], out.E[where], out.branch[where], out.unique[where] = S, E, branch, unique
+    return replace(out, pose=rows.pose.put(where, pose))
+
+
+def balanced(
+    s: Array, first: Pose, second: Pose, second_E: Array, mesh: Mesh
+) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
+    """Equilibria (k,) under the dead loads S* at which two states do the same work; S* (k, 3); where it was found.
+
+    The share t of the second state is found by the Illinois method: t = 0 has the second state do more work, t = 1 the
+    first. Both states follow the load from step to step. The equilibrium is that of the larger share.
+    """
+    E = [strain_of(first, mesh.sides), second_E]
+    poses = [first, second]
+    low, high = np.zeros(len(s)), np.ones(len(s))
+    t, S = 0.5 * high, mesh.conjugate(E[0], s)
+    g_low, g_high = double_dot(S, E[1] - E[0]), double_dot(mesh.conjugate(E[1], s), E[1] - E[0])
+    fine = (g_low > 0.0) & (g_high < 0.0)
+    found = [restarted(S, mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0)) for pose in poses]
+    open_ = np.flatnonzero(fine)
+    for _ in range(BALANCE_STEPS):
+        if not len(open_):
+            break
+        i = open_
+        t[i] = low[i] + (high[i] - low[i]) * g_low[i] / (g_low[i] - g_high[i])
+        S[i] = mesh.conjugate((1.0 - t[i])[:, None] * E[0][i] + t[i][:, None] * E[1][i], s[i])
+        for k in range(2):
+            new = restarted(S[i], mesh.dead, poses[k].take(i), MARGINS[0], mesh.options)
+            found[k], poses[k] = found[k].put(i, new), poses[k].put(i, new.pose)
+            E[k][i] = strain_of(new.pose, mesh.sides)
+            fine[i] &= new.status == "converged"
+        g = double_dot(S[i], E[1][i] - E[0][i])
+        up = g > 0.0
+        g_high[i], g_low[i] = np.where(up, 0.5 * g_high[i], g), np.where(up, g, 0.5 * g_low[i])
+        low[i], high[i] = np.where(up, t[i], low[i]), np.where(up, high[i], t[i])
+        open_ = i[(np.abs(g) > BALANCED) & fine[i]]
+    fine[open_] = False
+    take = np.flatnonzero(t > 0.5)
+    return found[0].put(take, found[1].take(take)), S, fine

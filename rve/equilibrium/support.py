@@ -1,0 +1,268 @@
+"""The largest work of a load: locked states from several starts, and the best of them.
+
+A dead second Piola-Kirchhoff line load S has the potential S:E per unit of reference area. Its locked states are the
+stationary points of S:E over the admissible poses, and the support function h(S) = max S:E is the largest of them. The
+derivative of the load is symmetric, and E is quadratic in the lattice vectors, so it does not depend on the pose.
+
+Every locked state is an admissible pose, so it is a start for every other load: a restart from a state that does more
+work than the one known so far climbs from there. What remains assumed is that the starts together reach the largest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from rve.common.tensor import WEIGHT, disc, double_dot, mirror
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, follow, unit_loads
+from rve.equilibrium.system import Equations, add_lattice_curvature, weighted_size
+from rve.geometry.kinematics import green_lagrange
+from rve.geometry.pose import Pose, mirrored, moved
+
+Index = NDArray[np.intp]
+
+GAIN = 1e-9
+"""Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
+MARGINS = (1e-4, 1e-6)
+"""Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
+TOLERANCE = 1e-10
+"""Residual of restarts: states on the verge of giving way converge linearly in the last digits."""
+NEAR_MARGIN = 1e-3
+"""Gaps of restarts from near loads: they need not climb from where they start."""
+FELT = 1e-7
+"""Works that differ by less tell branches apart no more; see KINSHIP."""
+NEIGHBOURS, NEAR = 8, 0.25
+"""The locked states of so many loads nearest to a load are compared with its own, up to this distance in the disc of
+loads of unit trace."""
+KINSHIP = 0.5
+"""Two states i, j of one smooth branch lose about the same work under each other's load: S_i:(E_i - E_j) and
+S_j:(E_j - E_i) agree to second order in the distance. Where one is less than this share of the other, i is restarted
+from j. A tenth of the pairs is, and at r1/r2 = 50 all that lead to a state of more work are among them."""
+ROUNDS = 6
+"""Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
+
+
+@dataclass(frozen=True)
+class DeadLoad:
+    """The dead loads S (n, 3), in weave axes, on a reference cell with sides (b1, b2) in r1.
+
+    The potential of a cell is b1 b2 S:E, so the force on a1 is b1 b2 (S11 a1/b1^2 + S12 a2/(b1 b2)).
+    """
+
+    sides: tuple[float, float]
+
+    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """See Load."""
+        b1, b2 = self.sides
+        K = np.zeros((len(s), 4, 4))
+        for x in range(2):
+            K[:, x, x] = s[:, 0] * b2 / b1
+            K[:, x, 2 + x] = K[:, 2 + x, x] = s[:, 1]
+            K[:, 2 + x, 2 + x] = s[:, 2] * b1 / b2
+        on_lattice = np.einsum("nij,nj->ni", K, np.concatenate([pose.a1, pose.a2], axis=1))
+        Ta = T[:, :4]
+        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K), Ta)
+        add_lattice_curvature(J, on_lattice)
+        return np.einsum("ni,nij->nj", on_lattice, Ta), J
+
+    def size(self, f: Array, M: Array) -> Array:
+        """See Load."""
+        return weighted_size(f, M)
+
+
+def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
+    """Green-Lagrange strain (n, 3) of the poses, in weave axes, for a reference cell with these sides in r1."""
+    return green_lagrange(np.stack([pose.a1 / sides[0], pose.a2 / sides[1]], axis=2))
+
+
+def joined_poses(poses: list[Pose]) -> Pose:
+    """All poses, one after the other."""
+    return Pose(*(np.concatenate([getattr(pose, name) for pose in poses]) for name in vars(poses[0])))
+
+
+def solve_dead(S: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
+    """Locked states under the dead loads S (n, 3) from the slack pose of the weave; equations with a `DeadLoad`.
+
+    The force of a dead load grows with the stretch, so mu falls slowly from the first attempt on: by 3/10 all but a few
+    of the loads converge, by 1/10 a third of them stall at r1/r2 = 50.
+    """
+    first = replace(options, attempts=1, shrink=0.3, power=1.0, max_iterations=options.max_iterations + 50)
+    found = follow(unit_loads(S), equations, first)
+    left = np.flatnonzero(found.status != "converged")
+    if len(left) and options.attempts > 1:
+        again = follow(unit_loads(S[left]), equations, replace(first, shrink=0.5, rejection=np.inf))
+        found = found.put(left, replace(again, attempts=again.attempts + 1))
+    return found
+
+
+def opened(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
+    """The poses with all gaps raised to about `margin` (in r1) by the shortest motions that do so to first order.
+
+    Locked rings touch, and an interior point needs room. Motions are found by Lawson and Hanson's least distance
+    programming. A pose that cannot be opened is left as it is.
+    """
+    for _ in range(6):
+        contacts = equations.contacts(pose, reach)
+        tight = np.flatnonzero(contacts.min_gap < 0.5 * margin)
+        if not len(tight):
+            break
+        none = np.zeros(contacts.gap.shape)
+        G = equations.assemble(pose, contacts, none, np.ones((len(none), 3))).G
+        dq = np.zeros((len(G), G.shape[2]))
+        for i in tight:
+            gap = contacts.gap[i].ravel()
+            near = gap < 10.0 * margin
+            A = np.vstack([G[i][near].T, margin - gap[near]])
+            b = np.append(np.zeros(G.shape[2]), 1.0)
+            r = A @ nnls(A, b)[0] - b
+            dq[i] = np.clip(r[:-1] / -r[-1], -0.1, 0.1) if r[-1] < -1e-12 else 0.0
+        pose = moved(pose, equations.displacement(dq, pose))
+    return pose
+
+
+def restarted(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
+    """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
+    near = replace(options, attempts=1, mu_start=margin, shrink=0.3, power=1.0)
+    near = replace(near, tolerance=max(options.tolerance, TOLERANCE))
+    return follow(unit_loads(loads), equations, near, opened(start, equations, margin, options.reach))
+
+
+@dataclass(frozen=True)
+class States:
+    """Locked poses of any loads, (m,), their loads S and strains E (m, 3) in weave axes: starts for other loads."""
+
+    pose: Pose
+    S: Array
+    E: Array
+
+    def __len__(self) -> int:
+        return len(self.E)
+
+    def joined(self, other: States) -> States:
+        """These states, then the others."""
+        parts = [np.concatenate(both) for both in ((self.S, other.S), (self.E, other.E))]
+        return States(joined_poses([self.pose, other.pose]), *parts)
+
+    def with_images(self, is_mirrored: bool) -> States:
+        """These states and, for a weave that is its own mirror image, what a mirror shows of them."""
+        return self.joined(States(mirrored(self.pose), mirror(self.S), mirror(self.E))) if is_mirrored else self
+
+
+@dataclass(frozen=True)
+class Largest:
+    """Locked states of largest work under the loads S (n, 3): equilibria; h (n,), -inf where there is none; branch
+    (n,): "slack", "neighbour" or "restart"; works: per load the works S:E, at unit trace of S and in ascending order,
+    of the states that were found under it.
+    """
+
+    S: Array
+    found: Equilibrium
+    h: Array
+    branch: NDArray[np.str_]
+    works: list[list[float]]
+
+    def states(self, sides: tuple[float, float]) -> States:
+        """The converged states."""
+        rows = np.flatnonzero(np.isfinite(self.h))
+        pose = self.found.pose.take(rows)
+        return States(pose, self.S[rows], strain_of(pose, sides))
+
+    def raised(self, rows: Index, new: Equilibrium, work: Array, branch: str) -> Largest:
+        """With the better of the states known and `new` under the loads `rows`, each once; their work is `work`."""
+        works = [list(known) for known in self.works]
+        for row, value in zip(rows, work, strict=True):
+            if np.isfinite(value) and all(abs(value - other) > GAIN for other in works[row]):
+                works[row] = sorted([*works[row], float(value)])
+        up = np.flatnonzero(work > self.h[rows] + GAIN)
+        h, names = self.h.copy(), self.branch.copy()
+        h[rows[up]], names[rows[up]] = work[up], branch
+        return Largest(self.S, self.found.put(rows[up], new.take(up)), h, names, works)
+
+
+def largest(
+    S: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions, known: States | None = None
+) -> Largest:
+    """The states of largest work under the dead loads S (n, 3) of unit trace, weave axes.
+
+    From the slack pose first; then from the states of the nearest loads, those of `known` included; then, where a state
+    of another load does more work, from that state, until none does. With options.branches = "first" the states reached
+    from the slack pose are all.
+    """
+    found = solve_dead(S, equations, options)
+    h = np.where(found.status == "converged", double_dot(S, strain_of(found.pose, sides)), -np.inf)
+    best = Largest(S, found, h, np.full(len(S), "slack", dtype="<U16"), [[float(x)] * bool(x > -np.inf) for x in h])
+    if options.branches == "first":
+        return best
+    images = equations.weave.is_mirrored and equations.weave.classes == 2
+    states = best.states(sides) if known is None else known.joined(best.states(sides))
+    states = states.with_images(images)
+    best = with_neighbours(best, states, equations, sides, options)
+    states = states.joined(best.states(sides).with_images(images))
+    tried: set[tuple[int, int]] = set()
+    for _ in range(ROUNDS):
+        rows, source = better_states(best, states, tried)
+        if not len(rows):
+            return best
+        for margin in MARGINS:
+            start = states.pose.take(source)
+            new = restarted(S[rows], equations, start, margin, options)
+            best = best.raised(rows, new, works_of(new, S[rows], sides), "restart")
+            low = best.h[rows] < double_dot(S[rows], states.E[source]) - GAIN
+            rows, source = rows[low], source[low]
+            if not len(rows):
+                break
+        states = states.joined(best.states(sides).with_images(images))
+    rows, _ = better_states(best, states, set())
+    best.found.status[rows[np.isfinite(best.h[rows])]] = "below"
+    return best
+
+
+def with_neighbours(
+    best: Largest, states: States, equations: Equations, sides: tuple[float, float], options: DirectOptions
+) -> Largest:
+    """The best states after restarts from those of near loads that belong to another branch."""
+    rows, source = nearest_states(best, states, sides)
+    if not len(rows):
+        return best
+    new = restarted(best.S[rows], equations, states.pose.take(source), NEAR_MARGIN, options)
+    work = works_of(new, best.S[rows], sides)
+    for row in np.unique(rows):
+        tries = np.flatnonzero(rows == row)
+        for k in tries[np.argsort(work[tries])]:
+            best = best.raised(rows[k : k + 1], new.take(np.array([k])), work[k : k + 1], "neighbour")
+    return best
+
+
+def works_of(found: Equilibrium, S: Array, sides: tuple[float, float]) -> Array:
+    """Work S:E (n,) of equilibria under the loads S (n, 3), -inf where they have not converged."""
+    return np.where(found.status == "converged", double_dot(S, strain_of(found.pose, sides)), -np.inf)
+
+
+def nearest_states(best: Largest, states: States, sides: tuple[float, float]) -> tuple[Index, Index]:
+    """Pairs (k,) of a load and a state near it that is not of the same smooth branch as the load's own state."""
+    distance = np.linalg.norm(disc(best.S)[:, None] - disc(states.S)[None], axis=2)
+    own = strain_of(best.found.pose, sides)
+    distance[np.abs(own[:, None] - states.E[None]).max(axis=2) < FELT] = np.inf
+    source = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS].ravel()
+    rows = np.repeat(np.arange(len(best.S)), len(source) // len(best.S))
+    E = own[rows] - states.E[source]
+    there, back = double_dot(best.S[rows], E), -double_dot(states.S[source], E)
+    least, most = np.minimum(there, back), np.maximum(there, back)
+    near = (distance[rows, source] < NEAR) & np.isfinite(best.h[rows])
+    keep = near & (most > FELT) & (least < KINSHIP * most)
+    return rows[keep], source[keep]
+
+
+def better_states(best: Largest, states: States, tried: set[tuple[int, int]]) -> tuple[Index, Index]:
+    """Loads (k,) and, for each, the state of most work among those not tried that do more than h; notes them."""
+    gain = (best.S * WEIGHT) @ states.E.T - np.maximum(best.h, -1e6)[:, None]
+    for row, column in tried:
+        gain[row, column] = -np.inf
+    rows = np.flatnonzero(gain.max(axis=1, initial=-np.inf) > GAIN)
+    source = gain[rows].argmax(axis=1) if len(rows) else rows
+    tried.update(zip(rows.tolist(), source.tolist(), strict=True))
+    return rows, source

@@ -1,0 +1,191 @@
+"""The support function of the rings: the largest work S:E of a dead second Piola-Kirchhoff line load, with its pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rve.common.errors import InputError
+from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, unit_loads
+from rve.equilibrium.limits import strain_is_unique
+from rve.equilibrium.support import DeadLoad, Largest, States, largest, strain_of
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.pairs import unlisted_gap, widened
+from rve.geometry.weave import Weave
+from rve.solve import lattice_mm, reference_sides, weave_axes, weave_sides
+
+ROUND_OFF = 1e-6
+"""Share of the larger eigenvalue by which the smaller one may be negative: loads are typed with few digits."""
+
+RING = 0.1
+"""Distance in the disc of loads of unit trace at which locked states are sought as starts for a load."""
+
+
+@dataclass(frozen=True)
+class Support:
+    """Locked states of largest work under n dead loads.
+
+    S (n, 3) as asked for; h (n,) = S:E in the unit of S, nan where no state was found; E (n, 3); x2_mm, x3_mm (n, 2);
+    unique (n,): False where the load leaves the strain free, E is then one of many; status (n,); R, min_gap_mm (n,);
+    branch (n,): how the state was reached, from the "slack" pose, that of a "neighbour" in load, or by a "restart" from
+    a state that does more work; works: per load h of every state that was found under it, ascending; b_x_mm, b_y_mm:
+    the reference cell; states: what `support` can start from next time.
+    """
+
+    S: Array
+    h: Array
+    E: Array
+    x2_mm: Array
+    x3_mm: Array
+    unique: NDArray[np.bool_]
+    status: NDArray[np.str_]
+    R: Array
+    min_gap_mm: Array
+    branch: NDArray[np.str_]
+    works: list[list[float]]
+    b_x_mm: float
+    b_y_mm: float
+    states: States
+
+    def __len__(self) -> int:
+        return len(self.h)
+
+    def row(self, i: int) -> dict[str, Any]:
+        """Load i as plain values with the keys of `python -m rve support`; h and works are in the unit of S."""
+        E, x2, x3 = self.E[i].tolist(), self.x2_mm[i].tolist(), self.x3_mm[i].tolist()
+        return {
+            "h": float(self.h[i]),
+            **dict(zip(("E11", "E12", "E22"), E, strict=True)),
+            **dict(zip(("x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"), x2 + x3, strict=True)),
+            "status": str(self.status[i]),
+            "unique": int(self.unique[i]),
+            "branch": str(self.branch[i]),
+            "states": len(self.works[i]),
+            "works": self.works[i],
+            "R": float(self.R[i]),
+            "min_gap_mm": float(self.min_gap_mm[i]),
+            "b_x_mm": self.b_x_mm,
+            "b_y_mm": self.b_y_mm,
+        }
+
+
+def support(cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: Support | None = None) -> Support:
+    """h(S) = max S:E over the admissible cells for dead line loads S (3,) or (n, 3), positive semidefinite.
+
+    Besides the slack pose, the locked states of `known` (an earlier answer for the same cell) and those of the other
+    loads are starts; where few loads are near, those of four loads round it are found first. E refers to the reference
+    cell of `options`. InputError for loads that are zero, not finite or have a negative eigenvalue; NotConverged if
+    there is no reference cell. Loads that fail keep their status and have nan elsewhere.
+
+    >>> found = support(Cell(5, 0.5), [1.0, 0.0, 0.0])
+    >>> round(float(found.h[0]), 4), found.x2_mm.round(3).tolist()
+    (0.7539, [[17.42, 0.0]])
+    """
+    if not isinstance(cell, Cell):
+        raise InputError("support takes a Cell and loads: support(Cell(r1=5, r2=0.5), [S11, S12, S22])")
+    options = options or DirectOptions()
+    S = checked_loads(S)
+    sides_mm = reference_sides(cell, options)
+    sides = weave_sides(cell, sides_mm)
+    loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
+    states = None if known is None else known.states
+    best, unique = _solved(loads, cell, cell.weave, sides, options, states)
+    if unlisted_gap(best.found.pose, cell.weave, cell.wire).min() < 0.0:
+        best, unique = _solved(loads, cell, widened(cell.weave), sides, options, states)
+    return _record(S, best, unique, cell, sides, sides_mm, states)
+
+
+def _record(
+    S: Array,
+    best: Largest,
+    unique: NDArray[np.bool_],
+    cell: Cell,
+    sides: tuple[float, float],
+    sides_mm: tuple[float, float],
+    known: States | None,
+) -> Support:
+    """Best states under the loads S in the axes and units of the user; `sides` (in r1) are along the weave's axes."""
+    found, size = best.found, trace(S)
+    good = found.status == "converged"
+    E = strain_of(found.pose, sides)
+    x2, x3 = lattice_mm(found.pose, cell)
+    reached = best.states(sides)
+    E = np.where(good[:, None], E[:, weave_axes(cell)], np.nan)
+    return Support(
+        S=S,
+        h=double_dot(S, E),
+        E=E,
+        x2_mm=np.where(good[:, None], x2, np.nan),
+        x3_mm=np.where(good[:, None], x3, np.nan),
+        unique=unique,
+        status=found.status,
+        R=np.where(good, found.R, np.nan),
+        min_gap_mm=np.where(good, found.contacts.min_gap * cell.r1, np.nan),
+        branch=best.branch,
+        works=[[float(size[i]) * work for work in best.works[i]] for i in range(len(S))],
+        b_x_mm=sides_mm[0],
+        b_y_mm=sides_mm[1],
+        states=reached if known is None else known.joined(reached),
+    )
+
+
+def checked_loads(S: ArrayLike) -> Array:
+    """Dead loads (n, 3); InputError where one is no positive semidefinite tensor other than zero."""
+    try:
+        S = np.atleast_2d(np.asarray(S, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise InputError("S must be numbers S11, S12, S22, or rows of them") from error
+    if S.ndim != 2 or S.shape[1] != 3 or not len(S):
+        raise InputError(f"S has the shape {S.shape}; give S11, S12, S22, or rows of them")
+    if not np.isfinite(S).all():
+        raise InputError("S must be finite numbers")
+    low, high = eigenvalues(S)
+    bad = np.flatnonzero(~((high > 0.0) & (low >= -ROUND_OFF * np.maximum(high, 0.0))))
+    if len(bad):
+        i = bad[0]
+        if not S[i].any():
+            raise InputError("S = 0, 0, 0: h is 0 and every strain is locked; give a load")
+        raise InputError(
+            f"S = {', '.join(f'{x:g}' for x in S[i])}: has the eigenvalue {low[i]:.3g}, and a mesh of rings carries no "
+            "compression: slack folds make S:E as large as one likes; give a load without negative eigenvalues"
+        )
+    return S
+
+
+def company(S: Array, known: States | None) -> Array:
+    """Loads (m, 3) of unit trace near those of the loads S (n, 3) that have few known or asked loads near them.
+
+    Four on a circle of radius `RING` round each in the disc of loads; those outside are drawn in to the rim.
+    """
+    x = disc(S)
+    near = x if known is None else np.concatenate([x, disc(known.S)])
+    count = (np.linalg.norm(x[:, None] - near[None], axis=2) < 1.5 * RING).sum(axis=1)
+    lonely = x[count <= 4]
+    turn = np.pi * (0.25 + 0.5 * np.arange(4))
+    around = (lonely[:, None] + RING * np.stack([np.cos(turn), np.sin(turn)], axis=1)).reshape(-1, 2)
+    return from_disc(around / np.maximum(np.linalg.norm(around, axis=1), 1.0)[:, None])
+
+
+def _solved(
+    loads: Array,
+    cell: Cell,
+    weave: Weave,
+    sides: tuple[float, float],
+    options: DirectOptions,
+    known: States | None,
+) -> tuple[Largest, NDArray[np.bool_]]:
+    """Best states of the loads (n, 3) and flags `unique` (n,), with these pairs of rings."""
+    equations = Equations.of(weave, cell.wire, load=DeadLoad(sides))
+    if options.branches != "first":
+        others = company(loads, known)
+        if len(others):
+            states = largest(others, equations, sides, replace(options, branches="first")).states(sides)
+            known = states if known is None else known.joined(states)
+    best = largest(loads, equations, sides, options, known)
+    return best, strain_is_unique(equations, best.found, unit_loads(loads))

@@ -1,0 +1,210 @@
+"""The support function of the rings: derivatives, agreement with Cauchy loads, invariance, convexity, brute force."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rve.cli import main
+from rve.common.errors import InputError, NotConverged
+from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
+from rve.directions import grid
+from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.support import DeadLoad, largest, opened, solve_dead, strain_of
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.contacts import find_contacts
+from rve.geometry.pose import moved, reduction, start_pose
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, WEAVES
+from rve.solve import reference_sides, solve_table
+from rve.support_function import support
+
+FIRST = DirectOptions(branches="first")
+
+
+def random_loads(count, seed):
+    """Loads of unit trace over the whole disc, every fourth of rank one."""
+    rng = np.random.default_rng(seed)
+    radius, angle = np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    radius[::4] = 1.0
+    return from_disc(radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+@pytest.mark.parametrize("name", WEAVES)
+def test_the_dead_load_is_the_gradient_of_its_work_and_its_jacobian_is_symmetric(name):
+    rng = np.random.default_rng(3)
+    weave, sides = WEAVES[name], (2.2, 1.7)
+    pose = moved(start_pose(weave, 1), 0.1 * rng.uniform(-1.0, 1.0, (1, 9)))
+    S = np.array([[0.7, 0.2, 0.4]])
+
+    def at(v):
+        there = moved(pose, v[None])
+        f, J = DeadLoad(sides).force(there, reduction(there), S)
+        return sides[0] * sides[1] * double_dot(S, strain_of(there, sides))[0], f[0], J[0]
+
+    step = 1e-5
+    _, f, J = at(np.zeros(9))
+    ways = step * np.eye(9)
+    slope = [(at(way)[0] - at(-way)[0]) / (2.0 * step) for way in ways]
+    np.testing.assert_allclose(f, slope, atol=1e-9)
+    np.testing.assert_allclose(J[:3], [(at(way)[1] - at(-way)[1]) / (2.0 * step) for way in ways[:3]], atol=1e-9)
+    np.testing.assert_allclose(J, J.T, atol=1e-14)
+    assert np.abs(J[:3, :3] - np.diag(np.diag(J[:3, :3]))).max() > 0.1  # the bilinear lattice takes part
+
+
+@pytest.mark.parametrize("ratio", [5.0, 10.0])
+def test_dead_and_cauchy_loads_lock_in_one_state_where_it_is_unique(ratio):
+    cell = Cell(5.0, 5.0 / ratio)
+    table = solve_table(cell, grid(15.0))
+    S = table.S / (table.S[:, :1] + table.S[:, 2:])
+    found = support(cell, S, FIRST if ratio == 5.0 else None)
+    assert (found.status == "converged").all()
+    np.testing.assert_allclose(found.h, double_dot(S, table.E), atol=1e-9)
+    unique = table.unique & found.unique
+    assert unique.sum() >= len(S) - 2
+    np.testing.assert_allclose(found.E[unique], table.E[unique], atol=1e-9)
+    np.testing.assert_allclose(found.x2_mm[unique], table.x2_mm[unique], atol=1e-7)
+    np.testing.assert_array_equal(found.unique, table.unique)
+
+
+def test_size_unit_grain_and_mirror_change_nothing():
+    S = np.array([[0.5, 0.2, 0.5], [1.0, 0.0, 0.0], [0.05, -0.1, 0.95]])
+    plain = support(Cell(), S, FIRST)
+    scaled = support(Cell(), 1e6 * S, FIRST)
+    np.testing.assert_allclose(scaled.h, 1e6 * plain.h, rtol=1e-12)
+    np.testing.assert_allclose(scaled.E, plain.E, atol=1e-10)
+    inches = support(Cell(5.0 / 25.4, 0.5 / 25.4), S, FIRST)
+    np.testing.assert_allclose(inches.h, plain.h, atol=1e-12)
+    np.testing.assert_allclose(inches.x3_mm * 25.4, plain.x3_mm, atol=1e-9)
+    turned = support(Cell(grain="x"), S[:, ::-1], FIRST)
+    np.testing.assert_allclose(turned.h, plain.h, atol=1e-12)
+    np.testing.assert_allclose(turned.E, plain.E[:, ::-1], atol=1e-10)
+    np.testing.assert_allclose(turned.x2_mm, plain.x3_mm[:, ::-1], atol=1e-9)
+    image = support(Cell(), mirror(S), FIRST)
+    np.testing.assert_allclose(image.h, plain.h, atol=1e-12)
+    np.testing.assert_allclose(image.E, mirror(plain.E), atol=1e-9)
+
+
+THIN = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("ratio", "weave"),
+    [(5.0, FOUR_IN_ONE), pytest.param(30.0, FOUR_IN_ONE, marks=THIN), pytest.param(20.0, SIX_IN_ONE, marks=THIN)],
+)
+def test_the_support_function_is_convex(ratio, weave):
+    """Sublinear on pairs, and the strains are its gradients: no state does more work than the one of the load."""
+    one, other = random_loads(12, 4), random_loads(12, 5)
+    S = np.concatenate([one, other, one + other])
+    found = support(Cell(5.0, 5.0 / ratio, weave), S)
+    assert (found.status == "converged").all()
+    h = found.h.reshape(3, 12)
+    assert (h[2] <= h[0] + h[1] + 1e-12).all()
+    assert (h[0] + h[1] - h[2]).max() > 0.01
+    assert (found.h[:, None] - (S * WEIGHT) @ found.E.T).min() > -1e-9
+
+
+@pytest.mark.parametrize(
+    ("ratio", "weave"),
+    [(10.0, FOUR_IN_ONE), pytest.param(50.0, FOUR_IN_ONE, marks=THIN), pytest.param(10.0, SIX_IN_ONE, marks=THIN)],
+)
+def test_no_admissible_pose_does_more_work(ratio, weave):
+    cell = Cell(5.0, 5.0 / ratio, weave)
+    rng = np.random.default_rng(7)
+    S = random_loads(8, 8)
+    found = support(cell, S, FIRST if ratio == 10.0 else None)
+    pose = moved(start_pose(weave, 3000), rng.uniform(0.02, 0.6, (3000, 1)) * rng.uniform(-1.0, 1.0, (3000, 9)))
+    contacts = find_contacts(pose, weave, cell.wire, 0.6)
+    good = np.flatnonzero(contacts.links_intact & (contacts.min_gap > 0.0))
+    assert len(good) > 100
+    E = strain_of(pose.take(good), (found.b_x_mm / 5.0, found.b_y_mm / 5.0))
+    assert (found.h[:, None] - (S * WEIGHT) @ E.T).min() >= -1e-12
+
+
+def test_thin_wire_takes_the_longest_of_its_states():
+    """Independent value: pulled along the grain at r1/r2 = 50 the longest of three states has h = 0.0586, b_y = 16.307.
+
+    Rings slide over each other there; side by side, h is 0.
+    """
+    found = support(Cell(5.0, 0.1), [0.0, 0.0, 1.0])
+    assert found.b_y_mm == pytest.approx(16.307, abs=1e-3)
+    assert found.h[0] == pytest.approx(0.0586, abs=5e-5)
+    assert np.hypot(*found.x3_mm[0]) == pytest.approx(found.b_y_mm * np.sqrt(1.0 + 2.0 * found.h[0]), rel=1e-9)
+    assert found.x2_mm[0, 0] < 0.8 * found.b_x_mm
+
+
+def test_free_strains_are_flagged():
+    """The load of rank one along the straight chain |x2 + x3| = 4 (r1 - r2): h is known, the strain is not."""
+    chain = 4.0 * (5.0 - 0.5)
+    b_x, b_y = reference_sides(Cell(), DirectOptions())
+    # Along a1 + a2 = F (b_x, b_y), the work is (|a1 + a2|^2 - b_x^2 - b_y^2) / 2 for S = v v^T, v = (b_x, b_y).
+    v = np.array([b_x, b_y])
+    found = support(Cell(), [v[0] ** 2, v[0] * v[1], v[1] ** 2], FIRST)
+    assert found.status[0] == "converged"
+    assert not found.unique[0]
+    assert found.h[0] == pytest.approx(0.5 * (chain**2 - v @ v), abs=1e-7)
+
+
+def test_a_locked_pose_is_opened_a_little():
+    equations = Equations.of(FOUR_IN_ONE, 0.1, load=DeadLoad((2.2, 2.53)))
+    found = solve_dead(random_loads(8, 2), equations, DirectOptions())
+    pose = opened(found.pose, equations, 1e-4, 0.6)
+    contacts = equations.contacts(pose, 0.6)
+    assert contacts.links_intact.all()
+    assert (contacts.min_gap > 5e-5).all()
+    assert np.abs(pose.lattice - found.pose.lattice).max() < 5e-3
+
+
+@pytest.mark.slow
+def test_states_known_before_are_starts():
+    """Without its company one load of thin wire keeps a smaller state; with the states of others it climbs."""
+    cell, S = Cell(5.0, 0.1), [0.2427026, -0.21719236, 0.7572974]
+    first = support(cell, S, FIRST)
+    best = support(cell, S)
+    assert best.branch[0] in ("neighbour", "restart")
+    assert best.h[0] > first.h[0] + 1e-5
+    assert best.works[0][0] == pytest.approx(first.h[0], abs=1e-9)
+    again = support(cell, S, known=best)
+    assert again.h[0] == pytest.approx(best.h[0], abs=1e-9)
+    assert first.branch[0] == "slack"
+
+
+@pytest.mark.parametrize(
+    ("S", "words"),
+    [
+        ([1.0, 0.0, -0.5], "has the eigenvalue -0.5"),
+        ([0.3, 0.4, 0.3], "has the eigenvalue -0.1"),
+        ([-1.0, 0.0, -1.0], "has the eigenvalue -1"),
+        ([0.0, 0.0, 0.0], "give a load"),
+        ([1.0, np.nan, 1.0], "finite"),
+        ([1.0, 2.0], "shape"),
+        ("pull", "numbers"),
+    ],
+)
+def test_loads_that_are_none(S, words):
+    with pytest.raises(InputError, match=words):
+        support(Cell(), S)
+
+
+def test_the_command_prints_one_json_object():
+    run = CliRunner()
+    done = run.invoke(main, ["support", "--r1", "5", "--r2", "0.5", "--S", "2,0,0"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["h"] == pytest.approx(2.0 * 0.5 * ((17.42005 / 11.0) ** 2 - 1.0), abs=5e-4)
+    assert found["x2_x_mm"] == pytest.approx(17.42005, abs=2e-4)
+    assert {"E11", "E12", "E22", "x2_y_mm", "x3_x_mm", "x3_y_mm", "unique", "branch", "b_x_mm"} < found.keys()
+    assert (found["status"], found["states"]) == ("converged", len(found["works"]))
+    assert run.invoke(main, ["support", "--S", "1,0"]).exit_code == 2
+    assert run.invoke(main, ["support", "--S", "1,0,-1"]).exit_code == 2
+    assert run.invoke(main, ["support", "--S", "1,0,0", "--branches", "none"]).exit_code == 2
+
+
+def test_too_few_iterations_are_named():
+    with pytest.raises(NotConverged, match="reference cell"):
+        support(Cell(), [1.0, 0.0, 1.0], replace(FIRST, max_iterations=0, attempts=1))
+    equations, none = Equations.of(FOUR_IN_ONE, 0.1, load=DeadLoad((2.2, 2.53))), replace(FIRST, max_iterations=-50)
+    best = largest(np.array([[0.5, 0.0, 0.5]]), equations, (2.2, 2.53), none)
+    assert (best.found.status[0], best.h[0], best.works) == ("stalled", -np.inf, [[]])
