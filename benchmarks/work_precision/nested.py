@@ -98,7 +98,7 @@ def answered(cell: Cell, x: Array, before: Rows | None) -> Rows:
     if before is not None:
         columns.insert(0, (before.S, before.E, before.h, before.unique))
     S, E, h, unique = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    return law_interval(Rows(S, E, h, unique, np.arange(len(S)))).rows
+    return law_interval(Rows(S, E, h, unique, np.arange(len(S)), is_mirrored=cell.weave.is_mirrored)).rows
 
 
 def by_table(cell: Cell, cells: int, directions: tuple[Array, Array], options: FitOptions) -> float:

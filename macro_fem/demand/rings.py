@@ -86,7 +86,7 @@ def ask(cell: Cell, cache: RingCache, x: Array, asked: Asked) -> Asked:
             solves += 1
         answers.append(answer)
     good = [i for i, answer in enumerate(answers) if answer.status == "converged"]
-    new = _rows(from_disc(x[good]), [answers[i] for i in good], asked.count) if good else None
+    new = _rows(cell, from_disc(x[good]), [answers[i] for i in good]) if good else None
     return Asked(
         np.vstack([asked.x, x]),
         _joined(asked.rows, new),
@@ -105,13 +105,14 @@ def _solved(cell: Cell, S: Array) -> RingAnswer:
     return RingAnswer(float(found.h[0]), (E[0], E[1], E[2]), str(found.status[0]), bool(found.unique[0]))
 
 
-def _rows(S: Array, answers: list[RingAnswer], first: int) -> Rows:
+def _rows(cell: Cell, S: Array, answers: list[RingAnswer]) -> Rows:
     h, E = np.array([one.h for one in answers]), np.array([one.E for one in answers])
-    return Rows(S, E, h, np.array([one.unique for one in answers]), first + np.arange(len(h)))
+    unique = np.array([one.unique for one in answers])
+    return Rows(S, E, h, unique, np.arange(len(h)), is_mirrored=cell.weave.is_mirrored)
 
 
 def _joined(old: Rows | None, new: Rows | None) -> Rows | None:
     if old is None or new is None:
         return new if old is None else old
     S, E, h, unique = (np.concatenate([getattr(old, k), getattr(new, k)]) for k in ("S", "E", "h", "unique"))
-    return Rows(S, E, h, unique, np.arange(len(h)), old.dropped)
+    return Rows(S, E, h, unique, np.arange(len(h)), old.dropped, old.is_mirrored)
