@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ FORMAT = "ring-mesh support value"
 VERSION = 1
 """Raised when the same direction would be answered differently, so that older files are no longer read."""
 MOST_BYTES = 10_000
+NOT_ASKED = ("r1", "r2", "density", "weave")
+"""Fields of a cell that enter by name and ratio, or not at all."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +93,15 @@ def default_folder() -> Path:
 
 
 def question(cell: Cell, S: Array) -> dict[str, Any]:
-    """All that the answer depends on; lengths are in units of r1."""
+    """All that the answer depends on: every field of the cell but its size and density."""
+    others = {one.name: str(getattr(cell, one.name)) for one in fields(cell) if one.name not in NOT_ASKED}
     return {
         "format": FORMAT,
         "format_version": VERSION,
         "weave": cell.weave.name,
         "repeat": list(cell.weave.repeat),
-        "grain": cell.grain,
         "r2_over_r1": cell.wire,
+        **others,
         "S11_S12_S22": [float(x) for x in S],
     }
 

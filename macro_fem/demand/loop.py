@@ -191,9 +191,10 @@ def solve_on_demand(
             turns.append(_turn(rings, solution, asked, part))
             last = solution
             continue
-        level = Level(solution, bound(solution, factor, law.outer))
-        turns.append(_turn(rings, solution, asked, part, level))
-        ended = _ended(rings, level, turns, target)
+        new = Level(solution, bound(solution, factor, law.outer))
+        turns.append(_turn(rings, solution, asked, part, new))
+        ended = _ended(rings, new, turns, target, asked)
+        level = new if level is None or new.bounds.status == "converged" else level
         if ended is not None:
             return Demand(level, law, asked, tuple(turns), options.accuracy, *ended)
         share = FALL * max(level.bounds.gap - part, 0.0) / scale
@@ -291,7 +292,7 @@ def _turn(rings: _Rings, solution: CurtainSolution, asked: Asked, part: float, l
     )
 
 
-def _ended(rings: _Rings, level: Level, turns: Sequence[Turn], target: float) -> tuple[str, str] | None:
+def _ended(rings: _Rings, level: Level, turns: Sequence[Turn], target: float, asked: Asked) -> tuple[str, str] | None:
     """Status and message if this was the last turn."""
     bounds, options = level.bounds, rings.options
     if bounds.status != "converged":
@@ -301,8 +302,8 @@ def _ended(rings: _Rings, level: Level, turns: Sequence[Turn], target: float) ->
     part, cells = float(bounds.law_part or 0.0), turns[-1].cells
     if part > 0.5 * bounds.gap and part > 0.5 * target and _is_idle(turns):
         _, scale = _scales(level.solution, options.accuracy)
-        failed = turns[-1].ring_solves + turns[-1].cache_hits
-        return "law_limit", SENTENCES["law_limit"].format(law=part / scale, solves=options.most_solves, failed=failed)
+        why = SENTENCES["law_limit"].format(law=part / scale, solves=options.most_solves, failed=asked.failed)
+        return "law_limit", why
     if cells + 3 * len(marked(bounds.error)) > options.most_cells:
         return "mesh_limit", SENTENCES["mesh_limit"].format(cells=options.most_cells)
     return None
