@@ -152,7 +152,7 @@ def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:
 
 
 def lacking(S: Array, E: Array, states: States) -> Array:
-    """By how much the best of the states does more work under S (n, 3) than the strains E (n, 3), (n,); 0 if none does."""
+    """How much more work than the strains E (n, 3) the best of the states does under S (n, 3), (n,); 0 if none does."""
     gain = (S * WEIGHT) @ states.E.T - double_dot(S, E)[:, None]
     return np.asarray(gain.max(axis=1, initial=0.0))
 
