@@ -29,11 +29,11 @@ Index = NDArray[np.intp]
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
-ROUNDS = 6
+ROUNDS = 4
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 ON_ITS_WAY = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
-BALANCE_STEPS = 12
+BALANCE_STEPS = 20
 BALANCED = 1e-10
 """Difference of the works S*:E_A and S*:E_B at unit trace at which two coexisting states are in balance."""
 
@@ -208,7 +208,7 @@ def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibri
     g_low, g_high = double_dot(S, E[1] - E[0]), double_dot(mesh.conjugate(E[1], s), E[1] - E[0])
     fine = (g_low > 0.0) & (g_high < 0.0)
     found = [restarted(S, mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0)) for pose in poses]
-    open_ = np.flatnonzero(fine)
+    open_, last_up = np.flatnonzero(fine), np.full(len(s), -1)
     for _ in range(BALANCE_STEPS):
         if not len(open_):
             break
@@ -222,7 +222,10 @@ def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibri
             fine[i] &= new.status == "converged"
         g = double_dot(S[i], E[1][i] - E[0][i])
         up = g > 0.0
-        g_high[i], g_low[i] = np.where(up, 0.5 * g_high[i], g), np.where(up, g, 0.5 * g_low[i])
+        again = up == last_up[i]
+        g_high[i] = np.where(up, np.where(again, 0.5 * g_high[i], g_high[i]), g)
+        g_low[i] = np.where(up, g, np.where(again, 0.5 * g_low[i], g_low[i]))
+        last_up[i] = up
         low[i], high[i] = np.where(up, t[i], low[i]), np.where(up, high[i], t[i])
         open_ = i[(np.abs(g) > BALANCED) & fine[i]]
     fine[open_] = False
