@@ -31,6 +31,8 @@ SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
 ROUNDS = 4
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
+MOVED = 1e-6
+"""Strain by which a state must differ from the old one of its row to be another state."""
 ON_ITS_WAY = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
 BALANCE_STEPS = 20
@@ -164,8 +166,10 @@ def with_rivals(
     that are solved now, and their numbers.
 
     A row takes the state that is reached from its rival if no known state does more work. Otherwise it coexists with
-    its rival, if each does more work under the S of the other. Otherwise it goes on from its rival.
+    its rival, if each does more work under the S of the other. Otherwise it goes on from the state that was reached, or
+    from its rival if that is where it came from.
     """
+    old = rows.E[bad]
     new = restarted(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
     E, S = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3))
     got = new.status == "converged"
@@ -181,7 +185,9 @@ def with_rivals(
     ok, on = np.flatnonzero(fine), np.flatnonzero(~fine)
     pose, where = both.pose.take(ok), bad[rest[ok]]
     rows = replaced(rows, where, pose, S_star[ok], strain_of(pose, mesh.sides), "coexisting", np.zeros(len(ok), bool))
-    pose, where = rivals.take(rest[on]), bad[rest[on]]
+    left, where = rest[on], bad[rest[on]]
+    fresh = np.flatnonzero(got[left] & (np.abs(E[left] - old[left]).max(axis=1) > MOVED))
+    pose = rivals.take(left).put(fresh, new.pose.take(left[fresh]))
     E = strain_of(pose, mesh.sides)
     rows = replaced(rows, where, pose, mesh.conjugate(E, s[where]), E, ON_ITS_WAY, np.zeros(len(on), bool))
     keep = np.sort(np.concatenate([pick, rest[ok]]))
