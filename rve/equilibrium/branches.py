@@ -29,9 +29,13 @@ Index = NDArray[np.intp]
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
-ROUNDS = 6
+ROUNDS = 4
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
-BALANCE_STEPS = 12
+MOVED = 1e-6
+"""Strain by which a state must differ from the old one of its row to be another state."""
+ON_ITS_WAY = "below"
+"""Branch of a row between two rounds whose pose is that of its last rival."""
+BALANCE_STEPS = 20
 BALANCED = 1e-10
 """Difference of the works S*:E_A and S*:E_B at unit trace at which two coexisting states are in balance."""
 
@@ -98,7 +102,7 @@ def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | 
         rivals = best.states(mesh.sides)
         known = known.joined(rivals.with_images(mesh.has_images))
         bad = bad[np.isfinite(best.h)]
-        rows, new, done = with_rivals(rows, s, bad, rivals.pose, mesh)
+        rows, new, done = with_rivals(rows, s, bad, rivals.pose, known.joined(states), mesh)
         found, where = merged(found, where, new, done)
     bad, _ = contradicted(rows, known, mesh)
     left = np.zeros(len(s), dtype=bool)
@@ -139,49 +143,55 @@ def dead_states(rows: Rows, mesh: Mesh) -> States:
 
 
 def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:
-    """Rows under whose S a known state, or the image of one, does more work than their own; all known states."""
+    """Rows under whose S a known state, or the image of one, does more work than their own, and rows that are still
+    on their way; all known states.
+    """
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
     own = States(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.has_images)
     states = own.joined(known)
-    gain = (rows.S[good] * WEIGHT) @ states.E.T - double_dot(rows.S[good], rows.E[good])[:, None]
-    return good[gain.max(axis=1, initial=0.0) > GAIN], states
+    bad = lacking(rows.S[good], rows.E[good], states) > GAIN
+    return good[bad | (rows.branch[good] == ON_ITS_WAY)], states
 
 
-def with_rivals(rows: Rows, s: Array, bad: Index, rivals: Pose, mesh: Mesh) -> tuple[Rows, Equilibrium | None, Index]:
-    """The rows `bad` solved again from their rivals, poses (k,) that do more work under their S.
+def lacking(S: Array, E: Array, states: States) -> Array:
+    """How much more work than the strains E (n, 3) the best of the states does under S (n, 3), (n,); 0 if none does."""
+    gain = (S * WEIGHT) @ states.E.T - double_dot(S, E)[:, None]
+    return np.asarray(gain.max(axis=1, initial=0.0))
 
-    A row takes the state that is reached from its rival, if that does not do less work than the old one under its own
-    S; otherwise both coexist.
+
+def with_rivals(
+    rows: Rows, s: Array, bad: Index, rivals: Pose, known: States, mesh: Mesh
+) -> tuple[Rows, Equilibrium | None, Index]:
+    """The rows `bad` solved again from their rivals, poses (k,) that do more work under their S; equilibria of the rows
+    that are solved now, and their numbers.
+
+    A row takes the state that is reached from its rival if no known state does more work. Otherwise it coexists with
+    its rival, if each does more work under the S of the other. Otherwise it goes on from the state that was reached, or
+    from its rival if that is where it came from.
     """
-    new = restarted(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
-    again = np.flatnonzero(new.status != "converged")
-    if len(again):
-        new = new.put(again, restarted(s[bad[again]], mesh.cauchy, rivals.take(again), MARGINS[1], mesh.options))
-    got = new.status == "converged"
-    E = strain_of(new.pose, mesh.sides)
-    S = np.where(got[:, None], mesh.conjugate(np.where(got[:, None], E, 0.0), s[bad]), np.nan)
     old = rows.E[bad]
-    climbs = got & (double_dot(S, E - old) >= -GAIN) & (double_dot(rows.S[bad], E - old) > GAIN)
-    pick = np.flatnonzero(climbs)
-    out = rows
+    new = restarted(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
+    E, S = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3))
+    got = new.status == "converged"
+    S[got] = mesh.conjugate(E[got], s[bad[got]])
+    climbs = got & (lacking(S, E, known) <= GAIN)
+    pick, rest = np.flatnonzero(climbs), np.flatnonzero(~climbs)
     if len(pick):
         unique = strain_is_unique(mesh.cauchy, new.take(pick), s[bad[pick]])
-        out = replaced(out, bad[pick], new.pose.take(pick), S[pick], E[pick], "restart", unique)
-    rest = np.flatnonzero(~climbs)
+        rows = replaced(rows, bad[pick], new.pose.take(pick), S[pick], E[pick], "restart", unique)
     if not len(rest):
-        return out, new, bad
-    ends = np.where(got[rest, None], E[rest], strain_of(rivals.take(rest), mesh.sides))
-    poses = rivals.put(np.flatnonzero(got), new.pose.take(np.flatnonzero(got))).take(rest)
-    both, S_star, fine = balanced(s[bad[rest]], rows.pose.take(bad[rest]), poses, ends, mesh)
-    ok = np.flatnonzero(fine)
-    side = both.pose
-    E_pair = strain_of(side, mesh.sides)
-    flags = np.zeros(len(ok), dtype=bool)
-    done = bad[rest[ok]]
-    out = replaced(out, done, side.take(ok), S_star[ok], E_pair[ok], "coexisting", flags)
+        return rows, new, bad
+    both, S_star, fine = balanced(s[bad[rest]], rows.pose.take(bad[rest]), rivals.take(rest), mesh)
+    ok, on = np.flatnonzero(fine), np.flatnonzero(~fine)
+    pose, where = both.pose.take(ok), bad[rest[ok]]
+    rows = replaced(rows, where, pose, S_star[ok], strain_of(pose, mesh.sides), "coexisting", np.zeros(len(ok), bool))
+    left, where = rest[on], bad[rest[on]]
+    fresh = np.flatnonzero(got[left] & (np.abs(E[left] - old[left]).max(axis=1) > MOVED))
+    pose = rivals.take(left).put(fresh, new.pose.take(left[fresh]))
+    E = strain_of(pose, mesh.sides)
+    rows = replaced(rows, where, pose, mesh.conjugate(E, s[where]), E, ON_ITS_WAY, np.zeros(len(on), bool))
     keep = np.sort(np.concatenate([pick, rest[ok]]))
-    new = new.put(rest[ok], both.take(ok)).take(keep)
-    return out, new, bad[keep]
+    return rows, new.put(rest[ok], both.take(ok)).take(keep), bad[keep]
 
 
 def replaced(rows: Rows, where: Index, pose: Pose, S: Array, E: Array, branch: str, unique: NDArray[np.bool_]) -> Rows:
@@ -191,22 +201,20 @@ def replaced(rows: Rows, where: Index, pose: Pose, S: Array, E: Array, branch: s
     return replace(out, pose=rows.pose.put(where, pose))
 
 
-def balanced(
-    s: Array, first: Pose, second: Pose, second_E: Array, mesh: Mesh
-) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
+def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
     """Equilibria (k,) under the dead loads S* at which two states do the same work; S* (k, 3); where it was found.
 
     The share t of the second state is found by the Illinois method: t = 0 has the second state do more work, t = 1 the
     first. Both states follow the load from step to step. The equilibrium is that of the larger share.
     """
-    E = [strain_of(first, mesh.sides), second_E]
     poses = [first, second]
+    E = [strain_of(pose, mesh.sides) for pose in poses]
     low, high = np.zeros(len(s)), np.ones(len(s))
     t, S = 0.5 * high, mesh.conjugate(E[0], s)
     g_low, g_high = double_dot(S, E[1] - E[0]), double_dot(mesh.conjugate(E[1], s), E[1] - E[0])
     fine = (g_low > 0.0) & (g_high < 0.0)
     found = [restarted(S, mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0)) for pose in poses]
-    open_ = np.flatnonzero(fine)
+    open_, last_up = np.flatnonzero(fine), np.full(len(s), -1)
     for _ in range(BALANCE_STEPS):
         if not len(open_):
             break
@@ -220,7 +228,10 @@ def balanced(
             fine[i] &= new.status == "converged"
         g = double_dot(S[i], E[1][i] - E[0][i])
         up = g > 0.0
-        g_high[i], g_low[i] = np.where(up, 0.5 * g_high[i], g), np.where(up, g, 0.5 * g_low[i])
+        again = up == last_up[i]
+        g_high[i] = np.where(up, np.where(again, 0.5 * g_high[i], g_high[i]), g)
+        g_low[i] = np.where(up, g, np.where(again, 0.5 * g_low[i], g_low[i]))
+        last_up[i] = up
         low[i], high[i] = np.where(up, t[i], low[i]), np.where(up, high[i], t[i])
         open_ = i[(np.abs(g) > BALANCED) & fine[i]]
     fine[open_] = False

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import Contacts, parallel_clearance
@@ -61,6 +62,12 @@ class DirectOptions:
     force: tuple[str, ...] = ()
     branches: str = "largest"
     reference: str = "side-by-side"
+
+    def __post_init__(self) -> None:
+        for name, known in (("branches", ("largest", "first")), ("reference", ("side-by-side", "locked"))):
+            value = getattr(self, name)
+            if value not in known:
+                raise InputError(f"{name} = {value!r}: known are {', '.join(known)}")
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,7 @@ def opened(pose: Pose, equations: Equations, margin: float, reach: float) -> Pos
 def restarted(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
     near = replace(options, attempts=1, mu_start=margin, shrink=0.3, power=1.0)
-    near = replace(near, tolerance=max(options.tolerance, TOLERANCE))
+    near = replace(near, tolerance=max(options.tolerance, TOLERANCE), max_iterations=min(90, options.max_iterations))
     return follow(unit_loads(loads), equations, near, opened(start, equations, margin, options.reach))
 
 

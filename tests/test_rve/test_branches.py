@@ -1,0 +1,101 @@
+"""Tables where several locked states coexist: the largest of them, two in balance, and the reference cell of thin wire."""
+
+import numpy as np
+import pytest
+
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
+from rve.directions import graded_grid, grid
+from rve.equilibrium.interior_point import DirectOptions
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import deformation_gradient, second_pk
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
+from rve.solve import reference_sides, solve_table
+from rve.support_function import support
+from rve.table import read_table, write_table
+
+FIRST = DirectOptions(branches="first")
+
+
+def normality(table, is_mirrored):
+    S, E = table.S[table.converged], table.E[table.converged]
+    S = S / (S[:, :1] + S[:, 2:])
+    both = np.concatenate([E, mirror(E)]) if is_mirrored else E
+    return (double_dot(S, E)[:, None] - (S * WEIGHT) @ both.T).min()
+
+
+def test_where_one_state_is_known_nothing_changes():
+    first, best = (solve_table(Cell(5.0, 1.0), grid(22.5), options) for options in (FIRST, DirectOptions()))
+    np.testing.assert_array_equal(best.E, first.E)
+    assert first.branch is None
+    assert (best.branch == "slack").all()
+    assert best.provenance["branches"]["several_states"] == []
+
+
+def test_two_states_in_balance(tmp_path):
+    """6-in-1 at r1/r2 = 10, (45, 0) degrees: the state of the slack pose does less work than two others that coexist."""
+    cell = Cell(5.0, 0.5, SIX_IN_ONE)
+    first, best = (solve_table(cell, ([45.0], [0.0]), options) for options in (FIRST, DirectOptions()))
+    assert (best.branch[0], best.status[0], bool(best.unique[0])) == ("coexisting", "converged", False)
+    S, E = best.S[0] / (best.S[0, 0] + best.S[0, 2]), best.E[0]
+    found = support(cell, S)
+    assert found.h[0] == pytest.approx(double_dot(S, E), abs=1e-8)
+    assert double_dot(S, first.E[0]) < found.h[0] - 5e-6
+    # S is what the Cauchy load gives on a mixture of two strains of equal work.
+    angle = np.arctan2(S[1], S[0]) + np.array([-5e-3, 5e-3])
+    other = support(cell, dyad(np.stack([np.cos(angle), np.sin(angle)], axis=1))).E
+    rival = other[np.abs(other - E).max(axis=1).argmax()]
+    assert np.abs(rival - E).max() > 0.01
+    share = np.linspace(0.0, 1.0, 2001)[:, None]
+    s = np.tile([0.5, 0.5, 0.5], (2001, 1))
+    mixed = second_pk(deformation_gradient((1.0 - share) * E + share * rival), s)
+    mixed /= mixed[:, :1] + mixed[:, 2:]
+    assert np.abs(mixed - S).max(axis=1).min() < 5e-3
+    write_table(best, tmp_path / "t.csv")
+    again = read_table(tmp_path / "t.csv")
+    assert again.branch.tolist() == ["coexisting"]
+    assert again.provenance["branches"]["several_states"][0]["branch"] == "coexisting"
+    assert best.to_pandas().branch.tolist() == ["coexisting"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ratio", "weave"), [(22.0, FOUR_IN_ONE), (50.0, FOUR_IN_ONE), (20.0, SIX_IN_ONE)])
+def test_tables_of_thin_wire_are_normal(ratio, weave):
+    cell, loads = Cell(5.0, 5.0 / ratio, weave), grid(15.0, weave)
+    table = solve_table(cell, loads)
+    assert (table.status == "converged").mean() > 0.9
+    assert set(table.status) <= {"converged", "below"}
+    assert normality(table, weave.is_mirrored) >= -1e-8
+    dead = support(cell, table.S[table.converged])
+    good = dead.status == "converged"
+    assert good.mean() > 0.95
+    assert (dead.h - double_dot(table.S, table.E)[table.converged])[good].max() < 1e-4
+
+
+def test_the_locked_reference_is_the_longest_state():
+    """At r1/r2 = 10 rings lie side by side, at 50 they slide over each other and the cell is 5.7 % longer."""
+    locked = DirectOptions(reference="locked")
+    for ratio in (10.0, 50.0):
+        cell = Cell(5.0, 5.0 / ratio)
+        (b_x, b_y), (l_x, l_y) = (reference_sides(cell, options) for options in (DirectOptions(), locked))
+        assert b_x == pytest.approx(2.0 * (cell.r1 + cell.r2), abs=1e-9)
+        if ratio == 10.0:
+            assert (l_x, l_y) == pytest.approx((b_x, b_y), abs=1e-8)
+        else:
+            assert l_y / b_y == pytest.approx(1.057, abs=5e-4)
+            assert l_x < 0.8 * b_x
+
+
+def test_a_chiral_weave_has_loads_on_both_sides():
+    for make in (lambda weave: grid(15.0, weave), graded_grid):
+        alpha, beta = make(SIX_IN_ONE)
+        half, _ = make(FOUR_IN_ONE)
+        assert set(alpha) == set(half) | {-a for a in half if 0.0 < a < 45.0}
+        assert len({(a % 180.0, b) for a, b in zip(alpha, beta, strict=True)}) == len(alpha)
+
+
+def test_options_that_are_none():
+    with pytest.raises(InputError, match="branches = 'best': known are largest, first"):
+        DirectOptions(branches="best")
+    with pytest.raises(InputError, match="reference = 'none': known are side-by-side, locked"):
+        DirectOptions(reference="none")
