@@ -52,7 +52,7 @@ LOOKS = 6
 SAME_RINGS = 1e-6
 """Relative difference of radii and reference cells that are taken for the same."""
 LOST = 4
-"""Turns in which directions are asked because no curtain hangs on the inner law yet."""
+"""How often directions are asked because no curtain hangs on the inner law yet."""
 
 
 @dataclass(frozen=True)
@@ -171,18 +171,13 @@ def solve_on_demand(
     asked = _first(rings, known)
     mesh = build_mesh(scene, rings.info)
     turns: list[Turn] = []
-    last, level, share, lost = None, None, FIRST_GAP, 0
+    last, level, share = None, None, FIRST_GAP
     law = rings.law(asked)
     while len(turns) < options.most_turns:
         say(_line(mesh, asked, level))
-        solution = solve_problem(with_cones_of(admissible_problem(scene, law.inner, mesh, factor), last))
+        solution, law, asked = _hung(rings, mesh, law, asked, last, LOST if level is None else 0)
         if solution.status != "converged":
-            lost += 1
-            if lost > LOST or level is not None:
-                return _given_up(rings, level, law, asked, turns, solution)
-            asked = _asked(rings, _more_anywhere(rings, law, solution, asked), asked)
-            law = rings.law(asked)
-            continue
+            return _given_up(rings, level, law, asked, turns, solution)
         target, scale = _scales(solution, options.accuracy)
         before, inner = len(asked.x), law.inner
         law, asked = _narrowed(rings, law, solution, asked, LAW_SHARE * max(target, share * scale))
@@ -244,6 +239,20 @@ def _asked(rings: _Rings, x: Array, asked: Asked) -> Asked:
         rings.say(f"asking the rings, {asked.solves} solved, {len(x) - number} to go")
         asked = ask(rings.cell, rings.cache, one[None], asked)
     return asked
+
+
+def _hung(
+    rings: _Rings, mesh: CurtainMesh, law: LawInterval, asked: Asked, last: CurtainSolution | None, tries: int
+) -> tuple[CurtainSolution, LawInterval, Asked]:
+    """The curtain by the inner law; where none hangs on it, the rings are asked more widely, at most `tries` times."""
+    while True:
+        problem = admissible_problem(rings.scene, law.inner, mesh, rings.factor)
+        solution = solve_problem(with_cones_of(problem, last))
+        if solution.status == "converged" or tries == 0:
+            return solution, law, asked
+        tries -= 1
+        asked = _asked(rings, _more_anywhere(rings, law, solution, asked), asked)
+        law = rings.law(asked)
 
 
 def _narrowed(

@@ -193,6 +193,13 @@ def test_limits_are_named(known_rings):
     assert len(turns.turns) == 2
 
 
+def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_more_widely(known_rings):
+    far = square({"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "hang": "x"})
+    with pytest.raises(InputError, match="support"):
+        solve_on_demand(far, Cell(), DemandOptions(0.1))
+    assert len(known_rings) > len(first_directions(True)) + 16
+
+
 def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
     def support(cell, S):
         nan = np.full(3, np.nan)
