@@ -14,21 +14,21 @@ from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.cache import RingCache, open_cache
-from macro_fem.demand.loop import Demand, DemandOptions, solve_on_demand
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
-from rve import Cell
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from macro_fem.demand.loop import Demand
+    from rve import Cell
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -133,7 +133,7 @@ def solve(
     'converged'
     """
     if rings is not None:
-        return _on_demand(scene, law, rings, accuracy, open_cache(cache), say)
+        return _on_demand(scene, law, rings, accuracy, cache, say)
     if accuracy is not None or cache is not None:
         raise InputError("accuracy and cache belong to rings: give their radii as well")
     if law is None:
@@ -148,15 +148,23 @@ def solve(
 
 
 def _on_demand(
-    scene: Scene, law: MembraneLaw | LawInterval | None, rings: Cell, accuracy: float | None, cache: RingCache, say: Say
+    scene: Scene,
+    law: MembraneLaw | LawInterval | None,
+    rings: Cell,
+    accuracy: float | None,
+    cache: str | Path | None,
+    say: Say,
 ) -> CurtainResult:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
+    from macro_fem.demand.cache import open_cache
+    from macro_fem.demand.loop import DemandOptions, solve_on_demand
+
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
     check_solver(bounded, scene.source)
     options = DemandOptions() if accuracy is None else DemandOptions(accuracy)
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
-    found = solve_on_demand(bounded, rings, options, known=law, cache=cache, say=say)
+    found = solve_on_demand(bounded, rings, options, known=law, cache=open_cache(cache), say=say)
     steps = scene.load.steps
     early = [_solved(scene, found.law.inner, step / steps, say) for step in range(1, steps)]
     return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
