@@ -19,6 +19,8 @@ from rve.common.files import check_out_folder, write_text
 from rve.common.types import Array
 from rve.common.versions import versions
 
+Beside = tuple[tuple[float, float], ...]
+"""Directions as points of the unit disc."""
 FORMAT = "ring-mesh support value"
 VERSION = 1
 """Raised when the same direction would be answered differently, so that older files are no longer read."""
@@ -46,11 +48,14 @@ class RingCache:
 
     folder: Path | None
 
-    def get(self, cell: Cell, S: Array) -> RingAnswer | None:
-        """The answer to the direction S (3,) of unit trace, None if it is not there or not readable."""
+    def get(self, cell: Cell, S: Array, beside: Beside = ()) -> RingAnswer | None:
+        """The answer to the direction S (3,) of unit trace, None if it is not there or not readable.
+
+        beside: directions that were solved with it, whose locked states were starts.
+        """
         if self.folder is None:
             return None
-        asked = question(cell, S)
+        asked = question(cell, S, beside)
         try:
             with (self.folder / file_name(asked)).open("rb") as file:
                 found = json.loads(file.read(MOST_BYTES))
@@ -58,11 +63,11 @@ class RingCache:
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
-    def put(self, cell: Cell, S: Array, answer: RingAnswer) -> None:
+    def put(self, cell: Cell, S: Array, answer: RingAnswer, beside: Beside = ()) -> None:
         """Keeps an answer; InputError if the folder cannot be written."""
         if self.folder is None:
             return
-        asked = question(cell, S)
+        asked = question(cell, S, beside)
         record = {
             "question": asked,
             "h": answer.h if math.isfinite(answer.h) else None,
@@ -92,7 +97,7 @@ def default_folder() -> Path:
     return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
 
 
-def question(cell: Cell, S: Array) -> dict[str, Any]:
+def question(cell: Cell, S: Array, beside: Beside = ()) -> dict[str, Any]:
     """All that the answer depends on: every field of the cell but its size and density."""
     others = {one.name: str(getattr(cell, one.name)) for one in fields(cell) if one.name not in NOT_ASKED}
     return {
@@ -103,6 +108,7 @@ def question(cell: Cell, S: Array) -> dict[str, Any]:
         "r2_over_r1": cell.wire,
         **others,
         "S11_S12_S22": [float(x) for x in S],
+        "beside": [list(x) for x in beside],
     }
 
 

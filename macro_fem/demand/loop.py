@@ -24,7 +24,7 @@ from macro_fem.bounds.interval import Loads, bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.cache import NO_CACHE, RingCache
 from macro_fem.demand.directions import between, widest
-from macro_fem.demand.rings import Asked, ask, first_directions, ring_info, rounded
+from macro_fem.demand.rings import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
 from macro_fem.fem.turned import TurnedLaw
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
@@ -191,7 +191,7 @@ def solve_on_demand(
         ended = _ended(rings, new, turns, target, asked)
         level = new if level is None or new.bounds.status == "converged" else level
         if ended is not None:
-            return Demand(level, law, asked, tuple(turns), options.accuracy, *ended)
+            return Demand(level, law, asked, tuple(turns), options.accuracy, *_doubted(law, *ended))
         share = FALL * max(level.bounds.gap - part, 0.0) / scale
         mesh, last = refine(mesh, marked(level.bounds.error), scene), solution
     if level is None:
@@ -220,6 +220,8 @@ SENTENCES = {
     "{solves} ring problems ({failed} directions without an answer); ask for less accuracy",
     "bound_limit": "the lower bound ended with status {bound}; allow more [solver] max_iterations or start with other "
     "cells",
+    "contradiction": "answers of the rings contradict each other by {raised:.1e}: some are not the largest work and the "
+    "lower bound is not proved; make a table with rve table, which seeks the largest states, and begin with it",
     "turn_limit": "the limit of turns was reached; ask for less accuracy",
     "curtain_limit": "the curtain of the next turn was not solved, and the interval is that of the turn before: {why}",
 }
@@ -238,7 +240,7 @@ def _asked(rings: _Rings, x: Array, asked: Asked) -> Asked:
     for number, one in enumerate(x):
         rings.say(f"asking the rings, {asked.solves} solved, {len(x) - number} to go")
         asked = ask(rings.cell, rings.cache, one[None], asked)
-    return asked
+    return settled(rings.cell, rings.cache, asked) if len(x) else asked
 
 
 def _hung(
@@ -316,6 +318,13 @@ def _ended(rings: _Rings, level: Level, turns: Sequence[Turn], target: float, as
     if cells + 3 * len(marked(bounds.error)) > options.most_cells:
         return "mesh_limit", SENTENCES["mesh_limit"].format(cells=options.most_cells)
     return None
+
+
+def _doubted(law: LawInterval, status: str, message: str) -> tuple[str, str]:
+    """Status and message, unless rows contradict each other: then some h are not the largest work."""
+    if status == "converged" and law.raised > GAIN:
+        return "contradiction", SENTENCES["contradiction"].format(raised=law.raised)
+    return status, message
 
 
 def _is_idle(turns: Sequence[Turn]) -> bool:

@@ -5,15 +5,15 @@ A direction is a point x of the unit disc, S = (1 + x1, x2, 1 - x1)/2 of unit tr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from homogenize import CellInfo, Rows, cell_of
-from macro_fem.demand.cache import RingAnswer, RingCache
+from macro_fem.demand.cache import Beside, RingAnswer, RingCache
 from rve import Cell, solve_table, support
 from rve.common.errors import NotConverged
-from rve.common.tensor import from_disc
+from rve.common.tensor import WEIGHT, disc, from_disc, mirror
 from rve.common.types import Array
 
 DIGITS = 9
@@ -25,6 +25,7 @@ class Asked:
     """Directions x (n, 2) that were asked, their rows without those that failed, and how the answers came about.
 
     solves: ring problems solved in this run; hits: answers read from the cache; failed: directions without an answer.
+    beside: of each row, the directions that it was solved with.
     """
 
     x: Array
@@ -32,11 +33,22 @@ class Asked:
     solves: int = 0
     hits: int = 0
     failed: int = 0
+    beside: tuple[Beside, ...] = ()
+
+    def beside_of(self, i: int) -> Beside:
+        """The directions that row i was solved with."""
+        return self.beside[i] if i < len(self.beside) else ()
 
     @property
     def count(self) -> int:
         """Rows known."""
         return 0 if self.rows is None else len(self.rows)
+
+
+GAIN = 1e-8
+"""Work at unit trace by which a strain must exceed another row's own to contradict it; round-off leaves 1e-12."""
+ROUNDS = 6
+"""How often rows that others contradict are asked again."""
 
 
 def ring_info(cell: Cell) -> CellInfo:
@@ -77,14 +89,10 @@ def ask(cell: Cell, cache: RingCache, x: Array, asked: Asked) -> Asked:
     x = rounded(x)
     solves = hits = 0
     answers = []
-    for S in from_disc(x):
-        answer = cache.get(cell, S)
-        hits += answer is not None
-        if answer is None:
-            answer = _solved(cell, S)
-            cache.put(cell, S, answer)
-            solves += 1
+    for one in x:
+        answer, solved = _answer(cell, cache, one, ())
         answers.append(answer)
+        solves, hits = solves + solved, hits + (solved == 0)
     good = [i for i, answer in enumerate(answers) if answer.status == "converged"]
     new = _rows(cell, from_disc(x[good]), [answers[i] for i in good]) if good else None
     return Asked(
@@ -93,12 +101,74 @@ def ask(cell: Cell, cache: RingCache, x: Array, asked: Asked) -> Asked:
         asked.solves + solves,
         asked.hits + hits,
         asked.failed + len(answers) - len(good),
+        asked.beside + ((),) * len(good),
     )
+
+
+def settled(cell: Cell, cache: RingCache, asked: Asked) -> Asked:
+    """`asked` where no row's strain does more work under the load of another row than that row's own.
+
+    A row for which one does is asked again beside the load of that strain, whose locked states are then starts; no
+    later than after ROUNDS of this, or one without any gain.
+    """
+    for _ in range(ROUNDS):
+        pairs = [] if asked.rows is None else contradictions(asked.rows)
+        before = asked.rows
+        for i, x in pairs:
+            asked = _asked_beside(cell, cache, asked, i, x)
+        if asked.rows is before or before is None or (asked.rows.h - before.h).max() < GAIN:
+            break
+    return asked
+
+
+def contradictions(rows: Rows) -> list[tuple[int, tuple[float, float]]]:
+    """Rows i under whose load the strain of another does more work, and the direction x of the one that does most.
+
+    >>> S, E = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]]), np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
+    >>> contradictions(Rows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2)))
+    [(0, (-0.2, 0.0))]
+    """
+    S, E = rows.S, rows.E
+    if rows.is_mirrored:
+        S, E = np.vstack([S, mirror(S)]), np.vstack([E, mirror(E)])
+    work = (rows.S * WEIGHT) @ E.T
+    best, excess = work.argmax(axis=1), work.max(axis=1) - rows.h
+    x = rounded(disc(S))
+    worst = [i for i in np.argsort(-excess, kind="stable") if excess[i] > GAIN]
+    return [(int(i), (float(x[best[i], 0]), float(x[best[i], 1]))) for i in worst]
+
+
+def _asked_beside(cell: Cell, cache: RingCache, asked: Asked, i: int, x: tuple[float, float]) -> Asked:
+    """`asked` with row i asked again beside the direction x; the row as it was if nothing better is found."""
+    rows = asked.rows
+    if rows is None or x in asked.beside_of(i):
+        return asked
+    beside = (*asked.beside_of(i), x)
+    answer, solved = _answer(cell, cache, rounded(disc(rows.S[i : i + 1]))[0], beside)
+    asked = replace(asked, solves=asked.solves + solved, hits=asked.hits + (solved == 0))
+    known = {k: one for k, one in enumerate(asked.beside) if one} | {i: beside}
+    asked = replace(asked, beside=tuple(known.get(k, ()) for k in range(len(rows))))
+    if answer.status != "converged" or not answer.h > rows.h[i]:
+        return asked
+    h, E = rows.h.copy(), rows.E.copy()
+    h[i], E[i] = answer.h, answer.E
+    return replace(asked, rows=replace(rows, h=h, E=E))
+
+
+def _answer(cell: Cell, cache: RingCache, x: Array, beside: Beside) -> tuple[RingAnswer, int]:
+    """The answer to the direction x (2,), and how many ring problems were solved for it: none if it was kept."""
+    S = from_disc(np.vstack([x[None], *(np.array([one]) for one in beside)]))
+    answer = cache.get(cell, S[0], beside)
+    if answer is not None:
+        return answer, 0
+    answer = _solved(cell, S)
+    cache.put(cell, S[0], answer, beside)
+    return answer, len(S)
 
 
 def _solved(cell: Cell, S: Array) -> RingAnswer:
     try:
-        found = support(cell, S[None])
+        found = support(cell, S)
     except NotConverged:
         return RingAnswer(np.nan, (np.nan,) * 3, "stalled", False)
     E = tuple(float(value) for value in found.E[0])

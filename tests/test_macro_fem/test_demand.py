@@ -30,13 +30,13 @@ from macro_fem.demand.cache import NO_CACHE, RingAnswer, RingCache, default_fold
 from macro_fem.demand.directions import between, widest
 from macro_fem.demand.loop import DemandOptions, solve_on_demand
 from macro_fem.demand.options import ring_options
-from macro_fem.demand.rings import Asked, ask, first_directions, rounded
+from macro_fem.demand.rings import Asked, ask, contradictions, first_directions, rounded, settled
 from macro_fem.job import solve
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers.cones import least_slack
-from rve import Cell
+from rve import WEAVES, Cell
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, disc, from_disc
 
@@ -178,6 +178,44 @@ def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
     assert second.asked.hits == asked
     assert interval(first) == interval(second)
     assert np.array_equal(first.level.solution.x, second.level.solution.x)
+
+
+def test_answers_that_others_contradict_are_asked_again_beside_them(known_rings, monkeypatch):
+    """Rings that find the state of largest work under one load only together with another load."""
+    whole, x = rings_module.support, first_directions(True)
+    hidden = from_disc(x)[[8]]
+
+    def support(cell, S):
+        if len(S) > 1 or not np.allclose(S[0], hidden):
+            return whole(cell, S)
+        E = whole(cell, S).E - 0.02 * np.array([1.0, 0.0, 1.0])
+        return SimpleNamespace(h=(S * WEIGHT * E).sum(1), E=E, status=np.array(["converged"]), unique=np.array([True]))
+
+    right = ask(Cell(), NO_CACHE, x, NOTHING)
+    monkeypatch.setattr(rings_module, "support", support)
+    wrong = ask(Cell(), NO_CACHE, x, NOTHING)
+    assert [i for i, _ in contradictions(wrong.rows)] == [8]
+    assert wrong.rows.h[8] < right.rows.h[8] - 1e-3
+    assert not contradictions(right.rows)
+    found = settled(Cell(), NO_CACHE, wrong)
+    assert np.array_equal(found.rows.h, right.rows.h)
+    assert found.solves == len(x) + 2
+    assert len(found.beside[8]) == 1
+
+
+def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_rings, monkeypatch):
+    whole = rings_module.support
+
+    def support(cell, S):
+        found = whole(cell, S)
+        low = found.E - 0.02 * np.array([1.0, 0.0, 1.0]) * (np.abs(S[:1, 1]) > 0.45)
+        found.h, found.E = (S * WEIGHT * low).sum(axis=1), low
+        return found
+
+    monkeypatch.setattr(rings_module, "support", support)
+    found = solve_on_demand(square(), Cell(), DemandOptions(0.2))
+    assert found.status == "contradiction"
+    assert "largest work" in found.message
 
 
 def test_limits_are_named(known_rings):
@@ -442,3 +480,14 @@ def test_a_killed_process_leaves_answers_that_the_next_one_reads(tmp_path):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["cache_hits"] >= kept - 1
     assert summary["status"] == "converged"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", [Cell(5.0, 0.5, WEAVES["6-in-1"]), Cell(5.0, 0.2, grain="x")], ids=["6-in-1", "thin"])
+def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
+    found = solve_on_demand(square(cells=3), cell, DemandOptions(0.06))
+    assert found.status == "converged"
+    assert found.law.raised < 1e-8
+    low, high = interval(found)
+    assert low < high
+    assert found.law.rows.is_mirrored == cell.weave.is_mirrored
