@@ -220,7 +220,7 @@ SENTENCES = {
     "{solves} ring problems ({failed} directions without an answer); ask for less accuracy",
     "bound_limit": "the lower bound ended with status {bound}; allow more [solver] max_iterations or start with other "
     "cells",
-    "contradiction": "answers of the rings contradict each other by {raised:.1e}: some are not the largest work and the "
+    "contradiction": "answers of the rings contradict each other by {raised:.1e}: some are not the largest work, the "
     "lower bound is not proved; make a table with rve table, which seeks the largest states, and begin with it",
     "turn_limit": "the limit of turns was reached; ask for less accuracy",
     "curtain_limit": "the curtain of the next turn was not solved, and the interval is that of the turn before: {why}",

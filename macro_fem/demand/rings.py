@@ -114,19 +114,21 @@ def settled(cell: Cell, cache: RingCache, asked: Asked) -> Asked:
     for _ in range(ROUNDS):
         pairs = [] if asked.rows is None else contradictions(asked.rows)
         before = asked.rows
-        for i, x in pairs:
-            asked = _asked_beside(cell, cache, asked, i, x)
+        for i, j, x in pairs:
+            asked = _asked_beside(cell, cache, asked, i, (*asked.beside_of(j), x))
         if asked.rows is before or before is None or (asked.rows.h - before.h).max() < GAIN:
             break
     return asked
 
 
-def contradictions(rows: Rows) -> list[tuple[int, tuple[float, float]]]:
-    """Rows i under whose load the strain of another does more work, and the direction x of the one that does most.
+def contradictions(rows: Rows) -> list[tuple[int, int, tuple[float, float]]]:
+    """Rows i under whose load the strain of another does more work, the row j that does most, and its direction.
+
+    The direction is that of the mirror image where it is the image of row j that does the work.
 
     >>> S, E = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]]), np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
     >>> contradictions(Rows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2)))
-    [(0, (-0.2, 0.0))]
+    [(0, 1, (-0.2, 0.0))]
     """
     S, E = rows.S, rows.E
     if rows.is_mirrored:
@@ -135,15 +137,15 @@ def contradictions(rows: Rows) -> list[tuple[int, tuple[float, float]]]:
     best, excess = work.argmax(axis=1), work.max(axis=1) - rows.h
     x = rounded(disc(S))
     worst = [i for i in np.argsort(-excess, kind="stable") if excess[i] > GAIN]
-    return [(int(i), (float(x[best[i], 0]), float(x[best[i], 1]))) for i in worst]
+    return [(int(i), int(best[i]) % len(rows), (float(x[best[i], 0]), float(x[best[i], 1]))) for i in worst]
 
 
-def _asked_beside(cell: Cell, cache: RingCache, asked: Asked, i: int, x: tuple[float, float]) -> Asked:
-    """`asked` with row i asked again beside the direction x; the row as it was if nothing better is found."""
-    rows = asked.rows
-    if rows is None or x in asked.beside_of(i):
+def _asked_beside(cell: Cell, cache: RingCache, asked: Asked, i: int, others: Beside) -> Asked:
+    """`asked` with row i asked again beside other directions; the row as it was if nothing better is found."""
+    rows, old = asked.rows, asked.beside_of(i)
+    beside = (*old, *(x for x in dict.fromkeys(others) if x not in old))
+    if rows is None or len(beside) == len(old):
         return asked
-    beside = (*asked.beside_of(i), x)
     answer, solved = _answer(cell, cache, rounded(disc(rows.S[i : i + 1]))[0], beside)
     asked = replace(asked, solves=asked.solves + solved, hits=asked.hits + (solved == 0))
     known = {k: one for k, one in enumerate(asked.beside) if one} | {i: beside}

@@ -194,7 +194,7 @@ def test_answers_that_others_contradict_are_asked_again_beside_them(known_rings,
     right = ask(Cell(), NO_CACHE, x, NOTHING)
     monkeypatch.setattr(rings_module, "support", support)
     wrong = ask(Cell(), NO_CACHE, x, NOTHING)
-    assert [i for i, _ in contradictions(wrong.rows)] == [8]
+    assert [i for i, *_ in contradictions(wrong.rows)] == [8]
     assert wrong.rows.h[8] < right.rows.h[8] - 1e-3
     assert not contradictions(right.rows)
     found = settled(Cell(), NO_CACHE, wrong)
