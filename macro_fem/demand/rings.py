@@ -112,11 +112,12 @@ def settled(cell: Cell, cache: RingCache, asked: Asked) -> Asked:
     later than after ROUNDS of this, or one without any gain.
     """
     for _ in range(ROUNDS):
-        pairs = [] if asked.rows is None else contradictions(asked.rows)
         before = asked.rows
-        for i, j, x in pairs:
+        if before is None:
+            break
+        for i, j, x in contradictions(before):
             asked = _asked_beside(cell, cache, asked, i, (*asked.beside_of(j), x))
-        if asked.rows is before or before is None or (asked.rows.h - before.h).max() < GAIN:
+        if asked.rows is None or (asked.rows.h - before.h).max() < GAIN:
             break
     return asked
 
