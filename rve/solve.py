@@ -95,7 +95,7 @@ def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain. Raises NotConverged.
 
     options.reference = "side-by-side" imposes the symmetry of the grain: b_x = 2 (r1 + r2) at every r1/r2. From r1/r2
-    of about 22 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
+    of about 20 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
     third narrower: "locked" takes the sides of that longest state (docs/theory.md, 3).
     """
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None

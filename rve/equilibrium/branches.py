@@ -91,9 +91,11 @@ def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | 
 
     Equilibria of rows whose branch is "coexisting" are those under the dead load S, of the others under s.
     """
-    known = dead_states(rows, mesh)
     found: Equilibrium | None = None
-    where = np.zeros(0, dtype=np.intp)
+    where, left = np.zeros(0, dtype=np.intp), np.zeros(len(s), dtype=bool)
+    if not np.isfinite(rows.E).any():
+        return rows, found, where, left
+    known = dead_states(rows, mesh)
     for _ in range(ROUNDS):
         bad, states = contradicted(rows, known, mesh)
         if not len(bad):
@@ -105,7 +107,6 @@ def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | 
         rows, new, done = with_rivals(rows, s, bad, rivals.pose, known.joined(states), mesh)
         found, where = merged(found, where, new, done)
     bad, _ = contradicted(rows, known, mesh)
-    left = np.zeros(len(s), dtype=bool)
     left[bad] = True
     return rows, found, where, left
 

@@ -36,7 +36,7 @@ def test_round_trip_to_the_last_digit(small, tmp_path):
     write_table(small, path)
     same(small, read_table(path))
     frame = pd.read_csv(path)
-    assert list(frame.columns) == COLUMNS
+    assert list(frame.columns) == [*COLUMNS, "branch"]
     assert frame["status"].tolist() == ["converged", "converged", "compressive", "converged"]
     assert frame["E11"].isna().tolist() == [False, False, True, False]
     assert frame["unique"].tolist() == [1, 1, 1, 0]
