@@ -135,10 +135,10 @@ def joined_equilibria(one: Equilibrium, other: Equilibrium, order: Index) -> Equ
 
 def dead_states(rows: Rows, mesh: Mesh) -> States:
     """Locked states under the S of some rows as dead loads, from the slack pose, with their images."""
-    good = np.isfinite(rows.E[:, 0])
-    S = np.where(good[:, None], rows.S, 1.0)
+    good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
+    S = rows.S[good]
     thin = S[:, 0] * S[:, 2] - S[:, 1] ** 2 < 1e-6
-    sample = np.flatnonzero(good & (thin | (np.arange(len(good)) % SAMPLE == 0)))
+    sample = good[thin | (np.arange(len(good)) % SAMPLE == 0)]
     once = replace(mesh.options, branches="first", attempts=1)
     return largest(rows.S[sample], mesh.dead, mesh.sides, once).states(mesh.sides).with_images(mesh.has_images)
 
