@@ -105,6 +105,13 @@ def add_lattice_curvature(J: Array, on_lattice: Array) -> None:
         J[:, 2, row] += on_lattice[:, component]
 
 
+def add_by_case(total: Array, case: NDArray[np.intp], values: Array) -> None:
+    """Adds to total (n, ...) the sum of the values (k, ...) of each case (k,), which ascends."""
+    first = np.flatnonzero(np.diff(case, prepend=-1))
+    if len(first):
+        total[case[first]] += np.add.reduceat(values, first, axis=0)
+
+
 def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
     """Generalised force (n, 4) on (a1, a2) of the Cauchy line load s (n, 3), and its derivative (n, 4, 4)."""
     full = np.stack([s[:, [0, 1]], s[:, [1, 2]]], axis=1)
@@ -214,14 +221,14 @@ class Equations:
 
         f, J = self.load.force(pose, T, s)
         r = f.copy()
-        np.add.at(r, case, force[:, None] * G_rows)
+        add_by_case(r, case, force[:, None] * G_rows)
         works = force > (-1.0 if self.idle_curvature else IDLE)
         bent = np.flatnonzero(works if curved is None else works & curved[case])
         H = distance_hessian(contacts.minima.take(bent), contacts.normal_a[bent], contacts.normal_b[bent], 1.0)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
-        np.add.at(J, case[bent], force[bent, None, None] * LTHLT)
+        add_by_case(J, case[bent], force[bent, None, None] * LTHLT)
         on_lattice = np.zeros((n, 4))
-        np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
+        add_by_case(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
         add_lattice_curvature(J, on_lattice)
 
         G = np.zeros((n, *contacts.present.shape[1:], m))

@@ -167,15 +167,24 @@ def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: 
     """Squared distance less r1^2, (n, k), between circle B and the points of A at angles start (n,) + offset (k,).
 
     Squared distance = z^2 + (|q| - r1)^2 with p = rho_a - d, height z = p.n_b and in-plane part q; both p.p and z are
-    linear in (cos, sin), so that no vector is formed.
+    linear in (cos, sin) of the offset, so that one product of matrices gives each and no vector is formed.
     """
     e1, e2 = tangent_frame(n_a)
-    c, s = np.cos(start)[:, None], np.sin(start)[:, None]
-    co, so = np.cos(offset), np.sin(offset)
-    cosine, sine = r1 * (c * co - s * so), r1 * (s * co + c * so)
-    z = dot(e1, n_b)[:, None] * cosine + dot(e2, n_b)[:, None] * sine - dot(d, n_b)[:, None]
-    pp = r1**2 + dot(d, d)[:, None] - 2.0 * (dot(e1, d)[:, None] * cosine + dot(e2, d)[:, None] * sine)
-    return pp - 2.0 * r1 * np.sqrt(np.maximum(pp - z * z, 0.0))
+    c, s = r1 * np.cos(start), r1 * np.sin(start)
+    wave = np.stack([np.cos(offset), np.sin(offset), np.ones_like(offset)])
+
+    def linear(first: Array, second: Array, constant: Array) -> Array:
+        return np.stack([c * first + s * second, c * second - s * first, constant], axis=1) @ wave
+
+    pp = linear(-2.0 * dot(e1, d), -2.0 * dot(e2, d), r1**2 + dot(d, d))
+    q = linear(dot(e1, n_b), dot(e2, n_b), -dot(d, n_b))
+    q *= q
+    np.subtract(pp, q, out=q)
+    np.maximum(q, 0.0, out=q)
+    np.sqrt(q, out=q)
+    q *= 2.0 * r1
+    pp -= q
+    return pp
 
 
 def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = np.inf, samples: int = 48) -> Minima:
@@ -192,34 +201,35 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     """
     step = 2.0 * np.pi / samples
     f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), d, n_a, n_b, r1)
-    is_min = (f <= np.roll(f, 1, axis=1)) & (f < np.roll(f, -1, axis=1))
+    slope = np.diff(f, axis=1, prepend=f[:, -2:], append=f[:, :2])  # column j + 2 leads from sample j to j + 1
+    is_min = (slope[:, 1:-2] <= 0.0) & (slope[:, 2:-1] > 0.0)
     lonely = ~is_min.any(axis=1)
     is_min[lonely, np.argmin(f[lonely], axis=1)] = True
     # The distance falls by no more than r1 per radian: minima that cannot come within reach are not polished.
-    is_min &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
+    is_near = f <= (reach + step * r1) ** 2 - r1**2
+    is_min &= is_near
     pair, column = np.nonzero(is_min)
     angle, found = _polish(pair, step * column.astype(np.float64), step, d, n_a, n_b, r1)
     near = found.distance <= reach
     soft = near & (found.curvature < _SOFT)
-    hidden, place = _shoulders(f, reach, step, r1)
+    hidden, place = _shoulders(slope, is_near, step)
     if not (soft.any() or len(hidden)):
         return found.take(near)
     around = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
     return _with_twins(found, near, soft, around, reach, (d, n_a, n_b), r1)
 
 
-def _shoulders(f: Array, reach: float, step: float, r1: float) -> tuple[Index, Array]:
-    """Pairs (k,) and angles (k,) between samples f (n, m) where the slope keeps its sign but has its least size.
+def _shoulders(slope: Array, is_near: NDArray[np.bool_], step: float) -> tuple[Index, Array]:
+    """Pairs (k,) and angles (k,) of near samples after which the slope keeps its sign but has its least size.
 
-    A minimum in a basin narrower than two samples looks like that: one in 700 of random pairs within 0.9 r1
-    (benchmarks/stability/degenerate.py counts what is missed).
+    `slope` (n, m + 3) leads from sample j to j + 1 in column j + 2. A minimum in a basin narrower than two samples
+    looks like that: one in 700 of random pairs within 0.9 r1 (benchmarks/stability/pairs.py counts what is missed).
     """
-    before = np.roll(f, 1, axis=1)
-    slope = np.roll(f, -1, axis=1) - f
-    left, right = f - before, np.roll(slope, -1, axis=1)
     size = np.abs(slope)
-    flat = (left * slope > 0.0) & (slope * right > 0.0) & (size <= np.abs(left)) & (size <= np.abs(right))
-    flat &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
+    falls = slope < 0.0
+    middle = size[:, 2:-1]
+    flat = is_near & (middle <= size[:, 1:-2]) & (middle <= size[:, 3:]) & (middle > 0.0)
+    flat &= (falls[:, 1:-2] == falls[:, 2:-1]) & (falls[:, 2:-1] == falls[:, 3:])
     pair, column = np.nonzero(flat)
     return pair, step * (column.astype(np.float64) + 0.5)
 
