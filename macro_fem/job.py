@@ -219,5 +219,4 @@ def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, pi
 
 def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:
     """Error per reference area of every triangle (n_cells,), N mm / mm2."""
-    disc = solution.problem.disc
-    return bounds.error / disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+    return bounds.error / solution.problem.disc.cell_area

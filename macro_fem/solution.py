@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from homogenize import MembraneLaw
-from macro_fem.fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
+from macro_fem.fem.assembly import internal_force, load_vector
+from macro_fem.fem.discretization import Discretization, discretize, mean_at_corners
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.fem.turned import turned
 from macro_fem.scene.loads import nodal_forces
@@ -17,7 +18,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
-from macro_fem.solvers.newton_records import NewtonRecord
+from macro_fem.solvers.newton import NewtonRecord
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -141,7 +142,7 @@ class CurtainSolution(Judged):
         These are the singular values of P, forces per reference length: what the rings of a pitch carry, finite even
         where the mesh is drawn together to a line. P is averaged over neighbours first (see `recovered`).
         """
-        _, values, Vt = np.linalg.svd(self.recovered(cell_mean(self.problem.disc, self.P)))
+        _, values, Vt = np.linalg.svd(self.recovered(self.problem.disc.cell_mean(self.P)))
         return values, Vt[:, 0, :]
 
     def recovered(self, values: Array) -> Array:
@@ -150,16 +151,9 @@ class CurtainSolution(Judged):
         The stress of locked triangles is right on average only: neighbours share a load as equilibrium of the corners
         happens to leave it, and change places from row to row.
         """
-        disc, t = self.problem.disc, self.problem.mesh.mesh.t.T
-        area = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
-        n = int(t.max()) + 1
-        flat = values.reshape(len(values), -1)
-        total = np.bincount(t.ravel(), weights=np.repeat(area, t.shape[1]), minlength=n)
-        at_corners = [
-            np.bincount(t.ravel(), weights=np.repeat(area * column, t.shape[1]), minlength=n) / total
-            for column in flat.T
-        ]
-        return np.stack([corner[t].mean(axis=1) for corner in at_corners], axis=-1).reshape(values.shape)
+        t = self.problem.mesh.mesh.t.T
+        each = np.repeat(values[:, None], t.shape[1], axis=1)
+        return np.asarray(mean_at_corners(t, each, self.problem.disc.cell_area)[t].mean(axis=1))
 
     def state(self) -> np.ndarray:
         """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""

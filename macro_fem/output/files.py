@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
-from macro_fem.fem.assembly import cell_mean
+from macro_fem.fem.discretization import mean_at_corners
+from macro_fem.fem.space import padded
 from macro_fem.output import line_load
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
@@ -72,7 +73,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     problem = solution.problem
     disc = problem.disc
     state = solution.state()
-    area = cell_area(solution)
+    area = disc.cell_area
     return {
         "status": solution.status,
         "message": solution.message,
@@ -116,7 +117,7 @@ def rings(cell: CellInfo | None) -> dict[str, float] | None:
 def masses(solution: CurtainSolution) -> dict[str, Any]:
     """The areal mass that weighs the curtain, whether scene or law told it, and the mass of the whole curtain."""
     mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
-    total = mass * PER_MM2 * float(cell_area(solution).sum())
+    total = mass * PER_MM2 * float(solution.problem.disc.cell_area.sum())
     return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
 
 
@@ -158,12 +159,6 @@ def held_length(problem: Problem, facets: list[np.ndarray]) -> float:
     mesh = problem.mesh.mesh
     ends = mesh.p[:, mesh.facets[:, np.unique(np.concatenate(facets))]]
     return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
-
-
-def cell_area(solution: CurtainSolution) -> Array:
-    """Reference area of each cell (n_cells,), mm2."""
-    disc = solution.problem.disc
-    return disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
 
 
 def versions() -> dict[str, str]:
@@ -223,11 +218,9 @@ def corner_positions(solution: CurtainSolution) -> Array:
         return solution.x[: mesh.p.shape[1]]
     middle = solution.x[disc.cell_dofs].mean(axis=1)
     X = mesh.p.T[mesh.t.T]
-    F = cell_mean(disc, solution.F)
+    F = disc.cell_mean(solution.F)
     at_corners = middle[:, None] + np.einsum("cij,ckj->cki", F, X - X.mean(axis=1, keepdims=True))
-    sums = np.zeros((mesh.p.shape[1], 2))
-    np.add.at(sums, mesh.t.T, at_corners)
-    return sums / np.bincount(mesh.t.ravel(), minlength=len(sums))[:, None]
+    return mean_at_corners(mesh.t.T, at_corners)
 
 
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
@@ -240,23 +233,23 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
 
     mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
-    F = cell_mean(disc, solution.F)
+    F = disc.cell_mean(solution.F)
     in_space = np.einsum("cij,cj->ci", F, direction)
     cell_data: dict[str, Sequence[Array]] = {
-        "E_11_12_22": [cell_mean(disc, solution.E)],
-        "S_11_12_22_N_per_mm": [cell_mean(disc, solution.S)],
+        "E_11_12_22": [disc.cell_mean(solution.E)],
+        "S_11_12_22_N_per_mm": [disc.cell_mean(solution.S)],
         "line_load_1_N_per_mm": [values[:, 0]],
         "line_load_2_N_per_mm": [values[:, 1]],
-        "direction_1": [_in_space(in_space)],
+        "direction_1": [padded(in_space)],
         "state_0_slack_1_wrinkled_2_taut": [solution.state().astype(float)],
         **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
     }
     document = meshio.Mesh(
-        _in_space(mesh.p.T),
+        padded(mesh.p.T),
         [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
         point_data={
-            "displacement_mm": _in_space(corner_positions(solution) - mesh.p.T),
-            "support_force_N": _in_space(corner_forces(solution.problem, solution.reactions)),
+            "displacement_mm": padded(corner_positions(solution) - mesh.p.T),
+            "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
         },
         cell_data=cell_data,
     )
@@ -279,8 +272,3 @@ def corner_forces(problem: Problem, forces: Array) -> Array:
             np.add.at(result, corners, left[node[here]] / len(groups))
         left[node[here]] = 0.0
     return result
-
-
-def _in_space(plane: Array) -> Array:
-    """Vectors (n, 2) with a third component 0."""
-    return np.column_stack([plane, np.zeros(len(plane))])

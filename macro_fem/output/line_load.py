@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.assembly import cell_mean
 from macro_fem.scene.schema import Corners, Hooks, Point
 from macro_fem.solution import CurtainSolution
 from rve.common.types import Array
@@ -154,7 +153,7 @@ def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
 def _triangles(solution: CurtainSolution) -> tuple[Array, Array]:
     """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the recovered P (n, 2, 2) of their cells."""
     mesh = solution.problem.mesh.mesh
-    P = solution.recovered(cell_mean(solution.problem.disc, solution.P))
+    P = solution.recovered(solution.problem.disc.cell_mean(solution.P))
     t = mesh.t.T
     if t.shape[1] == 4:
         t, P = np.concatenate([t[:, [0, 1, 2]], t[:, [0, 2, 3]]]), np.concatenate([P, P])

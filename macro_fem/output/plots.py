@@ -158,15 +158,13 @@ def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: 
     """Short strokes along the larger principal line load in the deformed state, longer where it is larger."""
     from matplotlib.collections import LineCollection
 
-    from macro_fem.fem.assembly import cell_mean
-
     top = float(np.quantile(values[:, 0], 0.995))
     mesh = solution.problem.mesh.mesh
     middle = mesh.p.T[mesh.t.T].mean(axis=1)
     cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * top), ARROWS)
     if not len(cells):
         return
-    F = cell_mean(solution.problem.disc, solution.F)[cells]
+    F = solution.problem.disc.cell_mean(solution.F)[cells]
     along = np.einsum("cij,cj->ci", F, direction[cells])
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     centre = corner_positions(solution)[mesh.t.T[cells]].mean(axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.assembly import Discretization
+from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Bar, Corners, Edge, Hooks, Point, Rail, Scene, Top
