@@ -27,13 +27,15 @@ SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 class SupportedFem:
     """A discretisation `disc` whose nodes (n_nodes, d) are at x_held + T z.
 
-    free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties.
+    free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties;
+    `method` of `macro_fem.fem.linear` factorizes the matrices.
     """
 
     disc: Discretization
     x_held: Array
     free: np.ndarray
     tie: sparse.csc_matrix | None = None
+    method: str = "auto"
 
     def tied(self) -> SupportedFem:
         """The same curtain with its free components picked by a matrix T, as if bars tied them; itself if some do."""
@@ -42,6 +44,13 @@ class SupportedFem:
         free = np.flatnonzero(self.free)
         one = (np.ones(len(free)), (free, np.arange(len(free))))
         return replace(self, tie=sparse.csc_matrix(one, shape=(self.free.size, len(free))))
+
+    def moved(self, x_held: Array) -> SupportedFem:
+        """The same curtain with its held components elsewhere; pattern and symbolic factor are kept."""
+        other = replace(self, x_held=x_held)
+        kept = ("pattern", "_tied", "solver")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return other
 
     @property
     def d(self) -> int:
@@ -145,7 +154,7 @@ class SupportedFem:
     @cached_property
     def solver(self) -> LinearSolver:
         """The solver of matrices on the free unknowns, ties applied."""
-        return analyze(self.pattern if self.tie is None else self._tied[0])
+        return analyze(self.pattern if self.tie is None else self._tied[0], self.method)
 
     @cached_property
     def _tied(self) -> tuple[Pattern, sparse.csr_matrix]:
