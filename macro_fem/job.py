@@ -18,7 +18,8 @@ from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
+from macro_fem.scene.schema import Scene, check_solver, load_scene
+from macro_fem.scene.tables import FEATURES
 from macro_fem.solution import CurtainSolution, make_problem
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
@@ -140,8 +141,8 @@ def run_scene(
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
     scene = with_force(load_scene(scene_path), force)
-    if scene.solver.kind == "conic":
-        require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    if scene.solver.kind == "clarabel":
+        require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
     if mesh_file is not None:
         complete(mesh_file.parent, RECORD)

@@ -170,13 +170,13 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         raise InputError(f"{scene.source}: [mesh] {error}") from error
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), mesh, disc, force, scene.source)
-    hung = turned(law, scene.curtain.hang)
+    hung = turned(law, scene.curtain.weave_angle)
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 
 
 def spread_tension(problem: Problem) -> float:
     """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
-    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
+    return problem.scene.solver.stabilising_tension * float(np.abs(problem.force).sum()) / problem.mesh.size
 
 
 def spread_allowance(problem: Problem, tension: float) -> float:

@@ -157,7 +157,7 @@ def shapes(kind: str, folder: Path) -> dict[str, Scene]:
 def stiffness_rows(law: PolyhedralLaw) -> list[Row]:
     """One elastic curtain over nine decades of stiffness in N/mm, and the rigid one, which is its limit."""
     laws = {size: replace(law, stiffness=size * np.eye(3)) for size in STIFFNESSES}
-    rows = [row(f"rings of {size:.0e} N/mm", scene(kind="newton"), stiff) for size, stiff in laws.items()]
+    rows = [row(f"rings of {size:.0e} N/mm", scene(kind="elastic"), stiff) for size, stiff in laws.items()]
     return [*rows, row("ideal locking", scene(), law)]
 
 
@@ -167,7 +167,7 @@ def measure(full: bool) -> Section:
     if not isinstance(law, PolyhedralLaw):
         raise TypeError(f"the default law is {law.name}, not polyhedral")
     with tempfile.TemporaryDirectory() as folder:
-        kinds = [shapes(kind, Path(folder)) for kind in ("rigid", "newton")]
+        kinds = [shapes(kind, Path(folder)) for kind in ("rigid", "elastic")]
         rows = [row(name, given, law) for scenes in kinds for name, given in scenes.items()]
         for one in rows:
             one[STATUS] = one[STATUS].replace(f"{folder}/", "")

@@ -74,19 +74,9 @@ class Discretization:
         return self.n_quad * self.n_cells
 
     @cached_property
-    def cell(self) -> Index:
-        """The cell of each point, (n_points,)."""
-        return np.tile(np.arange(self.n_cells), self.n_quad)
-
-    @cached_property
     def dofs(self) -> Index:
         """The node numbers seen by each point, (n_points, n_local)."""
         return np.tile(self.cell_dofs, (self.n_quad, 1))
-
-    @cached_property
-    def phi(self) -> Array:
-        """The shape functions at each point, (n_points, n_local)."""
-        return np.repeat(self.shape_values, self.n_cells, axis=0)
 
     @cached_property
     def grad(self) -> Array:

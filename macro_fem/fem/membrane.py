@@ -124,12 +124,3 @@ def tangent(F: Array, S: Array, C: Array) -> Array:
                         if j != l:
                             A[i, l, k, j] = entry
     return np.moveaxis(A, -1, 0)
-
-
-def full_tangent(A: Array) -> Array:
-    """A with its upper blocks filled by major symmetry, for products such as A : grad(v)."""
-    out = A.copy()
-    for i in range(A.shape[1]):
-        for k in range(i):
-            out[:, k, :, i, :] = A[:, i, :, k, :].swapaxes(1, 2)
-    return out

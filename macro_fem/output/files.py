@@ -96,7 +96,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "element": disc.element,
         "pattern": problem.mesh.pattern,
         "law": problem.law.name,
-        "hang_deg": problem.scene.curtain.hang,
+        "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
         **masses(solution),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),

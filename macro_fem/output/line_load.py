@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.scene.schema import Corners, Hooks, Point
+from macro_fem.scene.tables import Corners, Hooks, Point
 from macro_fem.solution import CurtainSolution
 from rve.common.types import Array
 

@@ -9,8 +9,9 @@ from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.mesh import CurtainMesh
-from macro_fem.scene.schema import Bar, EdgeLoad, PatchLoad, PointLoad, Scene
+from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import point_node
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from rve.common.errors import InputError
 from rve.common.types import Array
 

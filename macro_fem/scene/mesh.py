@@ -22,7 +22,8 @@ from macro_fem.scene.edges import facets_between, inherited_edges, named_edges
 from macro_fem.scene.mesh_files import read_mesh_file
 from macro_fem.scene.outline import mesh_outline, regular_polygon
 from macro_fem.scene.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
-from macro_fem.scene.schema import MOST_MM, Curtain, Hooks, Point, PointLoad, Scene
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import MOST_MM, Curtain, Hooks, Point, PointLoad
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
@@ -123,7 +124,7 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
         outline = np.array(curtain.outline)
     holes = [np.array(hole) for hole in curtain.holes]
     try:
-        points, cells = mesh_outline(outline, holes, columns(scene), aspect, math.radians(curtain.hang))
+        points, cells = mesh_outline(outline, holes, columns(scene), aspect, math.radians(curtain.weave_angle))
     except ValueError as error:
         raise InputError(f"{scene.source}: [curtain] {error}") from error
     mesh = skfem.MeshTri(points.T.copy(), cells.T.copy())
@@ -182,7 +183,7 @@ def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
     assert curtain.width is not None
     assert curtain.height is not None
     W, H, n = curtain.width, curtain.height, columns(scene)
-    quarter_turns = curtain.hang / 90.0
+    quarter_turns = curtain.weave_angle / 90.0
     is_aligned = spec.pattern == "aligned" and quarter_turns == round(quarter_turns)
     pattern = "crossed" if spec.pattern == "aligned" and not is_aligned else spec.pattern
     if is_aligned:

@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.mesh import CurtainMesh, components
-from macro_fem.scene.schema import Bar, Corners, Edge, Hooks, Point, Rail, Scene, Top
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Bar, Corners, Edge, Hooks, Point, Rail, Top
 from rve.common.errors import InputError
 from rve.common.types import Array
 

@@ -51,7 +51,7 @@ KEYS = {
         "loose bar": {"bar": {"mass": 0.1, "straight": False}},
         "none": {"gravity": 0.0},
     },
-    "solver": {"rigid": {}, "conic": {"kind": "conic"}, "newton": {"kind": "newton"}},
+    "solver": {"rigid": {}, "conic": {"kind": "clarabel"}, "newton": {"kind": "elastic"}},
     "hang": {"y": "y", "x": "x", "turned": 30.0},
     "pattern": dict.fromkeys(("aligned", "crossed", "diagonal")),
     "factor": {"half": 0.5, "full": 1.0},

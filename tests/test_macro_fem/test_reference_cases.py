@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import skfem
+from macro_fem.fem.materials import NeoHookeanSheet, TensionFieldSheet
 
 from homogenize.laws.net import diagonal_net
 from macro_fem.fem.assembly import deformation_gradient, discretize, gradient, internal_force, interpolate, load_vector
-from macro_fem.fem.materials import NeoHookeanSheet, TensionFieldSheet
 from macro_fem.fem.membrane import Membrane, evaluate, first_piola, green_strain
 from macro_fem.solvers.newton import NewtonStatus, solve
 
