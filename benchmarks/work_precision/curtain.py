@@ -219,7 +219,7 @@ def measure(full: bool) -> Section:
     tables, pictures = zip(*found, strict=True)
     text = (
         "Rigid rings unless a solver is named: `rigid` is our interior-point method, `clarabel` another one for the "
-        "same cone program, `elastic` the elastic law. The height of *net* is known exactly; the reference of *corners* "
+        "same cone program, `elastic` elastic. The height of *net* is known exactly; the reference of *corners* "
         f"is {reference:.2f} mm, P2 extrapolated to zero cell size (pairs of meshes agree to {doubt:.2f} mm). A ladder "
         f"ends where a run takes more than {PATIENCE:g} s. Errors are signed: P1 lies above, because it is admissible "
         "in every point."

@@ -68,7 +68,7 @@ def _edge(value: Any) -> str:
 
 @dataclass(frozen=True)
 class Curtain:
-    """The sheet. `weave_angle`: from the vertical to the weave's y axis, counterclockwise; "y" is 0, "x" is 90 degrees."""
+    """The sheet. `weave_angle`: degrees from the vertical to the weave's y axis; "y" is read as 0, "x" as 90."""
 
     shape: str = choice("rectangle", "disk", "outline", "file", default="rectangle")
     width: float | None = length(None)
