@@ -9,7 +9,7 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import internal_force, load_vector
-from macro_fem.fem.discretization import Discretization, discretize, mean_at_corners
+from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.fem.turned import turned
 from macro_fem.scene.loads import nodal_forces
@@ -20,6 +20,7 @@ from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.newton import NewtonRecord
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
+from rve.common.cells import recovered
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -146,14 +147,8 @@ class CurtainSolution(Judged):
         return values, Vt[:, 0, :]
 
     def recovered(self, values: Array) -> Array:
-        """Cell values (n_cells, ...) averaged over the cells at each corner, then over the corners of each cell.
-
-        The stress of locked triangles is right on average only: neighbours share a load as equilibrium of the corners
-        happens to leave it, and change places from row to row.
-        """
-        t = self.problem.mesh.mesh.t.T
-        each = np.repeat(values[:, None], t.shape[1], axis=1)
-        return np.asarray(mean_at_corners(t, each, self.problem.disc.cell_area)[t].mean(axis=1))
+        """Cell values (n_cells, ...) averaged over neighbours, see `rve.common.cells.recovered`."""
+        return recovered(self.problem.mesh.mesh.t.T, values, self.problem.disc.cell_area)
 
     def state(self) -> np.ndarray:
         """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""

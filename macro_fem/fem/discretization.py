@@ -151,19 +151,3 @@ def discretize(mesh: Any, element: str, order: int | None = None) -> Discretizat
         inverse_jacobian=inverse,
         weight=weight,
     )
-
-
-def mean_at_corners(t: Index, values: Array, weight: Array | None = None) -> Array:
-    """The mean at each corner of the mesh (n_corners, ...) of what its cells t (n_cells, k) say there.
-
-    values (n_cells, k, ...): per cell and corner; weight (n_cells,) of the cells, None for equal ones.
-
-    >>> mean_at_corners(np.array([[0, 1], [1, 2]]), np.array([[1.0, 1.0], [3.0, 3.0]]))
-    array([1., 2., 3.])
-    """
-    where, n = t.ravel(), int(t.max()) + 1
-    share = np.repeat(np.ones(len(t)) if weight is None else weight, t.shape[1])
-    total = np.bincount(where, weights=share, minlength=n)
-    columns = values.reshape(t.size, -1).T
-    means = [np.bincount(where, weights=share * column, minlength=n) / total for column in columns]
-    return np.stack(means, axis=-1).reshape(n, *values.shape[2:])

@@ -15,14 +15,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
-from macro_fem.fem.discretization import mean_at_corners
 from macro_fem.fem.space import padded
 from macro_fem.output import line_load
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
 from macro_fem.solution import CurtainSolution, Problem
+from rve.common.cells import mean_at_corners
 from rve.common.files import write_text, write_whole
 from rve.common.types import Array
+from rve.common.vtu import DIRECTION_1, DISPLACEMENT, LINE_LOAD_1, LINE_LOAD_2, STATE, STRAIN, STRESS
 
 if TYPE_CHECKING:
     from macro_fem.bounds.adapt import Level
@@ -236,19 +237,19 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
     F = disc.cell_mean(solution.F)
     in_space = np.einsum("cij,cj->ci", F, direction)
     cell_data: dict[str, Sequence[Array]] = {
-        "E_11_12_22": [disc.cell_mean(solution.E)],
-        "S_11_12_22_N_per_mm": [disc.cell_mean(solution.S)],
-        "line_load_1_N_per_mm": [values[:, 0]],
-        "line_load_2_N_per_mm": [values[:, 1]],
-        "direction_1": [padded(in_space)],
-        "state_0_slack_1_wrinkled_2_taut": [solution.state().astype(float)],
+        STRAIN: [disc.cell_mean(solution.E)],
+        STRESS: [disc.cell_mean(solution.S)],
+        LINE_LOAD_1: [values[:, 0]],
+        LINE_LOAD_2: [values[:, 1]],
+        DIRECTION_1: [padded(in_space)],
+        STATE: [solution.state().astype(float)],
         **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
     }
     document = meshio.Mesh(
         padded(mesh.p.T),
         [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
         point_data={
-            "displacement_mm": padded(corner_positions(solution) - mesh.p.T),
+            DISPLACEMENT: padded(corner_positions(solution) - mesh.p.T),
             "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
         },
         cell_data=cell_data,

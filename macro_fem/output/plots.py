@@ -9,6 +9,7 @@ import numpy as np
 
 from macro_fem.output.files import corner_positions
 from macro_fem.solution import CurtainSolution
+from rve.common.cells import as_triangles
 from rve.common.files import write_whole
 from rve.common.types import Array
 
@@ -21,19 +22,10 @@ STATE_COLOURS = ("#c9d3df", "#f2b872", "#8c2d19")
 STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 
 
-def triangles_of(solution: CurtainSolution) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (n, 3) of corner numbers and the cell of each (n,); quadrilaterals are cut in two."""
-    t = solution.problem.mesh.mesh.t.T
-    cells = np.arange(len(t))
-    if t.shape[1] == 3:
-        return t, cells
-    return np.concatenate([t[:, [0, 1, 2]], t[:, [0, 2, 3]]]), np.concatenate([cells, cells])
-
-
 def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | None = None, **style: Any) -> Axes:
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
     ax = _axes(ax)
-    triangles, cell = triangles_of(solution)
+    triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)
     colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=np.asarray(values)[cell], **style)
     assert ax.figure is not None
@@ -69,7 +61,7 @@ def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     from matplotlib.patches import Patch
 
     ax = _axes(ax)
-    triangles, cell = triangles_of(solution)
+    triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)
     ax.tripcolor(
         corners[:, 0],

@@ -27,6 +27,7 @@ from macro_fem.scene.tables import MOST_MM, Curtain, Hooks, Point, PointLoad
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
+from rve.common.vtu import DISPLACEMENT, OLD_REFERENCE
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
@@ -248,7 +249,7 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
     points = _plane_points(reference_points(data)[used], where)
-    if "displacement_mm" in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
+    if DISPLACEMENT in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
         cells = counterclockwise(points, cells)
     _check_cells(points, cells, where)
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
@@ -264,7 +265,7 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
 
 def reference_points(data: Any) -> Array:
     """Points (n, 2 or 3) of a mesh without load: those of the file, but `reference_mm` of an old curtain.vtu."""
-    old = data.point_data.get("reference_mm")
+    old = data.point_data.get(OLD_REFERENCE)
     return np.asarray(data.points if old is None or np.shape(old) != data.points.shape else old, dtype=float)
 
 
