@@ -35,7 +35,7 @@ CELL_KINDS |= {10: "tetra", 12: "hexahedron", 7: "polygon", 4: "polyline"}
 SIZES = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
 
 DISPLACEMENT, OLD_REFERENCE = "displacement_mm", "reference_mm"
-"""Fields at the points of a curtain. Files of older versions have deformed points, and the reference state as a field."""
+"""Fields at the points of a curtain; in files of older versions points are deformed and the reference is a field."""
 STRAIN, STRESS = "E_11_12_22", "S_11_12_22_N_per_mm"
 LINE_LOAD_1, LINE_LOAD_2, DIRECTION_1 = "line_load_1_N_per_mm", "line_load_2_N_per_mm", "direction_1"
 STATE = "state_0_slack_1_wrinkled_2_taut"
