@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw
 from macro_fem.elastic_curtain import solve_elastic
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.space import in_space, padded
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.fem.turned import TurnedLaw
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import (
@@ -146,7 +146,7 @@ def coarse_cones(problem: Problem) -> Cones | None:
     if not starts_coarse(problem):
         return None
     scene = problem.scene
-    law = problem.law.law if isinstance(problem.law, TurnedLaw) else problem.law
+    law = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
     loose = replace(scene.solver, tolerance=max(COARSE_TOLERANCE, scene.solver.tolerance), force=())
     coarse = replace(scene, mesh=replace(scene.mesh, cells=scene.mesh.cells // 4), solver=loose)
     try:

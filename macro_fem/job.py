@@ -1,4 +1,4 @@
-"""From a scene to its answer, and to a folder with summary, VTU and picture."""
+"""Solving a scene, and writing summary, VTU and picture into a folder."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CurtainResult:
 
     @property
     def status(self) -> str:
-        """How the solve at full load ended, "converged" if it is the answer."""
+        """How the solve at full load ended, "converged" if it is accurate."""
         return self.solution.status
 
     @cached_property
@@ -106,8 +106,8 @@ class CurtainResult:
 def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
     """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
 
-    An answer that has not converged is returned with the status that names why. InputError if the scene makes no sense
-    or its supports are out of reach.
+    An answer that has not converged is returned with a status that says why. InputError if the scene is contradictory or
+    its supports are out of reach.
 
     >>> from macro_fem.scene.schema import Scene
     >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")
@@ -135,7 +135,7 @@ def run_scene(
 ) -> dict[str, Any]:
     """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
 
-    InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
+    InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
     if picture:

@@ -10,8 +10,8 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.rotated import rotated
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.fem.turned import turned
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
@@ -165,7 +165,7 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         raise InputError(f"{scene.source}: [mesh] {error}") from error
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), mesh, disc, force, scene.source)
-    hung = turned(law, scene.curtain.weave_angle)
+    hung = rotated(law, scene.curtain.weave_angle)
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 
 

@@ -174,7 +174,7 @@ def measure(full: bool) -> Section:
     springs = stiffness_rows(law)
     text = (
         "A square of 100 mm of the default rings (r1/r2 = 10) hung by two corners at 90 % of its width, 12 cells "
-        "wide, unless the row says otherwise. `rigid` is ideal locking, `newton` the elastic law at 1000 N/mm. "
+        "wide, unless the row says otherwise. `rigid` is ideal locking, `elastic` the elastic law at 1000 N/mm. "
         "Condition numbers are in the one-norm, of the last matrix that the interior-point iteration has factorised, "
         "and of the same scaled to unit diagonal. Close to a rigid answer the tangents of taut and slack cells differ "
         "by 16 orders of magnitude. A scene has one material; stiffness is varied from run to run."

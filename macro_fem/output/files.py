@@ -1,4 +1,4 @@
-"""Files of a solved curtain: summary.json, support_forces.csv and curtain.vtu, each written whole or not at all."""
+"""Files of a solved curtain: summary.json, support_forces.csv and curtain.vtu, written atomically."""
 
 from __future__ import annotations
 
@@ -67,9 +67,8 @@ def _finite(value: Any) -> Any:
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
 
-    Heights are y coordinates; hang_deg is the angle of the weave, rings what the law is made of: `rve localize`
-    needs both. Potentials are -sum force . displacement in N mm; their gap is an error bound of the
-    discrete problem.
+    Heights are y coordinates. `hang_deg` (angle of the weave) and `rings` (radii and cell of the law) are read by
+    `rve localize`. Potentials are -sum force . displacement in N mm; their gap bounds the error of the discrete problem.
     """
     problem = solution.problem
     disc = problem.disc
@@ -116,7 +115,7 @@ def rings(cell: CellInfo | None) -> dict[str, float] | None:
 
 
 def masses(solution: CurtainSolution) -> dict[str, Any]:
-    """The areal mass that weighs the curtain, whether scene or law told it, and the mass of the whole curtain."""
+    """The areal mass of the curtain, whether it is from the scene or the law, and the mass of the whole curtain."""
     mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
     total = mass * PER_MM2 * float(solution.problem.disc.cell_area.sum())
     return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
@@ -163,7 +162,7 @@ def held_length(problem: Problem, facets: list[np.ndarray]) -> float:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what computed the answer."""
+    """Versions of Python and of the packages that were used."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"python": platform.python_version()}

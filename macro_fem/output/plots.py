@@ -1,4 +1,4 @@
-"""Pictures of curtains with matplotlib, made without a screen; every function takes a solution and returns the axes."""
+"""Pictures of curtains with matplotlib, without a display; plot functions take a solution and return the axes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ARROWS = 700
-"""About so many principal directions are drawn."""
+"""Approximate number of principal directions in a picture. Larger: denser strokes."""
 STATE_COLOURS = ("#c9d3df", "#f2b872", "#8c2d19")
 STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 

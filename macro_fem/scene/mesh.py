@@ -133,7 +133,7 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
 
 
 def _refuse_too_many(scene: Scene, aspect: float) -> None:
-    """InputError if the box around the shape is a thread, or would hold more than `MAX_TRIANGLES` cells."""
+    """InputError if the box around the shape is too slender, or would hold more than `MAX_TRIANGLES` cells."""
     curtain, cells = scene.curtain, scene.mesh.cells
     if curtain.shape == "rectangle":
         assert curtain.width is not None

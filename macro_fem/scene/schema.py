@@ -1,4 +1,4 @@
-"""A scene: what hangs where, under which load, and how it is solved; read from TOML and checked."""
+"""A scene: curtain, mesh, supports, loads and solver, read from TOML and checked."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ _NEEDS = {"rectangle": ("width", "height"), "disk": ("radius",), "outline": ("ou
 
 
 def _check_shape(curtain: Curtain, source: str | Path) -> None:
-    """Exactly the keys that describe the shape are given."""
+    """InputError unless exactly the keys that describe the shape are given."""
     needs = _NEEDS[curtain.shape]
     for key in ("width", "height", "radius", "outline", "file"):
         value = getattr(curtain, key)

@@ -20,11 +20,11 @@ FEATURES = ("third-coordinate", "all-half-spaces", "ties", "coarse-start", "boun
 
 
 MAX_CORNERS = 5_000
-"""Corners of the outline and its holes together: every one is compared with every other."""
+"""Most corners of the outline and its holes together; the work grows with their square."""
 MAX_ENTRIES = 1_000
-"""Supports, or loads of one kind."""
+"""Most supports, and most loads of one kind."""
 LEAST_MM, MOST_MM = 1e-6, 1e9
-"""Lengths and coordinates: their squares and ratios must stay numbers."""
+"""Range of lengths and coordinates, in which squares and ratios stay finite."""
 MOST_FORCE = 1e12
 
 
@@ -168,7 +168,7 @@ class PointLoad:
 
 @dataclass(frozen=True)
 class PatchLoad:
-    """Force in N spread evenly over the reference disk of `radius` around `at`: a hand that pulls."""
+    """Force in N, distributed evenly over the reference disk of `radius` around `at`."""
 
     at: tuple[float, float] = vector()
     radius: float = length()

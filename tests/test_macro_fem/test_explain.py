@@ -11,8 +11,8 @@ from homogenize.io import default_law
 from homogenize.laws.net import ring_net
 from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.space import in_space, out_of_plane
-from macro_fem.fem.turned import TurnedLaw
 from macro_fem.job import with_force
 from macro_fem.output.explain import decisions
 from macro_fem.scene.mesh import build_mesh
@@ -112,7 +112,7 @@ def test_half_spaces_agree_with_the_cones():
 
 def test_half_spaces_of_a_turned_law():
     E = np.random.default_rng(1).normal(size=(50, 3))
-    for law in (LAW, TurnedLaw(LAW, 30.0)):
+    for law in (LAW, RotatedLaw(LAW, 30.0)):
         facets = facets_of(law)
         worst = (E @ (facets.S * [1.0, 2.0, 1.0]).T - facets.h).max(axis=1)
         assert worst == pytest.approx(law.cut(E).violation, abs=1e-12)
