@@ -106,8 +106,8 @@ class CurtainResult:
 def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
     """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
 
-    An answer that has not converged is returned with a status that says why. InputError if the scene is contradictory or
-    its supports are out of reach.
+    An answer that has not converged has a status that says why. InputError if the scene is contradictory or its
+    supports are out of reach.
 
     >>> from macro_fem.scene.schema import Scene
     >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")

@@ -68,7 +68,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
 
     Heights are y coordinates. `hang_deg` (angle of the weave) and `rings` (radii and cell of the law) are read by
-    `rve localize`. Potentials are -sum force . displacement in N mm; their gap bounds the error of the discrete problem.
+    `rve localize`. Potentials are -sum force . displacement in N mm; their gap bounds the discrete error.
     """
     problem = solution.problem
     disc = problem.disc

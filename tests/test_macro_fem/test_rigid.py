@@ -8,7 +8,7 @@ import pytest
 from homogenize.laws.net import diagonal_net, ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_scene
-from macro_fem.fem.turned import turned
+from macro_fem.fem.rotated import rotated
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
@@ -224,7 +224,7 @@ def test_a_rigid_turn_of_weave_and_supports_turns_the_answer(ring_like):
     }
     one, two = solve(hung, ring_like), solve(lying, ring_like)
     assert one.primal == pytest.approx(two.primal, rel=1e-7)
-    assert turned(ring_like, 180.0) is ring_like
+    assert rotated(ring_like, 180.0) is ring_like
 
 
 @pytest.mark.parametrize("state", [0, 1, 2])
