@@ -1,4 +1,4 @@
-"""The Newton solver against exact equilibria, against the rigid limit, and where it must say that it failed."""
+"""Newton's method against exact equilibria, and why it stops where it does not reach one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,8 @@ from benchmarks.sheet.ours import NeoHookeanSheet
 from homogenize import Response, diagonal_net
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
-from macro_fem.fem.membrane import evaluate, first_piola
+from macro_fem.fem.linear import NotPositiveDefiniteError
+from macro_fem.fem.membrane import evaluate, first_piola, tangent
 from macro_fem.solvers.newton import NewtonOptions, solve
 from tests.test_macro_fem.sheets import TensionFieldSheet, held, mesh_of, reactions, rectangle, supported
 
@@ -55,6 +56,17 @@ def test_strip_under_its_own_weight_carries_what_hangs_below(element):
     row = np.floor(disc.cell_mean(disc.points)[:, 1]).astype(int)
     line_load = np.bincount(row, P * disc.cell_area) / np.bincount(row, disc.cell_area)
     np.testing.assert_allclose(line_load, weight * (np.arange(8) + 0.5), rtol=1e-7)
+
+
+def test_slack_sheets_need_regularisation():
+    """Where all is slack the tangent is zero, and nothing can be factorized; the regularised matrix can."""
+    disc = rectangle("P1", 20.0, 100.0, 4, 20)
+    weight = load_vector(disc, np.array([0.0, -1e-4]))
+    fem, law = supported(disc, held(disc, lambda x: x[1] == 100.0), 0 * weight), diagonal_net(1.1, 1e3)
+    state = evaluate(disc, law, 0 * weight)
+    with pytest.raises(NotPositiveDefiniteError):
+        fem.factorize(tangent(state.F, state.response.S, state.response.C))
+    assert solve(fem, law, weight, 0 * weight, NewtonOptions(rtol=0.1)).stop == "closed"
 
 
 @pytest.mark.parametrize("element", ELEMENTS)
