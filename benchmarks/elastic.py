@@ -19,7 +19,7 @@ from homogenize.laws.protocol import MembraneLaw
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution
-from macro_fem.solvers.newton_records import NewtonRecord
+from macro_fem.solvers.newton import NewtonRecord
 
 STIFFNESSES = (1e0, 1e1, 1e2, 1e3, 1e4, 1e5)
 """N/mm; the law states 1000. With line loads of some 0.3 N/mm the rings stretch by 0.3 to 3e-6."""
@@ -36,7 +36,7 @@ def law_of(stiffness: float) -> MembraneLaw:
     return replace(law, stiffness=stiffness * np.eye(3))  # type: ignore[type-var]
 
 
-def solved(support: str, cells: int, stiffness: float, kind: str = "newton") -> CurtainSolution:
+def solved(support: str, cells: int, stiffness: float, kind: str = "elastic") -> CurtainSolution:
     """One curtain by one solver."""
     mesh, solver = {"cells": cells, "pattern": "crossed"}, {"kind": kind, "max_iterations": 1000}
     scene = read_scene(square(cells, SUPPORTS[support], mesh=mesh, solver=solver))

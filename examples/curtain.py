@@ -47,7 +47,7 @@ SETTINGS = {1e-2: Setting(15.0, (4,)), 1e-3: Setting(9.0, (16,)), 1e-4: Setting(
 SCENE = """[curtain]
 width = 1000.0      # mm, in the reference state
 height = 1000.0     # mm
-hang = "y"          # weave axis that points down
+weave_angle = 0.0   # degrees from the vertical to the y axis of the weave
 [mesh]
 cells = {cells}          # cells along the width
 element = "P2"

@@ -23,10 +23,10 @@ def main() -> None:
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @click.option("--force", multiple=True, help="Use this feature (or all) though the scene does not need it.")
 def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: bool, force: tuple[str, ...]) -> None:
-    """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
+    """Solve SCENE and write summary.json, support_forces.csv, curtain.vtu and curtain.png.
 
-    Exit code 0: converged; 1: files are written, but status and message say why the answer is not that of the scene
-    as it stands (not converged, or taut: supports at the mesh's limit); 2: bad input.
+    Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
+    supports at the largest stretch of the mesh); 2: bad input.
     """
     from macro_fem.job import run_scene
     from macro_fem.progress import progress_line

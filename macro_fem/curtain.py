@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw
 from macro_fem.elastic_curtain import solve_elastic
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.space import in_space, padded
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.fem.turned import TurnedLaw
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import (
@@ -58,7 +58,7 @@ def solve_problem(problem: Problem) -> CurtainSolution:
     """The curtain of a discrete problem, by the solver its scene names."""
     if problem.scene.solver.forces("ties"):
         problem = replace(problem, fem=problem.fem.tied())
-    if problem.scene.solver.kind == "newton":
+    if problem.scene.solver.kind == "elastic":
         reach = supports_reach(problem)
         return solve_elastic(problem, reach, None if reach.is_out else coarse_cones(problem))
     return solve_locked(problem)
@@ -67,12 +67,12 @@ def solve_problem(problem: Problem) -> CurtainSolution:
 def supports_reach(problem: Problem) -> Reach:
     """How much farther apart the supports could be, by clarabel where the scene asks for it."""
     fem, size = problem.fem, problem.mesh.size
-    by_clarabel = _by_clarabel(problem) if problem.scene.solver.kind == "conic" else None
+    by_clarabel = _by_clarabel(problem) if problem.scene.solver.kind == "clarabel" else None
     return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), size, by_clarabel)
 
 
 def solve_locked(problem: Problem) -> CurtainSolution:
-    """The rigid curtain of a discrete problem, by our own interior-point method or, for "conic", by clarabel."""
+    """The rigid curtain of a discrete problem, by our own interior-point method or, for "clarabel", by that."""
     begin = time.perf_counter()
     spec, fem = problem.scene.solver, problem.fem
     start, force = gathered_start(problem), problem.force
@@ -86,7 +86,7 @@ def solve_locked(problem: Problem) -> CurtainSolution:
     if reach.is_out:
         result = unsolved(fem, problem.law, z)
     else:
-        solve = _by_clarabel(problem) if spec.kind == "conic" else _by_interior_point(problem)
+        solve = _by_clarabel(problem) if spec.kind == "clarabel" else _by_interior_point(problem)
         if reach.is_at_limit:
             result, give = solve_taut(fem, load, z, options, reach, solve)
         else:
@@ -135,7 +135,7 @@ def starts_coarse(problem: Problem) -> bool:
     scene = problem.scene
     pays = problem.disc.n_points >= COARSE_FROM or scene.solver.forces("coarse-start")
     possible = scene.curtain.shape != "file" and not scene.solver.adapt and scene.mesh.cells >= 8
-    return pays and possible and scene.solver.kind != "conic"
+    return pays and possible and scene.solver.kind != "clarabel"
 
 
 def coarse_cones(problem: Problem) -> Cones | None:
@@ -146,7 +146,7 @@ def coarse_cones(problem: Problem) -> Cones | None:
     if not starts_coarse(problem):
         return None
     scene = problem.scene
-    law = problem.law.law if isinstance(problem.law, TurnedLaw) else problem.law
+    law = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
     loose = replace(scene.solver, tolerance=max(COARSE_TOLERANCE, scene.solver.tolerance), force=())
     coarse = replace(scene, mesh=replace(scene.mesh, cells=scene.mesh.cells // 4), solver=loose)
     try:

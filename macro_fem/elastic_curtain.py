@@ -24,15 +24,6 @@ CERTIFIED = 1e-7
 """Relative gap, unbalanced forces and violation below which the interior-point answer is one."""
 BALANCED = 1e-7
 """Unbalanced forces over the loads below which the answer of Newton's method is one."""
-STOPS = {
-    newton.NewtonStatus.CONVERGED: "closed",
-    newton.NewtonStatus.ITERATION_LIMIT: "iterations",
-    newton.NewtonStatus.ROUND_OFF: "stalled",
-    newton.NewtonStatus.STALLED: "stalled",
-    newton.NewtonStatus.NOT_CONVEX: "not_convex",
-    newton.NewtonStatus.NOT_FINITE: "not_finite",
-}
-"""Why Newton's method stopped, in the words of `macro_fem.solvers.status`."""
 
 
 def solve_elastic(problem: Problem, reach: Reach = FREE, cones: Cones | None = None) -> CurtainSolution:
@@ -103,27 +94,22 @@ def _polished(problem: Problem, found: Approach, most: int) -> CurtainSolution:
 
     The dual value is the potential less the bound that convexity puts on its error.
     """
-    supports, nodes = problem.supports, problem.disc.nodes
-    fixed = supports.mask | supports.pinned
-    membrane = newton.Membrane(
-        problem.disc, problem.law, fixed, supports.positions - nodes, problem.force, supports.tie
-    )
-    options = newton.NewtonOptions(max_iterations=most, soften_after=most, idle_steps=IDLE_STEPS)
-    answer = newton.solve(membrane, options, start=problem.fem.positions(found.z) - nodes)
-    last = answer.steps[-1]
-    F = deformation_gradient(problem.disc, last.u)
+    fem, nodes = problem.fem, problem.disc.nodes
+    options = newton.NewtonOptions(max_iterations=most, idle_steps=IDLE_STEPS)
+    answer = newton.solve(fem, problem.law, problem.force, fem.positions(found.z) - nodes, options)
+    F = deformation_gradient(problem.disc, answer.u)
     S = problem.law.response(green_strain(F)).S
     return CurtainSolution(
         problem=problem,
-        stop=STOPS[last.status],
+        stop=answer.stop,
         asked=Accuracy(REACH * BALANCED, BALANCED, CERTIFIED),
-        x=nodes + last.u,
+        x=nodes + answer.u,
         F=F,
         P=times_triple(F, S),
         S=S,
-        primal=last.potential,
-        dual=last.potential - last.energy_bound,
-        iterations=answer.statistics.iterations,
+        primal=answer.potential,
+        dual=answer.potential - answer.energy_bound,
+        iterations=len(answer.history),
         wall_s=0.0,
         elastic=True,
         history=answer.history,

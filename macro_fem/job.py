@@ -1,4 +1,4 @@
-"""From a scene to its answer, and to a folder with summary, VTU and picture."""
+"""Solving a scene, and writing summary, VTU and picture into a folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
+from macro_fem.scene.schema import Scene, check_solver, load_scene
+from macro_fem.scene.tables import FEATURES
 from macro_fem.solution import CurtainSolution, make_problem
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
@@ -48,7 +49,7 @@ class CurtainResult:
 
     @property
     def status(self) -> str:
-        """How the solve at full load ended, "converged" if it is the answer."""
+        """How the solve at full load ended, "converged" if it is accurate."""
         return self.solution.status
 
     @cached_property
@@ -105,8 +106,8 @@ class CurtainResult:
 def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
     """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
 
-    An answer that has not converged is returned with the status that names why. InputError if the scene makes no sense
-    or its supports are out of reach.
+    An answer that has not converged has a status that says why. InputError if the scene is contradictory or its
+    supports are out of reach.
 
     >>> from macro_fem.scene.schema import Scene
     >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")
@@ -134,14 +135,14 @@ def run_scene(
 ) -> dict[str, Any]:
     """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
 
-    InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
+    InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
     scene = with_force(load_scene(scene_path), force)
-    if scene.solver.kind == "conic":
-        require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    if scene.solver.kind == "clarabel":
+        require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
     if mesh_file is not None:
         complete(mesh_file.parent, RECORD)
@@ -219,5 +220,4 @@ def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, pi
 
 def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:
     """Error per reference area of every triangle (n_cells,), N mm / mm2."""
-    disc = solution.problem.disc
-    return bounds.error / disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+    return bounds.error / solution.problem.disc.cell_area

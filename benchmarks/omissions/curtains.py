@@ -146,7 +146,7 @@ def step_row(law: MembraneLaw, cells: int, corrector: bool) -> Row:
 
 def slack_row(law: MembraneLaw, kind: str, cells: int) -> Row:
     """The cost of slack cells in an elastic curtain: their share of the area, and of the time of law and assembly."""
-    problem = problem_of(law, kind, cells, kind="newton")
+    problem = problem_of(law, kind, cells, kind="elastic")
     found, of = profiled(lambda: solve_problem(problem))
     share = float(np.mean(problem.law.response(found.E).energy == 0.0))
     time = sum(of(name, "macro_fem")[1] for name in ("tangent", "stiffness", "response")) + of("respond")[1]

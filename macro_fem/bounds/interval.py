@@ -29,8 +29,8 @@ from macro_fem.bounds.equilibrated import (
     largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
-from macro_fem.scene.schema import Corners, Edge, Hooks, Point, Support
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
+from macro_fem.scene.tables import Corners, Edge, Hooks, Point, Support
 from macro_fem.solution import CurtainSolution, gathered_start
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import make_program

@@ -73,7 +73,7 @@ def _coarse_start(solution: CurtainSolution) -> Decision:
     if used:
         return Decision("coarse-start", True, f"{points} points: a coarser curtain tells the first half-spaces")
     solver = solution.problem.scene.solver
-    if solver.kind == "conic":
+    if solver.kind == "clarabel":
         return Decision("coarse-start", False, "clarabel takes no start")
     small = points < COARSE_FROM and not solver.forces("coarse-start")
     why = f"{points} points are fewer than {COARSE_FROM}" if small else "this mesh has no coarser one"

@@ -133,7 +133,7 @@ def square_roots(S: Array) -> tuple[Array, np.ndarray]:
 
 
 def _clarabel() -> Any:
-    require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     import clarabel
 
     return clarabel

@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from homogenize import HalfSpaces, MembraneLaw
-from macro_fem.fem.turned import TurnedLaw
+from macro_fem.fem.rotated import RotatedLaw
 from rve.common.types import Array
 
 LAW_CHUNK = 20_000
@@ -125,7 +125,7 @@ class Faceted(Protocol):
 
 def facets_of(law: MembraneLaw) -> HalfSpaces | None:
     """All half-spaces of a law, in the frame of the curtain; None if they are not a finite list."""
-    if isinstance(law, TurnedLaw):
+    if isinstance(law, RotatedLaw):
         own = facets_of(law.law)
         return None if own is None else HalfSpaces(own.S @ law.to_curtain.T, own.h)
     return law.facets() if isinstance(law, Faceted) else None

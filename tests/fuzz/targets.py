@@ -128,7 +128,7 @@ shape = "outline"
 outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
 holes = [[[40, 30], [60, 30], [60, 50], [40, 50]]]
 areal_mass = 1.0
-hang = 12.5
+weave_angle = 12.5
 [mesh]
 cells = 14
 [[support]]
@@ -170,7 +170,7 @@ OUTLINE = """
 shape = "outline"
 outline = [[0, 0], [100, 0], [100, 60], [50, 100], [0, 60]]
 holes = [[[40, 30], [60, 30], [50, 50]]]
-hang = 12.5
+weave_angle = 12.5
 [mesh]
 cells = 9
 [support]

@@ -358,7 +358,8 @@ def test_an_outline_of_thousands_of_corners_is_meshed():
 
 
 def test_a_slender_outline_across_the_weave_is_refused_before_its_lattice_is_made(bounded_memory):
-    thin = {"shape": "outline", "outline": [[0, 0], [1, 0], [3001, 3000], [3000, 3000]], "areal_mass": 1.0, "hang": 0.0}
+    outline = [[0, 0], [1, 0], [3001, 3000], [3000, 3000]]
+    thin = {"shape": "outline", "outline": outline, "areal_mass": 1.0, "weave_angle": 0.0}
     tables = scene(curtain=thin, mesh={"cells": 20_000})
     with bounded_memory(400_000_000), pytest.raises(InputError, match=r"lattice|triangles"):
         build_mesh(read_scene(tables), None)

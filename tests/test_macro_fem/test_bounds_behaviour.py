@@ -66,7 +66,7 @@ def test_the_lower_bound_holds_wherever_the_iteration_is_stopped(ring_like, scen
 @pytest.mark.parametrize("support", [{"kind": "corners"}, {"kind": "top", "gather": 0.9}])
 def test_the_gap_is_as_small_as_the_tolerance_says(ring_like, scene_tables, tolerance, support):
     """Gap and unbalanced forces are each below `tolerance`; the latter count REACH = 4 times in the lower bound."""
-    solver = {"tolerance": tolerance, "spread": 0.0}
+    solver = {"tolerance": tolerance, "stabilising_tension": 0.0}
     solution = solve_scene(read_scene(scene_tables(support=support, solver=solver)), ring_like)
     assert solution.status == "converged"
     scale = np.abs(solution.problem.force).sum() * solution.problem.mesh.size
@@ -80,7 +80,7 @@ def corner_load(scene_tables):
         mesh={"cells": 4, "pattern": "diagonal"},
         support={"kind": "top", "gather": 0.9},
         load={"point": {"at": [0.0, 0.0], "force": [0.03, -0.04]}},
-        solver={"spread": 0.0},
+        solver={"stabilising_tension": 0.0},
     )
 
 
@@ -129,7 +129,7 @@ def test_half_the_step_is_half_the_live_load(ring_like, scene_tables, kind):
     answers = []
     for load, factor in (({kind: LIVE[kind]}, 0.5), ({kind: half}, 1.0), ({kind: LIVE[kind]}, 1.0)):
         tables = scene_tables(
-            mesh={"cells": 4}, support={"kind": "top", "gather": 0.9}, load=load, solver={"spread": 0.0}
+            mesh={"cells": 4}, support={"kind": "top", "gather": 0.9}, load=load, solver={"stabilising_tension": 0.0}
         )
         scene = read_scene(tables)
         solution = solve_problem(make_problem(scene, ring_like, build_mesh(scene, ring_like.cell), factor))

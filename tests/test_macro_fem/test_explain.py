@@ -11,12 +11,13 @@ from homogenize.io import default_law
 from homogenize.laws.net import ring_net
 from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.space import in_space, out_of_plane
-from macro_fem.fem.turned import TurnedLaw
 from macro_fem.job import with_force
 from macro_fem.output.explain import decisions
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import FEATURES, read_scene
+from macro_fem.scene.schema import read_scene
+from macro_fem.scene.tables import FEATURES
 from macro_fem.solution import gathered_start, make_problem, spread_tension, unit_tensors
 from macro_fem.solvers.cones import facets_of
 from macro_fem.solvers.rigid import RigidOptions, solve_rigid
@@ -29,7 +30,7 @@ TOML = '[curtain]\nwidth = 1000.0\nheight = 1000.0\n[mesh]\ncells = 4\n[support]
 def problem(law=LAW, cells=4, support="corners", load=None, hang="y", **solver):
     scene = read_scene(
         {
-            "curtain": {"width": 1000.0, "height": 1000.0, "hang": hang},
+            "curtain": {"width": 1000.0, "height": 1000.0, "weave_angle": hang},
             "mesh": {"cells": cells},
             "support": {"kind": support},
             "load": load or {},
@@ -94,10 +95,10 @@ def test_a_coarse_start_that_cannot_be_is_not_told_as_used():
 
 
 def test_the_other_solver_has_no_coarse_start():
-    conic = problem(cells=8, kind="conic")
-    told = said(solve_problem(problem(cells=8, kind="conic", force=["all"])))["coarse-start"]
+    conic = problem(cells=8, kind="clarabel")
+    told = said(solve_problem(problem(cells=8, kind="clarabel", force=["all"])))["coarse-start"]
     assert (told.used, told.why) == (False, "clarabel takes no start")
-    with pytest.raises(InputError, match=r"force = 'coarse-start': needs kind = 'rigid' or 'newton', not 'conic'"):
+    with pytest.raises(InputError, match=r"force = 'coarse-start': needs kind = 'rigid' or 'elastic', not 'clarabel'"):
         with_force(conic.scene, ("coarse-start",))
 
 
@@ -111,7 +112,7 @@ def test_half_spaces_agree_with_the_cones():
 
 def test_half_spaces_of_a_turned_law():
     E = np.random.default_rng(1).normal(size=(50, 3))
-    for law in (LAW, TurnedLaw(LAW, 30.0)):
+    for law in (LAW, RotatedLaw(LAW, 30.0)):
         facets = facets_of(law)
         worst = (E @ (facets.S * [1.0, 2.0, 1.0]).T - facets.h).max(axis=1)
         assert worst == pytest.approx(law.cut(E).violation, abs=1e-12)
@@ -144,10 +145,10 @@ def test_options_of_the_cone_solver_change_its_way_and_not_its_answer(options):
 
 def test_only_features_that_go_with_the_scene():
     elastic = read_scene(
-        {"curtain": {"width": 1.0, "height": 1.0}, "support": {"kind": "top"}, "solver": {"kind": "newton"}}
+        {"curtain": {"width": 1.0, "height": 1.0}, "support": {"kind": "top"}, "solver": {"kind": "elastic"}}
     )
     assert with_force(elastic, ("all",)).solver.forces("ties")
-    with pytest.raises(InputError, match=r"\[solver\] force = 'third-coordinate': needs kind = 'rigid', not 'newton'"):
+    with pytest.raises(InputError, match=r"\[solver\] force = 'third-coordinate': needs kind = 'rigid', not 'elastic'"):
         with_force(elastic, ("third-coordinate",))
     with pytest.raises(InputError, match=r"--force = 'inertia': known are all, third-coordinate"):
         with_force(elastic, ("inertia",))

@@ -178,11 +178,11 @@ import {package}.cli
         ("matplotlib", "plots", ("rve", "case", "--alpha", "0", "--beta", "45", "--plot", "out.png")),
         ("matplotlib", "plots", ("macro_fem", "run", "scene.toml", "--out", "out")),
         ("pyvista", "three-d", ("rve", "localize", "curtain.vtu", "--out", "out")),
-        ("clarabel", "cones", ("macro_fem", "run", "conic.toml", "--out", "out", "--no-picture")),
+        ("clarabel", "cones", ("macro_fem", "run", "cones.toml", "--out", "out", "--no-picture")),
     ],
 )
 def test_what_a_command_needs_is_checked_first(tmp_path, module, extra, arguments):
-    (tmp_path / "conic.toml").write_text(SCENE.format(cells=30) + '[solver]\nkind = "conic"\n')
+    (tmp_path / "cones.toml").write_text(SCENE.format(cells=30) + '[solver]\nkind = "clarabel"\n')
     before = sorted(tmp_path.iterdir())
     package, *rest = (str(a) for a in arguments)
     code = MISSING.format(module=module, package=package, arguments=rest)

@@ -1,71 +1,47 @@
-"""Elastic laws of reference problems with known answers: not ring meshes, but what tests and benchmarks compare with.
+"""Sheets on rectangles and laws with known answers, which the tests of Newton's method compare with.
 
-Both follow `ElasticLaw`: the part of `homogenize.laws.protocol.MembraneLaw` that the Newton solver needs. Symmetric
-tensors are triples (11, 12, 22), the leading axis is the point; line loads and stiffnesses are in N/mm.
+Symmetric tensors are triples (11, 12, 22), the leading axis is the point; line loads and stiffnesses are in N/mm.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
+import skfem
 
 from homogenize import Response
+from macro_fem.fem.discretization import discretize
+from macro_fem.fem.membrane import evaluate
+from macro_fem.fem.supported import SupportedFem
 from rve.common.types import Array
 
 
-class ElasticLaw(Protocol):
-    """Energy, stress and tangent at a strain: all that `macro_fem.solvers.newton` asks of a law."""
-
-    def response(self, E: Array) -> Response:
-        """Energy, stress and tangent of the elastic law at E (n, 3)."""
-        ...
+def mesh_of(element, width, height, nx, ny):
+    """A mesh of nx by ny cells of a rectangle, of quadrilaterals or triangles as the element needs."""
+    mesh_type = skfem.MeshQuad if element[0] == "Q" else skfem.MeshTri
+    return mesh_type.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))
 
 
-@dataclass(frozen=True)
-class NeoHookeanSheet:
-    """Incompressible neo-Hookean sheet in plane stress, W = mu/2 (tr C + 1/det C - 3) with C = I + 2E.
+def rectangle(element, width, height, nx, ny):
+    """`mesh_of` as arrays."""
+    return discretize(mesh_of(element, width, height, nx, ny), element)
 
-    mu: shear modulus times thickness, N/mm. The law resists compression, so its energy is not convex in the
-    displacement: Newton finds a stationary state near its start.
 
-    >>> law = NeoHookeanSheet(mu=2.0)
-    >>> stretch = 1.5
-    >>> E = 0.5 * np.array([[stretch**2 - 1.0, 0.0, 1.0 / stretch - 1.0]])  # free to contract
-    >>> S = law.response(E).S[0]
-    >>> bool(np.isclose(S[0] * stretch, 2.0 * (stretch - stretch**-2))), bool(abs(S[2]) < 1e-12)
-    (True, True)
-    """
+def held(disc, where, d=2):
+    """A mask (n_nodes, d) of the nodes for whose coordinates x (2, n_nodes) `where` is true."""
+    return np.repeat(where(disc.nodes.T)[:, None], d, axis=1)
 
-    mu: float = 1.0
 
-    def response(self, E: Array) -> Response:
-        """S = mu (I - C^-1 / det C) and its derivative, in components of the cofactor of C."""
-        a, b, c = 1.0 + 2.0 * E[:, 0], 2.0 * E[:, 1], 1.0 + 2.0 * E[:, 2]
-        inverse = 1.0 / (a * c - b * b)
-        once = self.mu * inverse * inverse
-        four = 4.0 * once * inverse
-        S = np.empty((3, len(a)))
-        np.subtract(self.mu, once * c, out=S[0])
-        np.multiply(once, b, out=S[1])
-        np.subtract(self.mu, once * a, out=S[2])
-        # d(det C) = (c, -2b, a) . dC for dC = 2 dE; S = mu (1, 0, 1) - once (c, -b, a).
-        C = np.empty((3, 3, len(a)))
-        fa, fb, fc = four * a, four * b, four * c
-        np.multiply(fc, c, out=C[0, 0])
-        np.multiply(fa, a, out=C[2, 2])
-        np.multiply(fa, c, out=C[0, 2])
-        C[0, 2] -= 2.0 * once
-        C[2, 0] = C[0, 2]
-        np.multiply(fc, -b, out=C[1, 0])
-        np.multiply(fa, -b, out=C[1, 2])
-        np.multiply(C[1, 0], 2.0, out=C[0, 1])
-        np.multiply(C[1, 2], 2.0, out=C[2, 1])
-        np.multiply(fb, 2.0 * b, out=C[1, 1])
-        C[1, 1] += 2.0 * once
-        energy = (0.5 * self.mu) * (a + c + inverse - 3.0)
-        return Response(energy, S.T, np.moveaxis(C, -1, 0), E)
+def supported(disc, fixed, displacement):
+    """The discretisation with the components `fixed` held at a displacement, both (n_nodes, d)."""
+    X = np.column_stack([disc.nodes, np.zeros((disc.n_nodes, fixed.shape[1] - 2))])
+    return SupportedFem(disc, np.where(fixed, X + displacement, 0.0), ~fixed.ravel())
+
+
+def reactions(fem, law, u, force):
+    """Forces of the supports on the sheet (n_nodes, d)."""
+    return np.where(fem.held, evaluate(fem.disc, law, u).internal - force, 0.0)
 
 
 @dataclass(frozen=True)

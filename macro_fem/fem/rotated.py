@@ -1,4 +1,4 @@
-"""A law whose weave is turned against the axes of the curtain."""
+"""A law whose weave is rotated against the axes of the curtain."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from rve.common.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class TurnedLaw:
-    """`law` in the frame of a curtain, its weave turned counterclockwise by `angle_deg`.
+class RotatedLaw:
+    """`law` in the frame of a curtain, its weave rotated counterclockwise by `angle_deg`.
 
     With R the rotation by the angle, tensors of the curtain and of the weave are related by A = R A_weave R^T; on
     triples this is the matrix `to_curtain` (3, 3), A = to_curtain A_weave.
@@ -41,12 +41,12 @@ class TurnedLaw:
     @property
     def to_curtain(self) -> Array:
         """Triples of the weave to triples of the curtain (3, 3)."""
-        return turn_matrix(self.angle_deg)
+        return rotation_on_triples(self.angle_deg)
 
     @property
     def to_weave(self) -> Array:
         """Triples of the curtain to triples of the weave (3, 3)."""
-        return turn_matrix(-self.angle_deg)
+        return rotation_on_triples(-self.angle_deg)
 
     def support(self, S: Array) -> Array:
         """h(S), see MembraneLaw."""
@@ -73,10 +73,10 @@ class TurnedLaw:
         return {"law": self.law.to_dict(), "angle_deg": self.angle_deg}
 
 
-def turn_matrix(angle_deg: float) -> Array:
+def rotation_on_triples(angle_deg: float) -> Array:
     """R A R^T as a matrix (3, 3) on triples, exact for quarter turns.
 
-    >>> turn_matrix(90.0) @ [1.0, 2.0, 3.0]
+    >>> rotation_on_triples(90.0) @ [1.0, 2.0, 3.0]
     array([ 3., -2.,  1.])
     """
     quarter = angle_deg / 90.0
@@ -87,8 +87,8 @@ def turn_matrix(angle_deg: float) -> Array:
     return np.array([[c * c, -2 * c * s, s * s], [c * s, c * c - s * s, -c * s], [s * s, 2 * c * s, c * c]])
 
 
-def turned(law: MembraneLaw, angle_deg: float) -> MembraneLaw:
-    """`law` with its weave turned; the law itself if there is nothing to turn."""
+def rotated(law: MembraneLaw, angle_deg: float) -> MembraneLaw:
+    """`law` with its weave rotated; the law itself at multiples of 180 degrees."""
     if angle_deg % 180.0 == 0.0:
         return law
-    return TurnedLaw(law, angle_deg)
+    return RotatedLaw(law, angle_deg)
