@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from homogenize.fitting.fit import fit_table as fit_table
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
-    from homogenize.io import save_law as save_law
     from homogenize.laws.net import NetLaw as NetLaw
     from homogenize.laws.net import diagonal_net as diagonal_net
     from homogenize.laws.net import ring_net as ring_net
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from homogenize.laws.protocol import HalfSpaces as HalfSpaces
     from homogenize.laws.protocol import MembraneLaw as MembraneLaw
     from homogenize.laws.protocol import Response as Response
+    from homogenize.laws.stored import save_law as save_law
 
 _MODULES = {
     "CellInfo": "homogenize.laws.protocol",
@@ -38,7 +38,7 @@ _MODULES = {
     "fit_table": "homogenize.fitting.fit",
     "load_law": "homogenize.io",
     "ring_net": "homogenize.laws.net",
-    "save_law": "homogenize.io",
+    "save_law": "homogenize.laws.stored",
 }
 """Public names and the modules that hold them: imported when they are first used."""
 

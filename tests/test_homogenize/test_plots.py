@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 from homogenize.cli import main
 from homogenize.fitting.rows import rows_from_table
+from homogenize.fitting.shipped import SHIPPED
 from homogenize.io import default_law
 from homogenize.plots import plot_sections, plot_strains, surface_height
-from homogenize.ship import SHIPPED
 from rve.table import read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"

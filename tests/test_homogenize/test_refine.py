@@ -17,7 +17,7 @@ from homogenize.fitting.refine import (
     triangles_of,
 )
 from homogenize.fitting.report import random_loads
-from homogenize.strain import locked_strain
+from homogenize.query.strain import locked_strain
 from rve.common.errors import InputError
 from rve.common.tensor import disc, double_dot, from_disc
 from rve.directions import graded_grid

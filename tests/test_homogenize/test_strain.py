@@ -12,8 +12,8 @@ from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, rows_
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.strain import StrainOptions, locked_strain
-from homogenize.strain_bounds import strain_bounds
+from homogenize.query.strain import StrainOptions, locked_strain
+from homogenize.query.strain_bounds import strain_bounds
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
 from rve.geometry.cell import Cell

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from homogenize.fitting.rows import Rows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
-from homogenize.strain_bounds import strain_bounds
+from homogenize.query.strain_bounds import strain_bounds
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 from rve.common.types import Array
 
