@@ -39,7 +39,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True)
-class LocalizeOptions:
+class PoseOptions:
     """tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4.
 
     ladder: weights of a fold and of the arrangement against strain that rings fall short of, first and last
@@ -65,7 +65,7 @@ class LocalizeOptions:
 
 
 @dataclass(frozen=True)
-class LockedStates:
+class LockedArrangements:
     """Locked poses of a cell, their strains E (m, 3), and the reference sides in r1 of the strain, in weave axes."""
 
     pose: Pose
@@ -118,7 +118,7 @@ def weave_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     return along / cell.r1, across / cell.r1
 
 
-def locked_states(cell: Cell, options: LocalizeOptions) -> LockedStates:
+def locked_arrangements(cell: Cell, options: PoseOptions) -> LockedArrangements:
     """Locked states all round, to interpolate between; raises NotConverged if not one of them is found."""
     alpha, beta = (x.ravel() for x in np.meshgrid(*map(np.array, options.states), indexing="ij"))
     found, _, _ = locked(alpha.astype(float), beta, replace(cell, grain="y"), options.direct)
@@ -127,21 +127,21 @@ def locked_states(cell: Cell, options: LocalizeOptions) -> LockedStates:
         raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
     sides = weave_sides(cell, options.direct)
     pose = found.pose.take(good)
-    return LockedStates(pose, lattice_strain(pose.lattice, sides)[0], sides)
+    return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
 
-def localize(
-    E: Array, cell: Cell, options: LocalizeOptions | None = None, states: LockedStates | None = None
+def nearest_poses(
+    E: Array, cell: Cell, options: PoseOptions | None = None, states: LockedArrangements | None = None
 ) -> RingStates:
     """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
 
     >>> import numpy as np
-    >>> found = localize(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
+    >>> found = nearest_poses(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
     >>> found.status.tolist(), bool(found.gap_mm.min() >= 0.0)
     (['met', 'folded'], True)
     """
-    options = options or LocalizeOptions()
-    states = states or locked_states(cell, options)
+    options = options or PoseOptions()
+    states = states or locked_arrangements(cell, options)
     E = np.asarray(E, dtype=float).reshape(-1, 3)
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
     flip = (E[:, 1] < 0.0) & (cell.weave.is_mirrored and cell.weave.classes == 2)
@@ -174,7 +174,7 @@ def mirrored(pose: Pose) -> Pose:
 
 
 def _settled(
-    E: Array, cell: Cell, options: LocalizeOptions, states: LockedStates
+    E: Array, cell: Cell, options: PoseOptions, states: LockedArrangements
 ) -> tuple[Pose, Contacts, NDArray[np.bool_]]:
     """Poses, their contacts, and whether one of the last three stages of the ladder has converged; a block of strains.
 
