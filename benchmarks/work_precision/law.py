@@ -81,7 +81,7 @@ def parameters(law: MembraneLaw) -> int:
     return sum(np.size(value) for key, value in law.to_dict().items() if not key.startswith("stiffness"))
 
 
-def made(table: StrainTable, kind: str = "refined", resolution: float = refine.NEWS) -> tuple[MembraneLaw, float]:
+def made(table: StrainTable, kind: str = "refined", resolution: float = refine.RESOLUTION) -> tuple[MembraneLaw, float]:
     """A law of this kind from the table, and the seconds that it took."""
     build = builder(kind, cell_of(table), STATED_STIFFNESS * np.eye(3), resolution)
     return least_seconds(partial(build, rows_from_table(table)), repeats=2, long=2.0)
@@ -103,7 +103,9 @@ def spacing_rows(tables: Sequence[tuple[str, StrainTable, float, float]], unseen
     for name, source, seconds, resolution in tables:
         law, fit = made(source, resolution=resolution)
         bounds = bounds_of(rows_from_table(source))
-        group = "graded" if name == "graded" else "uniform" if resolution == refine.NEWS else "uniform, finer facets"
+        group = (
+            "graded" if name == "graded" else "uniform" if resolution == refine.RESOLUTION else "uniform, finer facets"
+        )
         rows.append(
             {
                 "table": name,
@@ -132,7 +134,7 @@ def spacing_table(rows: Sequence[Row]) -> Table:
 def kind_rows(source: StrainTable, graded: StrainTable, unseen: StrainTable) -> list[Row]:
     """A row for each kind of law from the 5 degree table, and for the refined one from the graded."""
     rows = []
-    variants = [(kind, kind, source, refine.NEWS) for kind in KINDS]
+    variants = [(kind, kind, source, refine.RESOLUTION) for kind in KINDS]
     for name, kind, own, resolution in [*variants, ("refined, graded", "refined", graded, GRADED_RESOLUTION)]:
         law, fit = made(own, kind, resolution)
         us = 1e6 * seconds_per_point(law, rows_from_table(own).E)
@@ -181,9 +183,9 @@ def measure(full: bool) -> Section:
     steps = (15.0, 10.0, 5.0, 2.5) + (1.25,) * full
     uniform = {step: least_seconds(partial(solve_table, Cell(), loads(step)), long=0.0) for step in steps}
     graded = least_seconds(partial(solve_table, Cell(), graded_grid()), long=0.0)
-    named = [(f"{step:g} degrees", *timed, refine.NEWS) for step, timed in uniform.items()]
+    named = [(f"{step:g} degrees", *timed, refine.RESOLUTION) for step, timed in uniform.items()]
     named += [(f"{step:g} degrees", *uniform[step], GRADED_RESOLUTION) for step in (5.0, 2.5)]
-    named += [("graded", *graded, resolution) for resolution in (refine.NEWS, GRADED_RESOLUTION, 3e-6)]
+    named += [("graded", *graded, resolution) for resolution in (refine.RESOLUTION, GRADED_RESOLUTION, 3e-6)]
     spaced = spacing_rows(named, unseen)
     plain = uniform[5.0][0]
     kinds = kind_rows(plain, graded[0], unseen)
@@ -217,7 +219,7 @@ def diagrams(spaced: Sequence[Row], kinds: Sequence[Row]) -> tuple[Diagram, ...]
 
 def conclusion(spaced: Sequence[Row], kinds: Sequence[Row]) -> str:
     """What follows, in numbers of this run."""
-    coarse, fine = f"{refine.NEWS:.0e}", f"{GRADED_RESOLUTION:.0e}"
+    coarse, fine = f"{refine.RESOLUTION:.0e}", f"{GRADED_RESOLUTION:.0e}"
     of = {(row["table"], row["resolution"]): row for row in spaced}
     default, dense, graded = (of[name, coarse] for name in ("5 degrees", "2.5 degrees", "graded"))
     both, h = of["graded", fine], {row["law"]: row[H_MEAN] for row in kinds}

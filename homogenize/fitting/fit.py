@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.refine import FINEST, NEWS, Parts, refined_half_spaces
+from homogenize.fitting.refine import FINEST, RESOLUTION, RefineOptions, refined_half_spaces
 from homogenize.fitting.report import error_report, sampled_cone
 from homogenize.fitting.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table, rows_to_dict
 from homogenize.fitting.stiffness import stiffness_of
@@ -24,6 +24,7 @@ from homogenize.laws.report import ErrorReport
 from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.types import Array
+from rve.common.values import Options, choice, number
 
 if TYPE_CHECKING:
     from rve import StrainTable
@@ -33,25 +34,21 @@ KINDS = ("inner", "net", "outer", "refined")
 
 
 @dataclass(frozen=True)
-class FitOptions:
-    """`kind` of law; `normality`: what S_i:(E_i - E_j) may fall below zero, the strain error of the table if noisy.
+class FitOptions(Options):
+    """`kind` of law; `normality`: tolerated violation of S_i:(E_i - E_j) >= 0, the strain error of the table if noisy.
 
     `resolution`: support differences that are worth a half-space of the refined law. A finer one makes smaller facets,
     so better strains inside them, and pays where the rows are close; the default suits a table of 5 degrees.
+    InputError for values out of range.
     """
 
-    kind: str = DEFAULT_KIND
-    normality: float = NORMALITY_TOLERANCE
-    resolution: float = NEWS
+    kind: str = choice(*KINDS, default=DEFAULT_KIND)
+    normality: float = number(NORMALITY_TOLERANCE, least=0.0, most=1.0)
+    resolution: float = number(RESOLUTION, least=FINEST, most=1.0)
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InputError(f"kind = {self.kind}: this version fits {', '.join(KINDS)}")
-        if not 0.0 <= self.normality <= 1.0:
-            raise InputError(f"normality = {self.normality}: must lie between 0 and 1, as a strain")
-        if not FINEST <= self.resolution <= 1.0:
-            raise InputError(f"resolution = {self.resolution}: must lie between {FINEST:g} and 1, as a strain")
-        if self.resolution != NEWS and self.kind != DEFAULT_KIND:
+        super().__post_init__()
+        if self.resolution != RESOLUTION and self.kind != DEFAULT_KIND:
             raise InputError(f"resolution = {self.resolution}: belongs to kind {DEFAULT_KIND!r}, not {self.kind!r}")
 
 
@@ -112,11 +109,11 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     return FitResult(replace(law, provenance=provenance | {"report": report.to_dict()}), report)
 
 
-def builder(kind: str, cell: CellInfo, stiffness: Array, resolution: float = NEWS) -> Callable[[Rows], Law]:
+def builder(kind: str, cell: CellInfo, stiffness: Array, resolution: float = RESOLUTION) -> Callable[[Rows], Law]:
     """The function that makes a law of this kind from rows; `resolution` belongs to the refined law (`FitOptions`)."""
     kinds: dict[str, Callable[[Rows], Law]] = {
         "refined": lambda rows: polyhedral_law(
-            *refined_half_spaces(rows, resolution, Parts.of(resolution)), stiffness, cell
+            *refined_half_spaces(rows, RefineOptions.of(resolution)), stiffness, cell
         ),
         "outer": lambda rows: outer_law(rows, stiffness, cell),
         "inner": lambda rows: inner_law(rows, stiffness, cell),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import Normality, Rows, subset, with_mirror
+from homogenize.fitting.rows import Normality, Rows, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
 from rve.common.errors import InputError
@@ -68,7 +68,7 @@ def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw], folds: int
         out = inner[fold::folds]
         keep = np.setdiff1d(np.arange(len(rows)), out)
         try:
-            law = refit(subset(rows, keep))
+            law = refit(rows.take(keep))
         except InputError:
             return None
         S.append(rows.S[out])

@@ -12,7 +12,7 @@ import numpy as np
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete
 from rve.common.types import Array
-from rve.common.values import checked, integer, one_of
+from rve.common.values import Options, choice, whole
 from rve.geometry.cell import Cell
 from rve.geometry.weave import WEAVES
 from rve.localization.curtain import (
@@ -30,11 +30,9 @@ from rve.localization.forces import cauchy_of, cell_forces, largest_forces
 from rve.localization.poses import LockedArrangements, PoseOptions, locked_arrangements, nearest_poses
 from rve.localization.rings import Sites, axes_of_weave, deformation, find_sites, fit_of, place_rings, turns
 
-_CHECKS = {"weave": one_of(*WEAVES), "grain": one_of("x", "y"), "max_rings": integer(1, 10**9)}
-
 
 @dataclass(frozen=True)
-class LocalizeOptions:
+class LocalizeOptions(Options):
     """Which rings of a curtain are wanted.
 
     r1, r2 (mm), hang_deg: as in the curtain's summary if None. window: only rings in x0, y0, x1, y1 (mm, before
@@ -45,15 +43,14 @@ class LocalizeOptions:
     r1: float | None = None
     r2: float | None = None
     hang_deg: float | None = None
-    weave: str = "4-in-1"
-    grain: str = "y"
+    weave: str = choice(*WEAVES, default="4-in-1")
+    grain: str = choice("x", "y", default="y")
     window: tuple[float, float, float, float] | None = None
-    max_rings: int = 100_000
+    max_rings: int = whole(100_000, least=1, most=10**9)
     poses: PoseOptions = field(default_factory=PoseOptions)
 
     def __post_init__(self) -> None:
-        for key, check in _CHECKS.items():
-            checked(vars(self), key, check, "")
+        super().__post_init__()
         if self.window is not None:
             ends = np.array(self.window, float)
             if ends.shape != (4,) or not np.isfinite(ends).all() or not (ends[:2] < ends[2:]).all():

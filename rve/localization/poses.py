@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
+from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
+from rve.common.values import Options, entry, finite, list_of, number
 from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -38,28 +40,42 @@ MEANINGS = {
 }
 
 
-@dataclass(frozen=True)
-class PoseOptions:
-    """tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4.
+_STAGES = list_of(list_of(finite(above=0.0, most=1.0), "numbers", least=4, most=4), "stages", least=1, most=100)
+_ANGLES = list_of(
+    list_of(finite(least=-90.0, most=90.0), "angles", least=1, most=1000), "lists of angles", least=2, most=2
+)
 
-    ladder: weights of a fold and of the arrangement against strain that rings fall short of, first and last
-    complementarity of the stages, each started from the one before. Stiff springs first: with weak ones from the start
-    some cells lock on the way. merge: strains that agree to this are one solve. states: angles alpha and beta of the
-    locked states that arrangements are interpolated between, degrees.
+
+@dataclass(frozen=True)
+class PoseOptions(Options):
+    """How poses are found; InputError for values out of range.
+
+    tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4. ladder:
+    stages, each started from the one before, with the weights of a fold and of the arrangement against strain that
+    rings fall short of, and the first and last complementarity. Stiff springs come first: with weak ones from the start
+    some cells lock on the way. merge: strains that agree to this are one solve. states: angles alpha and beta, degrees,
+    of the locked states that arrangements are interpolated between; more states cost time once per curtain. direct:
+    options of the interior-point method.
     """
 
-    tolerance: float = 1e-3
-    ladder: tuple[tuple[float, float, float, float], ...] = (
-        (1e-2, 3e-1, 3e-2, 1e-3),
-        (1e-2, 1e-2, 1e-3, 1e-5),
-        (1e-2, 1e-4, 1e-5, 1e-7),
-        (1e-3, 1e-5, 1e-7, 1e-9),
-        (1e-3, 1e-6, 1e-9, 1e-11),
+    tolerance: float = number(1e-3, above=0.0, most=1.0)
+    ladder: tuple[tuple[float, float, float, float], ...] = entry(
+        _STAGES,
+        (
+            (1e-2, 3e-1, 3e-2, 1e-3),
+            (1e-2, 1e-2, 1e-3, 1e-5),
+            (1e-2, 1e-4, 1e-5, 1e-7),
+            (1e-3, 1e-5, 1e-7, 1e-9),
+            (1e-3, 1e-6, 1e-9, 1e-11),
+        ),
     )
-    merge: float = 1e-6
-    states: tuple[tuple[float, ...], tuple[float, ...]] = (
-        tuple(range(-45, 45, 15)),
-        (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
+    merge: float = number(1e-6, above=0.0, most=1e-2)
+    states: tuple[tuple[float, ...], tuple[float, ...]] = entry(
+        _ANGLES,
+        (
+            (-45.0, -30.0, -15.0, 0.0, 15.0, 30.0),
+            (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
+        ),
     )
     direct: DirectOptions = field(default_factory=DirectOptions)
 
@@ -74,7 +90,7 @@ class LockedArrangements:
 
     def arrangement(self, E: Array) -> Array:
         """Rows (n, 3 + 2 (K - 1) + 3 K) of the springs that pull to strains E (n, 3) and the arrangement there."""
-        square = (self.E[None] - E[:, None]) ** 2 @ np.array([1.0, 2.0, 1.0])
+        square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
         share = np.einsum("nm,mkx->nkx", weight, shares(self.pose))
@@ -153,7 +169,7 @@ def nearest_poses(
     gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
     known = np.concatenate([settled for _, _, settled in blocks])
     rings = lattice_strain(pose.lattice, states.sides)[0]
-    low, high = _principal(rings - targets)
+    low, high = eigenvalues(rings - targets)
     short, fold = np.maximum(-low, 0.0), np.maximum(high, 0.0)
     far = np.where(fold > options.tolerance, "folded", "beyond")
     status = np.where(np.maximum(short, fold) <= options.tolerance, "met", np.where(known, far, "stalled"))
@@ -196,9 +212,3 @@ def _settled(
             good |= found.status == "converged"
     contacts = find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach)
     return found.pose, contacts, good
-
-
-def _principal(D: Array) -> tuple[Array, Array]:
-    """Smaller and larger principal value (n,) of the tensors D (n, 3)."""
-    mean, radius = 0.5 * (D[:, 0] + D[:, 2]), np.hypot(0.5 * (D[:, 0] - D[:, 2]), D[:, 1])
-    return mean - radius, mean + radius

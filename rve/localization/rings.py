@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Rows as Records
 from rve.common.types import Array
 from rve.geometry.cell import Cell
 from rve.geometry.circles import are_linked, dot, local_minima
@@ -29,7 +30,7 @@ NEAR = 0.5
 
 
 @dataclass(frozen=True)
-class Sites:
+class Sites(Records):
     """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,), cell (n,) around them."""
 
     index: Index
@@ -80,7 +81,7 @@ def find_sites(
         return sites
     x0, y0, x1, y1 = window
     keep = (X[:, 0] >= x0) & (X[:, 0] <= x1) & (X[:, 1] >= y0) & (X[:, 1] <= y1)
-    return Sites(index[keep], X[keep], triangle[keep], sites.cell[keep])
+    return sites.take(keep)
 
 
 def _reference_shares(cell: Cell) -> Array:

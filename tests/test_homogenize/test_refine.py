@@ -8,7 +8,9 @@ import pytest
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.fitting.refine import (
+    FINEST,
     Nodes,
+    RefineOptions,
     chords_of,
     hermite,
     in_triangles,
@@ -59,7 +61,7 @@ def test_the_rim_is_closely_sampled_and_right_to_fourth_order(ellipsoid):
     for spokes in (36, 72):
         rows = rows_of(ellipsoid, disc_grid(3, spokes))
         nodes = Nodes(disc(rows.S), rows.h, rows.E, np.arange(len(rows)))
-        x, h = on_arcs(nodes)
+        x, h = on_arcs(nodes, 2.5)
         assert np.allclose(np.hypot(*x.T), 1.0)
         rim = np.vstack([x, nodes.x[nodes.on_rim()]])
         assert np.diff(np.sort(np.arctan2(rim[:, 1], rim[:, 0]))).max() <= np.radians(2.5) + 1e-12
@@ -83,7 +85,7 @@ def test_refined_rows_predict_to_fourth_order(ellipsoid):
     S0 = S0[np.hypot(*disc(S0).T) < 0.7]
     for spokes in (32, 64):
         rows = rows_of(ellipsoid, disc_grid(spokes // 4, spokes))
-        S, h = refined_half_spaces(rows, news=0.0)
+        S, h = refined_half_spaces(rows, RefineOptions(resolution=FINEST))
         inside = np.hypot(*disc(S).T) < 0.7
         error.append(np.median(np.abs(h - ellipsoid.support(S))[inside]))
         outer.append(np.abs(bounds_of(rows).upper(S0) - ellipsoid.support(S0)).mean())

@@ -157,11 +157,12 @@ def test_every_kind_is_fitted_and_reports(table):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"kind": "spline"}, "kind = spline: this version fits inner, net, outer, refined"),
-        ({"kind": "smooth"}, "kind = smooth"),
+        ({"kind": "spline"}, "kind = 'spline': is not one of inner, net, outer, refined"),
+        ({"kind": "smooth"}, "kind = 'smooth'"),
         ({"normality": -1e-8}, "normality = -1e-08"),
         ({"normality": float("nan")}, "normality = nan"),
         ({"resolution": 0.0}, "resolution = 0.0"),
+        ({"kinds": "outer"}, "kinds: unknown option"),
         ({"kind": "outer", "resolution": 1e-5}, "belongs to kind 'refined'"),
     ],
 )
