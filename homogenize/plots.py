@@ -96,7 +96,7 @@ def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
 
 
 def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
-    """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all or none.
+    """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
     The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
     """

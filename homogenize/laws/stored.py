@@ -31,7 +31,7 @@ class StoredLaw(MembraneLaw, Protocol):
         return report_from_dict(self.provenance["report"]) if "report" in self.provenance else None
 
     def save(self, path: str | Path) -> None:
-        """Writes the law file `path`, complete or not at all; `homogenize.load_law` reads it."""
+        """Writes the law file `path` (atomic: it is complete or absent); `homogenize.load_law` reads it."""
         save_law(self, path)
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -66,5 +66,5 @@ def law_record(law: StoredLaw) -> dict[str, Any]:
 
 
 def save_law(law: StoredLaw, path: str | Path) -> None:
-    """Writes the law to `path`, complete or not at all."""
+    """Writes the law to `path` (atomic: the file is complete or absent)."""
     write_text(Path(path), json.dumps(law_record(law), indent=1) + "\n")

@@ -20,7 +20,7 @@ NAMES = ("11", "12", "22")
 
 
 def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[str, Any]:
-    """E of the law under the Cauchy load direction, its bounds, S of unit trace, h, and what to beware of.
+    """E of the law under the Cauchy load direction, its bounds, S of unit trace, h, and two warnings.
 
     E11_min ... E22_max bound the strain at which the rings lock, as the rows of the table prove; None if the law file
     has no rows. A row's own load is answered with the row. `unique` is false where another strain carries the same load

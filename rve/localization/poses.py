@@ -1,12 +1,12 @@
-"""Back to the rings: the admissible pose of the cell at a given strain that is nearest to the locked ones.
+"""The admissible pose of the cell at a given strain that is nearest to the locked poses.
 
-A curtain's strain E* does not place the rings: offset and tilts are left. They are chosen as near as the other rings
-allow to an arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so
-that a locked state gives itself), by the springs of `spring` and the interior-point method of `equilibrium`: gaps stay
-positive and links intact from the slack pose on, so that every pose that comes back is admissible, converged or not.
+The strain E* of a curtain leaves offset and tilts of the rings open. They are chosen as near as contacts allow to an
+arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so that a locked
+strain gives its own locked state). The springs of `springs` and the interior-point method of `equilibrium` find it:
+gaps stay positive and links intact in every iterate, so that every pose is admissible, converged or not.
 
-Two things keep the rings from E*. It may lie outside what rings reach in tension, by the error of the law or because
-the law is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane; there it hangs in
+The rings cannot always have the strain E*. It may lie outside what rings reach in tension, because the law has an error
+or is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane. There it hangs in
 folds, E* = E - fold with a positive semidefinite fold, and the flat pose E with the least fold is given: `fold`.
 """
 
@@ -29,15 +29,15 @@ from rve.geometry.pose import Pose
 from rve.localization.springs import Spring, lattice_strain
 from rve.solve import locked, reference_sides
 
-# Cells advanced together: the ladder is long, and stragglers cost as much alone as in company.
 _BLOCK = 1024
-# What a cell is called, and what that means.
+"""Cells solved together: larger blocks need more memory, smaller ones more time."""
 MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
     "beyond": "the curtain is stretched further than rigid rings reach; the nearest pose is drawn",
     "folded": "the curtain is drawn together further than rings can be in a plane; it hangs in folds there",
     "stalled": "the springs did not settle; an admissible pose from on the way is drawn",
 }
+"""Statuses of poses, and what they mean."""
 
 
 _STAGES = list_of(list_of(finite(above=0.0, most=1.0), "numbers", least=4, most=4), "stages", least=1, most=100)
@@ -135,7 +135,7 @@ def weave_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
 
 
 def locked_arrangements(cell: Cell, options: PoseOptions) -> LockedArrangements:
-    """Locked states all round, to interpolate between; raises NotConverged if not one of them is found."""
+    """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
     alpha, beta = (x.ravel() for x in np.meshgrid(*map(np.array, options.states), indexing="ij"))
     found, _, _ = locked(alpha.astype(float), beta, replace(cell, grain="y"), options.direct)
     good = np.flatnonzero(found.status == "converged")
@@ -194,8 +194,8 @@ def _settled(
 ) -> tuple[Pose, Contacts, NDArray[np.bool_]]:
     """Poses, their contacts, and whether one of the last three stages of the ladder has converged; a block of strains.
 
-    Right at the edge of what rings reach the exact end of the path may be degenerate (contacts without force). A stage
-    that stalls keeps the pose of the stage before, and what that misses of the strain is in the result.
+    At the edge of what rings reach, the end of the path may be degenerate (contacts without force). A stage that stalls
+    keeps the pose of the stage before; its error of the strain is in the result.
     """
     rows = states.arrangement(E)
     start, good = None, np.zeros(len(E), dtype=bool)

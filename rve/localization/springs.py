@@ -1,12 +1,12 @@
 """Springs that pull a cell towards a given strain and, far more weakly, its rings towards a given arrangement.
 
-They take the place of the line load in the equations: with lengths in r1 and D = E - E*, the potential is
+They replace the line load in the equations. With lengths in r1 and D = E - E* the potential is
 
     W = 1/2 |D+|^2 fold + 1/2 |D-|^2 + 1/2 weak (sum |c_k - c_k*|^2 + sum |n_k - n_k*|^2),
 
-where D = D+ - D- splits the strain into what the rings are longer and shorter than asked for. Without rings in the way
-E* is met and the rings are as in the given arrangement; with rings in the way the interior-point method finds the
-admissible pose of least W: nearest in strain first, for `weak` is small.
+D+, D-: excess and deficit relative to the target strain, D = D+ - D-, both positive semidefinite. Without contacts the
+strain is E* and the rings are as in the given arrangement. With contacts the interior-point method finds the admissible
+pose of least W: nearest in strain first, because `weak` is small.
 """
 
 from __future__ import annotations

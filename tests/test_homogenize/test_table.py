@@ -162,6 +162,7 @@ def test_every_kind_is_fitted_and_reports(table):
         ({"normality": -1e-8}, "normality = -1e-08"),
         ({"normality": float("nan")}, "normality = nan"),
         ({"resolution": 0.0}, "resolution = 0.0"),
+        ({"resolution": float("nan")}, "resolution = nan"),
         ({"kinds": "outer"}, "kinds: unknown option"),
         ({"kind": "outer", "resolution": 1e-5}, "belongs to kind 'refined'"),
     ],

@@ -570,3 +570,18 @@ def test_forces_of_a_cell_take_their_options():
     s = cauchy_line_load([20.0], [30.0])[0]
     assert cell_forces(s, CELL, DirectOptions(max_iterations=2, attempts=1)).status == "stalled"
     assert cell_forces(s, CELL).status == "converged"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"ladder": ()}, "ladder = .*at least 1 stages"),
+        ({"ladder": ((1e-2, 1e-2, 1e-3),)}, "ladder = "),
+        ({"states": ((0.0,), (2.0,), (3.0,))}, "states = "),
+        ({"merge": -1.0}, "merge = -1.0"),
+    ],
+)
+def test_options_of_poses_refuse_what_makes_no_sense(options, words):
+    with pytest.raises(InputError, match=words):
+        PoseOptions(**options)
