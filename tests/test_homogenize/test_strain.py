@@ -77,11 +77,11 @@ def test_options_are_obeyed(ellipsoid):
 
 
 def test_widths_decide_what_is_unique(ellipsoid):
-    """The ellipsoid's strains are unique; a polyhedron's facets are wider than nothing."""
-    law = outer_law(rows_of(ellipsoid, disc_grid(4, 16)))
-    load = np.array([20.0]), np.array([30.0])
-    assert locked_strain(law, *load, StrainOptions(width=10.0)).unique[0]
-    assert not locked_strain(law, *load, StrainOptions(width=1e-6)).unique[0]
+    """Loads near the normal of a facet carry all its strains: one strain, or many, as the width says."""
+    law = outer_law(rows_of(ellipsoid, disc_grid(8, 32)))
+    loads = np.linspace(-80.0, 80.0, 40), np.linspace(5.0, 85.0, 40)
+    assert locked_strain(law, *loads, StrainOptions(width=10.0)).unique.all()
+    assert not locked_strain(law, *loads, StrainOptions(width=1e-6)).unique.all()
 
 
 def test_coarser_rectangles_give_wider_bounds(ellipsoid):
