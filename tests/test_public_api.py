@@ -13,6 +13,7 @@ import pytest
 import homogenize
 import macro_fem
 import rve
+from rve.localization.curtain import read_curtain
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -80,6 +81,17 @@ def test_rings_of_an_answer_are_those_of_its_files(answer, rings, tmp_path):
     assert saved["curtain"] == "a curtain in memory"
     assert saved["r2_mm"] == 0.5
     assert read.summary["curtain"] == str(tmp_path / "curtain" / "curtain.vtu")
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+def test_a_curtain_in_memory_is_that_of_its_file(element, tmp_path):
+    """One element of every kind: corners, and strain, line load and state of cells."""
+    tables = {"curtain": {"width": 100, "height": 80}, "support": {"kind": "top"}}
+    answer = macro_fem.solve(macro_fem.read_scene(tables | {"mesh": {"cells": 2, "element": element}}))
+    answer.save(tmp_path, picture=False)
+    read, known = read_curtain(tmp_path / "curtain.vtu"), answer.to_curtain()
+    for key, values in vars(read).items():
+        np.testing.assert_allclose(getattr(known, key), values, rtol=1e-12, atol=1e-12, err_msg=key)
 
 
 def test_every_ring_of_the_curtain_is_there(answer, rings):
