@@ -19,7 +19,7 @@ from benchmarks.report.files import write_between_marks
 from benchmarks.report.measure import least_seconds
 from benchmarks.report.records import table
 from homogenize.fitting.fit import fit_table
-from homogenize.query import strain_answer
+from homogenize.query.answers import strain_answer
 from macro_fem.job import run_scene
 from rve.geometry.cell import Cell
 from rve.solve import solve_table

@@ -87,10 +87,8 @@ def scene_text(cells: int) -> str:
 
 def make_table(out: Path, spacing: float) -> Path:
     """Solve the load cases (the paper's 190 for 5 degrees), write and draw them."""
-    from rve.geometry.cell import Cell
+    from rve import Cell, solve_table, write_table
     from rve.plots import draw_case, save
-    from rve.solve import solve_table
-    from rve.table import write_table
 
     alpha, beta = grid_of(spacing)
     with click.progressbar(length=len(alpha), label="1 rings   ") as bar:
@@ -103,9 +101,9 @@ def make_table(out: Path, spacing: float) -> Path:
 
 def fit_law(table: Path, out: Path) -> Path:
     """Fit the default law, say how wrong it can be, draw it."""
-    from homogenize.fitting.fit import fit_table
+    from homogenize import fit_table
     from homogenize.plots import write_pictures
-    from rve.table import read_table
+    from rve import read_table
 
     click.echo("2 law")
     result = fit_table(table)
@@ -118,7 +116,7 @@ def fit_law(table: Path, out: Path) -> Path:
 
 def hang_curtain(law: Path, out: Path, cells: int) -> float:
     """Hang the corner-held curtain with this law; its mean height in mm."""
-    from macro_fem.job import run_scene
+    from macro_fem import run_scene
 
     scene = out / "scene.toml"
     write_text(scene, scene_text(cells))

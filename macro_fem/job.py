@@ -16,6 +16,7 @@ from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.rings import to_curtain
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene, check_solver, load_scene
@@ -27,6 +28,8 @@ from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from rve import Curtain
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -79,6 +82,10 @@ class CurtainResult:
         from macro_fem.output.plots import plot_line_loads
 
         return plot_line_loads(self.solution, ax)
+
+    def to_curtain(self) -> Curtain:
+        """The curtain at full load as `rve.localize` takes it: `rve.localize(result)`."""
+        return to_curtain(self.solution)
 
     def _summary(self, *, picture: bool) -> dict[str, Any]:
         summary = summarize(self.solution)

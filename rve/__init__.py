@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from rve.geometry.kinematics import second_pk as second_pk
     from rve.geometry.weave import WEAVES as WEAVES
     from rve.geometry.weave import Weave as Weave
+    from rve.localization.curtain import Curtain as Curtain
+    from rve.localization.field import RingField as RingField
+    from rve.localization.job import LocalizeOptions as LocalizeOptions
+    from rve.localization.job import localize as localize
     from rve.solve import solve_table as solve_table
     from rve.table import StrainTable as StrainTable
     from rve.table import read_table as read_table
@@ -28,10 +32,13 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "Cell": "rve.geometry.cell",
+    "Curtain": "rve.localization.curtain",
     "DirectOptions": "rve.equilibrium.interior_point",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
+    "LocalizeOptions": "rve.localization.job",
     "NotConverged": "rve.common.errors",
+    "RingField": "rve.localization.field",
     "StrainTable": "rve.table",
     "WEAVES": "rve.geometry.weave",
     "Weave": "rve.geometry.weave",
@@ -40,6 +47,7 @@ _MODULES = {
     "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
     "grid": "rve.directions",
+    "localize": "rve.localization.job",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
@@ -51,10 +59,13 @@ _MODULES = {
 __all__ = [
     "WEAVES",
     "Cell",
+    "Curtain",
     "DirectOptions",
     "InputError",
     "LoadDirections",
+    "LocalizeOptions",
     "NotConverged",
+    "RingField",
     "StrainTable",
     "Weave",
     "cauchy_line_load",
@@ -62,6 +73,7 @@ __all__ = [
     "graded_grid",
     "green_lagrange",
     "grid",
+    "localize",
     "read_loads",
     "read_table",
     "second_pk",

@@ -216,11 +216,12 @@ def study(out: Path) -> None:
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
 def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) -> None:
-    """Find back to the rings: from CURTAIN, the curtain.vtu of macro_fem, to rings.vtu, rings.png, worst_cell.csv."""
+    """Every ring of CURTAIN, the curtain.vtu of macro_fem or its folder: rings.vtu, rings.png, worst_cell.csv."""
     from rve.directions import parse_window
-    from rve.localization.job import JobOptions, run_localize
+    from rve.localization.job import LocalizeOptions, run_localize
 
-    found = run_localize(curtain, out, JobOptions(window=parse_window(window), **rest))
+    files = {name: rest.pop(name) for name in ("picture", "tubes")}
+    found = run_localize(curtain, out, LocalizeOptions(window=parse_window(window), **rest), **files)
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
     click.echo(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
     click.echo(f"{found['links_intact']} of {found['links']} links intact as drawn")

@@ -15,11 +15,9 @@ from random import Random
 import meshio
 import numpy as np
 
-from homogenize.family import family_of, load_family, save_family
 from homogenize.io import load_law, save_law
 from homogenize.laws.net import ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.laws.smooth import smooth_law
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from rve.directions import parse_angles, parse_window, read_loads
@@ -344,14 +342,6 @@ TARGETS = {
     "law-net": Target(
         lambda folder: save_law(ring_net(law().cell), folder / "law.json"),
         lambda folder: load_law(folder / "law.json"),
-    ),
-    "law-smooth": Target(
-        lambda folder: save_law(smooth_law(np.zeros((3, 8)), None, law().cell), folder / "law.json"),
-        lambda folder: load_law(folder / "law.json"),
-    ),
-    "family": Target(
-        lambda folder: save_family(family_of([law(r2) for r2 in (0.3, 0.4, 0.5)]), folder / "family.json"),
-        lambda folder: load_family(folder / "family.json"),
     ),
     "checkpoint": Target(make_checkpoint, read_checkpoint, mutate_checkpoint),
     "scene": Target(make_scenes, read_scenes),

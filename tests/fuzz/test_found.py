@@ -12,7 +12,6 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main as homogenize
-from homogenize.family import load_family
 from homogenize.io import load_law, save_law
 from macro_fem.cli import main as macro_fem
 from macro_fem.scene.mesh import build_mesh
@@ -119,30 +118,12 @@ def test_numbers_of_a_summary_are_checked(tmp_path, keys, value, words):
         read_weave(tmp_path / "curtain.vtu", None, None, None)
 
 
-def test_a_ragged_family_and_one_without_numbers_are_refused(tmp_path):
-    TARGETS["family"].make(tmp_path)
-    path = tmp_path / "family.json"
-    record = json.loads(path.read_text())
-    for keys, value, words in (
-        (("members", 1, "parameters", "S", 2), [0.1, 0.2], "member 1: parameters S"),
-        (("members", 1, "parameters", "h"), None, "member 1: parameters h = None"),
-        (("members", 2, "cell", "r1_mm"), -5, "member 2: cell r1_mm = -5"),
-        (("members", 2), 7, "members"),
-        (("members",), [], "at least 3 members"),
-    ):
-        path.write_text(json.dumps(changed(record, keys, value)))
-        with pytest.raises(InputError) as error:
-            load_family(path)
-        assert words in str(error.value)
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, '{"kind": "family", "members": ' + "[" * 100_000])
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, '{"kind": "net", "cell": ' + "[" * 100_000])
 def test_deep_json_is_refused(tmp_path, text):
     path = tmp_path / "deep.json"
     path.write_text(text)
-    for read in (load_law, load_family):
-        with pytest.raises(InputError, match="nested too deeply"):
-            read(path)
+    with pytest.raises(InputError, match="nested too deeply"):
+        load_law(path)
 
 
 def test_deep_toml_is_refused(tmp_path):

@@ -7,7 +7,6 @@ import pytest
 
 import homogenize.laws.net
 import homogenize.laws.polyhedral
-import homogenize.laws.smooth
 import rve.common.errors
 import rve.geometry.circles
 from benchmarks.stability.laws import kinds
@@ -126,7 +125,7 @@ def test_laws_need_their_check_for_numbers(monkeypatch):
         for function in (law.response, law.cut, law.support):
             with pytest.raises(InputError, match="finite numbers, row 0"):
                 function(nan)
-    for module in (homogenize.laws.net, homogenize.laws.polyhedral, homogenize.laws.smooth):
+    for module in (homogenize.laws.net, homogenize.laws.polyhedral):
         monkeypatch.setattr(module, "check_finite", lambda *_: None)
     assert np.isnan(laws["net, of the rings"].support(nan)).all()
     assert np.isnan(laws["polyhedral, of the rings"].cut(nan).violation).all()

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main as homogenize
-from homogenize.ship import SHIPPED
+from homogenize.fitting.shipped import SHIPPED
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
 from rve.common.command_line import Group

@@ -14,52 +14,49 @@ from numpy.typing import NDArray
 
 from homogenize.fitting.rows import Rows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
-from homogenize.strain_bounds import strain_bounds
+from homogenize.query.strain_bounds import strain_bounds
+from rve.common.records import Rows as Records
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 from rve.common.types import Array
+from rve.common.values import Options, entry, finite, list_of, number, whole
 
 FLAT = 1e-6
 """C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
 
 
-INWARD = 5e-4
-"""A polyhedral law misses the rim of the tensile cone by 2.4e-4: a load of rank one is approached from inside, as the
-limit of beta, which is also how the table answers where the strain under such a load is not unique."""
-
-RETRIES = (1.0, 3.0, 10.0)
-"""Multiples of the offset with which a failed point is walked to from beta = 45 degrees: larger is smoother."""
-
-WIDTH = 0.05
-"""Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
-
-SAME_LOAD = 1e-9
-"""A row answers for load directions whose unit Cauchy loads differ by less in every component."""
-
-FAR = 10.0
-"""Multiple of the offset from which the closest strain is the one that locks under the normal."""
-
-
 @dataclass(frozen=True)
-class StrainOptions:
-    """`offset`: length of X - E as a strain; `tolerance` on the load direction (unit trace); iteration limits.
+class StrainOptions(Options):
+    """How the strain under a load is found; InputError for values out of range.
 
-    A small offset resolves sharp edges better, a large one makes the surface smoother for Newton.
+    offset: length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface
+    smoother for Newton. tolerance: largest error of the load direction (unit trace). newton_steps: limit per load.
+    path_steps: loads on the way from beta = 45 degrees to a load that fails at first. retries: multiples of the offset
+    with which that way is tried. singular: singular values of the Jacobian below this share of the largest count as 0.
+    inward: loads of rank one are replaced by loads this far inside the tensile cone, because a polyhedral law misses
+    the rim by 2.4e-4; the table also answers with the limit of beta. width: strains under one load that differ by more
+    are not one strain; facets between rows are an order smaller. same_load: a row answers for loads whose unit Cauchy
+    loads differ by less in every component. far: multiple of the offset at which the first guess starts.
     """
 
-    offset: float = 0.1
-    tolerance: float = 1e-9
-    newton_steps: int = 60
-    path_steps: int = 18
-    singular: float = 1e-9
+    offset: float = number(0.1, above=0.0, most=10.0)
+    tolerance: float = number(1e-9, least=0.0, most=1.0)
+    newton_steps: int = whole(60, least=1, most=100_000)
+    path_steps: int = whole(18, least=1, most=100_000)
+    retries: tuple[float, ...] = entry(list_of(finite(above=0.0, most=1e3), "factors", most=100), (1.0, 3.0, 10.0))
+    singular: float = number(1e-9, least=0.0, most=1.0)
+    inward: float = number(5e-4, least=0.0, most=0.5)
+    width: float = number(0.05, above=0.0, most=10.0)
+    same_load: float = number(1e-9, least=0.0, most=1e-3)
+    far: float = number(10.0, above=0.0, most=1e6)
 
 
 @dataclass(frozen=True, eq=False)
 class LockedStrain:
     """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status`, `iterations` (n,).
 
-    E_min, E_max (n, 3): bounds of the rings' locked strain from the rows of the table, nan if no rows were given.
+    E_min, E_max (n, 3): bounds of the rings' locked strain from the rows of the table, nan if there are no rows.
     status is "converged" or "no_convergence" (the residual says by how much: try a larger offset or more steps).
-    unique is false where another strain carries the same load, and where the bounds are too wide to tell (`WIDTH`).
+    unique is false where another strain carries the same load, and where the bounds are wider than the options' width.
     """
 
     E: Array
@@ -73,7 +70,16 @@ class LockedStrain:
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class _Search:
+    """What stays the same during a search: the law, its options, and the trace of S (N/mm) in X = E + A S."""
+
+    law: MembraneLaw
+    options: StrainOptions
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class _State(Records):
     """One evaluation at X (n, 3): surface strain, residual (n, 3) and its Jacobian (n, 3, 3)."""
 
     X: Array
@@ -97,38 +103,39 @@ def locked_strain(
 
     With the `rows` of the table behind the law the answer has bounds (a tenth of a second per load), and a load that is
     a row's own gets this row's strain. Without them the answer is the law's alone.
-    Starts where the load on the undeformed cell would lock; points that fail walk from beta = 45 degrees to theirs.
+    Starts where the load on the undeformed cell would lock; loads that fail are approached from beta = 45 degrees.
     """
     options = options or StrainOptions()
     alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
     beta = np.asarray(beta, float)
-    scale = _scale(law, options)
-    state, steps = _newton(law, alpha, beta, _start(law, alpha, beta, scale), scale, options)
-    for factor in RETRIES:
+    search = _Search(law, options, options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max()))
+    state, steps = _newton(search, alpha, beta, _start(search, alpha, beta))
+    for factor in options.retries:
         failed = np.flatnonzero(state.size() > options.tolerance)
         if not failed.size:
             break
-        start = _start(law, alpha[failed], np.full(len(failed), 45.0), factor * scale)
-        again, more = _walk(law, alpha[failed], beta[failed], start, factor * scale, options)
+        wider = replace(search, scale=factor * search.scale)
+        start = _start(wider, alpha[failed], np.full(len(failed), 45.0))
+        again, more = _walk(wider, alpha[failed], beta[failed], start)
         steps[failed] += more
         better = again.size() < state.size()[failed]
-        state = _merge(state, failed[better], again, better)
+        state = state.put(failed[better], again.take(better))
     good = state.size() <= options.tolerance
     S = state.S / np.where(good, trace(state.S), 1.0)[:, None]
-    unique = face_width(law, S) < WIDTH
+    unique = face_width(law, S) < options.width
     status = np.where(good, "converged", "no_convergence")
     unknown = np.full(S.shape, np.nan)
     found = LockedStrain(state.E, unknown, unknown, S, state.size(), unique, status, steps)
-    return found if rows is None else _with_rows(found, rows, alpha, beta)
+    return found if rows is None else _with_rows(found, rows, alpha, beta, options)
 
 
-def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array) -> LockedStrain:
+def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array, options: StrainOptions) -> LockedStrain:
     """The answer with the bounds that follow from the rows; a row's own load gets the row's strain and flag."""
     from rve import cauchy_line_load
 
     s, both, slack = cauchy_line_load(alpha, beta), with_mirror(rows), -normality(rows).slack
     same = np.abs(s[:, None] - _cauchy_load(both)).max(axis=2)
-    at, row = np.flatnonzero(same.min(axis=1) < SAME_LOAD), same.argmin(axis=1)
+    at, row = np.flatnonzero(same.min(axis=1) < options.same_load), same.argmin(axis=1)
     row = row[at]
     alone = both.unique[row]
     low, high = np.empty(s.shape), np.empty(s.shape)
@@ -137,7 +144,7 @@ def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array) -> Lo
     low[open_], high[open_] = bounds.E_min, bounds.E_max
     low[at[alone]] = high[at[alone]] = both.E[row[alone]]
     E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
-    unique = found.unique & ((high - low).max(axis=1) < WIDTH)
+    unique = found.unique & ((high - low).max(axis=1) < options.width)
     E[at], S[at], unique[at], residual[at], status[at] = both.E[row], both.S[row], alone, 0.0, "converged"
     low[at], high[at] = np.fmin(low[at], E[at]) - slack, np.fmax(high[at], E[at]) + slack
     return replace(found, E=E, E_min=low, E_max=high, S=S, residual=residual, unique=unique, status=status)
@@ -151,11 +158,6 @@ def _cauchy_load(rows: Rows) -> Array:
     S = np.stack([rows.S[:, [0, 1]], rows.S[:, [1, 2]]], axis=1)
     s = (F @ S @ F.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
     return np.asarray(s / np.sqrt((s * s) @ WEIGHT)[:, None])
-
-
-def _scale(law: MembraneLaw, options: StrainOptions) -> float:
-    """Trace of S (N/mm) that puts X about `offset` away from the surface."""
-    return options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())
 
 
 def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
@@ -178,34 +180,33 @@ def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
     return width
 
 
-def _start(law: MembraneLaw, alpha: Array, beta: Array, scale: float) -> Array:
+def _start(search: _Search, alpha: Array, beta: Array) -> Array:
     """X (n, 3) of the strain that locks under the load at the undeformed cell, seen from far along its normal."""
     from rve import cauchy_line_load
 
-    S = scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta))
-    away = S @ law.compliance.T
-    return law.response(FAR * away).E_star + away
+    S = search.scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta), search.options.inward)
+    away = S @ search.law.compliance.T
+    return search.law.response(search.options.far * away).E_star + away
 
 
-def _evaluate(law: MembraneLaw, s: Array, X: Array, scale: float) -> _State:
+def _evaluate(search: _Search, s: Array, X: Array) -> _State:
     """Residual S/scale - load(E) of unit trace and its derivative with respect to X."""
-    answer = law.response(X)
+    answer, inward, step = search.law.response(X), search.options.inward, 1e-6
     E, S = answer.E_star, answer.S
-    load = _load(E, s)
-    step = 1e-6
-    d_load = np.stack([(_load(E + step * e, s) - _load(E - step * e, s)) / (2.0 * step) for e in np.eye(3)], axis=-1)
-    dE = np.eye(3) - law.compliance @ answer.C
-    return _State(X, E, S, S / scale - load, answer.C / scale - d_load @ dE)
+    sides = [(_load(E + step * e, s, inward), _load(E - step * e, s, inward)) for e in np.eye(3)]
+    d_load = np.stack([(ahead - behind) / (2.0 * step) for ahead, behind in sides], axis=-1)
+    dE = np.eye(3) - search.law.compliance @ answer.C
+    return _State(X, E, S, S / search.scale - _load(E, s, inward), answer.C / search.scale - d_load @ dE)
 
 
-def _load(E: Array, s: Array) -> Array:
-    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `INWARD` from the rim of the cone."""
+def _load(E: Array, s: Array, inward: float) -> Array:
+    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `inward` from the rim of the cone."""
     from rve import deformation_gradient, second_pk
 
     S = second_pk(deformation_gradient(_possible(E)), s)
     x = disc(S / trace(S)[:, None])
     radius = np.hypot(x[:, 0], x[:, 1])
-    return from_disc(x * ((1.0 - INWARD) / np.maximum(radius, 1.0 - INWARD))[:, None])
+    return from_disc(x * ((1.0 - inward) / np.maximum(radius, 1.0 - inward))[:, None])
 
 
 def _possible(E: Array) -> Array:
@@ -220,14 +221,12 @@ def _possible(E: Array) -> Array:
     return scale[:, None] * E
 
 
-def _newton(
-    law: MembraneLaw, alpha: Array, beta: Array, X: Array, scale: float, options: StrainOptions
-) -> tuple[_State, NDArray[np.int64]]:
+def _newton(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_State, NDArray[np.int64]]:
     """Damped Newton from X (n, 3), least-norm steps where the strain is not unique; last state and steps taken."""
     from rve import cauchy_line_load
 
-    s = cauchy_line_load(alpha, beta)
-    state = _evaluate(law, s, X, scale)
+    options, s = search.options, cauchy_line_load(alpha, beta)
+    state = _evaluate(search, s, X)
     steps = np.zeros(len(X), np.int64)
     for _ in range(options.newton_steps):
         todo = np.flatnonzero(state.size() > options.tolerance)
@@ -236,40 +235,31 @@ def _newton(
         steps[todo] += 1
         dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=options.singular), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
-        state = _search(law, s, state, todo, dX, scale)
+        state = _line_search(search, s, state, todo, dX)
     return state, steps
 
 
-def _walk(
-    law: MembraneLaw, alpha: Array, beta: Array, X: Array, scale: float, options: StrainOptions
-) -> tuple[_State, NDArray[np.int64]]:
-    """Newton along a path of loads from beta = 45 degrees, where it starts at X (n, 3), to beta."""
+def _walk(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_State, NDArray[np.int64]]:
+    """Newton along a path of loads from beta = 45 degrees, where it starts at X (n, 3), to beta.
+
+    The steps get shorter towards the end, because strains change fast at beta = 0.
+    """
     steps = np.zeros(len(X), np.int64)
-    for left in (
-        np.linspace(1.0, 0.0, options.path_steps + 1) ** 3
-    ):  # ever shorter steps: strains change fast at beta = 0
-        state, more = _newton(law, alpha, beta + left * (45.0 - beta), X, scale, options)
+    for left in np.linspace(1.0, 0.0, search.options.path_steps + 1) ** 3:
+        state, more = _newton(search, alpha, beta + left * (45.0 - beta), X)
         X, steps = state.X, steps + more
     return state, steps
 
 
-def _search(law: MembraneLaw, s: Array, state: _State, todo: NDArray[np.int64], dX: Array, scale: float) -> _State:
+def _line_search(search: _Search, s: Array, state: _State, todo: NDArray[np.int64], dX: Array) -> _State:
     """Halves the step until the residual falls; after six halvings takes the last one, to leave a corner."""
     length, waiting = 1.0, np.arange(len(todo))
     before = state.size()[todo]
     for half in range(7):
-        trial = _evaluate(law, s[todo[waiting]], state.X[todo[waiting]] + length * dX[waiting], scale)
+        trial = _evaluate(search, s[todo[waiting]], state.X[todo[waiting]] + length * dX[waiting])
         ok = (trial.size() < (1.0 - 1e-4 * length) * before[waiting]) | (half == 6)
-        state = _merge(state, todo[waiting[ok]], trial, ok)
+        state = state.put(todo[waiting[ok]], trial.take(ok))
         waiting, length = waiting[~ok], 0.5 * length
         if not waiting.size:
             break
     return state
-
-
-def _merge(state: _State, where: NDArray[np.int64], other: _State, pick: NDArray[np.bool_]) -> _State:
-    """`state` with the points `where` replaced by the points `pick` of `other`."""
-    new = {name: getattr(state, name).copy() for name in ("X", "E", "S", "r", "J")}
-    for name, array in new.items():
-        array[where] = getattr(other, name)[pick]
-    return _State(**new)

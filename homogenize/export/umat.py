@@ -333,5 +333,5 @@ def data_statements(name: str, values: Array) -> list[str]:
 
 
 def write_umat(law: MembraneLaw, path: str | Path, title: str = "") -> None:
-    """Writes the source of the law to `path`, whole or not at all."""
+    """Writes the source of the law to `path` (atomic: the file is complete or absent)."""
     write_text(Path(path), umat_source(law, title))
