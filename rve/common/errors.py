@@ -13,7 +13,7 @@ class NotConverged(RuntimeError):
     """A single solve did not reach its tolerance; the message holds the status and its sentence."""
 
 
-class OldName(DeprecationWarning):
+class OldName(FutureWarning):
     """A file uses a name that has changed; the message says the new one. Commands print it on standard error."""
 
 
