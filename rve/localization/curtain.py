@@ -12,13 +12,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.cells import as_triangles, recovered, triangle_areas
 from rve.common.errors import InputError
 from rve.common.jobs import check_belongs
 from rve.common.reading import read_json_object
 from rve.common.rings import RING_CHECKS, check_rings
 from rve.common.types import Array
 from rve.common.values import checked, finite, shown
-from rve.common.vtu import VtuFile, read_vtu
+from rve.common.vtu import DISPLACEMENT, LINE_LOAD_1, OLD_REFERENCE, STATE, STRAIN, STRESS, VtuFile, read_vtu
 
 CURTAIN_RECORD, CURTAIN_VTU = "summary.json", "curtain.vtu"
 """The file that stands for a curtain's job and lists the others by their checksums, and the one with its fields."""
@@ -26,10 +27,10 @@ HANG_DEG = finite(least=-360.0, most=360.0)
 MOST_NUMBER = 1e12
 """Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
 _CELL_FIELDS = {
-    "E": ("E_11_12_22", 3),
-    "S": ("S_11_12_22_N_per_mm", 3),
-    "line_load": ("line_load_1_N_per_mm", 1),
-    "state": ("state_0_slack_1_wrinkled_2_taut", 1),
+    "E": (STRAIN, 3),
+    "S": (STRESS, 3),
+    "line_load": (LINE_LOAD_1, 1),
+    "state": (STATE, 1),
 }
 
 
@@ -68,11 +69,10 @@ class Curtain:
 
         S is averaged over neighbouring cells. InputError, which begins with `where`, for cells without area.
         """
-        triangles, cell = cells, np.arange(len(cells))
-        if cells.shape[1] == 4:
-            triangles, cell = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(cell, 2)
+        triangles, cell = as_triangles(cells)
         _check_triangles(where, X, triangles, cell)
-        return cls(X, x, triangles, cell, E, _recovered(S, X, cells, triangles, cell), line_load, state.astype(int))
+        area = np.asarray(np.bincount(cell, weights=triangle_areas(X[triangles]), minlength=len(cells)), dtype=float)
+        return cls(X, x, triangles, cell, E, recovered(cells, S, area), line_load, state.astype(int))
 
 
 class SolvedCurtain(Protocol):
@@ -116,10 +116,10 @@ def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
     points, number = np.asarray(data.points, dtype=float), len(data.points)
     if not np.isfinite(points).all():
         raise InputError(f"{path}: a point is not finite")
-    if "reference_mm" in data.point_data:  # an older version: points are deformed
-        reference, deformed = _field(path, data.point_data, "reference_mm", 3, number), points
+    if OLD_REFERENCE in data.point_data:  # an older version: points are deformed
+        reference, deformed = _field(path, data.point_data, OLD_REFERENCE, 3, number), points
     else:
-        reference, deformed = points, points + _field(path, data.point_data, "displacement_mm", 3, number)
+        reference, deformed = points, points + _field(path, data.point_data, DISPLACEMENT, 3, number)
     for state in (reference, deformed):
         if np.abs(state).max() > MOST_NUMBER:
             raise InputError(f"{path}: a coordinate is {np.abs(state).max():g} mm, at most {MOST_NUMBER:g} is allowed")
@@ -142,33 +142,12 @@ def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) 
     return found.reshape((count, width) if width > 1 else count)
 
 
-def _areas(X: Array, triangles: NDArray[np.intp]) -> Array:
-    (ax, ay), (bx, by) = ((X[triangles[:, k]] - X[triangles[:, 0]]).T for k in (1, 2))
-    return np.asarray(0.5 * np.abs(ax * by - ay * bx))
-
-
 def _check_triangles(where: str, X: Array, triangles: NDArray[np.intp], owner: NDArray[np.intp]) -> None:
     if triangles.min() < 0 or triangles.max() >= len(X):
         raise InputError(f"{where}: a cell names point {triangles.max()}, there are {len(X)}")
-    area = _areas(X, triangles)
+    area = triangle_areas(X[triangles])
     if not area.min() > 1e-12 * area.max():
         raise InputError(f"{where}: cell {owner[int(np.argmin(area))]} has no area in the reference state")
-
-
-def _recovered(
-    S: Array, X: Array, cells: NDArray[np.intp], triangles: NDArray[np.intp], owner: NDArray[np.intp]
-) -> Array:
-    """S averaged over the cells at each corner, then over the corners of each cell.
-
-    The stress of locked cells is right on average only: neighbours share a load as the equilibrium of corners happens
-    to leave it. Averages of tensions are tensions.
-    """
-    area = np.bincount(owner, weights=_areas(X, triangles), minlength=len(cells))
-    corners, size = cells.ravel(), cells.shape[1]
-    total = np.bincount(corners, weights=np.repeat(area, size), minlength=len(X))
-    columns = [np.bincount(corners, weights=np.repeat(area * c, size), minlength=len(X)) for c in S.T]
-    at_corners = np.stack(columns, axis=1) / np.maximum(total, 1e-300)[:, None]
-    return np.asarray(at_corners[cells].mean(axis=1))
 
 
 @dataclass(frozen=True)
