@@ -30,6 +30,8 @@ from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, gree
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from rve.equilibrium.states import LockedStates
+
 __all__ = [
     "COLUMNS",
     "COMPLIANCE_COLUMNS",
@@ -38,7 +40,6 @@ __all__ = [
     "cauchy_line_load",
     "deformation_gradient",
     "green_lagrange",
-    "joined_tables",
     "provenance_path",
     "read_table",
     "second_pk",
@@ -75,7 +76,8 @@ class StrainTable:
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
     unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
-    method, tolerances, versions, wall time.
+    method, tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to
+    files, None for a table that was read.
     """
 
     alpha_deg: Array
@@ -92,6 +94,7 @@ class StrainTable:
     iterations: NDArray[np.intp]
     compliance: Array | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    states: LockedStates | None = field(default=None, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -137,16 +140,6 @@ class StrainTable:
         rows = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S])[:5]
         body = "".join("<tr>" + "".join(f"<td>{x:.6g}</td>" for x in row) + "</tr>" for row in rows)
         return f"<p>{self}</p><table><tr>{head}</tr>{body}</table>"
-
-
-def joined_tables(tables: list[StrainTable]) -> StrainTable:
-    """One table with the rows of all, in order; compliance only if all have it; no provenance."""
-    columns: dict[str, Any] = {}
-    for name, value in vars(tables[0]).items():
-        parts = [getattr(table, name) for table in tables]
-        if isinstance(value, np.ndarray) and all(part is not None for part in parts):
-            columns[name] = np.concatenate(parts)
-    return StrainTable(**columns)
 
 
 def provenance_path(path: str | os.PathLike[str]) -> Path:

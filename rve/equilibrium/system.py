@@ -18,20 +18,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Rows
 from rve.common.types import Array
 from rve.geometry.circles import distance_gradient, distance_hessian
 from rve.geometry.contacts import Contacts, find_contacts
-from rve.geometry.pose import Pose, pair_maps, reduction
+from rve.geometry.pose import Pose, pair_maps, reduction, ring_normals
 from rve.geometry.weave import Weave
 
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 IDLE = 1e-6
-"""Contacts with less force, in units of s r1, do without curvature: a tenth to a third of them, and no step changes."""
+"""Contacts with less force, in units of s r1, get no curvature: a tenth to a third of them; no step changes."""
 
 
 @dataclass(frozen=True)
-class System:
+class System(Rows):
     """Equations of a batch of n poses with m coordinates and c contact slots.
 
     r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix
@@ -44,19 +45,6 @@ class System:
     G: Array
     M: Array
     size: Array
-
-    def take(self, rows: NDArray[np.bool_]) -> System:
-        """The equations of these cases."""
-        return System(*(column[rows] for column in vars(self).values()))
-
-    def put(self, rows: NDArray[np.intp], other: System) -> System:
-        """A copy in which the equations of `rows` are replaced by those of `other`."""
-        columns = []
-        for name, part in vars(other).items():
-            array = getattr(self, name).copy()
-            array[rows] = part
-            columns.append(array)
-        return System(*columns)
 
     @property
     def weighted_residual(self) -> Array:
@@ -150,10 +138,9 @@ def mirror_modes(weave: Weave) -> Array:
 class Equations:
     """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
-    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
-    (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
-    far_pairs: whether pairs too far apart to touch are sampled all the same; idle_curvature: whether contacts without
-    force take part in J with their curvature.
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
+    far_pairs: pairs too far apart to touch are sampled as well; idle_curvature: J holds the curvature of contacts
+    without force as well. Both are for benchmarks: they cost time and change no result (docs/reports/omissions.md).
     """
 
     weave: Weave
@@ -162,7 +149,6 @@ class Equations:
     mass: Array
     modes: Array
     load: Load = field(default_factory=LineLoad)
-    middle: tuple[int, int] | None = None
     far_pairs: bool = False
     idle_curvature: bool = False
 
@@ -176,25 +162,9 @@ class Equations:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
         return find_contacts(pose, self.weave, self.wire, reach, far_pairs=self.far_pairs)
 
-    def motions(self, pose: Pose) -> Array:
-        """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""
-        if self.middle is None:
-            return self.modes[None]
-        i, j = self.middle
-        x2, y3, t = pose.lattice.T
-        B = np.tile(self.modes, (len(t), 1, 1))
-        B[:, 3, 0], B[:, 3, 1], B[:, 3, 2] = 0.5 * i, 0.5 * j * t, 0.5 * j * y3
-        B[:, 4, 0], B[:, 4, 1], B[:, 4, 2] = 0.5 * i * t, 0.5 * j, 0.5 * i * x2
-        return B
-
-    def displacement(self, y: Array, pose: Pose) -> Array:
-        """Reduced displacement (n, m) from a pose by the mode amplitudes y (n, k)."""
-        v = np.matmul(self.motions(pose), y[..., None])[..., 0]
-        if self.middle is not None:  # a1y = t x2 and a2x = t y3 are bilinear, and the second ring follows them
-            i, j = self.middle
-            v[:, 3] += 0.5 * j * y[:, 1] * y[:, 2]
-            v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
-        return v
+    def displacement(self, y: Array) -> Array:
+        """Reduced displacement (n, m) by the mode amplitudes y (n, k)."""
+        return np.matmul(self.modes, y[..., None])[..., 0]
 
     def assemble(
         self, pose: Pose, contacts: Contacts, lam: Array, s: Array, curved: NDArray[np.bool_] | None = None
@@ -203,11 +173,12 @@ class Equations:
 
         curved (n,): cases whose J holds the curvature of the contacts, by default all.
         """
-        n, pairs = len(s), len(self.weave.pairs)
+        n = len(s)
         T = reduction(pose)
         m = T.shape[2]
-        case, pair = np.divmod(contacts.minima.pair, pairs)
-        g = distance_gradient(contacts.minima)
+        minima = contacts.minima
+        case, pair = np.divmod(minima.pair, len(self.weave.pairs))
+        g = distance_gradient(minima)
         LT = np.matmul(self.maps[pair], T[case])
         G_rows = np.matmul(g[:, None, :], LT)[:, 0]
         force = lam[contacts.present]
@@ -217,7 +188,7 @@ class Equations:
         np.add.at(r, case, force[:, None] * G_rows)
         works = force > (-1.0 if self.idle_curvature else IDLE)
         bent = np.flatnonzero(works if curved is None else works & curved[case])
-        H = distance_hessian(contacts.minima.take(bent), contacts.normal_a[bent], contacts.normal_b[bent], 1.0)
+        H = distance_hessian(minima.take(bent), *ring_normals(pose, self.weave, case[bent], pair[bent]), 1.0)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
         np.add.at(J, case[bent], force[bent, None, None] * LTHLT)
         on_lattice = np.zeros((n, 4))
@@ -227,10 +198,7 @@ class Equations:
         G = np.zeros((n, *contacts.present.shape[1:], m))
         G[contacts.present] = G_rows
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        B = self.motions(pose)
-        Bt = B.transpose(0, 2, 1)
-        f, M = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B
-        J = Bt @ J @ B
-        if self.middle is not None:
-            add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
-        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G.reshape(n, -1, m) @ B, M, self.load.size(f, M))
+        B, G = self.modes, G.reshape(n, -1, m)
+        if B.shape[1] < m:
+            r, f, J, G, M = r @ B, f @ B, B.T @ J @ B, G @ B, B.T @ M @ B
+        return System(r, f, J, G, M, self.load.size(f, M))

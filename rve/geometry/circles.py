@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Index, Rows
 from rve.common.types import Array
-
-Index = NDArray[np.intp]
 
 # Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature r1^2/D a minimum may have a
 # twin between two samples, so its neighbourhood is sampled again.
@@ -27,7 +26,7 @@ _ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True)
-class Minima:
+class Minima(Rows):
     """Local minima of the distance of two circles, one row per minimum.
 
     pair (m,) row of the input; normal (m, 3) unit vector from the point of A to the point of B; rho_a, rho_b (m, 3)
@@ -41,15 +40,6 @@ class Minima:
     rho_b: Array
     distance: Array
     curvature: Array
-
-    def take(self, rows: NDArray[np.bool_] | Index) -> Minima:
-        """The minima of these rows."""
-        return Minima(*(column[rows] for column in vars(self).values()))
-
-    def joined(self, *others: Minima) -> Minima:
-        """These minima and the others, one after the other."""
-        columns = zip(*(vars(part).values() for part in (self, *others)), strict=True)
-        return Minima(*(np.concatenate(column) for column in columns))
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -253,7 +243,7 @@ def _with_twins(
 
 def _joined(parts: list[Minima], r1: float) -> Minima:
     """All parts, each point once, sorted by pair and distance."""
-    both = parts[0].joined(*parts[1:])
+    both = parts[0].join(parts[1:])
     order = np.lexsort((both.distance, both.pair))
     both = both.take(order)
     first = np.ones(len(order), dtype=bool)
