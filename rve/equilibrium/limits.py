@@ -117,7 +117,7 @@ def _extrapolated(
     stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
     known = np.all([part.status == "converged" for part in three], axis=0)
     ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
-    status = np.where(ok, "converged", "no-limit")
+    status = np.where(ok, "converged", "no-limit").astype("<U16")
     return replace(three[-1], pose=pose, lam=lam, contacts=contacts, R=R, status=status)
 
 
@@ -192,9 +192,10 @@ def with_limits(
         return found, unique
     limit = limit_equilibrium(s[rows], equations, options)
     good = limit.status == "converged"
-    found = replace(found, status=np.where(unique, found.status, "no-limit"))
+    found = replace(found, status=np.where(unique, found.status, "no-limit").astype("<U16"))
     found = found.put(rows[good], limit.take(np.flatnonzero(good)))
     reached = rows[good & stalled[rows]]
     if len(reached):
-        unique[reached] = strain_is_unique(equations, found.take(reached), s[reached])
+        free = reached[~strain_is_unique(equations, found.take(reached), s[reached])]
+        unique = unique & ~np.isin(np.arange(len(s)), free)
     return found, unique

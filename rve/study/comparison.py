@@ -22,13 +22,14 @@ from rve.common.files import write_text
 from rve.common.jobs import check_out_job, job
 from rve.common.types import Array
 from rve.common.versions import versions
-from rve.directions import product
+from rve.directions import grid
 from rve.equilibrium.compliance import strain
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.paper import stewart_trinkle as st
-from rve.paper.stewart_trinkle import History, Settled, StewartTrinkleOptions
+from rve.paper.dynamics import StewartTrinkleOptions
+from rve.paper.stewart_trinkle import History, Settled
 from rve.solve import solve_table
 from rve.table import StrainTable
 
@@ -65,11 +66,6 @@ class Study:
         """Row of a load direction, None where the study has none."""
         rows = np.flatnonzero((self.alpha_deg == alpha_deg) & (self.beta_deg == beta_deg))
         return int(rows[0]) if len(rows) else None
-
-
-def paper_grid() -> tuple[Array, Array]:
-    """The 190 load cases of the paper's Fig. 9 in its order, beta running fastest."""
-    return product(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0))
 
 
 def solve_study(
@@ -234,7 +230,7 @@ def run(
     check_out_job(out_dir, RECORD)
     tell = progress or (lambda text: None)
     tell("solving by the paper's scheme and directly")
-    alpha, beta = paper_grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
+    alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
     study = solve_study(alpha, beta, None, options)
     with job(out_dir, RECORD) as folder:
         _write(study, folder, tell)
