@@ -95,14 +95,14 @@ def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: 
     return Settled(pose=pose, contacts=contacts, **columns)
 
 
-def _key(s: Array, wire: float, weave: Weave, options: StewartTrinkleOptions) -> str:
+def checkpoint_key(s: Array, wire: float, weave: Weave, options: StewartTrinkleOptions) -> str:
     """Fingerprint of everything that decides a result."""
     text = json.dumps([weave.name, weave.repeat, wire, asdict(options), s.tolist()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _solved_block(s: Array, weave: Weave, wire: float, options: StewartTrinkleOptions, path: Path | None) -> Settled:
-    equations, key = Equations.of(weave, wire), _key(s, wire, weave, options)
+    equations, key = Equations.of(weave, wire), checkpoint_key(s, wire, weave, options)
     if path is not None and path.exists():
         return load(path, equations, options, key, len(s))
     rest = solve(s, equations, options)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
+from rve.directions import grid
 from rve.geometry.cell import Cell
 from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 from rve.study import comparison as study
