@@ -74,9 +74,7 @@ def _cell(r1: float, r2: float, density: float, grain: str, weave: str) -> Any:
     return Cell(r1, r2, WEAVES[weave], grain, density / 1e9)
 
 
-def _solved(
-    method: str, directions: tuple[Any, Any], mesh: Any, checkpoint: Path | None, workers: int
-) -> Any:
+def _solved(method: str, directions: tuple[Any, Any], mesh: Any, checkpoint: Path | None, workers: int) -> Any:
     """The table of these load directions by either method."""
     from rve.paper.checkpoints import SweepOptions
     from rve.paper.table import solve_table_stewart_trinkle

@@ -65,7 +65,7 @@ def ring_points(states: LockedStates, ring: Array, count: int = 97) -> Array:
 
 
 def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
-    """Loaded contacts of the drawn rings of the first state: points (m, 3) in mm, normals (m, 3), forces (m,) in s r1."""
+    """Loaded contacts of the drawn rings of the first state: points (m, 3) in mm, normals (m, 3), forces (m,)."""
     cell, pose, contacts = states.cell, states.pose, states.contacts
     drawn = {tuple(int(x) for x in ring) for ring in cell.weave.rings}
     points, normals, forces = [], [], []

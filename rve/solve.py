@@ -41,9 +41,7 @@ def locked(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
     return states.found, states.s, states.unique
 
 
-def locked_block(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
-) -> tuple[LockedStates, Work]:
+def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[LockedStates, Work]:
     """Locked states of one block of loads, and what the solver has met; see `locked`."""
     s = cauchy_line_load(alpha_deg, beta_deg)
     if cell.grain == "x":

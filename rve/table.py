@@ -104,6 +104,17 @@ class StrainTable:
         """Rows to rely on, (n,)."""
         return self.status == "converged"
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of the CSV file, by name."""
+        numbers = np.column_stack(
+            [self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm, self.R, self.min_gap_mm]
+        )
+        columns: dict[str, NDArray[Any]] = dict(zip(COLUMNS[:14], numbers.T, strict=True))
+        columns |= {name: getattr(self, name) for name in COLUMNS[14:]} | {"unique": self.unique.astype(int)}
+        if self.compliance is not None:
+            columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
+        return columns
+
     def to_pandas(self) -> DataFrame:
         """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold the provenance.
 
@@ -112,16 +123,7 @@ class StrainTable:
         require("pandas", "notebook", "to_pandas()", "read the CSV file in another way")
         from pandas import DataFrame
 
-        numbers = np.column_stack(
-            [self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm, self.R, self.min_gap_mm]
-        )
-        columns: dict[str, Any] = dict(zip(COLUMNS[:14], numbers.T, strict=True))
-        for name in COLUMNS[14:]:
-            columns[name] = getattr(self, name)
-        columns["unique"] = self.unique.astype(int)
-        if self.compliance is not None:
-            columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
-        frame = DataFrame(columns)
+        frame = DataFrame(self._columns())
         frame.attrs.update(self.provenance)
         return frame
 
@@ -147,22 +149,11 @@ def provenance_path(path: str | os.PathLike[str]) -> Path:
     return sidecar_path(path)
 
 
-def _cells(table: StrainTable) -> list[list[str]]:
-    def real(x: float) -> str:
-        return repr(float(x)) if np.isfinite(x) else ""
-
-    numbers = np.column_stack(
-        [table.alpha_deg, table.beta_deg, table.E, table.S, table.x2_mm, table.x3_mm, table.R, table.min_gap_mm]
-    )
-    rows = []
-    for i, row in enumerate(numbers):
-        cells = [real(x) for x in row]
-        cells += [str(int(table.contacts[i])), str(int(table.unique[i])), str(table.status[i])]
-        cells.append(str(int(table.iterations[i])))
-        if table.compliance is not None:
-            cells += [real(x) for x in table.compliance[i].ravel()]
-        rows.append(cells)
-    return rows
+def _text(values: NDArray[Any]) -> list[str]:
+    """A column as cells of a CSV file; numbers in full, an unknown number is an empty cell."""
+    if values.dtype.kind != "f":
+        return [str(value) for value in values]
+    return [repr(float(value)) if np.isfinite(value) else "" for value in values]
 
 
 def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
@@ -173,8 +164,8 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), provenance_path(path)
-    header = COLUMNS + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
-    lines = [",".join(header)] + [",".join(cells) for cells in _cells(table)]
+    columns = table._columns()
+    lines = [",".join(columns), *map(",".join, zip(*map(_text, columns.values()), strict=True))]
     with job(target.parent, sidecar.name, clears=False) as folder:
         write_text(folder / target.name, "\n".join(lines) + "\n")
         write_text(folder / sidecar.name, json.dumps({"format": TABLE_FORMAT} | table.provenance, indent=2) + "\n")

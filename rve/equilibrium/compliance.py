@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.records import Flags, Index, Rows
-from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
 from rve.equilibrium.contact_qp import Programme, solve_contact_step
@@ -258,18 +257,6 @@ def _pk_derivative(F: Array, dF: Array, s: Array) -> Array:
     back = np.einsum("nxkj,nky->nxyj", turn, S)
     direct = np.stack([second_pk(F, np.tile(e, (n, 1))) for e in np.eye(3)], axis=2)
     return direct + triple[:, :, None] * dJ_over_J[:, None, :] - _triples(back + back.transpose(0, 2, 1, 3))
-
-
-def symmetric_defect(D: Array) -> Array:
-    """How far diag(1, 2, 1) D is from symmetric, relative to its size, (n,); the potential makes it zero."""
-    W = WEIGHT[:, None] * D
-    skew = np.abs(W - W.transpose(0, 2, 1)).max(axis=(1, 2))
-    return np.asarray(skew / np.abs(W).max(axis=(1, 2)))
-
-
-def rigid_limit(coarse: Array, fine: Array, factor: float) -> Array:
-    """Extrapolation of any quantity from kappa and factor * kappa to rigid contact; its error falls like 1/kappa^2."""
-    return np.asarray((factor * fine - coarse) / (factor - 1.0))
 
 
 def strain(pose: Pose, reference: tuple[float, float]) -> Array:

@@ -180,25 +180,29 @@ class Equations:
         case, pair = np.divmod(minima.pair, len(self.weave.pairs))
         g = distance_gradient(minima)
         LT = np.matmul(self.maps[pair], T[case])
-        G_rows = np.matmul(g[:, None, :], LT)[:, 0]
-        force = lam[contacts.present]
+        G = np.zeros((*contacts.present.shape, m))
+        G[contacts.present] = np.matmul(g[:, None, :], LT)[:, 0]
+        G = G.reshape(n, -1, m)
 
         f, J = self.load.force(pose, T, s)
-        r = f.copy()
-        np.add.at(r, case, force[:, None] * G_rows)
+        r = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0]
+        force = lam[contacts.present]
         works = force > (-1.0 if self.idle_curvature else IDLE)
         bent = np.flatnonzero(works if curved is None else works & curved[case])
         H = distance_hessian(minima.take(bent), *ring_normals(pose, self.weave, case[bent], pair[bent]), 1.0)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
-        np.add.at(J, case[bent], force[bent, None, None] * LTHLT)
-        on_lattice = np.zeros((n, 4))
-        np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
+        cases, first = np.unique(case[bent], return_index=True)
+        if len(cases):
+            J[cases] += np.add.reduceat(force[bent, None, None] * LTHLT, first, axis=0)
+        # The share of each contact force in the force on a1 and a2.
+        flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
+        on_lattice = np.concatenate(
+            [np.einsum("npx,p->nx", flat, shift) for shift in self.weave.pairs[:, 2:].T], axis=1
+        )
         add_lattice_curvature(J, on_lattice)
 
-        G = np.zeros((n, *contacts.present.shape[1:], m))
-        G[contacts.present] = G_rows
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        B, G = self.modes, G.reshape(n, -1, m)
+        B = self.modes
         if B.shape[1] < m:
             r, f, J, G, M = r @ B, f @ B, B.T @ J @ B, G @ B, B.T @ M @ B
         return System(r, f, J, G, M, self.load.size(f, M))

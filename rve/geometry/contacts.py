@@ -21,9 +21,9 @@ SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no
 class Contacts(Rows):
     """Contacts of n cases, pair by pair and slot by slot; entries of empty slots have no meaning unless stated.
 
-    present (n, p, SLOTS): which slots hold a contact; gap (n, p, SLOTS) in units of r1, inf where empty; distance of the
-    centre circles and curvature (n, p, SLOTS), see `Minima`; rho, rho_b (n, p, SLOTS, 3): points relative to the centres
-    of ring a and ring b, rho is 0 where empty; normal (n, p, SLOTS, 3): from a to b; links_intact (n,).
+    present (n, p, SLOTS): which slots hold a contact; gap (n, p, SLOTS) in units of r1, inf where empty; distance of
+    the centre circles and curvature (n, p, SLOTS), see `Minima`; rho, rho_b (n, p, SLOTS, 3): points relative to the
+    centres of ring a and ring b; normal (n, p, SLOTS, 3): from a to b; links_intact (n,).
     """
 
     present: NDArray[np.bool_]

@@ -50,7 +50,8 @@ def alternating_projection(
 def find_contacts_by_projection(pose: Pose, weave: Weave, wire: float, reach: float) -> Contacts:
     """Contacts below `reach` (in r1) that two alternating projections per pair of rings find.
 
-    They start at the points of ring A nearest to and farthest from the centre of ring B. See `rve.geometry.contacts.find_contacts`.
+    They start at the points of ring A nearest to and farthest from the centre of ring B. See `find_contacts` of
+    `rve.geometry.contacts`.
     """
     d, n_a, n_b = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     limit = 2.0 * wire + reach

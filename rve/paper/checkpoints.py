@@ -15,11 +15,12 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from rve.common.errors import InputError, NotConverged
 from rve.common.files import AnyPath, check_out_folder, write_text
 from rve.common.reading import read_json_object
 from rve.common.types import Array
-from rve.common.values import Check, Options, checked, entry, list_of, numbers, one_of, whole
+from rve.common.values import Check, Options, checked, list_of, numbers, one_of, whole
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import SLOTS
 from rve.geometry.pose import Pose
@@ -36,12 +37,10 @@ from rve.geometry.weave import Weave
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.paper.stewart_trinkle import NO_STEP, Settled, finder_of, solve
 
+WITHOUT_FILES = 256
+"""Load cases of a block that has no file."""
 _COUNTS = ("steps", "rejected")
 _POSE = ("lattice", "centres", "normals")
-
-
-def _folder(value: Any) -> Any:
-    return None if value is None else os.fspath(value)
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,8 @@ class SweepOptions(Options):
     A killed sweep loses the blocks that were being solved; smaller blocks lose less and take longer.
     """
 
-    folder: AnyPath | None = entry(_folder, None)
-    block: int = whole(24, least=1, most=1_000_000)
+    folder: AnyPath | None = None
+    block: int = whole(12, least=1, most=1_000_000)
     workers: int = whole(1, least=1, most=1_000)
 
 
@@ -86,7 +85,9 @@ def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: 
     columns = {name: checked(found, name, check, f"{path}:") for name, check in checks.items()}
     for name in ("lattice", "centres"):
         if np.abs(columns[name]).max() > 1e6:
-            raise InputError(f"{path}: {name} reaches {np.abs(columns[name]).max():g} r1; delete the file to start anew")
+            raise InputError(
+                f"{path}: {name} reaches {np.abs(columns[name]).max():g} r1; delete the file to start anew"
+            )
     if np.abs(np.linalg.norm(columns["normals"], axis=2) - 1.0).max() > 1e-6:
         raise InputError(f"{path}: normals: one is not of length 1; delete the file to start anew")
     pose = Pose(*(columns.pop(name) for name in _POSE))
@@ -124,31 +125,35 @@ def sweep(
     NotConverged when a worker is ended from outside. Stopped (KeyboardInterrupt), it ends its workers at once.
     """
     options, how = options or StewartTrinkleOptions(), how or SweepOptions()
-    blocks = [s[i : i + how.block] for i in range(0, len(s), how.block)]
-    paths: list[Path | None] = [None] * len(blocks)
     kept = ""
-    if how.folder is not None:
-        folder = Path(how.folder)
-        check_out_folder(folder, "checkpoints")
-        folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / f"block-{i:04d}.json" for i in range(len(blocks))]
-        kept = f"solved blocks are kept in {folder}, and the same command continues from there"
-    jobs = [(block, weave, wire, options, path) for block, path in zip(blocks, paths, strict=True)]
-    try:
-        parts = _side_by_side(jobs, how.workers) if how.workers > 1 else [_solved_block(*job) for job in jobs]
-    except BrokenProcessPool as error:
-        lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --workers"
-        raise NotConverged("; ".join(filter(None, [lost, kept]))) from error
-    except BaseException as error:
-        if kept and not isinstance(error, Exception):  # stopped
-            error.add_note(kept)
-        raise
+    with ExitStack() as stack:
+        if how.folder is not None:
+            check_out_folder(how.folder, "checkpoints")
+            Path(how.folder).mkdir(parents=True, exist_ok=True)
+            kept = f"solved blocks are kept in {how.folder}, and the same command continues from there"
+        shared = how.folder or (stack.enter_context(TemporaryDirectory()) if how.workers > 1 else None)
+        size = how.block if shared else WITHOUT_FILES
+        blocks = [s[i : i + size] for i in range(0, len(s), size)]
+        paths = [Path(shared) / f"block-{i:04d}.json" if shared else None for i in range(len(blocks))]
+        jobs = [(block, weave, wire, options, path) for block, path in zip(blocks, paths, strict=True)]
+        try:
+            if how.workers > 1:
+                with _pool(how.workers) as pool:
+                    list(pool.map(_keep_block, jobs))
+            parts = [_solved_block(*job) for job in jobs]  # read, if workers have solved them
+        except BrokenProcessPool as error:
+            lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --workers"
+            raise NotConverged("; ".join(filter(None, [lost, kept]))) from error
+        except BaseException as error:
+            if kept and not isinstance(error, Exception):  # stopped
+                error.add_note(kept)
+            raise
     return parts[0].join(parts[1:])
 
 
-def _side_by_side(jobs: list[Any], workers: int) -> list[Settled]:
-    with _pool(workers) as pool:
-        return list(pool.map(_solved_block, *zip(*jobs, strict=True)))
+def _keep_block(job: tuple[Any, ...]) -> None:
+    """Solve a block into its file. Nothing is sent back: a worker that ends while it sends would block the parent."""
+    _solved_block(*job)
 
 
 @contextmanager

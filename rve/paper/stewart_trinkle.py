@@ -5,8 +5,8 @@ the velocity at its end: inertia, damping, the line load at its beginning and co
 there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
 numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
 in M (T u - v). Gyroscopic torques w x I w vanish and are left out: frictionless contacts never spin a torus about its
-own axis, and about its diameters all moments of inertia are equal. `ten_rings` is the reference form with every
-constraint written out.
+own axis, and about its diameters all moments of inertia are equal. `benchmarks/ten_rings.py` is the reference form with
+every constraint written out.
 
 Options, units and matrices are in `rve.paper.dynamics`.
 """
@@ -49,9 +49,9 @@ Finder = Callable[[Pose, Weave, float, float], Contacts]
 
 @dataclass(frozen=True)
 class Motion(Rows):
-    """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts and the forces lam of the last
-    step, ring velocities v (n, m_full) in r1/s and rad/s, next time step h, time, accepted and rejected steps, R of the
-    last step.
+    """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts and their forces lam in the
+    last step, ring velocities v (n, m_full) in r1/s and rad/s, next time step h, time, accepted and rejected steps, R
+    of the last step.
     """
 
     row: Index
@@ -240,7 +240,7 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Mot
 
 
 def solve(
-    s: Array, equations: Equations, options: StewartTrinkleOptions = StewartTrinkleOptions(), *, history: bool = False
+    s: Array, equations: Equations, options: StewartTrinkleOptions | None = None, *, history: bool = False
 ) -> Settled:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
 
@@ -253,6 +253,7 @@ def solve(
     >>> (5 * rest.pose.lattice[0, :2]).round(3), str(rest.status[0])
     (array([11.   , 12.646]), 'converged')
     """
+    options = options or StewartTrinkleOptions()
     dynamics, motion = Dynamics.of(equations, options), begin(s, equations, options)
     ended: list[Motion] = []
     log: list[tuple[Any, ...]] = []

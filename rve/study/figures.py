@@ -12,11 +12,10 @@ from rve.geometry.circles import are_linked, local_minima
 from rve.paper.alternating_projection import alternating_projection
 from rve.plots import draw_case, figure, save
 from rve.solve import solve_table
+from rve.study.cases import Study, history_strain, side_contact_times
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from rve.study.comparison import Study
 
 
 NAMES = ("E11", "E12", "E22")
@@ -117,8 +116,6 @@ def clock(study: Study) -> Figure:
 
 def progress_of_two(study: Study) -> Figure | None:
     """Fig. 17: strain, R and kinetic energy against time for cases 1 and 190; None if the study has neither."""
-    from rve.study.comparison import history_strain, side_contact_times
-
     cases = [(pair, study.case(*pair)) for pair in ((0.0, 0.0), (45.0, 90.0))]
     known = [(pair, case) for pair, case in cases if case is not None]
     if not known:

@@ -3,9 +3,7 @@
 A target writes its valid files into a folder and reads them again; `mutate` makes one wrong file of a valid one.
 """
 
-import io
 import json
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache

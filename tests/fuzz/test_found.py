@@ -1,11 +1,8 @@
 """Inputs that once were believed, ended in a traceback, or asked for all memory and time: each is refused by name."""
 
 import base64
-import io
 import json
-import zipfile
 import zlib
-from random import Random
 
 import numpy as np
 import pytest

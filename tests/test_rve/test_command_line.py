@@ -156,10 +156,8 @@ def test_workers_end_with_their_command(tmp_path, number, code):
     assert not (tmp_path / "t.csv").exists()
     if code > 0:
         name = signal.Signals(number).name
-        assert (
-            errors
-            == f"Error: stopped by {name}; solved blocks are kept in {folder}, and the same command continues from there\n"
-        )
+        kept = f"solved blocks are kept in {folder}, and the same command continues from there"
+        assert errors == f"Error: stopped by {name}; {kept}\n"
 
 
 MISSING = """

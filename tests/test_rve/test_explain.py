@@ -8,13 +8,13 @@ import pytest
 from click.testing import CliRunner
 
 from rve.cli import main
+from rve.equilibrium.system import Equations
 from rve.explain import decisions
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pairs import unlisted_gap, unlisted_pairs, widened
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import FOUR_IN_ONE, supercell
-from rve.equilibrium.system import Equations
 from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
 from rve.solve import solve_table
 

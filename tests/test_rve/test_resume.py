@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rve
 from rve.common.errors import InputError
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.weave import FOUR_IN_ONE
-import rve
 from rve.paper.checkpoints import SweepOptions, sweep
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.paper.stewart_trinkle import solve
@@ -107,7 +107,7 @@ def test_a_damaged_file_is_named(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(InputError, match="cannot be made|is a file"):
+    with pytest.raises(InputError, match=r"cannot be made|is a file"):
         sweep(LOADS, FOUR_IN_ONE, 0.1, OPTIONS, SweepOptions(folder=tmp_path / "file" / "x"))
 
 

@@ -35,7 +35,7 @@ def test_both_methods_give_one_table(direct, tmp_path):
 
 
 def test_senseless_options_are_bad_input():
-    with pytest.raises(InputError, match="damping = -1.0: must be greater than 0"):
+    with pytest.raises(InputError, match=r"damping = -1\.0: must be greater than 0"):
         StewartTrinkleOptions(damping=-1.0)
 
 

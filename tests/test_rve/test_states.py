@@ -79,7 +79,7 @@ def test_commands_solve_once(tmp_path):
 
 
 def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
-    """A weave that forgets its side neighbours needs them under the second load only: the forces are those of 4-in-1."""
+    """A weave that forgets its side neighbours needs them under the second load; the states are those of 4-in-1."""
     kept = np.array([a != b or (i, j) not in ((1, 0), (1, 1), (1, -1)) for a, b, i, j in FOUR_IN_ONE.pairs.tolist()])
     forgetful = replace(FOUR_IN_ONE, pairs=FOUR_IN_ONE.pairs[kept], linked=FOUR_IN_ONE.linked[kept])
     monkeypatch.setattr("rve.solve.BLOCK", 1)
