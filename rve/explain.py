@@ -21,13 +21,15 @@ class Decision(NamedTuple):
 class Work:
     """What the direct solver met.
 
-    cases; retried: cases that took more than one attempt; limits: cases replaced by the limit from inside the tensile
+    cases; symmetric: how many were solved in symmetric coordinates alone; retried: cases that took more than one
+    attempt in all coordinates; limits: cases replaced by the limit from inside the tensile
     cone; listed: pairs of rings in the equations; least_near, most_near: how many pairs of the weave are near enough to
     touch in a locked state; unlisted_gap: least gap of pairs that the weave does not list, in r1; widened: whether such
     pairs overlapped and all pairs were listed.
     """
 
     cases: int
+    symmetric: int
     retried: int
     limits: int
     listed: int
@@ -40,6 +42,7 @@ class Work:
         """Both blocks of cases together."""
         return Work(
             self.cases + other.cases,
+            self.symmetric + other.symmetric,
             self.retried + other.retried,
             self.limits + other.limits,
             max(self.listed, other.listed),
@@ -67,13 +70,16 @@ def decisions(provenance: dict[str, Any]) -> list[Decision]:
     near = f"{work.least_near} to {work.most_near} of the pairs of rings are near enough to touch"
     apart = f"the nearest stay at least {work.unlisted_gap:.2g} r1 apart"
     overlap = "rings that the weave does not list as neighbours would overlap"
-    retried = f"{work.retried} of {work.cases} cases took more than one attempt"
+    rest = work.cases - work.symmetric
+    symmetric = f"{work.symmetric} of {work.cases} locked states are symmetric and stable against asymmetric motions"
+    retried = f"{work.retried} of {work.cases} cases took more than one attempt in all coordinates"
     limits = f"{work.limits} of {work.cases} cases are limits from inside the tensile cone"
     return [
         Decision("damping", False, static),
         Decision("inertia", False, static),
         Decision("gyroscopic", False, static),
         Decision("constraints", False, constraints),
+        Decision("asymmetry", rest > 0, symmetric + (f"; {rest} were solved in all coordinates" if rest else "")),
         Decision("far-pairs", False, f"{near}; {work.listed} are listed"),
         Decision("unlisted-pairs", work.widened, overlap if work.widened else apart),
         Decision("idle-curvature", False, "contacts without force have no curvature in the Jacobian"),

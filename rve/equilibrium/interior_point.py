@@ -162,7 +162,7 @@ def _accepted_step(
 
     def look(rows: Index) -> tuple[Pose, Contacts, Flags]:
         here = state.pose.take(rows)
-        pose = moved(here, equations.displacement(length[rows, None] * dq[rows]))
+        pose = moved(here, equations.displacement(length[rows, None] * dq[rows], here))
         contacts = equations.contacts(pose, options.reach)
         apart = np.ones(len(rows), dtype=bool)
         long = np.flatnonzero(length[rows] * np.abs(dq[rows]).max(axis=1) > 0.2 * equations.wire)
@@ -287,7 +287,7 @@ def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
 def _disturbed(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
     """Start poses shifted by seeded random numbers of size `amount`, the same for every case and batch."""
     shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, equations.modes.shape[1])
-    return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1))))
+    return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1)), pose))
 
 
 def solve_equilibrium(

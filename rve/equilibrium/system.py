@@ -138,7 +138,8 @@ def mirror_modes(weave: Weave) -> Array:
 class Equations:
     """What does not change during a solve: weave, wire = r2/r1, pair maps, mass matrix, the modes that may move, load.
 
-    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free.
+    modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
+    (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
     far_pairs: pairs too far apart to touch are sampled as well; idle_curvature: J holds the curvature of contacts
     without force as well. Both are for benchmarks: they cost time and change no result (docs/reports/omissions.md).
     """
@@ -149,6 +150,7 @@ class Equations:
     mass: Array
     modes: Array
     load: Load = field(default_factory=LineLoad)
+    middle: tuple[int, int] | None = None
     far_pairs: bool = False
     idle_curvature: bool = False
 
@@ -162,9 +164,25 @@ class Equations:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
         return find_contacts(pose, self.weave, self.wire, reach, far_pairs=self.far_pairs)
 
-    def displacement(self, y: Array) -> Array:
-        """Reduced displacement (n, m) by the mode amplitudes y (n, k)."""
-        return np.matmul(self.modes, y[..., None])[..., 0]
+    def motions(self, pose: Pose) -> Array:
+        """The modes at these poses, (n, m, k), or (1, m, k) where they are the same for all."""
+        if self.middle is None:
+            return self.modes[None]
+        i, j = self.middle
+        x2, y3, t = pose.lattice.T
+        B = np.tile(self.modes, (len(t), 1, 1))
+        B[:, 3, 0], B[:, 3, 1], B[:, 3, 2] = 0.5 * i, 0.5 * j * t, 0.5 * j * y3
+        B[:, 4, 0], B[:, 4, 1], B[:, 4, 2] = 0.5 * i * t, 0.5 * j, 0.5 * i * x2
+        return B
+
+    def displacement(self, y: Array, pose: Pose) -> Array:
+        """Reduced displacement (n, m) from a pose by the mode amplitudes y (n, k)."""
+        v = np.matmul(self.motions(pose), y[..., None])[..., 0]
+        if self.middle is not None:  # a1y = t x2 and a2x = t y3 are bilinear, and the second ring follows them
+            i, j = self.middle
+            v[:, 3] += 0.5 * j * y[:, 1] * y[:, 2]
+            v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
+        return v
 
     def assemble(
         self, pose: Pose, contacts: Contacts, lam: Array, s: Array, curved: NDArray[np.bool_] | None = None
@@ -202,7 +220,9 @@ class Equations:
         add_lattice_curvature(J, on_lattice)
 
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
-        B = self.modes
-        if B.shape[1] < m:
-            r, f, J, G, M = r @ B, f @ B, B.T @ J @ B, G @ B, B.T @ M @ B
-        return System(r, f, J, G, M, self.load.size(f, M))
+        B = self.motions(pose)
+        Bt = B.transpose(0, 2, 1)
+        f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
+        if self.middle is not None:
+            add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
+        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, self.load.size(f, M))

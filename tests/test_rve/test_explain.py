@@ -22,7 +22,7 @@ from rve.solve import solve_table
 TOLERANCE = 1e-9
 LOADS = np.array([0.0, 20.0, 45.0, 10.0]), np.array([45.0, 30.0, 60.0, 80.0])
 STATIC = {"damping", "inertia", "gyroscopic", "constraints"}
-DIRECT = STATIC | {"far-pairs", "unlisted-pairs", "idle-curvature", "attempts", "limits"}
+DIRECT = STATIC | {"asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature", "attempts", "limits"}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def said(table):
 
 def test_the_words_agree_with_the_work(plain):
     work = plain.provenance["work"]
-    assert (work["cases"], work["retried"], work["limits"]) == (4, 0, 0)
+    assert (work["cases"], work["symmetric"], work["retried"], work["limits"]) == (4, 4, 0, 0)
     assert f"{work['least_near']} to {work['most_near']} of the pairs" in said(plain)["far-pairs"].why
     assert set(said(plain)) == DIRECT
     assert not any(decision.used for decision in said(plain).values())
