@@ -64,7 +64,7 @@ def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectO
 
 
 def _solved(s: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Flags, int, int]:
-    """Equilibria, flags `unique`, and how many rows were solved in symmetric coordinates alone or replaced by limits."""
+    """Equilibria, flags `unique`, how many rows were solved in symmetric coordinates, and how many are limits."""
     equations = Equations.of(cell.weave, cell.wire)
     direct, symmetric = solve_equilibrium_symmetric(s, equations, options)
     found, unique = with_limits(s, equations, direct, options)

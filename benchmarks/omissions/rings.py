@@ -38,10 +38,10 @@ def measure(full: bool) -> Section:
     trials = [forced(feature, name, cell, plain[name], s) for feature in FORCED for name, cell in cells.items()]
     text = (
         f"Locked states of {len(given[0])} loads (alpha 0:45:5, beta 5:90:5). `asymmetry`: all coordinates from the "
-        "start, instead of the 5 symmetric ones. `far-pairs`: listed pairs whose centres are too far apart to touch are "
-        "not sampled. `unlisted-pairs`: pairs up to four cells apart that the weave does not list; the solver reports "
-        "their distance and lists them where they would overlap. `idle-curvature`: contacts without force have no "
-        "curvature in the Jacobian."
+        "start, instead of the 5 symmetric ones. `far-pairs`: listed pairs whose centres are too far apart to touch "
+        "are not sampled. `unlisted-pairs`: pairs up to four cells apart that the weave does not list; the solver "
+        "reports their distance and lists them where they would overlap. `idle-curvature`: contacts without force "
+        "have no curvature in the Jacobian."
     )
     bent = curvature_rows(s)
     first, *later = (row["iterations"] for row in bent)
