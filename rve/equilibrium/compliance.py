@@ -185,7 +185,7 @@ def soften(
 def _stage(
     equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: CompliantOptions
 ) -> SoftEquilibrium:
-    """Newton's method at one stiffness for the cases that have come so far."""
+    """Newton's method at one stiffness for the cases that converged in the stage before."""
     rows = np.flatnonzero(soft.status == "converged")
     part = soft.take(rows)
     done = np.zeros(len(rows), dtype=bool)

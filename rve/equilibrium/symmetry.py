@@ -166,7 +166,7 @@ def expanded(found: Equilibrium, symmetry: Symmetry, equations: Equations, s: Ar
 def _shared_by_twins(contacts: Contacts, lam: Array, symmetry: Symmetry) -> Array:
     """Forces (n, q, SLOTS) with equal parts for contacts that are each other's image within one pair of rings.
 
-    To symmetric motions these two are one, so that the solver shares their force as it happens to get there. The
+    Symmetric motions see only the sum of the two forces, so the solver does not determine their shares. The
     image of a pair of one class in itself is the inverted one; of two classes, the one turned about z by half a turn.
     """
     image = np.where(contacts.present[..., None], contacts.rho_b, np.inf) * symmetry.itself[:, None]

@@ -26,7 +26,7 @@ from rve.paper.dynamics import StewartTrinkleOptions
 from rve.study.cases import Study, history_strain, side_contact_times, solve_study
 
 RECORD = "study.json"
-"""The file that stands for a study in its folder; it lists the others by their checksums."""
+"""The record of a study in its folder; it lists the other files with their checksums."""
 
 
 def _span(values: Array, low: float, high: float) -> str:
