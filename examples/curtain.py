@@ -94,7 +94,7 @@ def make_table(out: Path, spacing: float) -> Path:
     with click.progressbar(length=len(alpha), label="1 rings   ") as bar:
         table = solve_table(Cell(r1=5.0, r2=0.5), (alpha, beta), progress=bar.update)
     write_table(table, out / "table.csv")
-    save(draw_case(45.0, 0.0, Cell()), out / "cell.png")
+    save(draw_case(solve_table(Cell(), ([45.0], [0.0]))), out / "cell.png")
     click.echo(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.R.max():.1e}")
     return out / "table.csv"
 

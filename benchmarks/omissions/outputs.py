@@ -14,11 +14,10 @@ from benchmarks.problems import loads, scene_file, square
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section
 from macro_fem.job import run_scene
+from rve.additions import with_compliance, with_span
 from rve.geometry.cell import Cell
-from rve.paper_table import with_compliance
 from rve.plots import draw_case, save
 from rve.solve import solve_table
-from rve.span import with_span
 from rve.table import StrainTable
 
 
@@ -61,7 +60,7 @@ def tables() -> list[Row]:
 
     others = {
         "--span": lambda table: with_span(table, cell),
-        "--compliance": lambda table: with_compliance(table, 1e3, cell),
+        "--compliance": with_compliance,
     }
     return unchanged("rve table", E, {feature: partial(E, add) for feature, add in others.items()})
 
@@ -70,9 +69,9 @@ def case_picture(folder: Path) -> list[Row]:
     """The picture of one load."""
 
     def drawn() -> Any:
-        E = solve_table(Cell(), ([20.0], [30.0])).E
-        save(draw_case(20.0, 30.0, Cell()), folder / "case.png")
-        return E
+        found = solve_table(Cell(), ([20.0], [30.0]))
+        save(draw_case(found), folder / "case.png")
+        return found.E
 
     return unchanged("rve case", lambda: solve_table(Cell(), ([20.0], [30.0])).E, {"--plot": drawn})
 

@@ -143,7 +143,7 @@ def test_workers_end_with_their_command(tmp_path, number, code):
     command = ["rve", "table", "--out", tmp_path / "t.csv", "--beta", "0:90:10", "--method", "stewart-trinkle"]
     process = started(*command, "--checkpoint", folder, "--workers", 2)
     try:
-        assert waited(lambda: len(list(folder.glob("block-*.npz"))) > 0), "no checkpoint"
+        assert waited(lambda: len(list(folder.glob("block-*.json"))) > 0), "no checkpoint"
         assert len(in_session(process.pid)) >= 3
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
@@ -152,14 +152,12 @@ def test_workers_end_with_their_command(tmp_path, number, code):
     finally:
         if in_session(process.pid):
             os.killpg(process.pid, signal.SIGKILL)
-    assert list(folder.glob("block-*.npz"))
+    assert list(folder.glob("block-*.json"))
     assert not (tmp_path / "t.csv").exists()
     if code > 0:
         name = signal.Signals(number).name
-        assert (
-            errors
-            == f"Error: stopped by {name}; what is solved is kept in {folder}, and the same command goes on there\n"
-        )
+        kept = f"solved blocks are kept in {folder}, and the same command continues from there"
+        assert errors == f"Error: stopped by {name}; {kept}\n"
 
 
 MISSING = """

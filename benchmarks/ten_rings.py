@@ -1,4 +1,4 @@
-"""The paper's scheme with all ten rings and every bilateral constraint written out: the reference of `stewart_trinkle`.
+"""The paper's scheme with all ten rings and every bilateral constraint: the reference of `rve.paper.stewart_trinkle`.
 
 Each ring has six velocities. Constraints: all centres stay in the plane, ring 1 in its place, rings of one class on
 parallelograms and with equal rotation (4), and the rotation rule (5). One case at a time, dense matrices, the
@@ -22,7 +22,8 @@ from rve.common.types import Array
 from rve.geometry.circles import Minima, are_linked, distance_gradient, distance_hessian, local_minima
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.weave import Weave
-from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
+from rve.paper.dynamics import StewartTrinkleOptions
+from rve.paper.stewart_trinkle import ROUND_OFF
 
 
 @dataclass(frozen=True)
