@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,6 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
-from macro_fem.solvers.newton_records import NewtonRecord
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -42,6 +41,19 @@ class Problem:
     factor: float = 1.0  # share of live loads and moves
 
 
+@dataclass(frozen=True)
+class Decision:
+    """A feature, whether the run has used it, and why in this scene."""
+
+    feature: str
+    used: bool
+    why: str
+
+    def to_dict(self) -> dict[str, str | bool]:
+        """For summary.json."""
+        return asdict(self)
+
+
 @dataclass(frozen=True, eq=False)
 class CurtainSolution(Judged):
     """The curtain at one load step.
@@ -53,7 +65,7 @@ class CurtainSolution(Judged):
     Status and message are not given but follow from the rest: `stop` is why the solver stopped, `asked` what the
     numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `give` by how much the
     rings of a relaxed problem gave beyond locking, whose bounds primal and dual then are; None for the law as it is.
-    `elastic`: P is the stress of the elastic law, else of ideal locking.
+    `elastic`: P is the stress of the elastic law, else of ideal locking. `decided`: what the solver itself decided.
     """
 
     problem: Problem
@@ -71,8 +83,9 @@ class CurtainSolution(Judged):
     give: float | None = None
     elastic: bool = False
     cones: Cones | None = field(default=None, repr=False)
-    history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
+    history: tuple[Iteration, ...] = field(default=(), repr=False)
     tension: float = 0.0
+    decided: tuple[Decision, ...] = ()
 
     @cached_property
     def evidence(self) -> Evidence:

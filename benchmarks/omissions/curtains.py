@@ -17,7 +17,8 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension, unit_tensors
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.options import PathOptions
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""
@@ -38,8 +39,8 @@ def measure(full: bool) -> Section:
         forced(law, "ties", "corners", cells),
         forced(law, "coarse-start", "corners", cells),
         coarse_start(law, 64 if full else 40),
-        by_option(law, "idle half-spaces", cells, RigidOptions(), RigidOptions(drop_idle=False)),
-        by_option(law, "corrector", cells, RigidOptions(corrector=False), RigidOptions()),
+        by_option(law, "idle half-spaces", cells, PathOptions(), PathOptions(drop_idle=False)),
+        by_option(law, "corrector", cells, PathOptions(corrector=False), PathOptions()),
     ]
     steps = [step_row(law, n, corrector) for n in ((8, 16, 32) if full else (8, 16)) for corrector in (True, False)]
     slack = [slack_row(law, kind, 24 if full else 16) for kind in ("corners", "gathered")]
@@ -106,32 +107,32 @@ def coarse_start(law: MembraneLaw, cells: int) -> Row:
     area = load_vector(problem.disc, np.array([1.0]))[:, 0]
 
     def fine_only() -> tuple[bool, float]:
-        found = rigid(problem, RigidOptions())
+        found = rigid(problem, PathOptions())
         return found.converged, float(area @ problem.fem.positions(found.z)[:, 1] / area.sum())
 
     default = USED if starts_coarse(problem) else LEFT_OUT
     return compared("coarse-start", "corners", (fine_only, lambda: height(problem)), problem, default=default)
 
 
-def rigid(problem: Problem, options: RigidOptions) -> RigidResult:
+def rigid(problem: Problem, options: PathOptions) -> PathResult:
     """Ideal locking with these options."""
     fem = problem.fem
     load = fem.gather(problem.force) + fem.force(spread_tension(problem) * unit_tensors(problem))
-    return solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
+    return solve_path(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
 
 
-def by_option(law: MembraneLaw, feature: str, cells: int, without: RigidOptions, with_it: RigidOptions) -> Row:
+def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, with_it: PathOptions) -> Row:
     """An option of the cone solver, by the potential over load times size."""
     problem = problem_of(law, "corners", cells)
     scale = float(np.abs(problem.force).sum()) * problem.mesh.size
 
-    def potential(options: RigidOptions) -> tuple[bool, float]:
+    def potential(options: PathOptions) -> tuple[bool, float]:
         found = rigid(problem, options)
         return found.converged, found.primal / scale
 
     calls, default = (
         (partial(potential, without), partial(potential, with_it)),
-        USED if with_it == RigidOptions() else LEFT_OUT,
+        USED if with_it == PathOptions() else LEFT_OUT,
     )
     return compared(feature, "corners", calls, problem, "of the potential", default)
 
@@ -139,7 +140,7 @@ def by_option(law: MembraneLaw, feature: str, cells: int, without: RigidOptions,
 def step_row(law: MembraneLaw, cells: int, corrector: bool) -> Row:
     """Steps and time of the cone solver with or without the correction to second order."""
     problem = problem_of(law, "corners", cells)
-    found, seconds = least_seconds(partial(rigid, problem, RigidOptions(corrector=corrector)))
+    found, seconds = least_seconds(partial(rigid, problem, PathOptions(corrector=corrector)))
     row = {"points": problem.disc.n_points, "corrector": corrector, "status": found.status}
     return row | {"steps": found.iterations, "s": seconds}
 

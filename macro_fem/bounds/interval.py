@@ -33,9 +33,9 @@ from macro_fem.scene.schema import Corners, Edge, Hooks, Point, Support
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
 from macro_fem.solution import CurtainSolution, gathered_start
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import make_program
 from macro_fem.solvers.cones import repeated
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.options import PathOptions
 from rve.common.types import Array
 
 BOUND_GAP = 2e-5
@@ -81,14 +81,14 @@ def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
     dual = dual_problem(solution, factor)
     fem = dual.fem
     start = fem.unknowns(_at_dual_nodes(slackened(solution), dual.dual))
-    options = RigidOptions(
+    options = PathOptions(
         gap=BOUND_GAP,
         violation=BOUND_VIOLATION,
         max_iterations=problem.scene.solver.max_iterations,
         cones=None if solution.cones is None else repeated(solution.cones, 3),
         drawn=False,
     )
-    result = solve_rigid(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
+    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
     held = fem.positions(np.zeros(fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -182,7 +182,7 @@ def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
     return points * share / share.sum()
 
 
-def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held: Array) -> tuple[float, Array]:
+def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: Array) -> tuple[float, Array]:
     """What the lower bound loses because reactions r of points act along edges, N mm, and each edge's moment (k,).
 
     The program took the work r.x at the positions x_h of the edges; it is at least that at the point, less the
@@ -207,10 +207,10 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held:
     return float(moved + moment.sum()), moment
 
 
-def error_map(solution: CurtainSolution, dual: DualProblem, result: RigidResult) -> Array:
+def error_map(solution: CurtainSolution, dual: DualProblem, result: PathResult) -> Array:
     """Integral of psi*(P) - P:F over every triangle (n_cells,), F of the P1 curtain, psi* from above by sum c |y1|."""
-    program = make_program(dual.fem, dual.fem.gather(dual.force), result.cones, 1.0, 1.0)
-    psi = result.cones.sum(program.c * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
+    radius = np.sqrt(2.0 * result.cones.size)
+    psi = result.cones.sum(radius * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
     n = dual.dual.disc.n_cells
     work = (result.P * np.tile(solution.F, (3, 1, 1))).sum(axis=(1, 2))
     return (dual.dual.disc.weight * (psi - work)).reshape(3, n).sum(axis=0)

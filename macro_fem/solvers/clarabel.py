@@ -17,9 +17,9 @@ from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.cone_program import Iteration
-from macro_fem.solvers.cones import Cones, first_cones, law_cut, with_cuts
-from macro_fem.solvers.rigid import REACH, RigidResult, law_slack
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
+from macro_fem.solvers.central_path import PathResult
+from macro_fem.solvers.cone_program import REACH, Iteration
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
 from rve.common.errors import require
 from rve.common.types import Array
@@ -31,7 +31,7 @@ FLAT = 1e-12
 
 
 @dataclass(frozen=True)
-class ConicOptions:
+class ClarabelOptions:
     """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain)."""
 
     gap: float = 1e-10
@@ -40,10 +40,10 @@ class ConicOptions:
     max_rounds: int = 30
 
 
-def solve_conic(
-    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: ConicOptions = ConicOptions()
-) -> RigidResult:
-    """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `RigidResult`.
+def solve_clarabel(
+    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: ClarabelOptions = ClarabelOptions()
+) -> PathResult:
+    """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `PathResult`.
 
     InputError if clarabel is not installed.
     """
@@ -57,7 +57,7 @@ def solve_conic(
         if found.is_refuted:
             stop = "infeasible"
             break
-        S, h, g = law_cut(law, fem.gradient(found.z))
+        S, h, g = law_cut(law, green_strain(fem.gradient(found.z)))
         new = np.flatnonzero(g < -options.violation)
         history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
         if not found.is_solved or not len(new):
@@ -139,7 +139,7 @@ def _clarabel() -> Any:
     return clarabel
 
 
-def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> _Found:
+def _solve(clarabel: Any, task: _Task, cones: Cones, options: ClarabelOptions) -> _Found:
     """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
     fem, B, size = task.fem, task.B, task.size
     d = fem.d
@@ -199,13 +199,13 @@ def _record(
     task: _Task,
     cones: Cones,
     found: _Found,
-    options: ConicOptions,
+    options: ClarabelOptions,
     history: list[Iteration],
-) -> RigidResult:
+) -> PathResult:
     fem = task.fem
-    return RigidResult(
+    return PathResult(
         stop=stop,
-        evidence=Evidence(found.gap, found.unbalanced, -law_slack(law, fem.gradient(found.z))),
+        evidence=Evidence(found.gap, found.unbalanced, -least_slack(law, green_strain(fem.gradient(found.z)))),
         asked=ATTAINED,
         z=found.z,
         lam=found.lam,

@@ -184,19 +184,15 @@ def only(cones: Cones, keep: np.ndarray) -> Cones:
     return Cones(point, cones.S[keep], cones.h[keep], np.searchsorted(point, np.arange(len(cones.first))))
 
 
-def law_cut(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
-    """The half-space of the law nearest to (or most violated by) each F (n, d, 2): S (n, 3), h (n,), slack g (n,)."""
-    return _cut(law, green_strain(F))
-
-
-def least_slack(law: MembraneLaw, E: Array) -> float:
-    """The least slack of the law over all strains E (n, 3), over h + tr S / 2; negative where one is not admissible."""
-    S, h, slack = _cut(law, E)
-    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())
-
-
-def _cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
+def law_cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
+    """The half-space of the law nearest to (or most violated by) each E (n, 3): S (n, 3), h (n,), slack h - S:E (n,)."""
     parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
     S = np.concatenate([part.S for part in parts])
     h = np.concatenate([part.h for part in parts])
     return S, h, -np.concatenate([part.violation for part in parts])
+
+
+def least_slack(law: MembraneLaw, E: Array) -> float:
+    """The least slack of the law over all strains E (n, 3), over h + tr S / 2; negative where one is not admissible."""
+    S, h, slack = law_cut(law, E)
+    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())

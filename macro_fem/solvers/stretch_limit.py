@@ -25,7 +25,9 @@ from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, law_slack, solve_rigid
+from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.cones import green_strain, least_slack
+from macro_fem.solvers.options import PathOptions
 from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
 from rve.common.types import Array
 
@@ -38,7 +40,7 @@ REACH_GAP = 1e-6
 SURE = 2.0
 """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT."""
 
-Solve = Callable[[SupportedFem, Array, Array, RigidOptions], RigidResult]
+Solve = Callable[[SupportedFem, Array, Array, PathOptions], PathResult]
 """A rigid solver of a discretisation under loads (n,) from unknowns (n,)."""
 
 
@@ -47,7 +49,7 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float, sol
 
     `size` (mm) is the extent of the curtain; `solve` another solver than our own interior point.
     """
-    room = law_slack(law, fem.gradient(start))
+    room = least_slack(law, green_strain(fem.gradient(start)))
     if room > SURE * 2.0 * AT_LIMIT:
         return Reach(_stretchable(1.0, min(room, 1.0 - 1e-9)), np.inf)
     wider = movable(fem, size)
@@ -58,14 +60,14 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float, sol
 
     def bounds(z: Array, dual: float) -> Reach:
         factor = max(0.0, float(z[-1]) / size)
-        return Reach(_stretchable(factor, law_slack(law, wider.gradient(z))), max(0.0, -dual / size))
+        return Reach(_stretchable(factor, least_slack(law, green_strain(wider.gradient(z)))), max(0.0, -dual / size))
 
     def is_decided(z: Array, dual: float) -> bool:
         return bounds(z, dual).lower > 1.0 + SURE * AT_LIMIT
 
-    options = RigidOptions(REACH_GAP, REACH_GAP, drawn=False, enough=is_decided)
+    options = PathOptions(REACH_GAP, REACH_GAP, drawn=False, enough=is_decided)
     zero = np.zeros(wider.n)
-    result = solve_rigid(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options)
+    result = solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options)
     return bounds(result.z, result.dual)
 
 
@@ -90,8 +92,8 @@ def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
 
 
 def solve_taut(
-    fem: SupportedFem, load: Array, start: Array, options: RigidOptions, reach: Reach, solve: Solve
-) -> tuple[RigidResult, float]:
+    fem: SupportedFem, load: Array, start: Array, options: PathOptions, reach: Reach, solve: Solve
+) -> tuple[PathResult, float]:
     """The answer for rings that give, with its own bounds, and by how much; the last one tried if none converges.
 
     They give as much as the supports are out of reach, and a little more.

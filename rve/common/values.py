@@ -242,6 +242,16 @@ def read_record(cls: type[Record], table: Any, where: str, *, strict: bool = Tru
     return cls(**values)
 
 
+def check_fields(record: Any) -> None:
+    """InputError "Record field = value: what is wrong" for a field that does not pass the check beside it.
+
+    For `__post_init__` of option records: Python code that makes one is then held to the same ranges as a file.
+    """
+    for item in fields(record):
+        if "check" in item.metadata:
+            checked(vars(record), item.name, item.metadata["check"], type(record).__name__)
+
+
 def shown_key(key: str) -> str:
     """A key as an error message shows it."""
     return key if key.isidentifier() and key.isascii() and len(key) <= 80 else shown(key)

@@ -10,7 +10,7 @@ from benchmarks.omissions.imports import PROBE, helps, probe
 from benchmarks.report.measure import at_most
 from benchmarks.report.records import shown
 from homogenize.io import default_law
-from macro_fem.solvers.rigid import RigidOptions
+from macro_fem.solvers.options import PathOptions
 from rve.explain import FEATURES
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
@@ -66,7 +66,7 @@ def test_supports_across_the_plane_carry_nothing():
 def test_features_of_curtains_forced():
     law = default_law()
     assert forced(law, "third-coordinate", "corners", 3)["same"]
-    row = by_option(law, "corrector", 3, RigidOptions(corrector=False), RigidOptions())
+    row = by_option(law, "corrector", 3, PathOptions(corrector=False), PathOptions())
     assert row["same"]
     assert row["default"] == "used"
 

@@ -19,7 +19,8 @@ from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import FEATURES, read_scene
 from macro_fem.solution import gathered_start, make_problem, spread_tension, unit_tensors
 from macro_fem.solvers.cones import facets_of
-from macro_fem.solvers.rigid import RigidOptions, solve_rigid
+from macro_fem.solvers.central_path import solve_path
+from macro_fem.solvers.options import PathOptions
 from rve.common.errors import InputError
 
 LAW = default_law()
@@ -76,11 +77,11 @@ def test_nodes_that_may_leave_the_plane_stay_in_it_and_a_push_takes_them_out():
     lifted = replace(plane, fem=fem)
     pull = np.column_stack([plane.force, np.zeros(len(plane.force))])
     load = fem.gather(pull) + fem.force(spread_tension(plane) * unit_tensors(lifted))
-    rest = solve_rigid(fem, plane.law, load, fem.unknowns(start), plane.mesh.size)
+    rest = solve_path(fem, plane.law, load, fem.unknowns(start), plane.mesh.size)
     assert rest.converged
     assert out_of_plane(fem, rest.z) < 1e-6 * plane.mesh.size
     pull[:, 2] = 0.5 * pull[:, 1]
-    pushed = solve_rigid(
+    pushed = solve_path(
         fem, plane.law, load + fem.gather(pull) - fem.gather(pull * [1, 1, 0]), rest.z, plane.mesh.size
     )
     assert pushed.converged
@@ -127,12 +128,12 @@ def test_a_law_without_a_list_of_half_spaces_says_so():
     assert "infinitely many" in said(solve_problem(problem(law=net)))["all-half-spaces"].why
 
 
-@pytest.mark.parametrize("options", [RigidOptions(drop_idle=False), RigidOptions(corrector=False)])
+@pytest.mark.parametrize("options", [PathOptions(drop_idle=False), PathOptions(corrector=False)])
 def test_options_of_the_cone_solver_change_its_way_and_not_its_answer(options):
     plane = problem(cells=8)
     load = plane.fem.gather(plane.force) + plane.fem.force(spread_tension(plane) * unit_tensors(plane))
     start = plane.fem.unknowns(gathered_start(plane))
-    plain, other = (solve_rigid(plane.fem, LAW, load, start, plane.mesh.size, one) for one in (RigidOptions(), options))
+    plain, other = (solve_path(plane.fem, LAW, load, start, plane.mesh.size, one) for one in (PathOptions(), options))
     assert plain.converged
     assert other.converged
     assert abs(other.primal - plain.primal) < 3e-9 * float(np.abs(plane.force).sum()) * plane.mesh.size

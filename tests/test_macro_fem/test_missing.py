@@ -9,9 +9,10 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import first_state, make_program, mean_product, measure, moved, search, step_lengths
-from macro_fem.solvers.cones import Cones, first_cones, law_cut, with_cuts
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
 from macro_fem.solvers.cutting_planes import find, joined, pruned, widened
-from macro_fem.solvers.rigid import FIRST_GAP, LEAST_GAP, RigidOptions, solve_rigid
+from macro_fem.solvers.central_path import solve_path
+from macro_fem.solvers.options import PathOptions
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +124,10 @@ def test_pruning_leaves_what_carries(problem, rings):
 def test_the_path_takes_few_steps_though_the_law_has_thousands_of_half_spaces(problem, rings):
     """Solving in rounds, a new start for each, took 150 steps at 3,600 cells and grew with the mesh."""
     program, state = begun(problem)
-    result = solve_rigid(problem.fem, rings, program.load, state.z, 140.0)
+    result = solve_path(problem.fem, rings, program.load, state.z, 140.0)
     assert result.status == "converged"
     assert result.iterations <= 60
     assert len(result.cones) < 14 * len(result.cones.first)
-    assert law_cut(rings, problem.fem.gradient(result.z))[2].min() > -1e-9
-    assert result.residual < RigidOptions.gap
-    assert min(line.gap for line in result.history) > 0.5 * LEAST_GAP * RigidOptions.gap
+    assert law_cut(rings, green_strain(problem.fem.gradient(result.z)))[2].min() > -1e-9
+    assert result.residual < PathOptions.gap
+    assert min(line.gap for line in result.history) > 0.5 * LEAST_GAP * PathOptions.gap
