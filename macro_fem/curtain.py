@@ -50,7 +50,7 @@ class CurtainOptions:
         check_fields(self)
 
 
-ELASTIC_STEPS = StepOptions(least_gap=1e-4)
+ELASTIC_STEPS = StepOptions(least_gap=1e-2)
 """Stresses of an elastic curtain are off by the square root of the gap, so its path is followed further down."""
 
 
@@ -78,8 +78,8 @@ def solve_problem(
     matrix pattern and symbolic factor are kept.
     """
     begin = time.perf_counter()
-    if start is not None:
-        problem = replace(problem, fem=problem.fem.sharing(start.problem.fem))
+    if start is not None and _is_alike(problem.fem, start.problem.fem):
+        problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
     reach, give = supports_reach(problem), None
     if is_elastic(problem.scene) and reach.is_out and reach.excess < elastic_stretch(problem):
         reach = replace(reach, upper=1.0)
@@ -91,6 +91,15 @@ def solve_problem(
         reach = result.reach if result.stop == "infeasible" else reach
     found = _solution(problem, result, reach, give)
     return replace(found, decided=decided, wall_s=time.perf_counter() - begin)
+
+
+def _is_alike(one: SupportedFem, other: SupportedFem) -> bool:
+    """Whether two discretisations differ in their held positions only."""
+    if not (np.array_equal(one.free, other.free) and np.array_equal(one.disc.cell_dofs, other.disc.cell_dofs)):
+        return False
+    if one.tie is None or other.tie is None:
+        return one.tie is other.tie
+    return one.tie.shape == other.tie.shape and (one.tie != other.tie).nnz == 0
 
 
 def is_elastic(scene: Scene) -> bool:

@@ -33,20 +33,27 @@ from macro_fem.scene.schema import Corners, Edge, Hooks, Point, Support
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
 from macro_fem.solution import CurtainSolution, gathered_start
 from macro_fem.solvers import soc
-from macro_fem.solvers.cones import repeated
 from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.cones import repeated
 from macro_fem.solvers.options import PathOptions
 from rve.common.types import Array
-
-BOUND_GAP = 2e-5
-"""Relative gap to which the dual program is solved: it only weakens the bound, far less than any mesh does."""
+from rve.common.values import check_fields, number
 
 
-BOUND_VIOLATION = 5e-3
-"""Violation of the law that the dual program may leave: a half-space left out weakens the bound, too."""
-INWARD = 0.05
-"""How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has
-room left, and the first steps get stuck."""
+@dataclass(frozen=True)
+class BoundOptions:
+    """How the dual program is solved; InputError for values that make no sense."""
+
+    gap: float = number(2e-5, above=0.0, most=1.0)
+    """Relative gap. Larger gaps weaken the bound; that of any mesh is far larger than the default."""
+    violation: float = number(5e-3, above=0.0, most=1.0)
+    """Violation of the law that may be left: a half-space left out weakens the bound, too."""
+    inward: float = number(0.05, above=0.0, most=1.0)
+    """How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left and
+    the first steps get stuck; farther away more steps are needed."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,24 +78,24 @@ class Bounds:
         return self.upper - self.lower
 
 
-def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
+def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions = BoundOptions()) -> Bounds:
     """Bounds of the potential around a P1 solution on a mesh of triangles, at the same load step `factor`.
 
     InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
     """
     begin = time.perf_counter()
     problem = solution.problem
-    dual = dual_problem(solution, factor)
+    dual = dual_problem(solution, factor, options)
     fem = dual.fem
-    start = fem.unknowns(_at_dual_nodes(slackened(solution), dual.dual))
-    options = PathOptions(
-        gap=BOUND_GAP,
-        violation=BOUND_VIOLATION,
+    start = fem.unknowns(_at_dual_nodes(slackened(solution, options.inward), dual.dual))
+    path = PathOptions(
+        gap=options.gap,
+        violation=options.violation,
         max_iterations=problem.scene.solver.max_iterations,
         cones=None if solution.cones is None else repeated(solution.cones, 3),
         drawn=False,
     )
-    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
+    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, path)
     held = fem.positions(np.zeros(fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -106,7 +113,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
     )
 
 
-def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
+def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BoundOptions()) -> DualProblem:
     """The hybrid problem that belongs to a P1 solution."""
     problem = solution.problem
     scene, mesh = problem.scene, problem.mesh
@@ -114,7 +121,7 @@ def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
     force, cost = dead_and_live(scene, dual, problem.law, factor)
     mask = np.zeros((dual.disc.n_nodes, 2), bool)
     positions = dual.disc.nodes.copy()
-    near_point = slackened(solution)
+    near_point = slackened(solution, options.inward)
     tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
     for item, held in zip(scene.support, problem.supports.held, strict=True):
         if isinstance(item, Corners | Hooks | Point):
@@ -159,9 +166,9 @@ def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse
     return straight_ties(lines, X, mask) if lines else None
 
 
-def slackened(solution: CurtainSolution) -> Array:
+def slackened(solution: CurtainSolution, inward: float) -> Array:
     """Positions (n_nodes, 2) of the P1 curtain, drawn a little towards its slack start."""
-    return solution.x + INWARD * (gathered_start(solution.problem) - solution.x)
+    return solution.x + inward * (gathered_start(solution.problem) - solution.x)
 
 
 def _at_dual_nodes(x: Array, dual: DualMesh) -> Array:

@@ -41,14 +41,12 @@ class SupportedFem:
         one = (np.ones(len(free)), (free, np.arange(len(free))))
         return replace(self, tie=sparse.csc_matrix(one, shape=(self.free.size, len(free))))
 
-    def sharing(self, other: SupportedFem) -> SupportedFem:
-        """This curtain with the matrix pattern and symbolic factor of `other`, if its matrices have the same pattern."""
-        is_same = self.tie is other.tie is None and np.array_equal(self.free, other.free)
-        if not (is_same and np.array_equal(self.disc.cell_dofs, other.disc.cell_dofs)):
-            return self
-        same = replace(self)
-        vars(same).update({name: vars(other)[name] for name in ("pattern", "_solver") if name in vars(other)})
-        return same
+    def moved(self, x_held: Array) -> SupportedFem:
+        """The same curtain with its held components elsewhere; pattern and symbolic factor are kept."""
+        other = replace(self, x_held=x_held)
+        kept = ("pattern", "_tied", "_solver")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return other
 
     @property
     def d(self) -> int:

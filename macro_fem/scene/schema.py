@@ -6,12 +6,13 @@ from (0, 0) to (width, height), a disk is centred at (0, 0).
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from macro_fem.scene.edges import canonical
-from rve.common.errors import InputError
+from rve.common.errors import InputError, OldName
 from rve.common.reading import read_toml
 from rve.common.values import (
     MISSING,
@@ -34,6 +35,7 @@ ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
 MAX_CELLS = 20_000
 FEATURES = ("third-coordinate", "all-half-spaces", "ties", "coarse-start", "bounds")
 """What a scene leaves out where it can; see `macro_fem.output.explain`."""
+FORCE_IS_IDLE = "has no effect, as the solver decides which features to use; leave it out, --explain says what was used"
 
 
 MAX_CORNERS = 5_000
@@ -222,8 +224,7 @@ class Solver:
 
     `tolerance` is relative to the problem's energy scale, total load times size. `spread` adds an even tension of this
     part of (total load / size) everywhere, which opens out what hangs slack and has no shape of its own; the bounds in
-    the summary allow for it, 0 switches it off. `force` names features, or all, that are used though the scene does not
-    need them.
+    the summary allow for it, 0 switches it off. `force`, of an older version, has no effect.
     """
 
     kind: str = choice("rigid", "conic", "newton", default="rigid")
@@ -233,10 +234,6 @@ class Solver:
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
     force: tuple[str, ...] = words("all", *FEATURES)
-
-    def forces(self, feature: str) -> bool:
-        """Whether a feature is to be used in any case."""
-        return feature in self.force or "all" in self.force
 
 
 @dataclass(frozen=True)
@@ -296,6 +293,8 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     )
     _check_shape(scene.curtain, source)
     _check_effect(scene, data, source)
+    if scene.solver.force:
+        warnings.warn(f"{source}: [solver] force: {FORCE_IS_IDLE}", OldName, stacklevel=3)
     check_solver(scene, source)
     return scene
 
@@ -395,13 +394,5 @@ def check_solver(scene: Scene, source: str | Path) -> None:
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
     if solver.kind == "newton" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'newton'")
-    if solver.kind != "rigid":
-        for feature in ("third-coordinate", "all-half-spaces", "bounds"):
-            if feature in solver.force:
-                raise InputError(f"{source}: [solver] force = {feature!r}: needs kind = 'rigid', not {solver.kind!r}")
-    if solver.kind == "conic" and "coarse-start" in solver.force:
-        raise InputError(f"{source}: [solver] force = 'coarse-start': needs kind = 'rigid' or 'newton', not 'conic'")
-    if "bounds" in solver.force and element != "P1":
-        raise InputError(f"{source}: [solver] force = 'bounds': needs element = 'P1', not {element!r}")
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

@@ -219,9 +219,7 @@ def _taken(place: _Place, law: MembraneLaw, options: PathOptions, *, may_wait: b
     return _Taken(into.program, moved(into.state, shorter), shorter.primal, shorter.dual, -np.inf)
 
 
-def _stop(
-    place: _Place, law: MembraneLaw, inner: _Place, load: Array, options: PathOptions, steps: int
-) -> str | None:
+def _stop(place: _Place, law: MembraneLaw, inner: _Place, load: Array, options: PathOptions, steps: int) -> str | None:
     """Why the path ends at a place after so many steps; None where it goes on, as it does while a guide acts.
 
     An answer whose own numbers are not yet as good as asked is no end: smaller residuals make it so.

@@ -1,4 +1,4 @@
-"""The rigid curtain as a cone program solved by clarabel: an independent oracle for `macro_fem.solvers.rigid`.
+"""The rigid curtain as a cone program solved by clarabel: an independent oracle for `macro_fem.solvers.central_path`.
 
     minimise -l.z   subject to   ||F_q(z) L_i||_F <= c_i,   S_i = L_i L_i^T,   c_i^2 = 2 h_i + tr S_i
 
@@ -17,27 +17,35 @@ from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
 from macro_fem.solvers.central_path import PathResult
 from macro_fem.solvers.cone_program import REACH, Iteration
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
 from rve.common.errors import require
 from rve.common.types import Array
+from rve.common.values import check_fields, number, whole
 
-ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
-"""Errors that count as an answer: clarabel often ends "almost solved", short of what it was asked for."""
 FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
 
 
 @dataclass(frozen=True)
 class ClarabelOptions:
-    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain)."""
+    """When to stop; InputError for values that make no sense."""
 
-    gap: float = 1e-10
-    feasibility: float = 1e-10
-    violation: float = 1e-8
-    max_rounds: int = 30
+    gap: float = number(1e-10, above=0.0, most=1.0)
+    """Relative gap that clarabel is asked for."""
+    feasibility: float = number(1e-10, above=0.0, most=1.0)
+    """Relative residuals that clarabel is asked for. It often ends "almost solved", short of both."""
+    violation: float = number(1e-8, above=0.0, most=1.0)
+    """Violation of the law (strain) that ends the cutting planes. Smaller ones take more rounds."""
+    max_rounds: int = whole(30, least=1, most=1000)
+    """Programs solved at most, each with the half-spaces that the one before violated."""
+    attained: Accuracy = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+    """Errors up to which an answer counts as one."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 def solve_clarabel(
@@ -206,7 +214,7 @@ def _record(
     return PathResult(
         stop=stop,
         evidence=Evidence(found.gap, found.unbalanced, -least_slack(law, green_strain(fem.gradient(found.z)))),
-        asked=ATTAINED,
+        asked=options.attained,
         z=found.z,
         lam=found.lam,
         y_tail=np.zeros((len(found.lam), 2 * fem.d)),

@@ -285,11 +285,12 @@ class _Newton:
         A = H if self.strains is None else self.strains.reduced
         self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2))
 
-    def direction(self, aim: Vectors, keep: float) -> Step:
-        """The step to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`."""
+    def direction(self, aim: Vectors, keep: float) -> tuple[Step, Vectors, Vectors]:
+        """The step to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`, W^-1 ds and W dy."""
         program, W, now = self.program, self.W, self.now
         r_s = now.r_s * (1.0 - keep)
-        aimed = W.undo(soc.divide(self.point, aim))
+        both = soc.divide(self.point, aim)
+        aimed = W.undo(both)
         force, strain = program.pull(aimed + W.undo_twice(r_s))
         half = strain + (1.0 - keep) * now.r_e
         if self.strains is not None:
@@ -300,7 +301,8 @@ class _Newton:
         deps = half if self.strains is None else self.strains.whole(half, dF)
         d_wanted = program.map(dF, deps)
         ds = d_wanted - r_s
-        return Step(dz, deps, ds, aimed - W.undo(W.undo(ds)), d_wanted, keep)
+        scaled = W.undo(ds)
+        return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, keep), scaled, both - scaled
 
 
 class _Strains:
@@ -368,12 +370,12 @@ def search(
     unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
     mu = mean_product(program, state)
     square = soc.product(newton.point, newton.point)
-    affine = newton.direction(square * -1.0, 0.0)
+    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, 0.0)
     reach = min(step_lengths(program, state, affine, 1.0))
     sigma = (1.0 - reach) ** 3
-    second = soc.product(newton.W.undo(affine.ds), newton.W.apply(affine.dy)) * float(corrector)
+    second = soc.product(scaled_ds, scaled_dy) * float(corrector)
     least = min(mu, least_gap * program.scale / float(program.w.sum()))
-    step = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
+    step, _, _ = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
     primal, dual = step_lengths(program, state, step, boundary)

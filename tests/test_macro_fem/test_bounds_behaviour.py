@@ -11,8 +11,8 @@ from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.central_path import solve_path
+from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.options import PathOptions
 
 

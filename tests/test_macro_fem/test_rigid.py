@@ -12,9 +12,9 @@ from macro_fem.fem.turned import turned
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
+from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.clarabel import solve_clarabel
 from macro_fem.solvers.cones import green_strain, law_cut, times_triple
-from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.options import PathOptions
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
