@@ -1,4 +1,4 @@
-"""The curtain of a discrete problem: one cone program for rigid and elastic rings, clarabel as an independent solver."""
+"""The curtain of a discrete problem: one cone program for rigid and elastic rings, or clarabel for rigid ones."""
 
 from __future__ import annotations
 
@@ -50,6 +50,8 @@ class CurtainOptions:
         check_fields(self)
 
 
+CURTAIN = CurtainOptions()
+"""The defaults."""
 ELASTIC_STEPS = StepOptions(least_gap=1e-2)
 """Stresses of an elastic curtain are off by the square root of the gap, so its path is followed further down."""
 
@@ -70,7 +72,7 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
 
 
 def solve_problem(
-    problem: Problem, start: CurtainSolution | None = None, options: CurtainOptions = CurtainOptions()
+    problem: Problem, start: CurtainSolution | None = None, options: CurtainOptions = CURTAIN
 ) -> CurtainSolution:
     """The curtain of a discrete problem, by the solver its scene names.
 
@@ -81,10 +83,11 @@ def solve_problem(
     if start is not None and _is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
     reach, give = supports_reach(problem), None
+    decided: tuple[Decision, ...] = ()
     if is_elastic(problem.scene) and reach.is_out and reach.excess < elastic_stretch(problem):
         reach = replace(reach, upper=1.0)
     if reach.is_out:
-        result, decided = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem))), ()
+        result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)))
     else:
         cones, decided = _first_cones(problem, start, options)
         result, give = _solved(problem, reach, cones)

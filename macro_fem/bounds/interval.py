@@ -49,11 +49,15 @@ class BoundOptions:
     violation: float = number(5e-3, above=0.0, most=1.0)
     """Violation of the law that may be left: a half-space left out weakens the bound, too."""
     inward: float = number(0.05, above=0.0, most=1.0)
-    """How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left and
-    the first steps get stuck; farther away more steps are needed."""
+    """How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left
+    and the first steps get stuck; farther away more steps are needed."""
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+BOUND = BoundOptions()
+"""The defaults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +82,7 @@ class Bounds:
         return self.upper - self.lower
 
 
-def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions = BoundOptions()) -> Bounds:
+def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions = BOUND) -> Bounds:
     """Bounds of the potential around a P1 solution on a mesh of triangles, at the same load step `factor`.
 
     InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
@@ -113,7 +117,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions 
     )
 
 
-def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BoundOptions()) -> DualProblem:
+def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BOUND) -> DualProblem:
     """The hybrid problem that belongs to a P1 solution."""
     problem = solution.problem
     scene, mesh = problem.scene, problem.mesh

@@ -34,7 +34,7 @@ from macro_fem.solvers.cone_program import (
 )
 from macro_fem.solvers.cones import Cones, first_cones, least_slack
 from macro_fem.solvers.cutting_planes import at_rest, find, joined, pruned, widened
-from macro_fem.solvers.options import PathOptions
+from macro_fem.solvers.options import PATH, PathOptions
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from rve.common.types import Array
 
@@ -121,7 +121,7 @@ def solve_path(
     load: Array,
     start: Array,
     size: float,
-    options: PathOptions = PathOptions(),
+    options: PathOptions = PATH,
     *,
     compliance: Array = RIGID,
     guide: Array | None = None,
@@ -227,9 +227,9 @@ def _stop(place: _Place, law: MembraneLaw, inner: _Place, load: Array, options: 
     if is_certificate(place.program, place.now):
         return "infeasible"
     is_free = place.program.load is load
-    if is_free and place.now.error < options.gap and place.violation(law) < options.violation:
-        if options.accuracy.is_met(_answer(place, law, inner, options).evidence(law)):
-            return "closed"
+    is_close = is_free and place.now.error < options.gap and place.violation(law) < options.violation
+    if is_close and options.accuracy.is_met(_answer(place, law, inner, options).evidence(law)):
+        return "closed"
     if options.enough is not None and options.enough(place.state.z, place.lower):
         return "closed"
     return "iterations" if steps >= options.max_iterations else None
@@ -285,7 +285,7 @@ def unsolved(fem: Fem, law: MembraneLaw, z: Array) -> PathResult:
     return PathResult(
         stop="infeasible",
         evidence=Evidence(np.inf, np.inf, np.inf),
-        asked=PathOptions().accuracy,
+        asked=PATH.accuracy,
         z=z,
         lam=np.zeros(len(cones)),
         y_tail=np.zeros((len(cones), 2 * P.shape[1])),

@@ -29,6 +29,9 @@ FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
 
 
+ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+
+
 @dataclass(frozen=True)
 class ClarabelOptions:
     """When to stop; InputError for values that make no sense."""
@@ -36,13 +39,13 @@ class ClarabelOptions:
     gap: float = number(1e-10, above=0.0, most=1.0)
     """Relative gap that clarabel is asked for."""
     feasibility: float = number(1e-10, above=0.0, most=1.0)
-    """Relative residuals that clarabel is asked for. It often ends "almost solved", short of both."""
+    """Relative residuals that clarabel is asked for. Smaller ones take more iterations."""
     violation: float = number(1e-8, above=0.0, most=1.0)
     """Violation of the law (strain) that ends the cutting planes. Smaller ones take more rounds."""
     max_rounds: int = whole(30, least=1, most=1000)
     """Programs solved at most, each with the half-spaces that the one before violated."""
-    attained: Accuracy = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
-    """Errors up to which an answer counts as one."""
+    attained: Accuracy = ATTAINED
+    """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what it was asked for."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -32,7 +32,7 @@ import numpy as np
 
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain
-from macro_fem.solvers.options import StepOptions
+from macro_fem.solvers.options import STEPS, StepOptions
 from macro_fem.solvers.soc import Vectors
 from rve.common.types import Array
 
@@ -397,7 +397,7 @@ def is_inside(state: State) -> bool:
     return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0)
 
 
-def first_state(program: Program, z: Array, options: StepOptions = StepOptions()) -> State:
+def first_state(program: Program, z: Array, options: StepOptions = STEPS) -> State:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
     eps = np.zeros((len(program.fem.weight), program.R.shape[1]))
     s = program.slack(z, eps).lifted(options.lift * program.c)

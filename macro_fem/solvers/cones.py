@@ -185,7 +185,7 @@ def only(cones: Cones, keep: np.ndarray) -> Cones:
 
 
 def law_cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
-    """The half-space of the law nearest to (or most violated by) each E (n, 3): S (n, 3), h (n,), slack h - S:E (n,)."""
+    """The half-space of the law nearest to (or most violated by) each E (n, 3): S (n, 3), h (n,), h - S:E (n,)."""
     parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
     S = np.concatenate([part.S for part in parts])
     h = np.concatenate([part.h for part in parts])

@@ -15,7 +15,7 @@ from homogenize import MembraneLaw
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import Measure, Program, State, Step, mean_product
 from macro_fem.solvers.cones import law_cut, only, steadied, with_cuts
-from macro_fem.solvers.options import CutOptions, StepOptions
+from macro_fem.solvers.options import CUTS, CutOptions, StepOptions
 from macro_fem.solvers.soc import Vectors
 from rve.common.types import Array
 
@@ -34,7 +34,7 @@ class Found:
     is_missing: np.ndarray
 
 
-def find(program: Program, law: MembraneLaw, E: Array, wanted: Vectors, options: CutOptions = CutOptions()) -> Found:
+def find(program: Program, law: MembraneLaw, E: Array, wanted: Vectors, options: CutOptions = CUTS) -> Found:
     """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`."""
     S, h, slack = law_cut(law, E)
     trace = S[:, 0] + S[:, 2]
@@ -46,7 +46,7 @@ def find(program: Program, law: MembraneLaw, E: Array, wanted: Vectors, options:
     return Found(S, h, -slack / (h + 0.5 * trace), is_unknown & ((over > 0.0) | (over > options.near * nearest)))
 
 
-def at_rest(program: Program, now: Measure, found: Found, options: CutOptions = CutOptions()) -> Found:
+def at_rest(program: Program, now: Measure, found: Found, options: CutOptions = CUTS) -> Found:
     """`found` without points whose own cones are still far from their place: first those are to be met, or refuted."""
     if now.outside < options.stray:
         return found
@@ -71,7 +71,7 @@ class Joined:
 
 
 def joined(
-    program: Program, state: State, found: Found, options: CutOptions = CutOptions(), lift: float = StepOptions.lift
+    program: Program, state: State, found: Found, options: CutOptions = CUTS, lift: float = StepOptions.lift
 ) -> Joined:
     """The program with all missing half-spaces, at the same unknowns.
 

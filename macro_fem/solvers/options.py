@@ -34,6 +34,10 @@ class StepOptions:
         check_fields(self)
 
 
+STEPS = StepOptions()
+"""The defaults."""
+
+
 @dataclass(frozen=True)
 class CutOptions:
     """When half-spaces join and leave a program; InputError for values that make no sense."""
@@ -59,6 +63,10 @@ class CutOptions:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+CUTS = CutOptions()
+"""The defaults."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +98,8 @@ class PathOptions:
     states, farther from the answer."""
     most_drawn: float = number(1e-3, above=0.0, most=1.0)
     """Longest part of the way to that state that the answer is drawn. More would hide a wrong answer."""
-    steps: StepOptions = StepOptions()
-    cuts: CutOptions = CutOptions()
+    steps: StepOptions = STEPS
+    cuts: CutOptions = CUTS
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -100,3 +108,7 @@ class PathOptions:
     def accuracy(self) -> Accuracy:
         """What the numbers of the answer must not exceed."""
         return Accuracy(self.counted * self.gap, self.gap, self.violation)
+
+
+PATH = PathOptions()
+"""The defaults."""

@@ -46,7 +46,7 @@ class StretchOptions:
     reach_gap: float = number(1e-6, above=0.0, most=AT_LIMIT)
     """Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
     sure: float = number(2.0, least=1.0, most=100.0)
-    """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger values search longer."""
+    """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
 
     def __post_init__(self) -> None:
         check_fields(self)
