@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw
+from macro_fem.elastic_curtain import polished
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.fem.turned import TurnedLaw
 from macro_fem.scene.mesh import build_mesh
@@ -28,7 +29,7 @@ from macro_fem.solvers.central_path import PathResult, solve_path, unsolved
 from macro_fem.solvers.clarabel import ClarabelOptions, solve_clarabel
 from macro_fem.solvers.cones import Cones, green_strain, taken_from
 from macro_fem.solvers.options import PathOptions, StepOptions
-from macro_fem.solvers.status import Reach, load_scale
+from macro_fem.solvers.status import ROUNDING, Reach, load_scale
 from macro_fem.solvers.stretch_limit import Solve, reach_of, solve_taut
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -93,6 +94,9 @@ def solve_problem(
         result, give = _solved(problem, reach, cones)
         reach = result.reach if result.stop == "infeasible" else reach
     found = _solution(problem, result, reach, give)
+    left = problem.scene.solver.max_iterations - found.iterations
+    if found.elastic and not reach.is_out and left > 0 and not found.asked.is_met(found.evidence, ROUNDING):
+        found = polished(found, left)
     return replace(found, decided=decided, wall_s=time.perf_counter() - begin)
 
 

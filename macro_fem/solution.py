@@ -17,6 +17,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
+from macro_fem.solvers.newton_records import NewtonRecord
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -83,7 +84,7 @@ class CurtainSolution(Judged):
     give: float | None = None
     elastic: bool = False
     cones: Cones | None = field(default=None, repr=False)
-    history: tuple[Iteration, ...] = field(default=(), repr=False)
+    history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
     tension: float = 0.0
     decided: tuple[Decision, ...] = ()
 

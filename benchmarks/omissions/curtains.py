@@ -49,12 +49,12 @@ def measure(full: bool) -> Section:
     steps = [step_row(law, n, corrector) for n in ((8, 16, 32) if full else (8, 16)) for corrector in (True, False)]
     slack = [slack_row(law, kind, 24 if full else 16) for kind in ("corners", "gathered")]
     text = (
-        "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a "
-        "straight bar, by the solver's functions with other options. `third-coordinate`: nodes may leave the plane. `all-half-spaces`: every "
-        "point has all half-spaces of the law from the start, instead of adding those that are violated. `idle "
-        "half-spaces`: none is dropped during the iteration. `corrector`: the second derivatives in the cone solver, "
-        "Mehrotra's correction of each step. `ties`: a matrix between nodes and unknowns, needed only for straight "
-        f"bars. `coarse-start`: a coarser curtain first, by default from {CurtainOptions.coarse_from} points on."
+        "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar; the "
+        "solver's functions are called with other options. `third-coordinate`: nodes may leave the plane. "
+        "`all-half-spaces`: every point begins with all half-spaces of the law, instead of adding those that are "
+        "violated. `idle half-spaces`: none is dropped on the way. `corrector`: the second derivatives in the "
+        "cone solver, Mehrotra's correction of each step. `ties`: a matrix between nodes and unknowns, needed only for "
+        f"straight bars. `coarse-start`: a coarser curtain first, by default from {CURTAIN.coarse_from} points on."
     )
     conclusion = (
         f"{verdict(trials)} The corrector {'saves' if trials[-1][RATIO] < 1.0 else 'does not save'} time and is always "

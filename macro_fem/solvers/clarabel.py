@@ -45,7 +45,7 @@ class ClarabelOptions:
     max_rounds: int = whole(30, least=1, most=1000)
     """Programs solved at most, each with the half-spaces that the one before violated."""
     attained: Accuracy = ATTAINED
-    """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what it was asked for."""
+    """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
 
     def __post_init__(self) -> None:
         check_fields(self)

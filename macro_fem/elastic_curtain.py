@@ -1,0 +1,79 @@
+"""Newton's method on the law itself, from the answer of the cone program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from macro_fem.fem.assembly import deformation_gradient
+from macro_fem.solution import CurtainSolution
+from macro_fem.solvers import newton
+from macro_fem.solvers.cone_program import REACH
+from macro_fem.solvers.cones import green_strain, times_triple
+from macro_fem.solvers.status import Accuracy
+from rve.common.types import Array
+from rve.common.values import check_fields, number, whole
+
+STOPS = {
+    newton.NewtonStatus.CONVERGED: "closed",
+    newton.NewtonStatus.ITERATION_LIMIT: "iterations",
+    newton.NewtonStatus.ROUND_OFF: "stalled",
+    newton.NewtonStatus.STALLED: "stalled",
+    newton.NewtonStatus.NOT_CONVEX: "not_convex",
+    newton.NewtonStatus.NOT_FINITE: "not_finite",
+}
+"""Why Newton's method stopped, in the words of `macro_fem.solvers.status`."""
+
+
+@dataclass(frozen=True)
+class PolishOptions:
+    """When Newton's method stops; InputError for values that make no sense."""
+
+    steps: int = whole(40, least=1, most=10_000)
+    """Maximum steps. Some are enough from a good start; kinks in slack regions can stall it for ever."""
+    idle_steps: int = whole(3, least=1, most=1000)
+    """Steps in a row without progress that end it. More rarely find a way out."""
+    balanced: float = number(1e-7, above=0.0, most=1.0)
+    """Unbalanced forces over the loads below which its answer is one."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+POLISH = PolishOptions()
+"""The defaults."""
+
+
+def polished(found: CurtainSolution, most: int, options: PolishOptions = POLISH) -> CurtainSolution:
+    """At most `most` more steps on the elastic law itself, from the answer `found`; `found` if they balance less.
+
+    For laws whose response is not exactly ideal locking with a compliance, such as nets whose fibres lie in one line.
+    The dual value is the potential less the bound that convexity puts on its error.
+    """
+    problem, supports, nodes = found.problem, found.problem.supports, found.problem.disc.nodes
+    fixed = supports.mask | supports.pinned
+    membrane = newton.Membrane(
+        problem.disc, problem.law, fixed, supports.positions - nodes, problem.force, supports.tie
+    )
+    steps = min(options.steps, most)
+    how = newton.NewtonOptions(max_iterations=steps, soften_after=steps, idle_steps=options.idle_steps)
+    answer = newton.solve(membrane, how, start=found.displacement)
+    last = answer.steps[-1]
+    F: Array = deformation_gradient(problem.disc, last.u)
+    S = problem.law.response(green_strain(F)).S
+    history = (*found.history, *answer.history)
+    better = replace(
+        found,
+        stop=STOPS[last.status],
+        asked=Accuracy(REACH * options.balanced, options.balanced, options.balanced),
+        x=nodes + last.u,
+        F=F,
+        P=times_triple(F, S),
+        S=S,
+        primal=last.potential,
+        dual=last.potential - last.energy_bound,
+        iterations=len(history),
+        cones=None,
+        history=history,
+    )
+    is_better = better.asked.is_met(better.evidence) or better.residual < found.residual
+    return better if is_better else replace(found, iterations=len(history), history=history)
