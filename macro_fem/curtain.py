@@ -47,6 +47,10 @@ class CurtainOptions:
     coarse_tolerance: float = number(1e-4, above=0.0, most=1.0)
     """Tolerance of the coarser curtain. Only its half-spaces are used, which smaller tolerances hardly change."""
 
+    inward: float = number(0.05, above=0.0, most=1.0)
+    """How far the start of a load step is drawn from the last curtain to the slack start, where 1 is that. On the last
+    curtain itself no cone has room left; farther away more steps are needed."""
+
     def __post_init__(self) -> None:
         check_fields(self)
 
@@ -77,8 +81,8 @@ def solve_problem(
 ) -> CurtainSolution:
     """The curtain of a discrete problem, by the solver its scene names.
 
-    `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, and its
-    matrix pattern and symbolic factor are kept.
+    `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
+    positions are near its own, and its matrix pattern and symbolic factor are kept.
     """
     begin = time.perf_counter()
     if start is not None and _is_alike(problem.fem, start.problem.fem):
@@ -91,7 +95,7 @@ def solve_problem(
         result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)))
     else:
         cones, decided = _first_cones(problem, start, options)
-        result, give = _solved(problem, reach, cones)
+        result, give = _solved(problem, reach, cones, _first_positions(problem, start, options))
         reach = result.reach if result.stop == "infeasible" else reach
     found = _solution(problem, result, reach, give)
     left = problem.scene.solver.max_iterations - found.iterations
@@ -136,14 +140,14 @@ def elastic_stretch(problem: Problem) -> float:
     return line_load * float(np.trace(problem.law.compliance)) / 3.0
 
 
-def _solved(problem: Problem, reach: Reach, cones: Cones | None) -> tuple[PathResult, float | None]:
-    """The solver's record, and by how much rings gave in a problem that was relaxed.
+def _solved(problem: Problem, reach: Reach, cones: Cones | None, x: Array) -> tuple[PathResult, float | None]:
+    """The solver's record from positions x (n_nodes, d), and by how much rings gave in a problem that was relaxed.
 
     The even tension that opens out slack parts stays in a rigid curtain, whose bounds allow for it; an elastic one is
     only guided by it.
     """
     spec, fem, law, size = problem.scene.solver, problem.fem, problem.law, problem.mesh.size
-    load, z = fem.gather(problem.force), fem.unknowns(gathered_start(problem))
+    load, z = fem.gather(problem.force), fem.unknowns(x)
     tension = fem.force(spread_tension(problem) * unit_tensors(problem))
     violation = max(PathOptions.violation, PathOptions.counted * spec.tolerance)
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
@@ -167,6 +171,12 @@ def _clarabel(problem: Problem) -> Solve:
     return solve
 
 
+def _first_positions(problem: Problem, start: CurtainSolution | None, options: CurtainOptions) -> Array:
+    """The slack start (n_nodes, d), or a place near the last curtain."""
+    slack = gathered_start(problem)
+    return slack if start is None else start.x + options.inward * (slack - start.x)
+
+
 def _first_cones(
     problem: Problem, start: CurtainSolution | None, options: CurtainOptions
 ) -> tuple[Cones | None, tuple[Decision, ...]]:
@@ -183,8 +193,8 @@ def _first_cones(
         return told("clarabel takes no start")
     if start is not None and start.cones is not None and len(start.cones.first) == points:
         return start.cones, (
-            Decision("last-step", True, "the last load step tells the first half-spaces"),
-            Decision("coarse-start", False, "the last load step tells more"),
+            Decision("last-step", True, "half-spaces and positions begin with those of the last load step"),
+            Decision("coarse-start", False, "the last load step is nearer"),
         )
     if points < options.coarse_from:
         return told(f"{points} points are fewer than {options.coarse_from}")
