@@ -31,7 +31,7 @@ from typing import Protocol
 import numpy as np
 
 from macro_fem.solvers import soc
-from macro_fem.solvers.cones import Cones, green_strain
+from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
 from macro_fem.solvers.options import STEPS, StepOptions
 from macro_fem.solvers.soc import Vectors
 from rve.common.types import Array
@@ -135,7 +135,7 @@ class Program:
         point, L, lead = self.cones.point[which], self.L[which], self.lead
         out = np.empty((lead + 2 * F.shape[1], len(point)))
         for a in range(F.shape[1]):
-            _root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[lead + 2 * a : lead + 2 * a + 2])
+            root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[lead + 2 * a : lead + 2 * a + 2])
         if not lead:
             return Vectors(np.zeros(len(point)), out.T)
         out[0] = soc.row_dot(self.N[which], eps[point])
@@ -167,29 +167,6 @@ def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float
     values, vectors = np.linalg.eigh(compliance / SHEAR_TWICE)
     is_soft = values > 1e-15 * max(values.max(), 1e-300)
     return Program(fem, load, cones, vectors[:, is_soft] * np.sqrt(values[is_soft]), scale, total)
-
-
-def times_root(F: Array, L: Array) -> Array:
-    """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
-    out = np.empty((2 * F.shape[1], len(F)))
-    for a in range(F.shape[1]):
-        _root_row(F[:, a, 0], F[:, a, 1], L, out[2 * a : 2 * a + 2])
-    return out.T
-
-
-def _root_row(x: Array, y: Array, L: Array, out: Array) -> None:
-    """(x, y) L of each cone into out (2, n)."""
-    np.multiply(x, L[:, 0], out=out[0])
-    out[0] += y * L[:, 1]
-    np.multiply(x, L[:, 1], out=out[1])
-    out[1] += y * L[:, 2]
-
-
-def symmetric_roots(S: Array) -> Array:
-    """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
-    det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))
-    size = np.sqrt(S[:, 0] + S[:, 2] + 2.0 * det)
-    return np.stack([(S[:, 0] + det) / size, S[:, 1] / size, (S[:, 2] + det) / size]).T
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.fem.turned import turn_matrix, turned
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import symmetric_roots, times_root
+from macro_fem.solvers.cones import symmetric_roots, times_root
 
 
 def inside(rng, n=200, m=4):
