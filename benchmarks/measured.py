@@ -69,7 +69,7 @@ def curtains(folder: Path) -> Said:
 
     def run(hang: str, cells: int, support: str | dict[str, Any]) -> dict[str, Any]:
         tables = square(cells, support)
-        tables["curtain"]["hang"] = hang
+        tables["curtain"]["weave_angle"] = hang
         scene = scene_file(folder / "scene.toml", tables)
         return run_scene(scene, folder / "law.json", folder / "out", picture=False)
 

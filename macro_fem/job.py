@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -19,9 +19,8 @@ from macro_fem.output.files import bounds_summary, summarize, write_series, writ
 from macro_fem.output.rings import to_curtain
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import Scene, check_solver, load_scene
-from macro_fem.scene.tables import FEATURES
-from macro_fem.solution import CurtainSolution, make_problem
+from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.solution import CurtainSolution, Problem, make_problem
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.types import Array
@@ -122,13 +121,16 @@ def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) ->
     'converged'
     """
     law = default_law() if law is None else law
-    steps = scene.load.steps
-    early = [_solved(scene, law, step / steps, say) for step in range(1, steps)]
+    mesh, count = build_mesh(scene, law.cell), scene.load.steps
+    steps: list[CurtainSolution] = []
+    for step in range(1, count + 1):
+        say(f"solving {mesh.mesh.t.shape[1]} cells, load step {step} of {count}")
+        steps.append(_solved(make_problem(scene, law, mesh, step / count), steps[-1] if steps else None))
     if asks_bounds(scene):
         say("solving with bounds")
-        levels = tuple(_with_bounds(scene, law))
-        return CurtainResult(scene, (*early, levels[-1].solution), levels)
-    return CurtainResult(scene, (*early, _solved(scene, law, 1.0, say)))
+        levels = tuple(_with_bounds(scene, law, steps[-1]))
+        return CurtainResult(scene, (*steps[:-1], levels[-1].solution), levels)
+    return CurtainResult(scene, tuple(steps))
 
 
 def run_scene(
@@ -137,17 +139,16 @@ def run_scene(
     out: Path,
     *,
     picture: bool = True,
-    force: tuple[str, ...] = (),
     say: Say = silent,
 ) -> dict[str, Any]:
-    """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
+    """Solve the scene in a file, write its files into `out` and return the summary.
 
     InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
-    scene = with_force(load_scene(scene_path), force)
+    scene = load_scene(scene_path)
     if scene.solver.kind == "clarabel":
         require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
@@ -159,44 +160,26 @@ def run_scene(
     return solve(scene, law, say=say).save(out, picture=picture, inputs=inputs)
 
 
-def with_force(scene: Scene, force: tuple[str, ...]) -> Scene:
-    """The scene with more features forced; InputError for those that are not known or do not go with it."""
-    if not force:
-        return scene
-    for name in force:
-        if name not in (*FEATURES, "all"):
-            raise InputError(f"--force = {name!r}: known are all, {', '.join(FEATURES)}")
-    wider = replace(scene, solver=replace(scene.solver, force=(*scene.solver.force, *force)))
-    check_solver(wider, scene.source)
-    return wider
-
-
 def asks_bounds(scene: Scene) -> bool:
     """Whether bounds of the continuous curtain are wanted."""
-    solver = scene.solver
-    fits = solver.kind == "rigid" and scene.mesh.element == "P1"
-    return solver.bounds or solver.adapt > 0 or (fits and solver.forces("bounds"))
+    return scene.solver.bounds or scene.solver.adapt > 0
 
 
-def _solved(scene: Scene, law: MembraneLaw, factor: float, say: Say = silent) -> CurtainSolution:
-    """The curtain at one share of the live load; InputError if there is none."""
-    mesh = build_mesh(scene, law.cell)
-    say(f"solving {mesh.mesh.t.shape[1]} cells, load step {round(factor * scene.load.steps)} of {scene.load.steps}")
-    solution = solve_problem(make_problem(scene, law, mesh, factor))
+def _solved(problem: Problem, start: CurtainSolution | None) -> CurtainSolution:
+    """The curtain at one share of the live load, from that of the last step; InputError if there is none."""
+    solution = solve_problem(problem, start)
     if solution.status == "infeasible":
-        at = f" at {factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
+        scene = problem.scene
+        at = f" at {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
         raise InputError(f"{scene.source}: [support]: {solution.message}{at}")
     return solution
 
 
-def _with_bounds(scene: Scene, law: MembraneLaw) -> list[Level]:
-    """All levels of refinement; InputError if not even the first mesh has a solution."""
-    found = list(refined_levels(scene, law))
-    if not found:
-        coarse = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
-        solution = _solved(coarse, law, 1.0)
-        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {solution.message}")
-    return found
+def _with_bounds(scene: Scene, law: MembraneLaw, first: CurtainSolution) -> list[Level]:
+    """All levels of refinement; InputError if not even the curtain on the first mesh has converged."""
+    if first.status != "converged":
+        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {first.message}")
+    return list(refined_levels(scene, law, mesh=first.problem.mesh, first=first))
 
 
 def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, Any]:

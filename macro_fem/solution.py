@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -44,6 +44,19 @@ class Problem:
     factor: float = 1.0  # share of live loads and moves
 
 
+@dataclass(frozen=True)
+class Decision:
+    """A feature, whether the run has used it, and why in this scene."""
+
+    feature: str
+    used: bool
+    why: str
+
+    def to_dict(self) -> dict[str, str | bool]:
+        """For summary.json."""
+        return asdict(self)
+
+
 @dataclass(frozen=True, eq=False)
 class CurtainSolution(Judged):
     """The curtain at one load step.
@@ -55,7 +68,7 @@ class CurtainSolution(Judged):
     Status and message are not given but follow from the rest: `stop` is why the solver stopped, `asked` what the
     numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `give` by how much the
     rings of a relaxed problem gave beyond locking, whose bounds primal and dual then are; None for the law as it is.
-    `elastic`: P is the stress of the elastic law, else of ideal locking.
+    `elastic`: P is the stress of the elastic law, else of ideal locking. `decided`: what the solver itself decided.
     """
 
     problem: Problem
@@ -75,6 +88,7 @@ class CurtainSolution(Judged):
     cones: Cones | None = field(default=None, repr=False)
     history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
     tension: float = 0.0
+    decided: tuple[Decision, ...] = ()
 
     @cached_property
     def evidence(self) -> Evidence:

@@ -80,10 +80,12 @@ def curtain(folder: Path, cells: int) -> list[Row]:
     """Picture and bounds of a curtain."""
     scene = scene_file(folder / "scene.toml", square(cells))
 
-    def run(*force: str, picture: bool = False) -> Any:
-        run_scene(scene, None, folder, picture=picture, force=force)
+    bounded = scene_file(folder / "bounded.toml", square(cells, solver={"bounds": True}))
+
+    def run(path: Path = scene, picture: bool = False) -> Any:
+        run_scene(path, None, folder, picture=picture)
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         return np.array([summary[key] for key in ("mean_height_mm", "lowest_point_mm", "potential_dual_N_mm")])
 
-    others = {"picture": partial(run, picture=True), "bounds": partial(run, "bounds")}
+    others = {"picture": partial(run, picture=True), "bounds": partial(run, bounded)}
     return unchanged("macro-fem run", run, others, "mm", long=3.0)

@@ -11,6 +11,9 @@ KEYS = {("curtain", "hang"): "weave_angle", ("solver", "spread"): "stabilising_t
 """New name of a key by table and old name."""
 VALUES = {("solver", "kind"): {"newton": "elastic", "conic": "clarabel"}}
 """New value by old value, of a key of a table."""
+FORCE_IS_IDLE = "has no effect, as the solver decides which features to use; leave it out, --explain says what was used"
+IDLE = {("solver", "force"): FORCE_IS_IDLE}
+"""What is said of a key that is read and has no effect any more, by table and key."""
 
 
 def with_new_names(data: dict[str, Any], source: object) -> dict[str, Any]:
@@ -36,6 +39,10 @@ def with_new_names(data: dict[str, Any], source: object) -> dict[str, Any]:
         if isinstance(table, dict) and isinstance(value, str) and value in new_values:
             table[key] = new_values[value]
             found.append(f"[{name}] {key} = {value!r} is now {new_values[value]!r}")
+    for (name, key), told in IDLE.items():
+        table = data.get(name)
+        if isinstance(table, dict) and table.pop(key, None) is not None:
+            warnings.warn(f"{source}: [{name}] {key}: {told}", OldName, stacklevel=3)
     if found:
         message = f"{source}: {', '.join(found)}; the old names are read until the next version"
         warnings.warn(message, OldName, stacklevel=3)

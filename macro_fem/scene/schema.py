@@ -180,14 +180,5 @@ def check_solver(scene: Scene, source: str | Path) -> None:
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
     if solver.kind == "elastic" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
-    if solver.kind != "rigid":
-        for feature in ("third-coordinate", "all-half-spaces", "bounds"):
-            if feature in solver.force:
-                raise InputError(f"{source}: [solver] force = {feature!r}: needs kind = 'rigid', not {solver.kind!r}")
-    if solver.kind == "clarabel" and "coarse-start" in solver.force:
-        needs = "needs kind = 'rigid' or 'elastic', not 'clarabel'"
-        raise InputError(f"{source}: [solver] force = 'coarse-start': {needs}")
-    if "bounds" in solver.force and element != "P1":
-        raise InputError(f"{source}: [solver] force = 'bounds': needs element = 'P1', not {element!r}")
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

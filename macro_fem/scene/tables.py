@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from macro_fem.scene.edges import canonical
-from rve.common.values import MISSING, choice, entry, finite, flag, list_of, number, text, whole, words
+from rve.common.values import MISSING, choice, entry, finite, flag, list_of, number, text, whole
 
 WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
 ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
 MAX_CELLS = 20_000
-FEATURES = ("third-coordinate", "all-half-spaces", "ties", "coarse-start", "bounds")
-"""What a scene leaves out where it can; see `macro_fem.output.explain`."""
 
 
 MAX_CORNERS = 5_000
@@ -205,9 +203,8 @@ class Solver:
 
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
-    summary allow for it, 0 switches it off. `bounds` asks for bounds of the continuous curtain, `adapt` for this number
-    of refinements where the bounds differ. `force` names features, or all, that are used though the scene does not need
-    them.
+    summary allow for it, 0 switches it off; an elastic curtain is only guided by it. `bounds` asks for bounds of the
+    continuous curtain, `adapt` for this number of refinements where the bounds differ.
     """
 
     kind: str = choice("rigid", "elastic", "clarabel", default="rigid")
@@ -216,8 +213,3 @@ class Solver:
     stabilising_tension: float = number(1e-6, least=0.0, most=1e-2)
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
-    force: tuple[str, ...] = words("all", *FEATURES)
-
-    def forces(self, feature: str) -> bool:
-        """Whether a feature is to be used in any case."""
-        return feature in self.force or "all" in self.force

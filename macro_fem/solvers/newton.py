@@ -25,6 +25,7 @@ from macro_fem.fem.linear import NotPositiveDefiniteError
 from macro_fem.fem.membrane import ElasticLaw, State, evaluate, tangent
 from macro_fem.fem.supported import SupportedFem
 from rve.common.types import Array
+from rve.common.values import Options, number, whole
 
 MAX_TRIALS = 20
 """Calls of the law in one line search. More of them are spent where rounding hides the fall of the potential."""
@@ -35,7 +36,7 @@ NEARLY_BALANCED = 1e-5
 
 
 @dataclass(frozen=True)
-class NewtonOptions:
+class NewtonOptions(Options):
     """When to stop and how to step.
 
     rtol: residual of the free unknowns over the larger of applied and internal nodal forces, all in the 2-norm. What
@@ -46,20 +47,11 @@ class NewtonOptions:
     new least residual, that end the search.
     """
 
-    rtol: float = 1e-9
-    max_iterations: int = 1000
-    max_gradient_step: float = 1.0
-    regularisation: float = 0.3
-    idle_steps: int = 15
-
-    def __post_init__(self) -> None:
-        """Refuse values that would stop the solver from working."""
-        for name in ("rtol", "max_gradient_step", "regularisation"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)} must be greater than 0")
-        for name in ("max_iterations", "idle_steps"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} = {getattr(self, name)} must not be negative")
+    rtol: float = number(1e-9, above=0.0, most=1.0)
+    max_iterations: int = whole(1000, least=0, most=1_000_000)
+    max_gradient_step: float = number(1.0, above=0.0, most=1e6)
+    regularisation: float = number(0.3, above=0.0, most=1e6)
+    idle_steps: int = whole(15, least=0, most=1_000_000)
 
 
 @dataclass(frozen=True)

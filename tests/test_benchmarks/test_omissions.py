@@ -5,12 +5,12 @@ import pytest
 
 from benchmarks.omissions import motion, outputs, rings
 from benchmarks.omissions.compare import LEFT_OUT, NOISE, bars, trial, trial_table, verdict
-from benchmarks.omissions.curtains import by_option, forced
+from benchmarks.omissions.curtains import by_option, third_coordinate
 from benchmarks.omissions.imports import PROBE, helps, probe
 from benchmarks.report.measure import at_most
 from benchmarks.report.records import shown
 from homogenize.io import default_law
-from macro_fem.solvers.rigid import RigidOptions
+from macro_fem.solvers.options import PathOptions
 from rve.explain import decisions
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
@@ -68,8 +68,8 @@ def test_supports_across_the_plane_carry_nothing():
 
 def test_features_of_curtains_forced():
     law = default_law()
-    assert forced(law, "third-coordinate", "corners", 3)["same"]
-    row = by_option(law, "corrector", 3, RigidOptions(corrector=False), RigidOptions())
+    assert third_coordinate(law, "corners", 3)["same"]
+    row = by_option(law, "corrector", 3, PathOptions(corrector=False), PathOptions())
     assert row["same"]
     assert row["default"] == "used"
 

@@ -17,7 +17,7 @@ from macro_fem.curtain import solve_scene
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import newton, rigid
+from macro_fem.solvers import central_path, newton
 from macro_fem.solvers.status import FREE
 from rve.common.errors import InputError
 from rve.equilibrium.interior_point import DirectOptions, follow, solve_equilibrium
@@ -145,7 +145,7 @@ def test_impossible_supports_need_the_certificate(monkeypatch):
     assert refuted.status == "infeasible"
     proved = float(refuted.message.split(" %")[0].split()[-1])
     assert proved == pytest.approx(100.0 * (1.65 / (18.0 / 11.0) - 1.0), abs=0.05)
-    monkeypatch.setattr(rigid, "is_certificate", lambda *_: False)
+    monkeypatch.setattr(central_path, "is_certificate", lambda *_: False)
     assert solve_scene(scene, law).status in ("stalled", "iterations")
 
 

@@ -12,9 +12,10 @@ from macro_fem.fem.rotated import rotated
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers.clarabel import solve_conic
-from macro_fem.solvers.cones import law_cut, times_triple
-from macro_fem.solvers.rigid import RigidOptions, solve_rigid
+from macro_fem.solvers.central_path import solve_path
+from macro_fem.solvers.clarabel import solve_clarabel
+from macro_fem.solvers.cones import green_strain, law_cut, times_triple
+from macro_fem.solvers.options import PathOptions
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 STRETCH_X, SHRINK_Y = 17.42005 / 11.0, 4.25798 / 12.646069623526
@@ -27,7 +28,7 @@ def solve(tables, law):
 def assert_certified(solution, law, size=100.0):
     """Admissible for the whole law, in equilibrium, and the gap closed: all recomputed from the record."""
     assert solution.status == "converged", solution.message
-    assert law_cut(solution.problem.law, solution.F)[2].min() > -1e-9
+    assert law_cut(solution.problem.law, green_strain(solution.F))[2].min() > -1e-9
     fem, force = solution.problem.fem, solution.problem.force
     unbalanced = fem.gather(force) - fem.force(solution.P)
     spread = solution.problem.scene.solver.stabilising_tension
@@ -105,7 +106,7 @@ def test_clarabel_finds_the_same_potential(ring_like, scene_tables, hang, suppor
     solution = solve(scene_tables(hang=hang, support=support), ring_like)
     assert_certified(solution, ring_like)
     problem = solution.problem
-    oracle = solve_conic(problem.fem, problem.law, problem.fem.gather(problem.force), problem.mesh.size)
+    oracle = solve_clarabel(problem.fem, problem.law, problem.fem.gather(problem.force), problem.mesh.size)
     assert oracle.converged
     z = problem.fem.unknowns(solution.x)
     ours = -float(problem.fem.gather(problem.force) @ z)
@@ -131,7 +132,7 @@ def test_supports_too_far_apart_are_proved_impossible(gather, scene_tables):
     law = ring_net(RINGS)  # its chains stretch to 18/11 = 1.6364 along x
     problem = problem_of(scene_tables(support={"kind": "top", "gather": gather}), law)
     load = problem.fem.gather(problem.force)
-    result = solve_rigid(problem.fem, problem.law, load, problem.fem.unknowns(gathered_start(problem)), 140.0)
+    result = solve_path(problem.fem, problem.law, load, problem.fem.unknowns(gathered_start(problem)), 140.0)
     assert result.status == "infeasible"
     # Farkas: P does no work on free unknowns, so the work P:F is that of the supports, whatever the curtain does; and
     # it is more than the cones allow, sum w c |y1|.
@@ -200,9 +201,9 @@ def test_a_little_less_is_solved_and_a_little_more_refuted(scene_tables, gather,
 def test_options_are_heeded(ring_like, scene_tables):
     problem = problem_of(scene_tables(support={"kind": "corners"}), ring_like)
     load, z = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
-    long = solve_rigid(problem.fem, problem.law, load, z, 140.0)
+    long = solve_path(problem.fem, problem.law, load, z, 140.0)
     assert long.iterations > 3
-    short = solve_rigid(problem.fem, problem.law, load, z, 140.0, RigidOptions(max_iterations=3))
+    short = solve_path(problem.fem, problem.law, load, z, 140.0, PathOptions(max_iterations=3))
     assert short.status == "iterations"
     assert "max_iterations" in short.message
     assert short.iterations == 3

@@ -15,7 +15,7 @@ from macro_fem.curtain import solve_scene, supports_reach
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers.rigid import solve_rigid
+from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
 
@@ -90,7 +90,7 @@ def test_rail_and_corners_close_the_gap(fitted_law):
     scene = read_scene(tables(RAIL_AND_CORNERS, "x", 6))
     problem = make_problem(scene, fitted_law, build_mesh(scene, fitted_law.cell))
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
-    result = solve_rigid(problem.fem, problem.law, load, start, problem.mesh.size)
+    result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     gap = (result.primal - result.dual) / (np.abs(load).sum() * problem.mesh.size)
     assert result.status != "converged" or abs(gap) < 2e-6
     solution, oracle = (solve(RAIL_AND_CORNERS, "x", 6, fitted_law, kind=kind) for kind in ("rigid", "clarabel"))
@@ -169,7 +169,7 @@ def solve_relaxed(gather, give):
     scene = read_scene(tables({"kind": "top", "gather": gather / (1.0 + give)}, tolerance=1e-7))
     problem = make_problem(scene, ring_net(RINGS), build_mesh(scene, RINGS))
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
-    result = solve_rigid(problem.fem, problem.law, load, start, problem.mesh.size)
+    result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     assert result.converged
     return result
 

@@ -8,8 +8,8 @@ from macro_fem.fem.membrane import evaluate
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers.clarabel import ConicOptions, solve_conic
-from macro_fem.solvers.cones import law_cut
+from macro_fem.solvers.clarabel import ClarabelOptions, solve_clarabel
+from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.newton import NewtonOptions
 from macro_fem.solvers.newton import solve as solve_newton
 
@@ -22,7 +22,7 @@ def corners(law, scene_tables, **mesh):
 def clarabel(problem, **options):
     """clarabel's record, and total load times size: what its gap is relative to."""
     load = problem.fem.gather(problem.force)
-    result = solve_conic(problem.fem, problem.law, load, problem.mesh.size, ConicOptions(**options))
+    result = solve_clarabel(problem.fem, problem.law, load, problem.mesh.size, ClarabelOptions(**options))
     return result, float(np.abs(load).sum()) * problem.mesh.size
 
 
@@ -44,7 +44,7 @@ def test_clarabel_cuts_until_the_violation_that_is_asked_for(ring_like, scene_ta
     rounds = []
     for violation in (1e-1, 1e-3, 1e-8):
         result, _ = clarabel(problem, violation=violation)
-        outside = -law_cut(problem.law, problem.fem.gradient(result.z))[2].min()
+        outside = -law_cut(problem.law, green_strain(problem.fem.gradient(result.z)))[2].min()
         assert outside < violation
         rounds.append(len(result.history))
     assert rounds == sorted(set(rounds))
