@@ -95,7 +95,7 @@ def test_a_chiral_weave_has_loads_on_both_sides():
 
 
 def test_options_that_are_none():
-    with pytest.raises(InputError, match="branches = 'best': known are largest, first"):
+    with pytest.raises(InputError, match="branches = 'best': is not one of largest, first"):
         DirectOptions(branches="best")
-    with pytest.raises(InputError, match="reference = 'none': known are side-by-side, locked"):
+    with pytest.raises(InputError, match="reference = 'none': is not one of side-by-side, locked"):
         DirectOptions(reference="none")
