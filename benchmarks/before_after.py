@@ -39,7 +39,7 @@ TABLES = {
 }
 SCENES = ("corner_hung", "facade_panel", "gathered_with_bar", "passage", "round_net", "shop_front", "turned_weave")
 KINDS = ("rigid", "newton")
-"""Solver kinds under names that both trees read."""
+"""Solver kinds under names that both trees read: this one with a warning."""
 
 
 def commands(quick: bool) -> Iterator[tuple[str, str]]:

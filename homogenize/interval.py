@@ -15,7 +15,7 @@ import numpy as np
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.fit import cell_of
 from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, with_mirror
-from homogenize.io import DEFAULT_LAW, LawFile, read_law_file
+from homogenize.io import DEFAULT_LAW, Law, load_law
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.vertices import highest
 from rve.common.errors import InputError
@@ -73,7 +73,7 @@ def read_law_interval(path: str | Path = DEFAULT_LAW) -> LawInterval:
 
     A net is no fit to rows, and has none either.
     """
-    found = interval_of_file(read_law_file(path), str(path))
+    found = interval_of_law(load_law(path), str(path))
     if found is None:
         raise InputError(f"{path}: provenance table_rows: are missing; make the law again with homogenize fit")
     return found
@@ -84,8 +84,8 @@ def interval_or_law(path: str | Path) -> MembraneLaw | LawInterval:
 
     InputError if the file cannot be read.
     """
-    file = read_law_file(path)
-    return interval_of_file(file, str(path)) or file.law
+    law = load_law(path)
+    return interval_of_law(law, str(path)) or law
 
 
 def interval_of_table(path: str | Path) -> LawInterval:
@@ -99,17 +99,17 @@ def interval_of_table(path: str | Path) -> LawInterval:
     return law_interval(rows_from_table(table), cell=cell_of(table))
 
 
-def interval_of_file(file: LawFile, source: str) -> LawInterval | None:
-    """The interval of a law that was fitted to the rows in its file; None for a law without rows or not between them.
+def interval_of_law(law: Law, source: str) -> LawInterval | None:
+    """The interval of a law fitted to the rows in its provenance; None for a law without rows or not between them.
 
     InputError names `source` if the rows are none.
     """
-    data = file.provenance.get("table_rows")
-    if data is None or file.law.name != "polyhedral":
+    data = law.provenance.get("table_rows")
+    if data is None or law.name != "polyhedral":
         return None
     try:
         rows = rows_from_dict(data)
     except InputError as error:
         raise InputError(f"{source}: provenance table_rows: {error}") from error
-    stiffness = np.asarray(np.linalg.inv(file.law.compliance))
-    return law_interval(rows, file.law, stiffness, file.law.cell)
+    stiffness = np.asarray(np.linalg.inv(law.compliance))
+    return law_interval(rows, law, stiffness, law.cell)

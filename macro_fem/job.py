@@ -1,4 +1,4 @@
-"""From a scene to its answer, and to a folder with summary, VTU and picture."""
+"""Solving a scene, and writing summary, VTU and picture into a folder."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any
 from homogenize import LawInterval, MembraneLaw, default_law, interval_of_table, interval_or_law, read_law_interval
 from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.adapt import levels as refined_levels
+from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.rings import to_curtain
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
-from macro_fem.solution import CurtainSolution, make_problem
+from macro_fem.scene.schema import Scene, check_solver, load_scene
+from macro_fem.solution import CurtainSolution, Problem, make_problem
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.types import Array
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from macro_fem.demand.loop import Demand
-    from rve import Cell
+    from rve import Cell, Curtain
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -52,7 +54,7 @@ class CurtainResult:
 
     @property
     def status(self) -> str:
-        """How the solve at full load ended, "converged" if it is the answer, as narrow as asked."""
+        """How the solve at full load ended, "converged" if it is accurate, and as narrow as asked of the rings."""
         return self.solution.status if self.demand is None else self.demand.status
 
     @cached_property
@@ -82,6 +84,10 @@ class CurtainResult:
         from macro_fem.output.plots import plot_line_loads
 
         return plot_line_loads(self.solution, ax)
+
+    def to_curtain(self) -> Curtain:
+        """The curtain at full load as `rve.localize` takes it: `rve.localize(result)`."""
+        return to_curtain(self.solution)
 
     def _summary(self, *, picture: bool) -> dict[str, Any]:
         summary = summarize(self.solution)
@@ -124,8 +130,8 @@ def solve(
     `accuracy` (default 5e-3) times the height; `law`, an interval, is what is known to begin with, and `cache` the
     folder where answers of the rings are kept.
 
-    An answer that has not converged is returned with the status that names why. InputError if the scene makes no sense
-    or its supports are out of reach.
+    An answer that has not converged has a status that says why. InputError if the scene is contradictory or its
+    supports are out of reach.
 
     >>> from macro_fem.scene.schema import Scene
     >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")
@@ -138,13 +144,13 @@ def solve(
         raise InputError("accuracy and cache belong to rings: give their radii as well")
     if law is None:
         law = read_law_interval() if asks_bounds(scene) else default_law()
-    steps, own = scene.load.steps, law.law if isinstance(law, LawInterval) else law
-    early = [_solved(scene, own, step / steps, say) for step in range(1, steps)]
-    if asks_bounds(scene):
-        say("solving with bounds")
-        levels = tuple(_with_bounds(scene, law))
-        return CurtainResult(scene, (*early, levels[-1].solution), levels)
-    return CurtainResult(scene, (*early, _solved(scene, own, 1.0, say)))
+    count = scene.load.steps
+    if not asks_bounds(scene):
+        return CurtainResult(scene, tuple(_steps(scene, law.law if isinstance(law, LawInterval) else law, count, say)))
+    steps = _steps(scene, law.inner if isinstance(law, LawInterval) else law, count, say)
+    say("solving with bounds")
+    levels = tuple(_with_bounds(scene, law, steps[-1]))
+    return CurtainResult(scene, (*steps[:-1], levels[-1].solution), levels)
 
 
 def _on_demand(
@@ -165,9 +171,19 @@ def _on_demand(
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
     found = solve_on_demand(bounded, rings, options, known=law, cache=open_cache(cache), say=say)
-    steps = scene.load.steps
-    early = [_solved(scene, found.law.inner, step / steps, say) for step in range(1, steps)]
+    early = _steps(bounded, found.law.inner, scene.load.steps - 1, say)
     return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
+
+
+def _steps(scene: Scene, law: MembraneLaw, last: int, say: Say) -> list[CurtainSolution]:
+    """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds."""
+    mesh, count = build_mesh(scene, law.cell), scene.load.steps
+    pose = admissible_problem if asks_bounds(scene) else make_problem
+    steps: list[CurtainSolution] = []
+    for step in range(1, last + 1):
+        say(f"solving {mesh.mesh.t.shape[1]} cells, load step {step} of {count}")
+        steps.append(_solved(pose(scene, law, mesh, step / count), steps[-1] if steps else None))
+    return steps
 
 
 def run_scene(
@@ -176,25 +192,24 @@ def run_scene(
     out: Path,
     *,
     picture: bool = True,
-    force: tuple[str, ...] = (),
     table: Path | None = None,
     rings: Cell | None = None,
     accuracy: float | None = None,
     cache: Path | None = None,
     say: Say = silent,
 ) -> dict[str, Any]:
-    """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
+    """Solve the scene in a file, write its files into `out` and return the summary.
 
     `rings`, `accuracy` and `cache`: see `solve`; `table`: a strain-load table to begin with instead of a law.
 
-    InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
+    InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
-    scene = with_force(load_scene(scene_path), force)
-    if scene.solver.kind == "conic":
-        require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    scene = load_scene(scene_path)
+    if scene.solver.kind == "clarabel":
+        require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
     if mesh_file is not None:
         complete(mesh_file.parent, RECORD)
@@ -208,44 +223,26 @@ def run_scene(
     return found.save(out, picture=picture, inputs=inputs)
 
 
-def with_force(scene: Scene, force: tuple[str, ...]) -> Scene:
-    """The scene with more features forced; InputError for those that are not known or do not go with it."""
-    if not force:
-        return scene
-    for name in force:
-        if name not in (*FEATURES, "all"):
-            raise InputError(f"--force = {name!r}: known are all, {', '.join(FEATURES)}")
-    wider = replace(scene, solver=replace(scene.solver, force=(*scene.solver.force, *force)))
-    check_solver(wider, scene.source)
-    return wider
-
-
 def asks_bounds(scene: Scene) -> bool:
     """Whether bounds of the continuous curtain are wanted."""
-    solver = scene.solver
-    fits = solver.kind == "rigid" and scene.mesh.element == "P1"
-    return solver.bounds or solver.adapt > 0 or (fits and solver.forces("bounds"))
+    return scene.solver.bounds or scene.solver.adapt > 0
 
 
-def _solved(scene: Scene, law: MembraneLaw, factor: float, say: Say = silent) -> CurtainSolution:
-    """The curtain at one share of the live load; InputError if there is none."""
-    mesh = build_mesh(scene, law.cell)
-    say(f"solving {mesh.mesh.t.shape[1]} cells, load step {round(factor * scene.load.steps)} of {scene.load.steps}")
-    solution = solve_problem(make_problem(scene, law, mesh, factor))
+def _solved(problem: Problem, start: CurtainSolution | None) -> CurtainSolution:
+    """The curtain at one share of the live load, from that of the last step; InputError if there is none."""
+    solution = solve_problem(problem, start)
     if solution.status == "infeasible":
-        at = f" at {factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
+        scene = problem.scene
+        at = f" at {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
         raise InputError(f"{scene.source}: [support]: {solution.message}{at}")
     return solution
 
 
-def _with_bounds(scene: Scene, law: MembraneLaw | LawInterval) -> list[Level]:
-    """All levels of refinement; InputError if not even the first mesh has a solution."""
-    found = list(refined_levels(scene, law))
-    if not found:
-        coarse = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
-        solution = _solved(coarse, law.inner if isinstance(law, LawInterval) else law, 1.0)
-        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {solution.message}")
-    return found
+def _with_bounds(scene: Scene, law: MembraneLaw | LawInterval, first: CurtainSolution) -> list[Level]:
+    """All levels of refinement; InputError if not even the curtain on the first mesh has converged."""
+    if first.status != "converged":
+        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {first.message}")
+    return list(refined_levels(scene, law, mesh=first.problem.mesh, first=first))
 
 
 def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, Any]:
@@ -276,5 +273,4 @@ def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, pi
 
 def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:
     """Error per reference area of every triangle (n_cells,), N mm / mm2."""
-    disc = solution.problem.disc
-    return bounds.error / disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+    return bounds.error / solution.problem.disc.cell_area

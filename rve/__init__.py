@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from rve.geometry.kinematics import second_pk as second_pk
     from rve.geometry.weave import WEAVES as WEAVES
     from rve.geometry.weave import Weave as Weave
+    from rve.localization.curtain import Curtain as Curtain
+    from rve.localization.field import RingField as RingField
+    from rve.localization.job import LocalizeOptions as LocalizeOptions
+    from rve.localization.job import localize as localize
     from rve.solve import solve_table as solve_table
     from rve.support_function import Support as Support
     from rve.support_function import support as support
@@ -30,10 +34,13 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "Cell": "rve.geometry.cell",
+    "Curtain": "rve.localization.curtain",
     "DirectOptions": "rve.equilibrium.interior_point",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
+    "LocalizeOptions": "rve.localization.job",
     "NotConverged": "rve.common.errors",
+    "RingField": "rve.localization.field",
     "StrainTable": "rve.table",
     "Support": "rve.support_function",
     "WEAVES": "rve.geometry.weave",
@@ -43,6 +50,7 @@ _MODULES = {
     "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
     "grid": "rve.directions",
+    "localize": "rve.localization.job",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
@@ -55,10 +63,13 @@ _MODULES = {
 __all__ = [
     "WEAVES",
     "Cell",
+    "Curtain",
     "DirectOptions",
     "InputError",
     "LoadDirections",
+    "LocalizeOptions",
     "NotConverged",
+    "RingField",
     "StrainTable",
     "Support",
     "Weave",
@@ -67,6 +78,7 @@ __all__ = [
     "graded_grid",
     "green_lagrange",
     "grid",
+    "localize",
     "read_loads",
     "read_table",
     "second_pk",

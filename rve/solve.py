@@ -13,89 +13,93 @@ from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import TABLE_FORMAT
-from rve.common.rings import (
-    areal_mass,
-)
+from rve.common.records import Flags
+from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.common.versions import versions
 from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import with_limits
-from rve.equilibrium.support import DeadLoad, joined_poses, solve_dead
+from rve.equilibrium.states import LockedStates
+from rve.equilibrium.support import DeadLoad, solve_dead
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
-from rve.explain import Work, motion_terms
+from rve.explain import Work
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.pose import Pose
-from rve.geometry.weave import Weave
-from rve.paper.motion import locked_by_motion
-from rve.paper.stewart_trinkle import StewartTrinkleOptions
-from rve.table import StrainTable, joined_tables
+from rve.table import StrainTable
 
-# Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache.
 BLOCK = 256
+"""Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""
 
 
-def locked(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
-) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
+def locked(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Array, Flags]:
     """Equilibria of the loads (n,) of one block; loads s (n, 3) in weave axes; flags unique (n,).
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
-    found, s, unique, _ = locked_with_work(alpha_deg, beta_deg, cell, options)
-    return found, s, unique
+    states, _ = locked_block(alpha_deg, beta_deg, cell, options)
+    return states.found, states.s, states.unique
 
 
-def locked_with_work(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
-) -> tuple[Equilibrium, Array, NDArray[np.bool_], Work]:
-    """What `locked` returns, and what the solver has met."""
+def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[LockedStates, Work]:
+    """Locked states of one block of loads, and what the solver has met; see `locked`."""
     s = cauchy_line_load(alpha_deg, beta_deg)
     if cell.grain == "x":
         s = s[:, ::-1]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
-    is_wide = "unlisted-pairs" in options.force
-    found, unique, symmetric = _solved(solved, cell, options, widened(cell.weave) if is_wide else cell.weave)
-    gap = np.full(len(s), np.inf) if is_wide else unlisted_gap(found.pose, cell.weave, cell.wire)
-    overlap = not is_wide and bool(gap.min() < 0.0)
-    if overlap:
-        found, unique, symmetric = _solved(solved, cell, options, widened(cell.weave))
+    found, unique, symmetric, limits = _solved(solved, cell, options)
+    gap = float(unlisted_gap(found.pose, cell.weave, cell.wire).min())
     near = pairs_in_reach(found.pose, cell.weave, cell.wire, options.reach)
-    listed = found.contacts.gap.shape[1]
-    work = Work(len(s), symmetric, listed, int(near.min()), int(near.max()), float(gap.min()), overlap)
-    return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique | ~tensile, work
+    if gap < 0.0:
+        cell = replace(cell, weave=widened(cell.weave))
+        found, unique, symmetric, limits = _solved(solved, cell, options)
+    retried = int((found.attempts > 2).sum())  # the first is in symmetric coordinates
+    listed = len(cell.weave.pairs)
+    work = Work(len(s), symmetric, retried, limits, listed, int(near.min()), int(near.max()), gap, gap < 0.0)
+    found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))
+    return LockedStates(found, s, unique | ~tensile, cell, options.reach), work
 
 
-def _solved(s: Array, cell: Cell, options: DirectOptions, weave: Weave) -> tuple[Equilibrium, NDArray[np.bool_], int]:
-    """Equilibria, flags `unique`, and how many were solved in symmetric coordinates alone."""
-    equations = replace(
-        Equations.of(weave, cell.wire),
-        far_pairs="far-pairs" in options.force,
-        idle_curvature="idle-curvature" in options.force,
-    )
-    terms = motion_terms(options.force)
-    if terms:
-        motion = StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
-        found, symmetric = locked_by_motion(s, equations, options, motion, terms), 0
-    elif "asymmetry" in options.force:
-        found, symmetric = solve_equilibrium(s, equations, options), 0
-    else:
-        found, symmetric = solve_equilibrium_symmetric(s, equations, options)
-    found, unique = with_limits(s, equations, found, options)
-    return found, unique, symmetric
+def _solved(s: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Flags, int, int]:
+    """Equilibria, flags `unique`, how many rows were solved in symmetric coordinates, and how many are limits."""
+    equations = Equations.of(cell.weave, cell.wire)
+    direct, symmetric = solve_equilibrium_symmetric(s, equations, options)
+    found, unique = with_limits(s, equations, direct, options)
+    return found, unique, symmetric, int((direct.pose.lattice != found.pose.lattice).any(axis=1).sum())
+
+
+def locked_states(
+    alpha_deg: Array,
+    beta_deg: Array,
+    cell: Cell,
+    options: DirectOptions,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[LockedStates, Work]:
+    """Locked states of any number of loads (n,), block by block, and what the solver has met."""
+    blocks, works = [], []
+    for first in range(0, len(alpha_deg), BLOCK):
+        rows = slice(first, first + BLOCK)
+        states, work = locked_block(alpha_deg[rows], beta_deg[rows], cell, options)
+        blocks.append(states)
+        works.append(work)
+        if progress is not None:
+            progress(len(states.s))
+    widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
+    blocks = [states.listing(widest) for states in blocks]
+    return blocks[0].join(blocks[1:]), reduce(Work.plus, works)
 
 
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain. Raises NotConverged.
 
     options.reference = "side-by-side" imposes the symmetry of the grain: b_x = 2 (r1 + r2) at every r1/r2. From r1/r2
-    of about 22 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
+    of about 20 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
     third narrower: "locked" takes the sides of that longest state (docs/theory.md, 3).
     """
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
@@ -154,71 +158,67 @@ def solve_table(
 
     The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
     it fails. Where several locked states coexist, a row holds that of largest work (options.branches). Other rows that
-    fail keep their status and have nan elsewhere. `progress` is called with the number of
-    rows done since the last call.
+    fail keep their status and have nan elsewhere. The table's `states` are the locked states. `progress` is called with
+    the number of rows done since the last call.
 
-    >>> solve_table(Cell(), ([0.0], [45.0])).x2_mm.round(4)
-    array([[13.1163,  0.    ]])
+    >>> print(solve_table(Cell(), ([0.0], [45.0])).x2_mm[0, 0].round(4))
+    13.1163
     """
     if not isinstance(cell, Cell) or not isinstance(loads, tuple | list) or len(loads) != 2:
         raise InputError("solve_table takes a Cell and a pair of angles: solve_table(Cell(r1=5, r2=0.5), grid(5.0))")
     options = options or DirectOptions()
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
-    b_x, b_y = reference_sides(cell, options)
-    blocks, works, states, pulls = [], [], [], []
-    for first in range(0, len(alpha), BLOCK):
-        rows = slice(first, first + BLOCK)
-        found, s, unique, work = locked_with_work(alpha[rows], beta[rows], cell, options)
-        works.append(work)
-        states.append(found.pose)
-        pulls.append(s)
-        blocks.append(table_rows(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
-        if progress is not None:
-            progress(len(s))
-    table, work = joined_tables(blocks), reduce(Work.plus, works)
-    record: dict[str, Any] = {"work": work.to_dict()}
+    sides = reference_sides(cell, options)
+    states, work = locked_states(alpha, beta, cell, options, progress)
+    record: dict[str, Any] = {"work": asdict(work)}
     if options.branches == "largest":
-        weave = widened(cell.weave) if work.widened or "unlisted-pairs" in options.force else cell.weave
-        equations = Equations.of(weave, cell.wire)
-        tensile = table.status != "compressive"
-        s = np.where(tensile[:, None], np.concatenate(pulls), np.array([0.0, 0.0, 1.0]))
-        table, record["branches"] = with_largest(table, joined_poses(states), s, cell, equations, options, (b_x, b_y))
-    provenance = table_provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
+        table, record["branches"] = largest_table(alpha, beta, cell, states, options, sides)
+    else:
+        table = replace(table_rows(alpha, beta, cell, states.found, states.unique, sides), states=states)
+    provenance = table_provenance(cell, options, sides, table.status, time.perf_counter() - began)
     return replace(table, provenance=provenance | record)
 
 
-def with_largest(
-    table: StrainTable,
-    pose: Pose,
-    s: Array,
-    cell: Cell,
-    equations: Equations,
-    options: DirectOptions,
-    sides_mm: tuple[float, float],
+def largest_table(
+    alpha: Array, beta: Array, cell: Cell, states: LockedStates, options: DirectOptions, sides_mm: tuple[float, float]
 ) -> tuple[StrainTable, dict[str, Any]]:
-    """The table of the locked states `pose` (n) under the Cauchy loads s (n, 3), weave axes, with every row replaced
-    under whose S another known state does more work; and which states coexist, for the sidecar.
+    """The table of these locked states with every row replaced under whose S another known state does more work; and
+    which states coexist, for the sidecar. Pairs of rings that the weave does not list are listed if they overlap.
     """
     began = time.perf_counter()
-    mesh = Mesh.of(equations, weave_sides(cell, sides_mm), options)
-    first = starting_rows(pose, s, table.converged, mesh)
-    rows, found, where, left = largest_rows(first, s, mesh)
-    columns: dict[str, Any] = {k: value.copy() for k, value in vars(table).items() if isinstance(value, np.ndarray)}
+    mesh = Mesh.of(Equations.of(states.cell.weave, cell.wire), weave_sides(cell, sides_mm), options)
+    first = starting_rows(states, mesh)
+    rows, found, where, left = largest_rows(first, states.s, mesh)
+    if found is not None and unlisted_gap(found.pose, states.cell.weave, cell.wire).min() < 0.0:
+        wide = states.listing(replace(cell, weave=widened(cell.weave)))
+        return largest_table(alpha, beta, cell, wide, options, sides_mm)
+    mixed = np.flatnonzero(rows.branch == "coexisting")
     if found is not None:
-        part = table_rows(table.alpha_deg[where], table.beta_deg[where], cell, found, rows.unique[where], sides_mm)
-        for name in columns:
-            columns[name][where] = getattr(part, name)
-        mixed = np.flatnonzero(rows.branch == "coexisting")
-        columns["S"][mixed] = rows.S[mixed][:, weave_axes(cell)]
-    columns["status"] = np.where(left, "below", columns["status"]).astype("<U16")
-    for name in ("E", "S", "x2_mm", "x3_mm"):
-        columns[name][left] = np.nan
-    branches = branch_record(table, first, rows, left, time.perf_counter() - began)
-    return replace(table, **columns, branch=rows.branch), branches
+        states = replace(states, found=states.found.put(where, found), unique=states.unique.copy())
+        states.unique[where] = rows.unique[where]
+    status = np.where(left, "below", states.found.status).astype("<U16")
+    states = replace(states, found=replace(states.found, status=status))
+    table = table_rows(alpha, beta, cell, states.found, states.unique, sides_mm)
+    table.S[mixed] = np.where(left[mixed, None], np.nan, rows.S[mixed][:, weave_axes(cell)])
+    table = replace(table, states=under_own_load(states, rows, mesh), branch=rows.branch)
+    return table, branch_record(table, first, rows, left, time.perf_counter() - began)
 
 
-def branch_record(table: StrainTable, first: Rows, rows: Rows, left: NDArray[np.bool_], wall: float) -> dict[str, Any]:
+def under_own_load(states: LockedStates, rows: Rows, mesh: Mesh) -> LockedStates:
+    """The states with the Cauchy load of size 1 that each coexisting one carries in its own pose, and its forces."""
+    mixed = np.flatnonzero(rows.branch == "coexisting")
+    pose = states.pose.take(mixed)
+    F = np.stack([pose.a1 / mesh.sides[0], pose.a2 / mesh.sides[1]], axis=2)
+    # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
+    s = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(rows.S[mixed]))
+    size = np.sqrt(double_dot(s, s))[:, None]
+    loads, lam = states.s.copy(), states.lam.copy()
+    loads[mixed], lam[mixed] = s / size, states.lam[mixed] / size[..., None]
+    return replace(states, s=loads, found=replace(states.found, lam=lam))
+
+
+def branch_record(table: StrainTable, first: Rows, rows: Rows, left: Flags, wall: float) -> dict[str, Any]:
     """Which rows have several states, and what work each does under S, at unit trace of S."""
     several = []
     for i in np.flatnonzero((rows.branch != "slack") | left):
@@ -242,8 +242,7 @@ def table_rows(
     F = np.stack([x2 / sides[0], x3 / sides[1]], axis=2)
     E, S = green_lagrange(F), second_pk(F, cauchy_line_load(alpha, beta))
     bad = found.status != "converged"
-    for array in (E, S, x2, x3):
-        array[bad] = np.nan
+    E, S, x2, x3 = (np.where(bad[:, None], np.nan, array) for array in (E, S, x2, x3))
     R = np.where(bad, np.nan, found.R)
     gap = np.where(bad, np.nan, found.contacts.min_gap * cell.r1)
     contacts = np.where(bad, 0, ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2)))
@@ -269,7 +268,7 @@ def table_provenance(
         "density_kg_per_mm3": cell.density,
         "areal_mass_kg_per_m2": areal_mass(cell.r1, cell.r2, ring_area, cell.density),
         "method": "direct",
-        "options": asdict(options) | {"force": list(options.force)},
+        "options": asdict(options),
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},
         "wall_s": round(wall, 3),

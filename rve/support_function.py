@@ -131,7 +131,7 @@ def _record(
         works=[[float(size[i]) * work for work in best.works[i]] for i in range(len(S))],
         b_x_mm=sides_mm[0],
         b_y_mm=sides_mm[1],
-        states=reached if known is None else known.joined(reached),
+        states=reached if known is None else known.plus(reached),
     )
 
 
@@ -186,6 +186,6 @@ def _solved(
         others = company(loads, known)
         if len(others):
             states = largest(others, equations, sides, replace(options, branches="first")).states(sides)
-            known = states if known is None else known.joined(states)
+            known = states if known is None else known.plus(states)
     best = largest(loads, equations, sides, options, known)
     return best, strain_is_unique(equations, best.found, unit_loads(loads))

@@ -31,18 +31,24 @@ class Level:
 
 
 def levels(
-    scene: Scene, law: MembraneLaw | LawInterval, factor: float = 1.0, mesh: CurtainMesh | None = None
+    scene: Scene,
+    law: MembraneLaw | LawInterval,
+    factor: float = 1.0,
+    mesh: CurtainMesh | None = None,
+    first: CurtainSolution | None = None,
 ) -> Iterator[Level]:
     """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
 
-    Of an interval of laws the curtain is that of the inner law, and the lower bound that of the outer one. Ends early
-    if a solver did not converge.
+    Of an interval of laws the curtain is that of the inner law, and the lower bound that of the outer one. `first` is
+    the curtain of the admissible problem on the first mesh where it is solved already. Ends early if a solver did not
+    converge.
     """
     own, outer = (law.inner, law.outer) if isinstance(law, LawInterval) else (law, None)
     mesh = build_mesh(scene, own.cell) if mesh is None else mesh
-    solution = None
+    solution = first
     for number in range(scene.solver.adapt + 1):
-        solution = solve_problem(with_cones_of(admissible_problem(scene, own, mesh, factor), solution))
+        if solution is None or number:
+            solution = solve_problem(with_cones_of(admissible_problem(scene, own, mesh, factor), solution))
         if solution.status != "converged":
             return
         level = Level(solution, bound(solution, factor, outer))
@@ -64,7 +70,7 @@ def with_cones_of(problem: Problem, before: CurtainSolution | None) -> Problem:
 def _moved_in(problem: Problem) -> Array:
     """Points of the discretisation, drawn to the middle of their triangles so that each has its own, (n_points, 2)."""
     disc = problem.disc
-    middle = disc.points.reshape(disc.n_quad, disc.n_cells, 2).mean(axis=0)
+    middle = disc.cell_mean(disc.points)
     return 0.5 * (disc.points + np.tile(middle, (disc.n_quad, 1)))
 
 

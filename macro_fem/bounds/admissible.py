@@ -13,12 +13,11 @@ import numpy as np
 import skfem
 
 from homogenize import MembraneLaw
-from macro_fem.fem.assembly import Discretization
+from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import Problem, make_problem
 from rve.common.errors import InputError
-from rve.common.types import Array
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Corners (2, 3) of the reference triangle, in the order of the corners of cells."""
@@ -43,10 +42,9 @@ def at_corners(disc: Discretization) -> Discretization:
     local = [element.lbasis(CORNERS, i) for i in range(6)]
     ones = np.ones(3)
     gradients = np.stack([np.asarray(gradient) * np.ones_like(CORNERS) for _, gradient in local], axis=-1)
-    area: Array = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
     return replace(
         disc,
         shape_values=np.stack([value * ones for value, _ in local], axis=-1),
         shape_gradients=gradients.transpose(1, 0, 2).copy(),
-        weight=np.tile(area / 3.0, 3),
+        weight=np.tile(disc.cell_area / 3.0, 3),
     )

@@ -30,25 +30,33 @@ from macro_fem.bounds.equilibrated import (
     largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.turned import TurnedLaw
-from macro_fem.scene.schema import Corners, Edge, Hooks, Point, Support
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
+from macro_fem.scene.tables import Corners, Edge, Hooks, Point, Support
 from macro_fem.solution import CurtainSolution, gathered_start, make_problem
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import make_program
+from macro_fem.solvers.central_path import PathResult, solve_path
 from macro_fem.solvers.cones import repeated, supported
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.solvers.options import PathOptions
 from rve.common.types import Array
-
-BOUND_GAP = 2e-5
-"""Relative gap to which the dual program is solved: it only weakens the bound, far less than any mesh does."""
+from rve.common.values import Options, number
 
 
-BOUND_VIOLATION = 5e-3
-"""Violation of the law that the dual program may leave: a half-space left out weakens the bound, too."""
-INWARD = 0.05
-"""How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has
-room left, and the first steps get stuck."""
+@dataclass(frozen=True)
+class BoundOptions(Options):
+    """How the dual program is solved; InputError for values that make no sense."""
+
+    gap: float = number(2e-5, above=0.0, most=1.0)
+    """Relative gap. Larger gaps weaken the bound; that of any mesh is far larger than the default."""
+    violation: float = number(5e-3, above=0.0, most=1.0)
+    """Violation of the law that may be left: a half-space left out weakens the bound, too."""
+    inward: float = number(0.05, above=0.0, most=1.0)
+    """How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left
+    and the first steps get stuck; farther away more steps are needed."""
+
+
+BOUND = BoundOptions()
+"""The defaults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +113,12 @@ def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) ->
     return Loads(direction, weight[there] * size[there], width)
 
 
-def bound(solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | None = None) -> Bounds:
+def bound(
+    solution: CurtainSolution,
+    factor: float = 1.0,
+    outer: MembraneLaw | None = None,
+    options: BoundOptions = BOUND,
+) -> Bounds:
     """Bounds of the potential around an admissible solution on a mesh of triangles, at the same load step `factor`.
 
     The solution is one in P1, or in P2 with the law at the corners of triangles. `outer`: a law, in the frame of the
@@ -117,17 +130,17 @@ def bound(solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | N
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
     solution = linear_part(solution, factor, outer)
     problem = solution.problem
-    dual = dual_problem(solution, factor)
+    dual = dual_problem(solution, factor, options)
     fem = dual.fem
-    start = fem.unknowns(_at_dual_nodes(slackened(solution), dual.dual))
-    options = RigidOptions(
-        gap=BOUND_GAP,
-        violation=BOUND_VIOLATION,
+    start = fem.unknowns(_at_dual_nodes(slackened(solution, options.inward), dual.dual))
+    path = PathOptions(
+        gap=options.gap,
+        violation=options.violation,
         max_iterations=problem.scene.solver.max_iterations,
         cones=solution.cones,
         drawn=False,
     )
-    result = solve_rigid(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
+    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, path)
     held = fem.positions(np.zeros(fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -157,7 +170,7 @@ def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | N
     if cones is not None and problem.disc.n_quad == 1:
         cones = repeated(cones, 3)
     flat = replace(problem.scene, mesh=replace(problem.scene.mesh, element="P1"))
-    own = problem.law.law if isinstance(problem.law, TurnedLaw) else problem.law
+    own = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
     if outer is not None or problem.disc.element != "P1":
         problem = make_problem(flat, own if outer is None else outer, problem.mesh, factor)
     if outer is not None and cones is not None:
@@ -165,7 +178,7 @@ def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | N
     return replace(solution, problem=problem, x=solution.x[: problem.disc.n_nodes], cones=cones)
 
 
-def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
+def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BOUND) -> DualProblem:
     """The hybrid problem that belongs to a P1 solution."""
     problem = solution.problem
     scene, mesh = problem.scene, problem.mesh
@@ -173,7 +186,7 @@ def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
     force, cost = dead_and_live(scene, dual, problem.law, factor)
     mask = np.zeros((dual.disc.n_nodes, 2), bool)
     positions = dual.disc.nodes.copy()
-    near_point = slackened(solution)
+    near_point = slackened(solution, options.inward)
     tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
     for item, held in zip(scene.support, problem.supports.held, strict=True):
         if isinstance(item, Corners | Hooks | Point):
@@ -218,9 +231,9 @@ def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse
     return straight_ties(lines, X, mask) if lines else None
 
 
-def slackened(solution: CurtainSolution) -> Array:
+def slackened(solution: CurtainSolution, inward: float) -> Array:
     """Positions (n_nodes, 2) of the P1 curtain, drawn a little towards its slack start."""
-    return solution.x + INWARD * (gathered_start(solution.problem) - solution.x)
+    return solution.x + inward * (gathered_start(solution.problem) - solution.x)
 
 
 def _at_dual_nodes(x: Array, dual: DualMesh) -> Array:
@@ -241,7 +254,7 @@ def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
     return points * share / share.sum()
 
 
-def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held: Array) -> tuple[float, Array]:
+def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: Array) -> tuple[float, Array]:
     """What the lower bound loses because reactions r of points act along edges, N mm, and each edge's moment (k,).
 
     The program took the work r.x at the positions x_h of the edges; it is at least that at the point, less the
@@ -266,14 +279,14 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held:
     return float(moved + moment.sum()), moment
 
 
-def error_map(F: Array, dual: DualProblem, result: RigidResult) -> Array:
+def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
     """Integral of psi*(P) - P:F over every triangle (n_cells,), psi* from above by sum c |y1|.
 
     F (3 n_cells, 2, 2) is that of the admissible curtain at the corners of triangles. P and F are linear, so that the
     integral of P:F is A/12 (sum P_i:F_i + sum P_i : sum F_i) over the corners i of a triangle of area A.
     """
-    program = make_program(dual.fem, dual.fem.gather(dual.force), result.cones, 1.0, 1.0)
-    psi = result.cones.sum(program.c * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
+    radius = np.sqrt(2.0 * result.cones.size)
+    psi = result.cones.sum(radius * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
     n = dual.dual.disc.n_cells
     weight = dual.dual.disc.weight.reshape(3, n)
     P, F = result.P.reshape(3, n, 4), F.reshape(3, n, 4)

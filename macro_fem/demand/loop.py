@@ -25,7 +25,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.demand.cache import NO_CACHE, RingCache
 from macro_fem.demand.directions import between, widest
 from macro_fem.demand.rings import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
-from macro_fem.fem.turned import TurnedLaw
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
@@ -278,7 +278,7 @@ def _narrowed(
 def _loads(solution: CurtainSolution, inner: MembraneLaw, outer: MembraneLaw) -> Loads:
     """The stresses of a curtain, in the frame of the weave."""
     law, S = solution.problem.law, solution.S
-    if isinstance(law, TurnedLaw):
+    if isinstance(law, RotatedLaw):
         S = S @ law.to_weave.T
     return loads_of(solution.problem.disc.weight, S, inner, outer)
 

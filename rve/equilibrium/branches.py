@@ -15,17 +15,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Flags, Index
+from rve.common.records import Rows as Records
 from rve.common.tensor import WEIGHT, double_dot, trace
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium
 from rve.equilibrium.limits import strain_is_unique
-from rve.equilibrium.support import GAIN, MARGINS, DeadLoad, States, joined_poses, largest, restarted, strain_of
+from rve.equilibrium.states import LockedStates
+from rve.equilibrium.support import GAIN, MARGINS, DeadLoad, States, largest, restarted, strain_of
 from rve.equilibrium.system import Equations
-from rve.geometry.contacts import joined_contacts
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose
-
-Index = NDArray[np.intp]
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
@@ -41,7 +41,7 @@ BALANCED = 1e-10
 
 
 @dataclass(frozen=True)
-class Rows:
+class Rows(Records):
     """Locked states under the Cauchy loads s (n, 3), weave axes: poses, S of unit trace and E (n, 3), nan where none is
     known; branch (n,): "slack", "restart" or "coexisting"; unique (n,), False for coexisting states.
     """
@@ -50,7 +50,7 @@ class Rows:
     S: Array
     E: Array
     branch: NDArray[np.str_]
-    unique: NDArray[np.bool_]
+    unique: Flags
 
 
 @dataclass(frozen=True)
@@ -78,34 +78,36 @@ class Mesh:
         return np.asarray(S / trace(S)[:, None])
 
 
-def starting_rows(pose: Pose, s: Array, good: NDArray[np.bool_], mesh: Mesh) -> Rows:
-    """Rows of the states in these poses, those with `good` (n,) only."""
+def starting_rows(states: LockedStates, mesh: Mesh) -> Rows:
+    """Rows of the converged ones of these locked states."""
+    pose, s, good = states.pose, states.s, states.found.status == "converged"
     E = np.where(good[:, None], strain_of(pose, mesh.sides), np.nan)
     S = np.full(E.shape, np.nan)
     S[good] = mesh.conjugate(E[good], s[good])
     return Rows(pose, S, E, np.full(len(s), "slack", dtype="<U16"), np.ones(len(s), dtype=bool))
 
 
-def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | None, Index, NDArray[np.bool_]]:
+def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | None, Index, Flags]:
     """The rows with their states of largest work; equilibria of the changed rows and their numbers; contradicted (n,).
 
     Equilibria of rows whose branch is "coexisting" are those under the dead load S, of the others under s.
     """
-    known = dead_states(rows, mesh)
     found: Equilibrium | None = None
-    where = np.zeros(0, dtype=np.intp)
+    where, left = np.zeros(0, dtype=np.intp), np.zeros(len(s), dtype=bool)
+    if not np.isfinite(rows.E).any():
+        return rows, found, where, left
+    known = dead_states(rows, mesh)
     for _ in range(ROUNDS):
         bad, states = contradicted(rows, known, mesh)
         if not len(bad):
             break
         best = largest(rows.S[bad], mesh.dead, mesh.sides, mesh.options, states)
         rivals = best.states(mesh.sides)
-        known = known.joined(rivals.with_images(mesh.has_images))
+        known = known.plus(rivals.with_images(mesh.has_images))
         bad = bad[np.isfinite(best.h)]
-        rows, new, done = with_rivals(rows, s, bad, rivals.pose, known.joined(states), mesh)
+        rows, new, done = with_rivals(rows, s, bad, rivals.pose, known.plus(states), mesh)
         found, where = merged(found, where, new, done)
     bad, _ = contradicted(rows, known, mesh)
-    left = np.zeros(len(s), dtype=bool)
     left[bad] = True
     return rows, found, where, left
 
@@ -121,23 +123,15 @@ def merged(
     keep = np.flatnonzero(~np.isin(where, rows))
     both = np.concatenate([where[keep], rows])
     order = np.argsort(both)
-    return joined_equilibria(found.take(keep), new, order), both[order]
-
-
-def joined_equilibria(one: Equilibrium, other: Equilibrium, order: Index) -> Equilibrium:
-    """The cases of both, then in this order."""
-    names = ("lam", "R", "iterations", "status", "attempts")
-    fields = {name: np.concatenate([getattr(one, name), getattr(other, name)])[order] for name in names}
-    pose = joined_poses([one.pose, other.pose]).take(order)
-    return Equilibrium(pose=pose, contacts=joined_contacts([one.contacts, other.contacts], order), **fields)
+    return found.take(keep).join([new]).take(order), both[order]
 
 
 def dead_states(rows: Rows, mesh: Mesh) -> States:
     """Locked states under the S of some rows as dead loads, from the slack pose, with their images."""
-    good = np.isfinite(rows.E[:, 0])
-    S = np.where(good[:, None], rows.S, 1.0)
+    good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
+    S = rows.S[good]
     thin = S[:, 0] * S[:, 2] - S[:, 1] ** 2 < 1e-6
-    sample = np.flatnonzero(good & (thin | (np.arange(len(good)) % SAMPLE == 0)))
+    sample = good[thin | (np.arange(len(good)) % SAMPLE == 0)]
     once = replace(mesh.options, branches="first", attempts=1)
     return largest(rows.S[sample], mesh.dead, mesh.sides, once).states(mesh.sides).with_images(mesh.has_images)
 
@@ -148,7 +142,7 @@ def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:
     """
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
     own = States(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.has_images)
-    states = own.joined(known)
+    states = own.plus(known)
     bad = lacking(rows.S[good], rows.E[good], states) > GAIN
     return good[bad | (rows.branch[good] == ON_ITS_WAY)], states
 
@@ -194,14 +188,12 @@ def with_rivals(
     return rows, new.put(rest[ok], both.take(ok)).take(keep), bad[keep]
 
 
-def replaced(rows: Rows, where: Index, pose: Pose, S: Array, E: Array, branch: str, unique: NDArray[np.bool_]) -> Rows:
+def replaced(rows: Rows, where: Index, pose: Pose, S: Array, E: Array, branch: str, unique: Flags) -> Rows:
     """The rows with other states at `where`."""
-    out = replace(rows, S=rows.S.copy(), E=rows.E.copy(), branch=rows.branch.copy(), unique=rows.unique.copy())
-    out.S[where], out.E[where], out.branch[where], out.unique[where] = S, E, branch, unique
-    return replace(out, pose=rows.pose.put(where, pose))
+    return rows.put(where, Rows(pose, S, E, np.full(len(where), branch, dtype="<U16"), unique))
 
 
-def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
+def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibrium, Array, Flags]:
     """Equilibria (k,) under the dead loads S* at which two states do the same work; S* (k, 3); where it was found.
 
     The share t of the second state is found by the Illinois method: t = 0 has the second state do more work, t = 1 the

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from rve.common.records import Index, Rows
 from rve.common.tensor import WEIGHT, disc, double_dot, mirror
 from rve.common.types import Array
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, follow, unit_loads
+from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
 from rve.equilibrium.system import Equations, add_lattice_curvature, weighted_size
 from rve.geometry.kinematics import green_lagrange
 from rve.geometry.pose import Pose, mirrored, moved
-
-Index = NDArray[np.intp]
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -79,11 +78,6 @@ def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
     return green_lagrange(np.stack([pose.a1 / sides[0], pose.a2 / sides[1]], axis=2))
 
 
-def joined_poses(poses: list[Pose]) -> Pose:
-    """All poses, one after the other."""
-    return Pose(*(np.concatenate([getattr(pose, name) for pose in poses]) for name in vars(poses[0])))
-
-
 def solve_dead(S: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
     """Locked states under the dead loads S (n, 3) from the slack pose of the weave; equations with a `DeadLoad`.
 
@@ -94,7 +88,7 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions) -> Equili
     found = follow(unit_loads(S), equations, first)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
-        again = follow(unit_loads(S[left]), equations, replace(first, shrink=0.5, rejection=np.inf))
+        again = follow(unit_loads(S[left]), equations, replace(first, shrink=0.5, rejection=NEVER))
         found = found.put(left, replace(again, attempts=again.attempts + 1))
     return found
 
@@ -132,7 +126,7 @@ def restarted(loads: Array, equations: Equations, start: Pose, margin: float, op
 
 
 @dataclass(frozen=True)
-class States:
+class States(Rows):
     """Locked poses of any loads, (m,), their loads S and strains E (m, 3) in weave axes: starts for other loads."""
 
     pose: Pose
@@ -142,14 +136,13 @@ class States:
     def __len__(self) -> int:
         return len(self.E)
 
-    def joined(self, other: States) -> States:
+    def plus(self, other: States) -> States:
         """These states, then the others."""
-        parts = [np.concatenate(both) for both in ((self.S, other.S), (self.E, other.E))]
-        return States(joined_poses([self.pose, other.pose]), *parts)
+        return self.join([other])
 
     def with_images(self, is_mirrored: bool) -> States:
         """These states and, for a weave that is its own mirror image, what a mirror shows of them."""
-        return self.joined(States(mirrored(self.pose), mirror(self.S), mirror(self.E))) if is_mirrored else self
+        return self.plus(States(mirrored(self.pose), mirror(self.S), mirror(self.E))) if is_mirrored else self
 
 
 @dataclass(frozen=True)
@@ -198,10 +191,10 @@ def largest(
     if options.branches == "first":
         return best
     images = equations.weave.is_mirrored and equations.weave.classes == 2
-    states = best.states(sides) if known is None else known.joined(best.states(sides))
+    states = best.states(sides) if known is None else known.plus(best.states(sides))
     states = states.with_images(images)
     best = with_neighbours(best, states, equations, sides, options)
-    states = states.joined(best.states(sides).with_images(images))
+    states = states.plus(best.states(sides).with_images(images))
     tried: set[tuple[int, int]] = set()
     for _ in range(ROUNDS):
         rows, source = better_states(best, states, tried)
@@ -215,7 +208,7 @@ def largest(
             rows, source = rows[low], source[low]
             if not len(rows):
                 break
-        states = states.joined(best.states(sides).with_images(images))
+        states = states.plus(best.states(sides).with_images(images))
     rows, _ = better_states(best, states, set())
     best.found.status[rows[np.isfinite(best.h[rows])]] = "below"
     return best

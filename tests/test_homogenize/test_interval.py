@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.fitting.rows import subset
 from homogenize.interval import interval_or_law, law_interval, read_law_interval, rows_with_largest_work
 from homogenize.io import DEFAULT_LAW, save_law
 from homogenize.laws.net import diagonal_net
@@ -37,7 +36,7 @@ def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():
 
 def test_fewer_rows_make_a_wider_interval():
     full = read_law_interval()
-    few = law_interval(subset(full.rows, np.arange(0, len(full.rows), 7)))
+    few = law_interval(full.rows.take(np.arange(0, len(full.rows), 7)))
     S = directions()
     assert (few.inner.support(S) <= full.inner.support(S) + 2e-5).all()
     assert (few.outer.support(S) >= full.outer.support(S) - 1e-9).all()

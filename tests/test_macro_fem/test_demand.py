@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize import default_law, law_interval, read_law_interval
-from homogenize.fitting.rows import subset, with_mirror
+from homogenize.fitting.rows import with_mirror
 from macro_fem.bounds.adapt import levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
@@ -102,7 +102,7 @@ def test_the_mean_height_of_a_quadratic_curtain_is_that_of_its_potential():
 
 def test_the_distance_of_two_potentials_is_within_the_part_of_the_law():
     scene = square(cells=4)
-    few = law_interval(subset(KNOWN.rows, np.arange(0, len(KNOWN.rows), 9)), cell=KNOWN.law.cell)
+    few = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 9)), cell=KNOWN.law.cell)
     mesh = build_mesh(scene, KNOWN.law.cell)
     inner, outer = (solve_problem(admissible_problem(scene, law, mesh)) for law in (few.inner, few.outer))
     part = loads_of(inner.problem.disc.weight, inner.S, few.inner, few.outer).law_part
@@ -116,7 +116,7 @@ def test_more_rows_narrow_the_interval_from_both_sides():
     mesh = build_mesh(scene, KNOWN.law.cell)
     lowers, uppers, parts = [], [], []
     for step in (12, 4, 1):
-        rows = subset(KNOWN.rows, np.arange(0, len(KNOWN.rows), step))
+        rows = KNOWN.rows.take(np.arange(0, len(KNOWN.rows), step))
         law = law_interval(rows, cell=KNOWN.law.cell)
         solution = solve_problem(admissible_problem(scene, law.inner, mesh))
         bounds = bound(solution, outer=law.outer)
@@ -149,7 +149,7 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
 
 
 def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
-    scene = square("top", cells=3, curtain={"width": 100.0, "height": 100.0, "hang": "y"})
+    scene = square("top", cells=3, curtain={"width": 100.0, "height": 100.0, "weave_angle": "y"})
     found = solve_on_demand(scene, Cell(), DemandOptions(1e-3))
     first = len(first_directions(True))
     x = disc(np.array(known_rings))
@@ -232,7 +232,9 @@ def test_limits_are_named(known_rings):
 
 
 def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_more_widely(known_rings):
-    far = square({"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "hang": "x"})
+    far = square(
+        {"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}
+    )
     with pytest.raises(InputError, match="support"):
         solve_on_demand(far, Cell(), DemandOptions(0.1))
     assert len(known_rings) > len(first_directions(True)) + 16
@@ -421,7 +423,7 @@ def test_options_that_make_no_sense_end_in_a_sentence(tmp_path, monkeypatch, opt
 
 
 def test_elements_without_bounds_are_refused():
-    for tables in ({"mesh": {"cells": 3, "element": "Q1"}}, {"solver": {"kind": "newton"}}):
+    for tables in ({"mesh": {"cells": 3, "element": "Q1"}}, {"solver": {"kind": "elastic"}}):
         with pytest.raises(InputError, match="bounds"):
             solve(square(**tables), rings=Cell())
 
@@ -437,8 +439,8 @@ def test_options_of_the_command_line(monkeypatch, tmp_path):
 SCENES = {
     "corners": square("corners", 4),
     "gathered": square({"kind": "top", "gather": 0.7}, 4),
-    "rail along x": square("rail", 4, curtain={"width": 100.0, "height": 100.0, "hang": "x"}),
-    "turned": square("corners", 4, curtain={"width": 100.0, "height": 100.0, "hang": 30.0}),
+    "rail along x": square("rail", 4, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}),
+    "turned": square("corners", 4, curtain={"width": 100.0, "height": 100.0, "weave_angle": 30.0}),
     "pulled": square("top", 4, load={"point": [{"at": [50.0, 0.0], "force": [0.02, -0.02]}]}),
     "round": square("top", 6, curtain={"shape": "disk", "radius": 60.0}),
 }

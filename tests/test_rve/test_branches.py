@@ -1,4 +1,4 @@
-"""Tables where several locked states coexist: the largest of them, two in balance, and the reference cell of thin wire."""
+"""Tables where several locked states coexist: the largest, two in balance, and the reference cell of thin wire."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_where_one_state_is_known_nothing_changes():
 
 
 def test_two_states_in_balance(tmp_path):
-    """6-in-1 at r1/r2 = 10, (45, 0) degrees: the state of the slack pose does less work than two others that coexist."""
+    """6-in-1 at r1/r2 = 10, (45, 0) degrees: the state of the slack pose does less work than two others."""
     cell = Cell(5.0, 0.5, SIX_IN_ONE)
     first, best = (solve_table(cell, ([45.0], [0.0]), options) for options in (FIRST, DirectOptions()))
     assert (best.branch[0], best.status[0], bool(best.unique[0])) == ("coexisting", "converged", False)
@@ -95,7 +95,7 @@ def test_a_chiral_weave_has_loads_on_both_sides():
 
 
 def test_options_that_are_none():
-    with pytest.raises(InputError, match="branches = 'best': known are largest, first"):
+    with pytest.raises(InputError, match="branches = 'best': is not one of largest, first"):
         DirectOptions(branches="best")
-    with pytest.raises(InputError, match="reference = 'none': known are side-by-side, locked"):
+    with pytest.raises(InputError, match="reference = 'none': is not one of side-by-side, locked"):
         DirectOptions(reference="none")
