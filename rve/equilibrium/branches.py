@@ -19,16 +19,21 @@ from rve.common.records import Flags, Index
 from rve.common.records import Rows as Records
 from rve.common.tensor import WEIGHT, double_dot, trace
 from rve.common.types import Array
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.states import LockedStates
-from rve.equilibrium.support import GAIN, MARGINS, DeadLoad, States, largest, restarted, strain_of
+from rve.equilibrium.support import GAIN, MARGINS, DeadLoad, States, largest, restarted, solve_dead, strain_of
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
+PROBE, ALIKE = 1e-4, 5e-3
+"""Complementarity mu at which the path of a dead load is compared with the state of its row, and the difference of
+strains up to which it leads there."""
+PROMISE = 0.5
+"""Contacts by which the work on a path must be nearer to that of the row's state than a path to equal work would be."""
 ROUNDS = 4
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 MOVED = 1e-6
@@ -127,13 +132,27 @@ def merged(
 
 
 def dead_states(rows: Rows, mesh: Mesh) -> States:
-    """Locked states under the S of some rows as dead loads, from the slack pose, with their images."""
+    """Locked states under the S of some rows as dead loads, from the slack pose, with their images; only those that may
+    do more work than the state of their own row. Paths are followed to mu = `PROBE`, and to the end where they promise
+    more: on a path every loaded contact (lam > gap) takes mu from the work at the end, to first order.
+    """
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
     S = rows.S[good]
     thin = S[:, 0] * S[:, 2] - S[:, 1] ** 2 < 1e-6
-    sample = good[thin | (np.arange(len(good)) % SAMPLE == 0)]
-    once = replace(mesh.options, branches="first", attempts=1)
-    return largest(rows.S[sample], mesh.dead, mesh.sides, once).states(mesh.sides).with_images(mesh.has_images)
+    sample = rows.take(good[thin | (np.arange(len(good)) % SAMPLE == 0)])
+    once = replace(mesh.options, attempts=1)
+    path = solve_dead(sample.S, mesh.dead, replace(once, mu_end=PROBE, tolerance=PROBE))
+    short = sample.E - strain_of(path.pose, mesh.sides)
+    far = np.abs(short).max(axis=1) > ALIKE
+    loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))
+    missing = mesh.sides[0] * mesh.sides[1] * double_dot(unit_loads(sample.S), short) / PROBE
+    left = np.flatnonzero(far & (missing < loaded - PROMISE) & (path.status == "converged"))
+    pose, S = path.pose.take(left), sample.S[left]
+    if len(left):
+        found = solve_dead(S, mesh.dead, replace(once, mu_start=PROBE), pose)
+        good = np.flatnonzero(found.status == "converged")
+        pose, S = found.pose.take(good), S[good]
+    return States(pose, S, strain_of(pose, mesh.sides)).with_images(mesh.has_images)
 
 
 def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:

@@ -78,17 +78,19 @@ def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
     return green_lagrange(np.stack([pose.a1 / sides[0], pose.a2 / sides[1]], axis=2))
 
 
-def solve_dead(S: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
-    """Locked states under the dead loads S (n, 3) from the slack pose of the weave; equations with a `DeadLoad`.
+def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Pose | None = None) -> Equilibrium:
+    """Locked states under the dead loads S (n, 3) from the slack pose of the weave, or from `start` (n poses with
+    positive gaps); equations with a `DeadLoad`.
 
     The force of a dead load grows with the stretch, so mu falls slowly from the first attempt on: by 3/10 all but a few
     of the loads converge, by 1/10 a third of them stall at r1/r2 = 50.
     """
     first = replace(options, attempts=1, shrink=0.3, power=1.0, max_iterations=options.max_iterations + 50)
-    found = follow(unit_loads(S), equations, first)
+    found = follow(unit_loads(S), equations, first, start)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
-        again = follow(unit_loads(S[left]), equations, replace(first, shrink=0.5, rejection=NEVER))
+        slower = replace(first, shrink=0.5, rejection=NEVER)
+        again = follow(unit_loads(S[left]), equations, slower, None if start is None else start.take(left))
         found = found.put(left, replace(again, attempts=again.attempts + 1))
     return found
 

@@ -72,10 +72,12 @@ def test_commands_solve_once(tmp_path):
         return number
 
     load = ("--alpha", 20, "--beta", 30)
-    assert count("case", *load) == count("case", *load, "--plot", tmp_path / "c.png") == 2  # the reference, the load
+    # The reference, the load, and its S as a dead load.
+    assert count("case", *load) == count("case", *load, "--plot", tmp_path / "c.png") == 3
     out = ("--out", tmp_path / "t.csv")
-    assert count("table", *out, *load) == count("table", *out, *load, "--compliance", 1000) == 2
-    assert count("table", *out, *load, "--span") == 2  # no free strain: nothing to span
+    assert count("table", *out, *load) == count("table", *out, *load, "--compliance", 1000) == 3
+    assert count("table", *out, *load, "--span") == 3  # no free strain: nothing to span
+    assert count("table", *out, *load, "--branches", "first") == 2
 
 
 def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
