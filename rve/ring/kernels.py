@@ -68,7 +68,8 @@ def internal_forces(phi: Array, forces: Array, at: Array, section: Section) -> A
     M_r = total(axial * (-R / np.pi * series.cos_x))
     M_t = total(axial * (R / np.pi * series.sin_nx))
     M_z = total(
-        radial * (low.moment - R * one * c + R / np.pi * series.cos_x), along * (R * one * s + R / np.pi * series.sin_nx)
+        radial * (low.moment - R * one * c + R / np.pi * series.cos_x),
+        along * (R * one * s + R / np.pi * series.sin_nx),
     )
     return np.stack([V_r, N, V_z, M_r, M_t, M_z], axis=-1)
 

@@ -58,15 +58,13 @@ def peak_stress(
     return best
 
 
-def _best(
-    phi: Array, forces: Array, at: Array, fibre: Array, kind: tuple[Ring, Section, Array | None]
-) -> Peak:
+def _best(phi: Array, forces: Array, at: Array, fibre: Array, kind: tuple[Ring, Section, Array | None]) -> Peak:
     """The largest stress at sections at (..., k) and fibres (..., f)."""
     ring, section, joint = kind
-    if joint is None:
-        q = internal_forces(phi, forces, at, section)
-    else:
+    if joint is not None:
         q = opened_forces(phi, forces, at, joint, section)
+    else:
+        q = internal_forces(phi, forces, at, section)
     stress = skin_stress(q[..., :, None, :], fibre[..., None, :], ring.r1, ring.r2)
     flat = stress.reshape(*stress.shape[:-2], -1)
     top = flat.argmax(axis=-1)[..., None]
