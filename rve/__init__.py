@@ -9,6 +9,9 @@ from rve.common.lazy import lazily
 if TYPE_CHECKING:
     from rve.common.errors import InputError as InputError
     from rve.common.errors import NotConverged as NotConverged
+    from rve.common.materials import MATERIALS as MATERIALS
+    from rve.common.materials import Material as Material
+    from rve.common.materials import named_material as named_material
     from rve.directions import LoadDirections as LoadDirections
     from rve.directions import graded_grid as graded_grid
     from rve.directions import grid as grid
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from rve.geometry.weave import WEAVES as WEAVES
     from rve.geometry.weave import Weave as Weave
     from rve.solve import solve_table as solve_table
+    from rve.strength import with_rings as with_rings
     from rve.table import StrainTable as StrainTable
     from rve.table import read_table as read_table
     from rve.table import write_table as write_table
@@ -31,6 +35,8 @@ _MODULES = {
     "DirectOptions": "rve.equilibrium.interior_point",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
+    "MATERIALS": "rve.common.materials",
+    "Material": "rve.common.materials",
     "NotConverged": "rve.common.errors",
     "StrainTable": "rve.table",
     "WEAVES": "rve.geometry.weave",
@@ -40,20 +46,24 @@ _MODULES = {
     "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
     "grid": "rve.directions",
+    "named_material": "rve.common.materials",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
     "solve_table": "rve.solve",
+    "with_rings": "rve.strength",
     "write_table": "rve.table",
 }
 """Public names and the modules that hold them: imported when they are first used."""
 
 __all__ = [
+    "MATERIALS",
     "WEAVES",
     "Cell",
     "DirectOptions",
     "InputError",
     "LoadDirections",
+    "Material",
     "NotConverged",
     "StrainTable",
     "Weave",
@@ -62,10 +72,12 @@ __all__ = [
     "graded_grid",
     "green_lagrange",
     "grid",
+    "named_material",
     "read_loads",
     "read_table",
     "second_pk",
     "solve_table",
+    "with_rings",
     "write_table",
 ]
 

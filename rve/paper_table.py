@@ -16,6 +16,7 @@ from rve.geometry.cell import Cell
 from rve.paper.checkpoints import SweepOptions, sweep
 from rve.paper.stewart_trinkle import StewartTrinkleOptions
 from rve.solve import checked_angles, locked, reference_sides, table_provenance, table_rows
+from rve.strength import with_rings
 from rve.table import StrainTable
 
 
@@ -53,12 +54,17 @@ def solve_table_stewart_trinkle(
     return replace(table, provenance=provenance)
 
 
-def with_compliance(table: StrainTable, stiffness_N_per_mm: float = 1e3, cell: Cell | None = None) -> StrainTable:
-    """The table with its compliance: dE/dS in mm/N at contacts of this stiffness, for a line load of 1 N/mm.
+def with_compliance(
+    table: StrainTable, stiffness_N_per_mm: float | None = None, cell: Cell | None = None
+) -> StrainTable:
+    """The table with its compliance, dE/dS in mm/N for a line load of 1 N/mm: that of its rings (`with_rings`), or of
+    rigid rings with contacts of this stiffness.
 
     A line load of s N/mm at stiffness k has the compliance of stiffness k/s, over s. Rows that have not converged or
     whose strain is not unique have nan. Raises InputError for a stiffness that is not positive.
     """
+    if stiffness_N_per_mm is None:
+        return with_rings(table, cell or Cell())
     if not (np.isfinite(stiffness_N_per_mm) and stiffness_N_per_mm > 0.0):
         raise InputError(f"stiffness = {stiffness_N_per_mm}: must be a positive number of N/mm")
     cell = cell or Cell()
@@ -73,5 +79,6 @@ def with_compliance(table: StrainTable, stiffness_N_per_mm: float = 1e3, cell: C
     D = soften(replace(found, status=status), s, equations, stiffness_N_per_mm, reference).compliance
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]
-    provenance = table.provenance | {"compliance_stiffness_N_per_mm": stiffness_N_per_mm}
+    springs = {"compliance": "contact springs", "compliance_stiffness_N_per_mm": stiffness_N_per_mm}
+    provenance = table.provenance | springs
     return replace(table, compliance=D, provenance=provenance)

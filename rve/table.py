@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COLUMNS",
     "COMPLIANCE_COLUMNS",
+    "STRENGTH_COLUMNS",
     "InputError",
     "StrainTable",
     "cauchy_line_load",
@@ -67,6 +68,8 @@ _MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12"
 MOST_CELLS = 5_000_000
 """Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
+STRENGTH_COLUMNS = ["first_yield_1_per_mm", "collapse_1_per_mm"]
+"""Yield stress in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,8 @@ class StrainTable:
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
     unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
-    method, tolerances, versions, wall time.
+    method, tolerances, versions, wall time; strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which
+    the row's load is that of first yield and of plastic collapse.
     """
 
     alpha_deg: Array
@@ -92,6 +96,7 @@ class StrainTable:
     iterations: NDArray[np.intp]
     compliance: Array | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    strength: Array | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -118,6 +123,8 @@ class StrainTable:
         columns["unique"] = self.unique.astype(int)
         if self.compliance is not None:
             columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
+        if self.strength is not None:
+            columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
         frame = DataFrame(columns)
         frame.attrs.update(self.provenance)
         return frame
@@ -140,7 +147,7 @@ class StrainTable:
 
 
 def joined_tables(tables: list[StrainTable]) -> StrainTable:
-    """One table with the rows of all, in order; compliance only if all have it; no provenance."""
+    """One table with the rows of all, in order; compliance and strength only if all have them; no provenance."""
     columns: dict[str, Any] = {}
     for name, value in vars(tables[0]).items():
         parts = [getattr(table, name) for table in tables]
@@ -168,6 +175,8 @@ def _cells(table: StrainTable) -> list[list[str]]:
         cells.append(str(int(table.iterations[i])))
         if table.compliance is not None:
             cells += [real(x) for x in table.compliance[i].ravel()]
+        if table.strength is not None:
+            cells += [real(x) for x in table.strength[i]]
         rows.append(cells)
     return rows
 
@@ -181,6 +190,7 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     check_out_table(path, "table")
     target, sidecar = Path(path), provenance_path(path)
     header = COLUMNS + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
+    header += STRENGTH_COLUMNS if table.strength is not None else []
     lines = [",".join(header)] + [",".join(cells) for cells in _cells(table)]
     with job(target.parent, sidecar.name, clears=False) as folder:
         write_text(folder / target.name, "\n".join(lines) + "\n")
@@ -273,6 +283,9 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     compliance = None
     if all(name in columns for name in COMPLIANCE_COLUMNS):
         compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
+    strength = None
+    if all(name in columns for name in STRENGTH_COLUMNS):
+        strength = np.stack([column(name) for name in STRENGTH_COLUMNS], axis=1)
     return StrainTable(
         column("alpha_deg"),
         column("beta_deg"),
@@ -288,6 +301,7 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         np.nan_to_num(column("iterations")).astype(int),
         compliance,
         _read_provenance(Path(path)),
+        strength,
     )
 
 

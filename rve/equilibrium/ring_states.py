@@ -71,7 +71,7 @@ class Ends:
         return Ends(*(column[rows] for column in vars(self).values()))
 
     def on(self, k: int) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Angles (n, e), directions (n, e, 3), contacts (n, e) of the ends on ring k; directions of padding are zero."""
+        """Angles (n, e), directions (n, e, 3), contacts (n, e) of the ends on ring k; padding has no direction."""
         mine = (self.ring == k) & (self.direction != 0.0).any(axis=2)
         count = int(mine.sum(axis=1).max(initial=1))
         column = np.argsort(~mine, axis=1, kind="stable")[:, :count]
@@ -133,10 +133,8 @@ class DeadLoad:
         f, J = np.zeros((n, m)), np.zeros((n, m, m))
         f[:, :3] = area * np.einsum("ni,nij->nj", s * _WEIGHT, strain_gradient(pose, self.reference))
         x2, y3, t = pose.lattice.T
-        weights = (
-            area * s * _WEIGHT / (np.array([1.0, 0.5, 1.0]) * np.outer(*[self.reference] * 2)[[0, 0, 1], [0, 1, 1]])
-        )
-        S11, S12, S22 = weights.T[0], 0.5 * weights.T[1], weights.T[2]
+        b_x, b_y = self.reference
+        S11, S12, S22 = area * s[:, 0] / b_x**2, 2.0 * area * s[:, 1] / (b_x * b_y), area * s[:, 2] / b_y**2
         J[:, 0, 0], J[:, 1, 1] = S11 * (1.0 + t**2), S22 * (1.0 + t**2)
         J[:, 2, 2] = S11 * x2**2 + S22 * y3**2
         J[:, 0, 1] = J[:, 1, 0] = S12 * t

@@ -133,7 +133,7 @@ def _closing(phi: Array, directions: Array, joint: Array, section: Section) -> A
     """Amplitudes (..., 6, m) of the self-stress states that free the section at `joint` (...) of every unit force."""
     unit = np.eye(phi.shape[-1])[..., None] * directions[..., None, :, :]  # (..., m, m, 3)
     q = internal_forces(phi[..., None, :], unit, np.asarray(joint)[..., None, None], section)[..., 0, :]
-    return -np.linalg.solve(self_stress(np.asarray(joint), section.radius), np.swapaxes(q, -1, -2))
+    return np.asarray(-np.linalg.solve(self_stress(np.asarray(joint), section.radius), np.swapaxes(q, -1, -2)))
 
 
 def opened_forces(phi: Array, forces: Array, at: Array, joint: Array, section: Section) -> Array:
@@ -151,8 +151,8 @@ def opened_forces(phi: Array, forces: Array, at: Array, joint: Array, section: S
 
 def opened_flexibility(phi: Array, directions: Array, joint: Array, section: Section) -> Array:
     """Flexibility (..., m, m) as in `flexibility` of a butted ring, open at the angle `joint` (...)."""
-    angles = 0.25 * np.pi * np.arange(8)  # products of states hold at most cos 2 phi: eight points integrate exactly
-    H = self_stress(angles, section.radius)
+    angles = 0.25 * np.pi * np.arange(8.0)  # products of states hold at most cos 2 phi: eight points integrate exactly
+    H = self_stress(np.asarray(angles, float), section.radius)
     F = np.einsum("kai,ab,kbj->ij", H, section_matrix(section), H) * 2.0 * np.pi * section.radius / 8.0
     X = _closing(phi, directions, joint, section)
     return flexibility(phi, directions, section) + np.einsum("...ak,ab,...bl->...kl", X, F, X)

@@ -45,7 +45,7 @@ def sums(phi: Array) -> Sums:
     """The sums behind section forces, at angles phi of any shape.
 
     >>> n = np.arange(2, 100_000)
-    >>> abs(sums(np.array(1.0)).cos_x - np.sum(np.cos(n) / (n**2 - 1.0))) < 1e-9
+    >>> bool(abs(sums(np.array(1.0)).cos_x - np.sum(np.cos(n) / (n**2 - 1.0))) < 1e-9)
     True
     """
     phi = np.mod(phi, 2.0 * np.pi)
@@ -58,7 +58,7 @@ def squares(phi: Array) -> Squares:
     """The sums behind the flexibility, at angles phi of any shape.
 
     >>> n = np.arange(2, 1000)
-    >>> abs(squares(np.array(0.0)).cos - np.sum(1.0 / (n**2 - 1.0) ** 2)) < 1e-9
+    >>> bool(abs(squares(np.array(0.0)).cos - np.sum(1.0 / (n**2 - 1.0) ** 2)) < 1e-9)
     True
     """
     phi = np.mod(phi, 2.0 * np.pi)
