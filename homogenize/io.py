@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from homogenize.laws.net import net_from_dict
-from homogenize.laws.polyhedral import polyhedral_from_dict
+from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.smooth import smooth_from_dict
+from homogenize.strength import read_strength
 from rve.common.errors import InputError
 from rve.common.files import write_text
 from rve.common.reading import read_json
@@ -38,12 +39,14 @@ def default_law() -> MembraneLaw:
 
 def law_record(law: MembraneLaw, provenance: dict[str, Any] | None = None) -> dict[str, Any]:
     """What the file of a law holds."""
+    strength = law.strength if isinstance(law, PolyhedralLaw) else None
     return {
         "schema": SCHEMA,
         "kind": law.name,
         "units": UNITS,
         "cell": None if law.cell is None else asdict(law.cell),
         "parameters": law.to_dict(),
+        **({} if strength is None else {"strength": strength.to_dict()}),
         "provenance": provenance or {},
     }
 
@@ -87,8 +90,13 @@ def law_from_record(record: Any, source: str) -> MembraneLaw:
     check_format(record, source, tuple(sorted(READERS)))
     cell = checked(record, "cell", optional(mapping), f"{source}:")
     parameters = checked(record, "parameters", mapping, f"{source}:")
-    return READERS[record["kind"]](
+    law = READERS[record["kind"]](
         parameters, None if cell is None else cell_from_dict(cell, f"{source}: cell"), f"{source}: parameters"
+    )
+    if "strength" not in record or not isinstance(law, PolyhedralLaw):
+        return law
+    return replace(
+        law, strength=read_strength(checked(record, "strength", mapping, f"{source}:"), f"{source}: strength")
     )
 
 

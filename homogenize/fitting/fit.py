@@ -18,8 +18,9 @@ from homogenize.fitting.rows import NORMALITY_TOLERANCE, Rows, normality, rows_f
 from homogenize.fitting.stiffness import stiffness_of
 from homogenize.io import save_law
 from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
-from homogenize.laws.polyhedral import polyhedral_law
+from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
 from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.strength import strength_of_table
 from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.types import Array
@@ -89,6 +90,9 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     stiffness, origin = stiffness_of(table, STATED_STIFFNESS)
     build = builder(options.kind, cell, stiffness, table, options.resolution)
     law = build(rows)
+    strength = strength_of_table(table)
+    if isinstance(law, PolyhedralLaw):
+        law = replace(law, strength=strength)
     refit = None if options.kind in SLOW_OR_FIXED else build
     provenance = {
         "kind": options.kind,

@@ -16,6 +16,7 @@ from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite, stiffness_matrix
 from homogenize.laws.vertices import highest, outer_vertices
+from homogenize.strength import Strength
 from rve.common.errors import InputError
 from rve.common.tensor import IDENTITY, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
@@ -35,7 +36,8 @@ MAP_PAYS = 300
 
 @dataclass(frozen=True, eq=False)
 class PolyhedralLaw:
-    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
+    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3);
+    strength of the rings, None if the law's table has none."""
 
     S: Array
     h: Array
@@ -43,6 +45,7 @@ class PolyhedralLaw:
     stiffness: Array
     cell: CellInfo | None = None
     name: str = "polyhedral"
+    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:
