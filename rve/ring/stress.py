@@ -16,6 +16,8 @@ FIBRES = 48
 """Fibres of each section looked at first; the best pair is then looked at more closely (`_ZOOMS`)."""
 _ZOOMS, _FINER = 3, 4
 """How often, and by how much, the steps of the search shrink: 64 in all, for a stress within 1e-6 of a smooth peak."""
+_BEFORE = 1e-9
+"""N jumps at a load with a part along the ring: the section this angle before it is looked at as well."""
 JOINTS = 72
 """Angles at which the joint of a butted ring is tried for the worst one."""
 
@@ -46,7 +48,7 @@ def peak_stress(
     section = section or ring.curved()
     shape = phi.shape[:-1]
     uniform = np.broadcast_to(2.0 * np.pi / SECTIONS * np.arange(SECTIONS), (*shape, SECTIONS))
-    at = np.concatenate([uniform, phi], axis=-1)
+    at = np.concatenate([uniform, phi, phi - _BEFORE], axis=-1)
     fibre = np.broadcast_to(2.0 * np.pi / FIBRES * np.arange(FIBRES), (*shape, FIBRES))
     best = _best(phi, forces, at, fibre, (ring, section, joint))
     wide, round_ = 2.0 * np.pi / SECTIONS, 2.0 * np.pi / FIBRES
