@@ -71,7 +71,7 @@ def test_two_opposed_pulls_at_an_angle(psi):
 
 
 def test_four_alternating_axial_forces():
-    """Symmetry decides all section forces: M_r = F R (cos t - sin t)/2, M_t = F R (1 - sin t - cos t)/2 in a quarter."""
+    """By symmetry M_r = F R (cos t - sin t)/2 and M_t = F R (1 - sin t - cos t)/2 in each quarter."""
     phi = 0.2 + 0.5 * np.pi * np.arange(4)
     forces = np.array([1.0, -1.0, 1.0, -1.0])[:, None] * UP
     exact = R**3 * ((np.pi / 2.0 - 1.0) / EI + (np.pi - 3.0) / GJ)

@@ -19,7 +19,7 @@ def random_load(seed, count=6):
 
 
 def test_stresses_of_all_fibres_add_up_to_the_section_forces():
-    """Plane sections of a ring: 1 and 1/r in the plane, z/r out of it, in amounts that make N, M_z or M_r equal to 2."""
+    """Plane sections of a ring: 1 and 1/r in the plane, z/r out of it, in amounts that make N, M_z or M_r two."""
     r1, r2 = 5.0, 0.8
     rho, w = np.polynomial.legendre.leggauss(30)
     rho, w = 0.5 * r2 * (rho + 1.0), 0.5 * r2 * w
