@@ -68,9 +68,11 @@ class Directions:
     def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
         """Rows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
 
-        A load outside of the hull is drawn towards the equibiaxial one until it lies on it.
+        A load outside of the hull is drawn towards the equibiaxial one until it lies on it. A load and its mirror image
+        have the same weights, though triangles between points on a square may not be mirror images.
         """
         x = disc(S)
+        x[:, 1] = np.abs(x[:, 1])
         beyond = np.maximum((x @ self.hull[:, :2].T / -self.hull[:, 2]).max(axis=1), 1.0)
         x = x / (beyond * (1.0 + 1e-12))[:, None]
         found = self.triangles.find_simplex(x, tol=1e-9)
