@@ -72,7 +72,7 @@ def test_elastic_forces_balance_the_load_and_are_the_stiffest_choice(paper):
 
 
 def test_elastic_forces_do_not_depend_on_those_of_the_rigid_cell(paper):
-    """Under a pull along the grain ten contacts touch, which balance tells apart but for two numbers."""
+    """Under a pull along the grain ten contacts touch, which balance tells apart but for three numbers."""
     found, s, _, states = paper
     rows = np.array([9, 18, 100])  # (0, 45), (0, 90), (25, 25) degrees; ascending
     part, s = found.take(rows), s[rows]
