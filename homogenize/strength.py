@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
+from rve import cauchy_line_load
 from rve.common.errors import InputError
 from rve.common.materials import STRESS, Material, read_material
 from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
@@ -30,6 +31,10 @@ FOLDS = 5
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
 _SAME = 1e-9
 """Loads in the disc closer than this are one load."""
+_FLAT = 1e-12
+"""Twice the area in the disc below which a triangle holds no load."""
+_CHUNK = 500
+"""Loads looked up together: 15 MB for the triangles of 190 rows."""
 
 
 @dataclass(frozen=True)
@@ -45,25 +50,38 @@ class OffGrid:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Load directions as points of the disc, with their mirror images: triangles between them, the half-planes (k, 3)
-    of their hull, and the row (m,) that each point belongs to."""
+    """Load directions as points of the disc, with their mirror images, and the triangles between them.
 
-    triangles: Delaunay
+    slope (2, 3, t), level (3, t): the weights of each triangle's corners at a point x are x slope + level; rows (t, 3):
+    the loads at its corners; hull (k, 3): the half-planes around all. Neighbours are neighbours as Cauchy loads, which
+    lie on a grid, while S crowds where the cell locks far from its reference.
+    """
+
+    slope: Array
+    level: Array
+    rows: NDArray[np.intp]
     hull: Array
-    source: NDArray[np.intp]
 
     @staticmethod
-    def of(S: Array) -> Directions:
-        """Those of loads S (n, 3) of unit trace; InputError if they do not surround the equibiaxial load."""
+    def of(S: Array, cauchy: Array) -> Directions:
+        """Those of loads S (n, 3) of unit trace and their Cauchy loads (n, 3); InputError unless they surround the
+        equibiaxial load."""
         x = disc(np.vstack([S, mirror(S)]))
         first = np.sort(np.unique(np.round(x / _SAME), axis=0, return_index=True)[1])
+        x, s = x[first], np.vstack([cauchy, mirror(cauchy)])[first]
         try:
-            triangles, hull = Delaunay(x[first]), ConvexHull(x[first]).equations
+            triangles, hull = Delaunay(disc(s / trace(s)[:, None])).simplices, ConvexHull(x).equations
         except (QhullError, ValueError) as error:
             raise InputError("strengths need loads that differ in angle and ratio; these lie on one line") from error
         if hull[:, 2].max() >= 0.0:
             raise InputError("strengths need loads on all sides of the equibiaxial one")
-        return Directions(triangles, hull, first % len(S))
+        sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
+        good = np.abs(np.linalg.det(sides)) > _FLAT
+        triangles = triangles[good]
+        two = np.linalg.inv(sides[good])
+        slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
+        level = np.array([0.0, 0.0, 1.0]) - np.einsum("tij,tj->ti", slope, x[triangles[:, 2]])
+        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), first[triangles] % len(S), hull)
 
     def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
         """Rows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
@@ -74,23 +92,28 @@ class Directions:
         x = disc(S)
         x[:, 1] = np.abs(x[:, 1])
         beyond = np.maximum((x @ self.hull[:, :2].T / -self.hull[:, 2]).max(axis=1), 1.0)
-        x = x / (beyond * (1.0 + 1e-12))[:, None]
-        found = self.triangles.find_simplex(x, tol=1e-9)
-        frame = self.triangles.transform[found]
-        two = np.einsum("nij,nj->ni", frame[:, :2], x - frame[:, 2])
-        weights = np.column_stack([two, 1.0 - two.sum(axis=1)])
-        return self.source[self.triangles.simplices[found]], weights
+        x = x / beyond[:, None]
+        rows, weights = np.empty((len(x), 3), dtype=np.intp), np.empty((len(x), 3))
+        for start in range(0, len(x), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            three = x[part, :1, None] * self.slope[0] + x[part, 1:, None] * self.slope[1] + self.level
+            best = three.min(axis=1).argmax(axis=1)
+            inside = np.maximum(np.take_along_axis(three, best[:, None, None], axis=2)[..., 0], 0.0)
+            rows[part], weights[part] = self.rows[best], inside / inside.sum(axis=1, keepdims=True)
+        return rows, weights
 
 
 @dataclass(frozen=True, eq=False)
 class Strength:
     """Strength of n load directions, linear between them on the triangles of their disc.
 
-    S (n, 3) of unit trace; first_yield, collapse (n,): yield stress over S11 + S22, 1/mm; compliance (n,): S:D S in
-    mm/N, nan where a load has no unique strain; the material of the table; the error between the loads.
+    S (n, 3) of unit trace; cauchy (n, 3): the Cauchy loads of these rows, of unit trace; first_yield, collapse (n,):
+    yield stress over S11 + S22, 1/mm; compliance (n,): S:D S in mm/N, nan where a load has no unique strain; the
+    material of the table; the error between the loads.
     """
 
     S: Array
+    cauchy: Array
     first_yield: Array
     collapse: Array
     compliance: Array
@@ -131,12 +154,13 @@ class Strength:
 
     @cached_property
     def _loads(self) -> Directions:
-        return Directions.of(self.S)
+        return Directions.of(self.S, self.cauchy)
 
     @cached_property
     def _stretched(self) -> Directions:
         """Loads whose strain is unique."""
-        return Directions.of(self.S[np.isfinite(self.compliance)])
+        known = np.isfinite(self.compliance)
+        return Directions.of(self.S[known], self.cauchy[known])
 
     def to_dict(self) -> dict[str, Any]:
         """The strength as a law file holds it."""
@@ -144,6 +168,7 @@ class Strength:
             "joint": "welded",
             "material": asdict(self.material),
             "S": self.S.tolist(),
+            "cauchy": self.cauchy.tolist(),
             "first_yield_1_per_mm": self.first_yield.tolist(),
             "collapse_1_per_mm": self.collapse.tolist(),
             "compliance_mm_per_N": [float(x) if np.isfinite(x) else None for x in self.compliance],
@@ -179,7 +204,9 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     good = table.converged & np.isfinite(table.strength).all(axis=1) & (size > 0.0)
     S = table.S[good] / size[good, None]
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
-    found = Strength(S, table.strength[good, 0], table.strength[good, 1], along, material)
+    s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
+    s = s / trace(s)[:, None]
+    found = Strength(S, s, table.strength[good, 0], table.strength[good, 1], along, material)
     return replace(found, error=off_grid(found))
 
 
@@ -195,7 +222,7 @@ def off_grid(strength: Strength) -> OffGrid | None:
     for fold in range(FOLDS):
         out = inner[fold::FOLDS]
         keep = np.setdiff1d(np.arange(len(strength.S)), out)
-        rows, weights = Directions.of(strength.S[keep]).at(strength.S[out])
+        rows, weights = Directions.of(strength.S[keep], strength.cauchy[keep]).at(strength.S[out])
         guess = (weights * values[:, keep][:, rows]).sum(axis=2)
         error = np.concatenate([error, np.abs(guess / values[:, out] - 1.0)], axis=1)
     first, last = error
@@ -204,22 +231,31 @@ def off_grid(strength: Strength) -> OffGrid | None:
 
 def read_strength(table: Mapping[str, Any], where: str) -> Strength:
     """The strength that `Strength.to_dict` wrote; InputError names file, key and value."""
-    S = checked(table, "S", numbers(None, 3, least=-1.0, most=1.0), where)
+    S, cauchy = (checked(table, key, numbers(None, 3, least=-1.0, most=1.0), where) for key in ("S", "cauchy"))
     first, last = (
         checked(table, key, numbers(None, least=1e-12, most=1e12), where)
         for key in ("first_yield_1_per_mm", "collapse_1_per_mm")
     )
     along = checked(table, "compliance_mm_per_N", _numbers_or_none, where)
-    if not len(S) == len(along) == len(first) == len(last):
-        raise InputError(f"{where} S, first_yield_1_per_mm, collapse_1_per_mm, compliance_mm_per_N: differ in length")
-    bad = np.flatnonzero((np.abs(trace(S) - 1.0) > 1e-9) | (eigenvalues(S)[0] < -1e-9))
-    if len(bad):
-        raise InputError(f"{where} S: row {bad[0]}, {S[bad[0]].tolist()}, is no tensile load of unit trace")
+    if not len(S) == len(cauchy) == len(along) == len(first) == len(last):
+        raise InputError(
+            f"{where} S, cauchy, first_yield_1_per_mm, collapse_1_per_mm, compliance_mm_per_N: differ in length"
+        )
+    for key, loads in (("S", S), ("cauchy", cauchy)):
+        bad = np.flatnonzero((np.abs(trace(loads) - 1.0) > 1e-9) | (eigenvalues(loads)[0] < -1e-9))
+        if len(bad):
+            raise InputError(f"{where} {key}: row {bad[0]}, {loads[bad[0]].tolist()}, is no tensile load of unit trace")
     checked(table, "joint", one_of(*JOINTS), where)
     material = read_material(checked(table, "material", mapping, where), f"{where} material")
     error = table.get("error")
     return Strength(
-        S, first, last, along, material, None if error is None else read_record(OffGrid, error, f"{where} error")
+        S,
+        cauchy,
+        first,
+        last,
+        along,
+        material,
+        None if error is None else read_record(OffGrid, error, f"{where} error"),
     )
 
 

@@ -85,7 +85,7 @@ def test_the_error_falls_with_the_square_of_the_distance():
     for rings, spokes in ((4, 16), (8, 32)):
         loads = disc_grid(rings, spokes)
         k = asked(loads)
-        errors.append(off_grid(Strength(loads, k[:, 0], k[:, 1], k[:, 0], Material())).first_yield_mean)
+        errors.append(off_grid(Strength(loads, loads, k[:, 0], k[:, 1], k[:, 0], Material())).first_yield_mean)
     assert errors[0] / errors[1] > 3.0
 
 
@@ -145,7 +145,7 @@ def test_damaged_strengths_are_refused(strength, key, value, message):
 def test_loads_on_one_side_have_no_surface(strength):
     some = S[S[:, 0] > 0.6]
     with pytest.raises(InputError, match="all sides"):
-        Strength(some, *asked(some).T, some[:, 0], Material()).utilisation(S)
+        Strength(some, some, *asked(some).T, some[:, 0], Material()).utilisation(S)
 
 
 def test_a_material_without_yield_needs_one(strength):
@@ -153,3 +153,18 @@ def test_a_material_without_yield_needs_one(strength):
     with pytest.raises(InputError, match="no yield stress"):
         nameless.utilisation(S)
     assert nameless.utilisation(S, 400.0) == pytest.approx(strength.utilisation(S), rel=1e-12)
+
+
+@pytest.mark.slow
+def test_loads_off_the_grid_are_as_wrong_as_the_law_reports():
+    from rve import Cell, grid, solve_table, with_rings
+
+    cell, rng = Cell(), np.random.default_rng(8)
+    found = strength_of_table(with_rings(solve_table(cell, grid(5.0)), cell))
+    off = with_rings(solve_table(cell, (rng.uniform(0.0, 45.0, 30), rng.uniform(0.0, 90.0, 30))), cell)
+    good = off.converged
+    asked = found.utilisation(off.S[good], 1.0) / trace(off.S[good])
+    error = np.abs(asked / off.strength[good, 0] - 1.0)
+    assert found.error.first_yield_max < 0.15
+    assert error.max() < 1.5 * found.error.first_yield_max
+    assert error.mean() < 2.0 * found.error.first_yield_mean
