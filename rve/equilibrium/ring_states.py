@@ -44,7 +44,7 @@ class RingStates:
     lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of
     dE_i = D_ij dS_j under a unit line load: the bend of the locking surface, and what rings with E r1 = 1 give; nan
     where the strain is not unique. first_yield, collapse (n,): the yield stress, times r1, at which the unit load is
-    that of first yield and of plastic collapse.
+    that of first yield and of plastic collapse, nan if that is not found.
     """
 
     lam: Array
@@ -239,6 +239,11 @@ def _split(G: Array) -> tuple[Array, Array, Array, Array]:
     return U[:, :rank], sizes[:rank], Vt, U[:, rank:]
 
 
+def _positive(K: Array) -> Array:
+    """K with round-off added on its diagonal: contacts about to merge balance themselves with hardly a bend."""
+    return np.asarray(K + 1e-13 * np.trace(K) * np.eye(len(K)))
+
+
 def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
     """Forces lam (c,) >= 0 with G^T lam = -f that make lam C lam least; `start` (c,) is one choice of them.
 
@@ -253,7 +258,7 @@ def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
     p = start - U @ (U.T @ start + (Vt[: len(sizes)] @ f) / sizes)
     if not N.shape[1]:
         return np.asarray(np.maximum(p, 0.0))
-    L = np.linalg.cholesky(N.T @ C @ N)
+    L = np.linalg.cholesky(_positive(N.T @ C @ N))
     shift = np.linalg.solve(L, N.T @ C @ p)
     A = np.linalg.solve(L, N.T).T  # p + N z = p + A (y - shift) with y = L^T z + shift, and |y| is to be least
     h = A @ shift - p
@@ -272,7 +277,7 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     bend of the locking surface. The contact forces change by Lam dS, and the rings give Lam^T C Lam / A_ref.
     """
     U, sizes, Vt, N = _split(G)
-    W = U - N @ np.linalg.solve(N.T @ C @ N, N.T @ C @ U) if N.shape[1] else U
+    W = U - N @ np.linalg.solve(_positive(N.T @ C @ N), N.T @ C @ U) if N.shape[1] else U
     Z = Vt[len(sizes) :].T
     load = np.zeros((len(H), 3))
     load[:3] = area * B.T * _WEIGHT

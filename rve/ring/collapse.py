@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.errors import NotConverged
+from rve.common.errors import InputError, NotConverged
 from rve.common.types import Array
 from rve.ring.kernels import internal_forces, opened_forces, self_stress
 from rve.ring.section import Ring
@@ -31,7 +31,7 @@ _CENTRED = 1.0
 
 @dataclass(frozen=True)
 class Limits:
-    """The largest factors (n,) on loads: `factor` is safe, the exact one is at most `upper`."""
+    """The largest factors (n,) on loads: `factor` is safe, the exact one is at most `upper`; nan where not found."""
 
     factor: Array
     upper: Array
@@ -45,11 +45,13 @@ def plastic_collapse(
     *,
     joint: Array | None = None,
     tolerance: float = 1e-6,
+    steps: int = 400,
 ) -> Limits:
     """The factors (n,) on forces (n, m, 3) at phi (n, m), local axes, in balance, at which rings become mechanisms.
 
     joint (n,): the angle at which butted rings are open, None for welded ones. `factor` and `upper` of the result
-    differ by less than `tolerance`, relative. NotConverged if the program is not solved.
+    differ by less than `tolerance`, relative. InputError for a tolerance below round-off, NotConverged if `steps` steps
+    of Newton's method do not suffice.
 
     >>> pull = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])
     >>> found = plastic_collapse(np.array([[0.0, np.pi]]), pull, Ring(5.0, 0.5, 2e5, 0.3), 400.0)
@@ -57,6 +59,8 @@ def plastic_collapse(
     >>> bool(abs(found.factor[0] / hinges - 1.0) < 1e-6)
     True
     """
+    if not 1e-9 <= tolerance <= 0.1:
+        raise InputError(f"tolerance = {tolerance}: must lie between 1e-9 and 0.1")
     at = checked_sections(phi)
     section = ring.thin()
     if joint is None:
@@ -64,7 +68,10 @@ def plastic_collapse(
     else:
         q, free = opened_forces(phi, forces, at, joint, section), np.zeros((*at.shape, 3, 0))
     base = relative_moments(q[..., None], ring.r2)[..., 0]
-    found = largest_factors(base, free, tolerance=tolerance)
+    found = largest_factors(base, free, tolerance=tolerance, steps=steps)
+    lost = np.count_nonzero(np.isnan(found.factor))
+    if lost:
+        raise NotConverged(f"the plastic collapse of {lost} of {len(phi)} rings was not found in {steps} steps")
     return Limits(found.factor * yield_N_per_mm2, found.upper * yield_N_per_mm2)
 
 
@@ -85,8 +92,8 @@ def largest_factors(
 ) -> Limits:
     """The largest mu (n,) with |mu base + free x| <= 1 at every section and signs (mu, x) >= 0.
 
-    base (n, k, 3), free (n, k, 3, v), signs (n, h, 1 + v), whose first column is positive. NotConverged after too many
-    `steps`.
+    base (n, k, 3), free (n, k, 3, v), signs (n, h, 1 + v), whose first column is positive. nan where `steps` steps of
+    Newton's method do not suffice; most cases take 30.
     """
     J = np.moveaxis(np.concatenate([base[..., None], free], axis=3), 2, 1).copy()
     scale = np.abs(J).max(axis=(1, 2))
@@ -107,8 +114,10 @@ def largest_factors(
         sharp[go] *= np.where(centred & ~fine, _GROWTH, 1.0)
         go = go[~(fine & (decrement < 1e-9))]
         if not len(go):
-            return _bounds(J, y, sharp, scale[:, 0])
-    raise NotConverged(f"the plastic collapse of {len(go)} of {len(J)} cases was not found in {steps} Newton steps")
+            break
+    found = _bounds(J, y, sharp, scale[:, 0])
+    found.factor[go] = found.upper[go] = np.nan
+    return found
 
 
 def _moments(J: Array, y: Array) -> Array:

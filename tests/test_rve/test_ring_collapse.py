@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from rve.common.errors import NotConverged
+from rve.common.errors import InputError, NotConverged
 from rve.ring.collapse import BENDING, TORSION, checked_sections, largest_factors, plastic_collapse
 from rve.ring.kernels import internal_forces, self_stress
 from rve.ring.section import Ring
@@ -111,5 +111,10 @@ def test_too_few_steps_are_not_an_answer():
     phi, forces = pulls(3)
     at = checked_sections(phi)
     base = internal_forces(phi, forces, at, RING.thin())[..., 3:]
-    with pytest.raises(NotConverged, match="2 Newton steps"):
-        largest_factors(base, self_stress(at, 5.0)[..., 3:, :], steps=2)
+    free = self_stress(at, 5.0)[..., 3:, :]
+    assert np.isnan(largest_factors(base, free, steps=2).factor[0])
+    assert largest_factors(base, free).factor[0] > 0.0
+    with pytest.raises(NotConverged, match="1 of 1 rings"):
+        plastic_collapse(phi, forces, RING, YIELD, steps=2)
+    with pytest.raises(InputError, match="tolerance"):
+        plastic_collapse(phi, forces, RING, YIELD, tolerance=0.0)
