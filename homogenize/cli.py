@@ -28,12 +28,15 @@ def main() -> None:
 def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
     """Fits a law to TABLE, writes it and prints how wrong it can be."""
     from homogenize.fitting.fit import FitOptions, fit_table
+    from homogenize.laws.polyhedral import PolyhedralLaw
 
     check_out_file(out, inputs=[table])
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
     click.echo(result.report.text())
+    if isinstance(result.law, PolyhedralLaw) and result.law.strength is not None:
+        click.echo(result.law.strength.text())
     click.echo(f"law written to {out}")
 
 

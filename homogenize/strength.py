@@ -162,6 +162,17 @@ class Strength:
         known = np.isfinite(self.compliance)
         return Directions.of(self.S[known], self.cauchy[known])
 
+    def text(self) -> str:
+        """What is known of the error, in one line."""
+        head = f"strength of welded rings of {self.material.name}, {len(self.S)} loads"
+        e = self.error
+        if e is None:
+            return f"{head}; too few to tell its error between them"
+        return (
+            f"{head}; relative error at {e.rows} rows left out: first yield max {e.first_yield_max:.2g}, mean "
+            f"{e.first_yield_mean:.2g}; collapse max {e.collapse_max:.2g}, mean {e.collapse_mean:.2g}"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """The strength as a law file holds it."""
         return {

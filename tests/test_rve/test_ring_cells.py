@@ -213,8 +213,8 @@ def test_every_ring_is_balanced_by_its_contacts(paper):
 
 
 def test_strength_is_between_bounds(paper):
-    """Collapse asks for less yield stress than first yield; bending alone allows at most 16/(3 pi) per section, and
-    hinges at more sections what remains."""
+    """Scaled up, the elastic moments still balance: collapse exceeds first yield by at least the ratio 16/(3 pi) of a
+    round section's plastic to its elastic moment where bending decides, as it does here."""
     _, _, _, states = paper
     ratio = states.first_yield / states.collapse
     assert ratio.min() > 16.0 / (3.0 * np.pi)
