@@ -32,6 +32,8 @@ _LEAST_FORCE = 1e-7
 """Contacts with less of the largest force count as idle."""
 _RANK = 1e-7
 """Singular values of the contact gradients below this share of the largest are zero: some forces balance themselves."""
+_BLOCK = 256
+"""Cases worked on together: some 300 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
 _WEIGHT = np.array([1.0, 2.0, 1.0])
@@ -169,20 +171,27 @@ def ring_states(
     states = RingStates(
         np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), ()))
     )
-    if not len(good):
-        return states
-    ring, part = Ring(1.0, equations.wire, 1.0, poisson), found.take(good)
-    ends = contact_ends(equations, part)
-    cells = _cells(equations, part, s[good], reference, ends, contact_flexibility(ends, ring))
-    lam, locking, elastic = _compliances(part, cells, ends)
-    stress = np.zeros(len(good))
+    for start in range(0, len(good), _BLOCK):
+        rows = good[start : start + _BLOCK]
+        block = _block(equations, found.take(rows), s[rows], reference, poisson)
+        for name, values in vars(block).items():
+            getattr(states, name)[rows] = values
+    return states
+
+
+def _block(
+    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], poisson: float
+) -> RingStates:
+    """`ring_states` of locked states that have all converged."""
+    ring, ends = Ring(1.0, equations.wire, 1.0, poisson), contact_ends(equations, found)
+    cells = _cells(equations, found, s, reference, ends, contact_flexibility(ends, ring))
+    lam, locking, elastic = _compliances(found, cells, ends)
+    stress = np.zeros(len(s))
     for k in range(equations.weave.classes):
         phi, direction, contact = ends.on(k)
         stress = np.maximum(stress, peak_stress(phi, _at_ends(lam, contact) * direction, ring).stress)
     collapse = _collapse(cells, ends, lam, equations, ring)
-    for name, values in zip(vars(states), (_spread(lam, ends, part), locking, elastic, stress, collapse), strict=True):
-        getattr(states, name)[good] = values
-    return states
+    return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse)
 
 
 @dataclass(frozen=True)

@@ -221,6 +221,24 @@ def test_strength_is_between_bounds(paper):
     assert ratio.max() < 4.0
 
 
+def test_rows_without_a_locked_state_have_no_strength():
+    table = with_rings(solve_table(Cell(), ([0.0, 0.0, 20.0], [45.0, 100.0, 135.0])), Cell())
+    assert list(table.status) == ["converged", "compressive", "compressive"]
+    assert np.isfinite(table.strength[0]).all()
+    assert np.isnan(table.strength[1:]).all()
+    assert np.isnan(table.compliance[1:]).all()
+
+
+def test_blocks_and_company_change_nothing(paper, monkeypatch):
+    found, s, _, states = paper
+    rows = np.array([3, 18, 60, 77, 189])
+    monkeypatch.setattr("rve.equilibrium.ring_states._BLOCK", 2)
+    again = ring_states(EQUATIONS, found.take(rows), s[rows], SIDES, POISSON)
+    assert again.elastic == pytest.approx(states.elastic[rows], rel=1e-9, abs=1e-9 * np.nanmax(states.elastic))
+    assert again.first_yield == pytest.approx(states.first_yield[rows], rel=1e-9)
+    assert again.collapse == pytest.approx(states.collapse[rows], rel=1e-4)
+
+
 def test_table_columns_follow_material_size_and_grain():
     loads = ([10.0, 80.0, 0.0, 15.0], [40.0, 50.0, 90.0, 0.0])
     steel, titanium = Material(), named_material("titanium grade 2")
