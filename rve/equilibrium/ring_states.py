@@ -33,7 +33,7 @@ _LEAST_FORCE = 1e-7
 _RANK = 1e-7
 """Singular values of the contact gradients below this share of the largest are zero: some forces balance themselves."""
 _BLOCK = 256
-"""Cases worked on together: some 300 MB."""
+"""Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
 _WEIGHT = np.array([1.0, 2.0, 1.0])
