@@ -12,7 +12,7 @@ from benchmarks.report.files import write_between_marks
 from benchmarks.report.measure import Row
 from benchmarks.report.records import table
 from macro_fem.job import run_scene
-from rve.localization.job import JobOptions, run_localize
+from rve.localization.job import LocalizeOptions, run_localize
 
 SCENES = ("corner_hung", "shop_front", "turned_weave", "gathered_with_bar", "facade_panel", "round_net")
 
@@ -20,7 +20,7 @@ SCENES = ("corner_hung", "shop_front", "turned_weave", "gathered_with_bar", "fac
 def row_of(scene: str, folder: Path) -> Row:
     """One line of the table: a scene solved, its rings found."""
     run_scene(ROOT / "examples" / f"{scene}.toml", None, folder, picture=False)
-    found = run_localize(folder / "curtain.vtu", folder / "rings", JobOptions(picture=False))
+    found = run_localize(folder / "curtain.vtu", folder / "rings", LocalizeOptions(), picture=False)
     return line(scene, found, (folder / "rings" / "rings.vtu").stat().st_size)
 
 

@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("numpy", "scipy", "scikit-fem", "scikit-sparse", "pyamg")
+PACKAGES = ("numpy", "scipy", "scikit-fem", "scikit-sparse")
 
 
 def describe() -> str:

@@ -19,7 +19,7 @@ from benchmarks.report.files import write_between_marks
 from benchmarks.report.measure import least_seconds
 from benchmarks.report.records import table
 from homogenize.fitting.fit import fit_table
-from homogenize.query import strain_answer
+from homogenize.query.answers import strain_answer
 from macro_fem.job import run_scene
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
@@ -69,7 +69,7 @@ def curtains(folder: Path) -> Said:
 
     def run(hang: str, cells: int, support: str | dict[str, Any]) -> dict[str, Any]:
         tables = square(cells, support)
-        tables["curtain"]["hang"] = hang
+        tables["curtain"]["weave_angle"] = hang
         scene = scene_file(folder / "scene.toml", tables)
         return run_scene(scene, folder / "law.json", folder / "out", picture=False)
 

@@ -34,10 +34,9 @@ class Entry:
 
 
 ENTRIES = (
-    Entry("macro_fem, CHOLMOD", "ours", ("extrapolate", "cholmod")),
-    Entry("macro_fem, CHOLMOD, tangent predictor only", "ours", ("tangent", "cholmod")),
-    Entry("macro_fem, CHOLMOD, 2 threads", "ours", ("extrapolate", "cholmod"), threads=2),
-    Entry("macro_fem, SuperLU (plain install)", "ours", ("extrapolate", "superlu")),
+    Entry("macro_fem, CHOLMOD", "ours", ("cholmod",)),
+    Entry("macro_fem, CHOLMOD, 2 threads", "ours", ("cholmod",), threads=2),
+    Entry("macro_fem, SuperLU (plain install)", "ours", ("superlu",)),
     Entry("dolfinx + MUMPS", "dolfinx_sheet", is_system_python=True),
     Entry("scikit-fem + CHOLMOD, plain", "plain_skfem", ("cholmod",)),
     Entry("scikit-fem + SuperLU, plain", "plain_skfem", ("superlu",)),

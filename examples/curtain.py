@@ -47,7 +47,7 @@ SETTINGS = {1e-2: Setting(15.0, (4,)), 1e-3: Setting(9.0, (16,)), 1e-4: Setting(
 SCENE = """[curtain]
 width = 1000.0      # mm, in the reference state
 height = 1000.0     # mm
-hang = "y"          # weave axis that points down
+weave_angle = 0.0   # degrees from the vertical to the y axis of the weave
 [mesh]
 cells = {cells}          # cells along the width
 element = "P2"
@@ -87,25 +87,23 @@ def scene_text(cells: int) -> str:
 
 def make_table(out: Path, spacing: float) -> Path:
     """Solve the load cases (the paper's 190 for 5 degrees), write and draw them."""
-    from rve.geometry.cell import Cell
+    from rve import Cell, solve_table, write_table
     from rve.plots import draw_case, save
-    from rve.solve import solve_table
-    from rve.table import write_table
 
     alpha, beta = grid_of(spacing)
     with click.progressbar(length=len(alpha), label="1 rings   ") as bar:
         table = solve_table(Cell(r1=5.0, r2=0.5), (alpha, beta), progress=bar.update)
     write_table(table, out / "table.csv")
-    save(draw_case(45.0, 0.0, Cell()), out / "cell.png")
+    save(draw_case(solve_table(Cell(), ([45.0], [0.0]))), out / "cell.png")
     click.echo(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.R.max():.1e}")
     return out / "table.csv"
 
 
 def fit_law(table: Path, out: Path) -> Path:
     """Fit the default law, say how wrong it can be, draw it."""
-    from homogenize.fitting.fit import fit_table
+    from homogenize import fit_table
     from homogenize.plots import write_pictures
-    from rve.table import read_table
+    from rve import read_table
 
     click.echo("2 law")
     result = fit_table(table)
@@ -118,7 +116,7 @@ def fit_law(table: Path, out: Path) -> Path:
 
 def hang_curtain(law: Path, out: Path, cells: int) -> float:
     """Hang the corner-held curtain with this law; its mean height in mm."""
-    from macro_fem.job import run_scene
+    from macro_fem import run_scene
 
     scene = out / "scene.toml"
     write_text(scene, scene_text(cells))

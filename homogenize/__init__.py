@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from rve.common.lazy import lazily
 
 if TYPE_CHECKING:
+    from homogenize.export.umat import write_umat as write_umat
     from homogenize.fitting.fit import FitOptions as FitOptions
     from homogenize.fitting.fit import FitResult as FitResult
     from homogenize.fitting.fit import fit as fit
     from homogenize.fitting.fit import fit_table as fit_table
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
-    from homogenize.io import save_law as save_law
     from homogenize.laws.net import NetLaw as NetLaw
     from homogenize.laws.net import diagonal_net as diagonal_net
     from homogenize.laws.net import ring_net as ring_net
@@ -22,13 +22,19 @@ if TYPE_CHECKING:
     from homogenize.laws.protocol import HalfSpaces as HalfSpaces
     from homogenize.laws.protocol import MembraneLaw as MembraneLaw
     from homogenize.laws.protocol import Response as Response
+    from homogenize.laws.report import ErrorReport as ErrorReport
+    from homogenize.laws.stored import save_law as save_law
+    from homogenize.query.strain import LockedStrain as LockedStrain
+    from homogenize.query.strain import locked_strain as locked_strain
 
 _MODULES = {
     "CellInfo": "homogenize.laws.protocol",
     "Cut": "homogenize.laws.protocol",
+    "ErrorReport": "homogenize.laws.report",
     "FitOptions": "homogenize.fitting.fit",
     "FitResult": "homogenize.fitting.fit",
     "HalfSpaces": "homogenize.laws.protocol",
+    "LockedStrain": "homogenize.query.strain",
     "MembraneLaw": "homogenize.laws.protocol",
     "NetLaw": "homogenize.laws.net",
     "Response": "homogenize.laws.protocol",
@@ -37,17 +43,21 @@ _MODULES = {
     "fit": "homogenize.fitting.fit",
     "fit_table": "homogenize.fitting.fit",
     "load_law": "homogenize.io",
+    "locked_strain": "homogenize.query.strain",
     "ring_net": "homogenize.laws.net",
-    "save_law": "homogenize.io",
+    "save_law": "homogenize.laws.stored",
+    "write_umat": "homogenize.export.umat",
 }
 """Public names and the modules that hold them: imported when they are first used."""
 
 __all__ = [
     "CellInfo",
     "Cut",
+    "ErrorReport",
     "FitOptions",
     "FitResult",
     "HalfSpaces",
+    "LockedStrain",
     "MembraneLaw",
     "NetLaw",
     "Response",
@@ -56,8 +66,10 @@ __all__ = [
     "fit",
     "fit_table",
     "load_law",
+    "locked_strain",
     "ring_net",
     "save_law",
+    "write_umat",
 ]
 
 __getattr__, __dir__ = lazily(__name__, _MODULES)

@@ -22,20 +22,19 @@ def main() -> None:
 @main.command()
 @click.argument("table", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
-@click.option("--kind", default=None, help="smooth, outer, inner, interpolated or net; default: see docs/homogenize.md")
+@click.option("--kind", default=None, help="outer, inner or net; default: refined")
 @click.option("--noise", default=None, type=float, help="strain error to allow in the normality test (default 1e-8)")
 @click.option("--resolution", default=None, type=float, help="facets of the refined law; 1e-5 suits a --graded table")
 def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
     """Fits a law to TABLE, writes it and prints how wrong it can be."""
     from homogenize.fitting.fit import FitOptions, fit_table
-    from homogenize.laws.polyhedral import PolyhedralLaw
 
     check_out_file(out, inputs=[table])
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
     click.echo(result.report.text())
-    if isinstance(result.law, PolyhedralLaw) and result.law.strength is not None:
+    if result.law.strength is not None:
         click.echo(result.law.strength.text())
     click.echo(f"law written to {out}")
 
@@ -46,7 +45,7 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
 @click.option("--beta", required=True, type=float, help="ratio angle of the Cauchy load, degrees")
 def strain(law: Path, alpha: float, beta: float) -> None:
     """Prints the locked strain under a Cauchy load direction, in the paper's rotation rule, as one JSON object."""
-    from homogenize.query import strain_answer
+    from homogenize.query.answers import strain_answer
 
     click.echo(json.dumps(strain_answer(law, alpha, beta)))
 
@@ -56,7 +55,7 @@ def strain(law: Path, alpha: float, beta: float) -> None:
 @click.option("--S", "load", required=True, help="S11,S12,S22: a tensile second Piola-Kirchhoff line load")
 def support(law: Path, load: str) -> None:
     """Prints h = max S:E of the law as one JSON object."""
-    from homogenize.query import support_answer
+    from homogenize.query.answers import support_answer
 
     click.echo(json.dumps(support_answer(law, parse_load(load))))
 
@@ -67,7 +66,7 @@ def support(law: Path, load: str) -> None:
 @click.option("--yield", "yield_stress", type=float, help="yield stress of the wire, N/mm2; default: the material's")
 def strength(law: Path, load: str, yield_stress: float | None) -> None:
     """Prints the line loads, S of unit trace times what is printed, at which rings first yield and collapse."""
-    from homogenize.query import strength_at
+    from homogenize.query.answers import strength_at
 
     click.echo(json.dumps(strength_at(law, parse_load(load), yield_stress)))
 
@@ -94,7 +93,7 @@ def plot(law: Path, table: Path, out: Path) -> None:
 @click.option("--table", required=True, type=click.Path(path_type=Path), help="rows the law has not seen, CSV")
 def report(law: Path, table: Path) -> None:
     """Prints the error of LAW at the rows of a table, for instance one made by `rve table --loads`."""
-    from homogenize.query import error_at_rows
+    from homogenize.query.answers import error_at_rows
 
     click.echo(error_at_rows(law, table))
 
@@ -104,8 +103,8 @@ def report(law: Path, table: Path) -> None:
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source to write, *.f")
 def export(law: Path, out: Path) -> None:
     """Writes LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
+    from homogenize.export.umat import write_umat
     from homogenize.io import load_law
-    from homogenize.umat import write_umat
 
     check_out_file(out, inputs=[law])
     write_umat(load_law(law), out, f"law file {law.name}")
@@ -113,43 +112,10 @@ def export(law: Path, out: Path) -> None:
 
 
 @main.command()
-@click.argument("tables", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="the family file to write, JSON")
-def family(tables: tuple[Path, ...], out: Path) -> None:
-    """Fits a law to each of TABLES, one per radius ratio, and writes them as a family with its checked error."""
-    from homogenize.family import family_of, save_family
-    from homogenize.fitting.fit import fit_table
-    from homogenize.laws.polyhedral import PolyhedralLaw
-
-    check_out_file(out, inputs=tables)
-    laws = [fit_table(table).law for table in tables]
-    made = family_of([law for law in laws if isinstance(law, PolyhedralLaw)])
-    save_family(made, out)
-    for ratio, error in made.checks:
-        click.echo(f"r1/r2 = {1.0 / ratio:g} left out: error of h max {error.maximum:.2e}, mean {error.mean:.2e}")
-    click.echo(f"family written to {out}")
-
-
-@main.command()
-@click.argument("family_file", metavar="FAMILY", type=click.Path(path_type=Path))
-@click.option("--r1", required=True, type=float, help="radius of the rings' centre circle, mm")
-@click.option("--r2", required=True, type=float, help="radius of the wire, mm")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
-def member(family_file: Path, r1: float, r2: float, out: Path) -> None:
-    """Writes the law that FAMILY gives for rings of these radii."""
-    from homogenize.family import load_family
-    from homogenize.io import save_law
-
-    check_out_file(out, inputs=[family_file])
-    save_law(load_family(family_file).at(r1, r2), out, {"family": family_file.name})
-    click.echo(f"law written to {out}")
-
-
-@main.command()
 @click.argument("table", type=click.Path(path_type=Path))
 def ship(table: Path) -> None:
     """Makes the law inside the package anew from TABLE, the 190 rows of the paper's grid for r1/r2 = 10."""
-    from homogenize.ship import ship as write_shipped
+    from homogenize.fitting.shipped import ship as write_shipped
 
     click.echo(f"law written to {write_shipped(table)}")
 

@@ -1,35 +1,43 @@
-"""Law files: JSON with a schema version, units, provenance and the checksum of the table behind the law."""
+"""Law files are read here: JSON with a schema version, units, provenance and the checksum of the table behind the law.
+
+`homogenize.laws.stored` writes them.
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from homogenize.laws.net import net_from_dict
+from homogenize.laws.net import NetLaw, net_from_dict
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict
-from homogenize.laws.protocol import CellInfo, MembraneLaw
-from homogenize.laws.smooth import smooth_from_dict
+from homogenize.laws.protocol import CellInfo
+from homogenize.laws.stored import SCHEMA, UNITS, save_law
 from homogenize.strength import read_strength
 from rve.common.errors import InputError
-from rve.common.files import write_text
 from rve.common.reading import read_json
 from rve.common.rings import check_rings
 from rve.common.values import checked, mapping, numbers, optional, read_record, shown
 
-SCHEMA = 1
-UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
-READERS: dict[str, Callable[[dict[str, Any], CellInfo | None, str], MembraneLaw]] = {
+__all__ = ["Law", "default_law", "load_law", "save_law"]
+
+Law = PolyhedralLaw | NetLaw
+"""The laws that have a file."""
+READERS: dict[str, Callable[[dict[str, Any], CellInfo | None, str], Law]] = {
     "net": net_from_dict,
     "polyhedral": polyhedral_from_dict,
-    "smooth": smooth_from_dict,
 }
+REMOVED = {
+    "smooth": "fit its table again: homogenize fit TABLE --out LAW",
+    "family": "make a table of the rings you need and fit it: rve table --r1 R1 --r2 R2 --out TABLE, "
+    "homogenize fit TABLE --out LAW",
+}
+"""Kinds of files of older versions that are not read any more, and what to do."""
 
 
-def default_law() -> MembraneLaw:
-    """The law for r1/r2 = 10 that ships inside the package, made by `homogenize.ship`.
+def default_law() -> Law:
+    """The law for r1/r2 = 10 that ships inside the package, made by `homogenize.fitting.shipped`.
 
     >>> default_law().name
     'polyhedral'
@@ -37,76 +45,37 @@ def default_law() -> MembraneLaw:
     return load_law(Path(__file__).parent / "data" / "rings_10.json")
 
 
-def law_record(law: MembraneLaw, provenance: dict[str, Any] | None = None) -> dict[str, Any]:
-    """What the file of a law holds."""
-    strength = law.strength if isinstance(law, PolyhedralLaw) else None
-    return {
-        "schema": SCHEMA,
-        "kind": law.name,
-        "units": UNITS,
-        "cell": None if law.cell is None else asdict(law.cell),
-        "parameters": law.to_dict(),
-        **({} if strength is None else {"strength": strength.to_dict()}),
-        "provenance": provenance or {},
-    }
+def load_law(path: str | Path) -> Law:
+    """The law in the file `path`, with its provenance, error report and strength.
 
-
-def save_law(law: MembraneLaw, path: str | Path, provenance: dict[str, Any] | None = None) -> None:
-    """Writes the law to `path` in one piece: a reader never sees half a file."""
-    path = Path(path)
-    text = json.dumps(law_record(law, provenance), indent=1) + "\n"
-    write_text(path, text)
-
-
-@dataclass(frozen=True, eq=False)
-class LawFile:
-    """A law and where it comes from: table, checksum, error report, sampled loads."""
-
-    law: MembraneLaw
-    provenance: dict[str, Any]
-
-
-def load_law(path: str | Path) -> MembraneLaw:
-    """The law in the file `path`; InputError names file, key and value if it is not one that this version reads."""
-    return read_law_file(path).law
-
-
-def read_law_file(path: str | Path) -> LawFile:
-    """The law in the file `path` with its provenance; InputError as in `load_law`."""
+    InputError names file, key and value of what this version does not read.
+    """
     record = read_json(path)
     law = law_from_record(record, str(path))
-    provenance = record.get("provenance", {})
-    if not isinstance(provenance, dict):
-        raise InputError(f"{path}: provenance = {shown(provenance)}: is not a table of names and values")
+    provenance = checked({"provenance": {}} | record, "provenance", mapping, f"{path}:")
     if "sampled_loads" in provenance:
         checked(provenance, "sampled_loads", optional(numbers(None, 2)), f"{path}: provenance")
-    return LawFile(law, provenance)
+    return replace(law, provenance=provenance)
 
 
-def law_from_record(record: Any, source: str) -> MembraneLaw:
+def law_from_record(record: Any, source: str) -> Law:
     """The law of a parsed file; `source` names it in the messages of InputError."""
     if not isinstance(record, dict):
         raise InputError(f"{source}: a law file holds one JSON object, this one holds a {type(record).__name__}")
-    check_format(record, source, tuple(sorted(READERS)))
-    cell = checked(record, "cell", optional(mapping), f"{source}:")
-    parameters = checked(record, "parameters", mapping, f"{source}:")
-    law = READERS[record["kind"]](
-        parameters, None if cell is None else cell_from_dict(cell, f"{source}: cell"), f"{source}: parameters"
-    )
-    if "strength" not in record or not isinstance(law, PolyhedralLaw):
-        return law
-    return replace(
-        law, strength=read_strength(checked(record, "strength", mapping, f"{source}:"), f"{source}: strength")
-    )
-
-
-def check_format(record: dict[str, Any], source: str, kinds: tuple[str, ...]) -> None:
-    """InputError unless schema, units and kind of a file are those that this version reads."""
     for key, known in (("schema", SCHEMA), ("units", UNITS)):
         if record.get(key) != known:
             raise InputError(f"{source}: {key} = {shown(record.get(key))}, this version reads {key} = {known}")
-    if record.get("kind") not in kinds:
-        raise InputError(f"{source}: kind = {shown(record.get('kind'))}, this version reads {', '.join(kinds)}")
+    kind = record.get("kind")
+    if not isinstance(kind, str) or kind not in READERS:
+        removed = f"; {REMOVED[kind]}" if isinstance(kind, str) and kind in REMOVED else ""
+        raise InputError(f"{source}: kind = {shown(kind)}, this version reads {', '.join(sorted(READERS))}{removed}")
+    cell = checked(record, "cell", optional(mapping), f"{source}:")
+    parameters = checked(record, "parameters", mapping, f"{source}:")
+    strength = checked({"strength": None} | record, "strength", optional(mapping), f"{source}:")
+    law = READERS[kind](
+        parameters, None if cell is None else cell_from_dict(cell, f"{source}: cell"), f"{source}: parameters"
+    )
+    return replace(law, strength=None if strength is None else read_strength(strength, f"{source}: strength"))
 
 
 def cell_from_dict(table: dict[str, Any], where: str) -> CellInfo:

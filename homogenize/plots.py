@@ -10,34 +10,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize.fitting.rows import Rows, rows_from_table, with_mirror
+from homogenize.laws.picture import colours, own_figure, surface_height
+from homogenize.laws.picture import plot_sections as sections_of
 from homogenize.laws.protocol import MembraneLaw
-from homogenize.strain import locked_strain
+from homogenize.query.strain import locked_strain
 from rve.common.files import write_text
 from rve.common.jobs import job
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from rve import StrainTable
 
 COMPONENTS = ("E11", "E12", "E22")
-SIZE = (7.0, 5.2)
 DPI = 150
 RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.jobs`)."""
 
 
-def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
-    """(E11 + E22)/2 on the locking surface over D = (E11 - E22)/2 and G = E12, arrays of one shape."""
-    flat = np.stack([D.ravel(), G.ravel(), -D.ravel()], axis=1)
-    return np.asarray(-law.cut(flat).violation.reshape(D.shape))
-
-
 def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:
     """The locking surface in strain space, the rows and their mirror images on it, coloured by the error of h."""
-    ax = ax or _figure().add_subplot(projection="3d")
+    ax = ax or own_figure().add_subplot(projection="3d")
     both = with_mirror(rows)
     D, G = 0.5 * (both.E[:, 0] - both.E[:, 2]), both.E[:, 1]
     grid = np.meshgrid(np.linspace(D.min() - 0.02, D.max(), 70), np.linspace(G.min(), G.max(), 71))
@@ -56,11 +49,11 @@ def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:
 
 def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
     """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
-    axes = _figure((12.0, 4.2)).subplots(1, 3) if axes is None else axes
+    axes = own_figure((12.0, 4.2)).subplots(1, 3) if axes is None else axes
     alphas = np.unique(table.alpha_deg[table.converged])
     beta = np.linspace(1.0, 89.0, 89)
     for number, alpha in enumerate(alphas):
-        colour = _colours()(number / max(len(alphas) - 1, 1))
+        colour = colours()(number / max(len(alphas) - 1, 1))
         found = locked_strain(law, np.full(len(beta), alpha), beta)
         E = np.where((found.status == "converged")[:, None], found.E, np.nan)
         at = table.converged & (table.alpha_deg == alpha)
@@ -80,7 +73,7 @@ def plot_errors(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
     from homogenize.fitting.bounds import bounds_of
     from homogenize.fitting.report import random_loads
 
-    ax = ax or _figure().subplots()
+    ax = ax or own_figure().subplots()
     S, bounds = random_loads(), bounds_of(rows)
     floor = 1e-16
     bins = np.logspace(-16, 0, 65).tolist()
@@ -93,23 +86,17 @@ def plot_errors(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
 
 
 def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
-    """Cuts through the set of admissible strains at constant shear: E22 over E11."""
-    ax = ax or _figure().subplots()
-    D = np.linspace(-0.2, 0.5 * (rows.E[:, 0] - rows.E[:, 2]).max() + 0.2, 400)
-    shears = np.linspace(0.0, np.abs(rows.E[:, 1]).max(), 5)
-    for number, shear in enumerate(shears):
-        T = surface_height(law, D, np.full_like(D, shear))
-        ax.plot(T + D, T - D, color=_colours()(number / 4.0), label=f"E12 = {shear:.3f}")
+    """The sections of `homogenize.laws.picture` over the range of the rows, and the rows without shear."""
+    shears = tuple(np.linspace(0.0, np.abs(rows.E[:, 1]).max(), 5).tolist())
+    ax = sections_of(law, shears, (-0.2, 0.5 * (rows.E[:, 0] - rows.E[:, 2]).max() + 0.2), ax)
     plane = np.abs(rows.E[:, 1]) < 1e-9
     ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
-    ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
-    ax.grid(alpha=0.3)
     ax.legend(fontsize=8)
     return ax
 
 
 def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
-    """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all or none.
+    """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
     The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
     """
@@ -126,16 +113,3 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inp
             figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
         write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")
     return [folder / name for name in pictures]
-
-
-def _figure(size: tuple[float, float] = SIZE) -> Figure:
-    """A figure of its own, outside pyplot: no window, no global state."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=size, layout="constrained")
-
-
-def _colours() -> Any:
-    import matplotlib
-
-    return matplotlib.colormaps["viridis"]

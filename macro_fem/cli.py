@@ -15,24 +15,31 @@ def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
 
 
+def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
+    if value:
+        from macro_fem.scene.renamed import FORCE_IS_IDLE
+
+        click.echo(f"Warning: --force {FORCE_IS_IDLE}", err=True)
+
+
 @main.command()
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
-@click.option("--force", multiple=True, help="Use this feature (or all) though the scene does not need it.")
-def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: bool, force: tuple[str, ...]) -> None:
+@click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force)
+def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: bool) -> None:
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
 
-    Exit code 0: converged; 1: files are written, but status and message say why the answer is not that of the scene
-    as it stands (not converged, or taut: supports at the mesh's limit); 2: bad input.
+    Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
+    supports at the largest stretch of the mesh); 2: bad input.
     """
     from macro_fem.job import run_scene
     from macro_fem.progress import progress_line
 
     with progress_line() as say:
-        summary = run_scene(scene, law_path, out, picture=picture, force=force, say=say)
+        summary = run_scene(scene, law_path, out, picture=picture, say=say)
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "

@@ -1,22 +1,23 @@
-"""One problem, three solvers: ideal locking by our interior point or by clarabel, elasticity by Newton's method."""
+"""The curtain of a discrete problem: one cone program for rigid and elastic rings, or clarabel for rigid ones."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw
-from macro_fem.elastic_curtain import solve_elastic
-from macro_fem.fem.space import in_space, padded
+from macro_fem.elastic_curtain import polished
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.fem.turned import TurnedLaw
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import (
     CurtainSolution,
+    Decision,
     Problem,
     gathered_start,
     make_problem,
@@ -24,19 +25,37 @@ from macro_fem.solution import (
     spread_tension,
     unit_tensors,
 )
-from macro_fem.solvers.clarabel import ConicOptions, solve_conic
-from macro_fem.solvers.cones import Cones, facets_of, same_cones, taken_from
-from macro_fem.solvers.rigid import COUNTED, RigidOptions, RigidResult, solve_rigid, unsolved
-from macro_fem.solvers.status import Reach, load_scale
+from macro_fem.solvers.central_path import PathResult, solve_path, unsolved
+from macro_fem.solvers.clarabel import ClarabelOptions, solve_clarabel
+from macro_fem.solvers.cones import Cones, green_strain, taken_from
+from macro_fem.solvers.options import PathOptions, StepOptions
+from macro_fem.solvers.status import ROUNDING, Reach, load_scale
 from macro_fem.solvers.stretch_limit import Solve, reach_of, solve_taut
 from rve.common.errors import InputError
 from rve.common.types import Array
+from rve.common.values import Options, number, whole
 
-COARSE_FROM = 4000
-"""Points from which a coarse curtain is solved first."""
-COARSE_TOLERANCE = 1e-4
-MOST_CONES = 2_000_000
-"""Half-spaces that may be forced in: some 2 GB."""
+
+@dataclass(frozen=True)
+class CurtainOptions(Options):
+    """How a solve begins; InputError for values that make no sense."""
+
+    coarse_from: int = whole(4000, least=0, most=10**9)
+    """Points from which a coarser curtain is solved first: on fewer the law's own half-spaces are as quick."""
+    coarse_ratio: int = whole(4, least=2, most=100)
+    """Cells of the mesh per cell of the coarser one. Coarser ones are cheaper and tell less."""
+    coarse_tolerance: float = number(1e-4, above=0.0, most=1.0)
+    """Tolerance of the coarser curtain. Only its half-spaces are used, which smaller tolerances hardly change."""
+
+    inward: float = number(0.05, above=0.0, most=1.0)
+    """How far the start of a load step is drawn from the last curtain to the slack start, where 1 is that. On the last
+    curtain itself no cone has room left; farther away more steps are needed."""
+
+
+CURTAIN = CurtainOptions()
+"""The defaults."""
+ELASTIC_STEPS = StepOptions(least_gap=1e-2)
+"""Stresses of an elastic curtain are off by the square root of the gap, so its path is followed further down."""
 
 
 def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
@@ -54,149 +73,183 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
     return solve_problem(make_problem(scene, law, mesh))
 
 
-def solve_problem(problem: Problem) -> CurtainSolution:
-    """The curtain of a discrete problem, by the solver its scene names."""
-    if problem.scene.solver.forces("ties"):
-        problem = replace(problem, fem=problem.fem.tied())
-    if problem.scene.solver.kind == "newton":
-        reach = supports_reach(problem)
-        return solve_elastic(problem, reach, None if reach.is_out else coarse_cones(problem))
-    return solve_locked(problem)
+def solve_problem(
+    problem: Problem, start: CurtainSolution | None = None, options: CurtainOptions = CURTAIN
+) -> CurtainSolution:
+    """The curtain of a discrete problem, by the solver its scene names.
+
+    `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
+    positions are near its own, and its matrix pattern and symbolic factor are kept.
+    """
+    begin = time.perf_counter()
+    if start is not None and _is_alike(problem.fem, start.problem.fem):
+        problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
+    reach, give = supports_reach(problem), None
+    decided: tuple[Decision, ...] = ()
+    if is_elastic(problem.scene) and reach.is_out and reach.excess < elastic_stretch(problem):
+        reach = replace(reach, upper=1.0)
+    if reach.is_out:
+        result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)))
+    else:
+        cones, decided = _first_cones(problem, start, options)
+        result, give = _solved(problem, reach, cones, _first_positions(problem, start, options))
+        reach = result.reach if result.stop == "infeasible" else reach
+    found = _solution(problem, result, reach, give)
+    left = problem.scene.solver.max_iterations - found.iterations
+    if found.elastic and not reach.is_out and left > 0 and not found.asked.is_met(found.evidence, ROUNDING):
+        found = polished(found, left)
+    return replace(found, decided=decided, wall_s=time.perf_counter() - begin)
+
+
+def _is_alike(one: SupportedFem, other: SupportedFem) -> bool:
+    """Whether two discretisations differ in their held positions only."""
+    if not (np.array_equal(one.free, other.free) and np.array_equal(one.disc.cell_dofs, other.disc.cell_dofs)):
+        return False
+    if one.tie is None or other.tie is None:
+        return one.tie is other.tie
+    return one.tie.shape == other.tie.shape and (one.tie != other.tie).nnz == 0
+
+
+def is_elastic(scene: Scene) -> bool:
+    """Whether the scene asks for elastic rings instead of ideal locking."""
+    return scene.solver.kind == "elastic"
+
+
+def by_clarabel(scene: Scene) -> bool:
+    """Whether the scene asks for clarabel instead of our own solver."""
+    return scene.solver.kind == "clarabel"
 
 
 def supports_reach(problem: Problem) -> Reach:
     """How much farther apart the supports could be, by clarabel where the scene asks for it."""
     fem, size = problem.fem, problem.mesh.size
-    by_clarabel = _by_clarabel(problem) if problem.scene.solver.kind == "conic" else None
-    return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), size, by_clarabel)
+    solve = _clarabel(problem) if by_clarabel(problem.scene) else None
+    return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), size, solve)
 
 
-def solve_locked(problem: Problem) -> CurtainSolution:
-    """The rigid curtain of a discrete problem, by our own interior-point method or, for "conic", by clarabel."""
-    begin = time.perf_counter()
-    spec, fem = problem.scene.solver, problem.fem
-    start, force = gathered_start(problem), problem.force
-    if spec.forces("third-coordinate"):
-        fem, start, force = in_space(fem), padded(start), padded(force)
-    tension = spread_tension(problem)
-    load = fem.gather(force) + fem.force(tension * unit_tensors(replace(problem, fem=fem)))
-    violation = max(RigidOptions.violation, COUNTED * spec.tolerance)
-    options = RigidOptions(spec.tolerance, violation, spec.max_iterations)
-    z, reach, give = fem.unknowns(start), supports_reach(problem), None
-    if reach.is_out:
-        result = unsolved(fem, problem.law, z)
-    else:
-        solve = _by_clarabel(problem) if spec.kind == "conic" else _by_interior_point(problem)
-        if reach.is_at_limit:
-            result, give = solve_taut(fem, load, z, options, reach, solve)
-        else:
-            result = solve(fem, load, z, options)
-            reach = result.reach if result.stop == "infeasible" else reach
-    return _solution(problem, fem, result, tension, reach, give, time.perf_counter() - begin)
+def elastic_stretch(problem: Problem) -> float:
+    """About how far the loads of a scene stretch its rings: load times size over area, times the mean compliance.
 
-
-def _by_interior_point(problem: Problem) -> Solve:
-    """Our own solver, with the half-spaces that the scene begins with."""
-    forced = problem.scene.solver.forces("all-half-spaces")
-    cones = all_cones(problem) if forced else coarse_cones(problem)
-
-    def solve(fem: SupportedFem, load: Array, z: Array, options: RigidOptions) -> RigidResult:
-        options = replace(options, cones=cones, drop_idle=not forced)
-        return solve_rigid(fem, problem.law, load, z, problem.mesh.size, options)
-
-    return solve
-
-
-def _by_clarabel(problem: Problem) -> Solve:
-    def solve(fem: SupportedFem, load: Array, z: Array, options: RigidOptions) -> RigidResult:
-        return solve_conic(fem, problem.law, load, problem.mesh.size, ConicOptions(gap=options.gap))
-
-    return solve
-
-
-def all_cones(problem: Problem) -> Cones:
-    """All half-spaces of the law at every point; InputError if they are too many, or not a finite list."""
-    facets = facets_of(problem.law)
-    source, points = problem.scene.source, problem.disc.n_points
-    if facets is None:
-        raise InputError(
-            f"{source}: [solver] force = 'all-half-spaces': the law {problem.law.name!r} has no finite list of them"
-        )
-    if len(facets.h) * points > MOST_CONES:
-        raise InputError(
-            f"{source}: [solver] force = 'all-half-spaces': {len(facets.h)} at {points} points are more than "
-            f"{MOST_CONES}; use fewer cells"
-        )
-    return same_cones(facets, points)
-
-
-def starts_coarse(problem: Problem) -> bool:
-    """Whether a coarser curtain is solved first: it pays on large meshes; clarabel and some meshes cannot use one."""
-    scene = problem.scene
-    pays = problem.disc.n_points >= COARSE_FROM or scene.solver.forces("coarse-start")
-    possible = scene.curtain.shape != "file" and not scene.solver.adapt and scene.mesh.cells >= 8
-    return pays and possible and scene.solver.kind != "conic"
-
-
-def coarse_cones(problem: Problem) -> Cones | None:
-    """Half-spaces to begin with, from a loosely solved curtain on a mesh four times as coarse; None for small meshes.
-
-    They are half as many as the law's own first ones and nearly the right ones, so that few rounds remain.
+    Supports out of reach by more end as "infeasible": an answer would be the elasticity of rings drawn beyond what the
+    law was made for.
     """
-    if not starts_coarse(problem):
-        return None
+    line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
+    return line_load * float(np.trace(problem.law.compliance)) / 3.0
+
+
+def _solved(problem: Problem, reach: Reach, cones: Cones | None, x: Array) -> tuple[PathResult, float | None]:
+    """The solver's record from positions x (n_nodes, d), and by how much rings gave in a problem that was relaxed.
+
+    The even tension that opens out slack parts stays in a rigid curtain, whose bounds allow for it; an elastic one is
+    only guided by it.
+    """
+    spec, fem, law, size = problem.scene.solver, problem.fem, problem.law, problem.mesh.size
+    load, z = fem.gather(problem.force), fem.unknowns(x)
+    tension = fem.force(spread_tension(problem) * unit_tensors(problem))
+    violation = max(PathOptions.violation, PathOptions.counted * spec.tolerance)
+    options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
+    if is_elastic(problem.scene):
+        options = replace(options, steps=ELASTIC_STEPS)
+        return solve_path(fem, law, load, z, size, options, compliance=law.compliance, guide=tension), None
+
+    def by_path(fem: SupportedFem, load: Array, z: Array, options: PathOptions) -> PathResult:
+        return solve_path(fem, law, load, z, size, options)
+
+    solve = _clarabel(problem) if by_clarabel(problem.scene) else by_path
+    if reach.is_at_limit:
+        return solve_taut(fem, load + tension, z, options, reach, solve)
+    return solve(fem, load + tension, z, options), None
+
+
+def _clarabel(problem: Problem) -> Solve:
+    def solve(fem: SupportedFem, load: Array, z: Array, options: PathOptions) -> PathResult:
+        return solve_clarabel(fem, problem.law, load, problem.mesh.size, ClarabelOptions(gap=options.gap))
+
+    return solve
+
+
+def _first_positions(problem: Problem, start: CurtainSolution | None, options: CurtainOptions) -> Array:
+    """The slack start (n_nodes, d), or a place near the last curtain."""
+    slack = gathered_start(problem)
+    return slack if start is None else start.x + options.inward * (slack - start.x)
+
+
+def _first_cones(
+    problem: Problem, start: CurtainSolution | None, options: CurtainOptions
+) -> tuple[Cones | None, tuple[Decision, ...]]:
+    """Half-spaces to begin with, None for the law's own, and where they come from.
+
+    A coarser curtain has half as many as the law's own first ones and nearly the right ones.
+    """
+    scene, points = problem.scene, problem.disc.n_points
+
+    def told(why: str, cones: Cones | None = None, feature: str = "coarse-start") -> tuple[Cones | None, Any]:
+        return cones, (Decision(feature, cones is not None, why),)
+
+    if by_clarabel(scene):
+        return told("clarabel takes no start")
+    if start is not None and start.cones is not None and len(start.cones.first) == points:
+        return start.cones, (
+            Decision("last-step", True, "half-spaces and positions begin with those of the last load step"),
+            Decision("coarse-start", False, "the last load step is nearer"),
+        )
+    if points < options.coarse_from:
+        return told(f"{points} points are fewer than {options.coarse_from}")
+    if scene.curtain.shape == "file" or scene.solver.adapt or scene.mesh.cells < 2 * options.coarse_ratio:
+        return told("this mesh has no coarser one")
+    coarse = _coarser(problem, options)
+    if coarse is None:
+        return told("the coarser mesh does not fit hooks or patches")
+    if coarse.status != "converged" or coarse.cones is None:
+        return told(f"the coarser curtain ended as {coarse.status}")
+    _, nearest = cKDTree(coarse.problem.disc.points).query(problem.disc.points)
+    return told(f"{points} points: a coarser curtain tells the first half-spaces", taken_from(coarse.cones, nearest))
+
+
+def _coarser(problem: Problem, options: CurtainOptions) -> CurtainSolution | None:
+    """The loosely solved rigid curtain on a coarser mesh; None where the scene cannot be meshed that coarsely."""
     scene = problem.scene
-    law = problem.law.law if isinstance(problem.law, TurnedLaw) else problem.law
-    loose = replace(scene.solver, tolerance=max(COARSE_TOLERANCE, scene.solver.tolerance), force=())
-    coarse = replace(scene, mesh=replace(scene.mesh, cells=scene.mesh.cells // 4), solver=loose)
-    try:
-        solution = solve_locked(make_problem(coarse, law, build_mesh(coarse, law.cell), problem.factor))
-    except InputError:  # hooks or patches too small for the coarse mesh: begin with the law's own half-spaces
-        return None
-    if solution.status != "converged" or solution.cones is None:
-        return None
-    _, nearest = cKDTree(solution.problem.disc.points).query(problem.disc.points)
-    return taken_from(solution.cones, nearest)
-
-
-def _solution(
-    problem: Problem,
-    fem: SupportedFem,
-    result: RigidResult,
-    tension: float,
-    reach: Reach,
-    give: float | None,
-    wall_s: float,
-) -> CurtainSolution:
-    """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
-    x = fem.positions(result.z)[:, :2]
-    primal = -float((problem.force * (x - problem.disc.nodes)).sum())
-    own_load = fem.gather(problem.force if fem.d == 2 else padded(problem.force))
-    shift = primal + float(own_load @ result.z)  # what supports and the choice of origin add to -l.z
-    held_part = float(
-        (
-            fem.weight[:, None, None]
-            * tension
-            * unit_tensors(replace(problem, fem=fem))
-            * fem.gradient(np.zeros_like(result.z))
-        ).sum()
+    law = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
+    tolerance = max(options.coarse_tolerance, scene.solver.tolerance)
+    coarse = replace(
+        scene,
+        mesh=replace(scene.mesh, cells=scene.mesh.cells // options.coarse_ratio),
+        solver=replace(scene.solver, kind="rigid", tolerance=tolerance),
     )
+    try:
+        discrete = make_problem(coarse, law, build_mesh(coarse, law.cell), problem.factor)
+    except InputError:
+        return None
+    return solve_problem(discrete, None, options)
+
+
+def _solution(problem: Problem, result: PathResult, reach: Reach, give: float | None) -> CurtainSolution:
+    """The record. The dual value is that of the spread problem, made a bound for the load's own potential."""
+    fem, elastic = problem.fem, is_elastic(problem.scene)
+    x, F = fem.positions(result.z), fem.gradient(result.z)
+    tension = 0.0 if elastic else spread_tension(problem)
+    work = float((problem.force * (x - problem.disc.nodes)).sum())
+    shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
+    held = fem.gradient(np.zeros_like(result.z))
+    held_part = float((fem.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
     allowance = spread_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
+    stored = float(fem.weight @ problem.law.response(green_strain(F)).energy) if elastic else 0.0
     return CurtainSolution(
         problem=problem,
         stop=result.stop,
         asked=replace(result.asked, gap=result.asked.gap + 2.0 * allowance / scale),
         x=x,
-        F=fem.gradient(result.z)[:, :2],
-        P=result.P[:, :2],
+        F=F,
+        P=result.P,
         S=result.S,
-        primal=primal,
+        primal=stored - work,
         dual=result.dual + shift - allowance - held_part,
         iterations=result.iterations,
-        wall_s=wall_s,
+        wall_s=0.0,
         reach=reach,
         give=give,
+        elastic=elastic,
         cones=result.cones,
         history=result.history,
         tension=tension,

@@ -1,130 +1,60 @@
-"""The elastic curtain of a discrete problem: interior points first, then Newton's method on the law itself."""
+"""Newton's method on the law itself, from the answer of the cone program."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from macro_fem.fem.assembly import deformation_gradient
-from macro_fem.solution import CurtainSolution, Problem, gathered_start, spread_allowance, spread_tension, unit_tensors
+from macro_fem.solution import CurtainSolution
 from macro_fem.solvers import newton
-from macro_fem.solvers.compliant import REACH
-from macro_fem.solvers.cones import Cones, green_strain, times_triple
-from macro_fem.solvers.elastic import Approach, ElasticOptions, approach
-from macro_fem.solvers.status import FREE, Accuracy, Reach, load_scale
+from macro_fem.solvers.cone_program import REACH
+from macro_fem.solvers.cones import green_strain, times_triple
+from macro_fem.solvers.status import Accuracy
 from rve.common.types import Array
-
-POLISH = 40
-"""Steps of Newton's method: it takes a handful, or kinks of what hangs slack keep it busy for nothing."""
-IDLE_STEPS = 3
-"""Its steps in a row without progress after which the interior-point answer is as good."""
-CERTIFIED = 1e-7
-"""Relative gap, unbalanced forces and violation below which the interior-point answer is one."""
-BALANCED = 1e-7
-"""Unbalanced forces over the loads below which the answer of Newton's method is one."""
-STOPS = {
-    newton.NewtonStatus.CONVERGED: "closed",
-    newton.NewtonStatus.ITERATION_LIMIT: "iterations",
-    newton.NewtonStatus.ROUND_OFF: "stalled",
-    newton.NewtonStatus.STALLED: "stalled",
-    newton.NewtonStatus.NOT_CONVEX: "not_convex",
-    newton.NewtonStatus.NOT_FINITE: "not_finite",
-}
-"""Why Newton's method stopped, in the words of `macro_fem.solvers.status`."""
+from rve.common.values import Options, number, whole
 
 
-def solve_elastic(problem: Problem, reach: Reach = FREE, cones: Cones | None = None) -> CurtainSolution:
-    """The elastic curtain of a discrete problem; `cones` are half-spaces to begin with.
+@dataclass(frozen=True)
+class PolishOptions(Options):
+    """When Newton's method stops; InputError for values that make no sense."""
 
-    `reach` tells how far apart the supports are. Out of reach by more than the loads themselves stretch the rings ends
-    as "infeasible": an answer would be the elasticity of rings drawn beyond what the law was made for.
-    """
-    begin = time.perf_counter()
-    most = problem.scene.solver.max_iterations
-    tension = spread_tension(problem)
-    load = problem.fem.gather(problem.force) + problem.fem.force(tension * unit_tensors(problem))
-    if reach.is_out and reach.excess < elastic_stretch(problem):
-        reach = replace(reach, upper=1.0)
-    options = ElasticOptions(max_iterations=0 if reach.is_out else most)
-    start = problem.fem.unknowns(gathered_start(problem))
-    found = approach(problem.fem, problem.law, load, start, problem.mesh.size, options, cones)
-    answer = replace(_certified(problem, found, load, tension), reach=reach)
-    if not reach.is_out and len(found.history) < most:
-        polished = replace(_polished(problem, found, min(POLISH, most - len(found.history))), reach=reach)
-        history = (*found.history, *polished.history)
-        answer = replace(_better(answer, polished), history=history, iterations=len(history))
-    return replace(answer, wall_s=time.perf_counter() - begin)
+    steps: int = whole(40, least=1, most=10_000)
+    """Maximum steps. Some are enough from a good start; kinks in slack regions can stall it for ever."""
+    idle_steps: int = whole(3, least=1, most=1000)
+    """Steps in a row without progress that end it. More rarely find a way out."""
+    balanced: float = number(1e-7, above=0.0, most=1.0)
+    """Unbalanced forces over the loads below which its answer is one."""
 
 
-def _better(certified: CurtainSolution, polished: CurtainSolution) -> CurtainSolution:
-    """Newton's answer, unless the interior-point one is good enough and balances better."""
-    is_answer = certified.asked.is_met(certified.evidence)
-    is_polished = polished.asked.is_met(polished.evidence)
-    return certified if is_answer and not (is_polished and polished.residual <= certified.residual) else polished
+POLISH = PolishOptions()
+"""The defaults."""
 
 
-def elastic_stretch(problem: Problem) -> float:
-    """About how far the loads of a scene stretch its rings: load times size over area, times the mean compliance."""
-    line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
-    return line_load * float(np.trace(problem.law.compliance)) / 3.0
+def polished(found: CurtainSolution, most: int, options: PolishOptions = POLISH) -> CurtainSolution:
+    """At most `most` more steps on the elastic law itself, from the answer `found`; `found` if they balance less.
 
-
-def _certified(problem: Problem, found: Approach, load: Array, tension: float) -> CurtainSolution:
-    """The interior-point answer with its own bound, valid for the load without the spread tension too."""
-    fem = problem.fem
-    x, F = fem.positions(found.z), fem.gradient(found.z)
-    stored = float(problem.disc.weight @ problem.law.response(green_strain(F)).energy)
-    gap = stored - float(load @ found.z) - found.lower
-    primal = stored - float((problem.force * (x - problem.disc.nodes)).sum())
-    allowance = 2.0 * spread_allowance(problem, tension)
-    scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
-    return CurtainSolution(
-        problem=problem,
-        stop="closed" if found.status == "converged" else found.status,
-        asked=Accuracy(CERTIFIED + 2.0 * allowance / scale, CERTIFIED, CERTIFIED),
-        x=x,
-        F=F,
-        P=found.P,
-        S=found.S,
-        primal=primal,
-        dual=primal - gap - allowance,
-        iterations=len(found.history),
-        wall_s=0.0,
-        elastic=True,
-        history=found.history,
-        tension=tension,
-    )
-
-
-def _polished(problem: Problem, found: Approach, most: int) -> CurtainSolution:
-    """At most `most` steps of Newton's method on the law itself, from the interior-point answer.
-
+    For laws whose response is not exactly ideal locking with a compliance, such as nets whose fibres lie in one line.
     The dual value is the potential less the bound that convexity puts on its error.
     """
-    supports, nodes = problem.supports, problem.disc.nodes
-    fixed = supports.mask | supports.pinned
-    membrane = newton.Membrane(
-        problem.disc, problem.law, fixed, supports.positions - nodes, problem.force, supports.tie
-    )
-    options = newton.NewtonOptions(max_iterations=most, soften_after=most, idle_steps=IDLE_STEPS)
-    answer = newton.solve(membrane, options, start=problem.fem.positions(found.z) - nodes)
-    last = answer.steps[-1]
-    F = deformation_gradient(problem.disc, last.u)
+    problem, nodes = found.problem, found.problem.disc.nodes
+    how = newton.NewtonOptions(max_iterations=min(options.steps, most), idle_steps=options.idle_steps)
+    answer = newton.solve(problem.fem, problem.law, problem.force, found.displacement, how)
+    F: Array = deformation_gradient(problem.disc, answer.u)
     S = problem.law.response(green_strain(F)).S
-    return CurtainSolution(
-        problem=problem,
-        stop=STOPS[last.status],
-        asked=Accuracy(REACH * BALANCED, BALANCED, CERTIFIED),
-        x=nodes + last.u,
+    history = (*found.history, *answer.history)
+    better = replace(
+        found,
+        stop=answer.stop,
+        asked=Accuracy(REACH * options.balanced, options.balanced, options.balanced),
+        x=nodes + answer.u,
         F=F,
         P=times_triple(F, S),
         S=S,
-        primal=last.potential,
-        dual=last.potential - last.energy_bound,
-        iterations=answer.statistics.iterations,
-        wall_s=0.0,
-        elastic=True,
-        history=answer.history,
+        primal=answer.potential,
+        dual=answer.potential - answer.energy_bound,
+        iterations=len(history),
+        cones=None,
+        history=history,
     )
+    is_better = better.asked.is_met(better.evidence) or better.residual < found.residual
+    return better if is_better else replace(found, iterations=len(history), history=history)

@@ -1,9 +1,9 @@
-"""From a scene to its answer, and to a folder with summary, VTU and picture."""
+"""Solving a scene, and writing summary, VTU and picture into a folder."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -16,16 +16,19 @@ from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.rings import to_curtain
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import FEATURES, Scene, check_solver, load_scene
-from macro_fem.solution import CurtainSolution, make_problem
+from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.solution import CurtainSolution, Problem, make_problem
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from rve import Curtain
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -48,7 +51,7 @@ class CurtainResult:
 
     @property
     def status(self) -> str:
-        """How the solve at full load ended, "converged" if it is the answer."""
+        """How the solve at full load ended, "converged" if it is accurate."""
         return self.solution.status
 
     @cached_property
@@ -79,6 +82,10 @@ class CurtainResult:
 
         return plot_line_loads(self.solution, ax)
 
+    def to_curtain(self) -> Curtain:
+        """The curtain at full load as `rve.localize` takes it: `rve.localize(result)`."""
+        return to_curtain(self.solution)
+
     def _summary(self, *, picture: bool) -> dict[str, Any]:
         summary = summarize(self.solution)
         if self.levels:
@@ -105,8 +112,8 @@ class CurtainResult:
 def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
     """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
 
-    An answer that has not converged is returned with the status that names why. InputError if the scene makes no sense
-    or its supports are out of reach.
+    An answer that has not converged has a status that says why. InputError if the scene is contradictory or its
+    supports are out of reach.
 
     >>> from macro_fem.scene.schema import Scene
     >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")
@@ -114,13 +121,16 @@ def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) ->
     'converged'
     """
     law = default_law() if law is None else law
-    steps = scene.load.steps
-    early = [_solved(scene, law, step / steps, say) for step in range(1, steps)]
+    mesh, count = build_mesh(scene, law.cell), scene.load.steps
+    steps: list[CurtainSolution] = []
+    for step in range(1, count + 1):
+        say(f"solving {mesh.mesh.t.shape[1]} cells, load step {step} of {count}")
+        steps.append(_solved(make_problem(scene, law, mesh, step / count), steps[-1] if steps else None))
     if asks_bounds(scene):
         say("solving with bounds")
-        levels = tuple(_with_bounds(scene, law))
-        return CurtainResult(scene, (*early, levels[-1].solution), levels)
-    return CurtainResult(scene, (*early, _solved(scene, law, 1.0, say)))
+        levels = tuple(_with_bounds(scene, law, steps[-1]))
+        return CurtainResult(scene, (*steps[:-1], levels[-1].solution), levels)
+    return CurtainResult(scene, tuple(steps))
 
 
 def run_scene(
@@ -129,19 +139,18 @@ def run_scene(
     out: Path,
     *,
     picture: bool = True,
-    force: tuple[str, ...] = (),
     say: Say = silent,
 ) -> dict[str, Any]:
-    """Solve the scene in a file, write its files into `out` and return the summary; `force` adds to that of the scene.
+    """Solve the scene in a file, write its files into `out` and return the summary.
 
-    InputError in one sentence if the scene cannot be read, makes no sense or has no solution; nothing is written then.
+    InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
     if picture:
         require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
-    scene = with_force(load_scene(scene_path), force)
-    if scene.solver.kind == "conic":
-        require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    scene = load_scene(scene_path)
+    if scene.solver.kind == "clarabel":
+        require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
     if mesh_file is not None:
         complete(mesh_file.parent, RECORD)
@@ -151,44 +160,26 @@ def run_scene(
     return solve(scene, law, say=say).save(out, picture=picture, inputs=inputs)
 
 
-def with_force(scene: Scene, force: tuple[str, ...]) -> Scene:
-    """The scene with more features forced; InputError for those that are not known or do not go with it."""
-    if not force:
-        return scene
-    for name in force:
-        if name not in (*FEATURES, "all"):
-            raise InputError(f"--force = {name!r}: known are all, {', '.join(FEATURES)}")
-    wider = replace(scene, solver=replace(scene.solver, force=(*scene.solver.force, *force)))
-    check_solver(wider, scene.source)
-    return wider
-
-
 def asks_bounds(scene: Scene) -> bool:
     """Whether bounds of the continuous curtain are wanted."""
-    solver = scene.solver
-    fits = solver.kind == "rigid" and scene.mesh.element == "P1"
-    return solver.bounds or solver.adapt > 0 or (fits and solver.forces("bounds"))
+    return scene.solver.bounds or scene.solver.adapt > 0
 
 
-def _solved(scene: Scene, law: MembraneLaw, factor: float, say: Say = silent) -> CurtainSolution:
-    """The curtain at one share of the live load; InputError if there is none."""
-    mesh = build_mesh(scene, law.cell)
-    say(f"solving {mesh.mesh.t.shape[1]} cells, load step {round(factor * scene.load.steps)} of {scene.load.steps}")
-    solution = solve_problem(make_problem(scene, law, mesh, factor))
+def _solved(problem: Problem, start: CurtainSolution | None) -> CurtainSolution:
+    """The curtain at one share of the live load, from that of the last step; InputError if there is none."""
+    solution = solve_problem(problem, start)
     if solution.status == "infeasible":
-        at = f" at {factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
+        scene = problem.scene
+        at = f" at {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
         raise InputError(f"{scene.source}: [support]: {solution.message}{at}")
     return solution
 
 
-def _with_bounds(scene: Scene, law: MembraneLaw) -> list[Level]:
-    """All levels of refinement; InputError if not even the first mesh has a solution."""
-    found = list(refined_levels(scene, law))
-    if not found:
-        coarse = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
-        solution = _solved(coarse, law, 1.0)
-        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {solution.message}")
-    return found
+def _with_bounds(scene: Scene, law: MembraneLaw, first: CurtainSolution) -> list[Level]:
+    """All levels of refinement; InputError if not even the curtain on the first mesh has converged."""
+    if first.status != "converged":
+        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {first.message}")
+    return list(refined_levels(scene, law, mesh=first.problem.mesh, first=first))
 
 
 def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, Any]:
@@ -219,5 +210,4 @@ def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, pi
 
 def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:
     """Error per reference area of every triangle (n_cells,), N mm / mm2."""
-    disc = solution.problem.disc
-    return bounds.error / disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
+    return bounds.error / solution.problem.disc.cell_area

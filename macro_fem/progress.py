@@ -1,4 +1,4 @@
-"""A line on the terminal that says what a long run is doing and for how long."""
+"""A progress line on the terminal: the present work and the seconds since the start."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ INTERVAL_S = 1.0
 
 
 def silent(text: str) -> None:
-    """Says nothing."""
+    """A progress function that writes nothing."""
 
 
 @contextmanager
 def progress_line(stream: TextIO | None = None, interval_s: float = INTERVAL_S) -> Iterator[Say]:
     """A function that sets the text of the line; the seconds since the start follow it, renewed every `interval_s`.
 
-    The line is written to standard error, erased at the end, and only there where that is a terminal.
+    The line is written to `stream` (standard error) and erased at the end. Without a terminal nothing is written.
     """
     out = sys.stderr if stream is None else stream
     if not out.isatty():

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from homogenize import MembraneLaw
-from macro_fem.fem.assembly import Discretization, cell_mean, discretize, internal_force, load_vector
+from macro_fem.fem.assembly import internal_force, load_vector
+from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.rotated import rotated
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.fem.turned import turned
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
-from macro_fem.solvers.newton_records import NewtonRecord
+from macro_fem.solvers.newton import NewtonRecord
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
+from rve.common.cells import recovered
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -42,6 +44,19 @@ class Problem:
     factor: float = 1.0  # share of live loads and moves
 
 
+@dataclass(frozen=True)
+class Decision:
+    """A feature, whether the run has used it, and why in this scene."""
+
+    feature: str
+    used: bool
+    why: str
+
+    def to_dict(self) -> dict[str, str | bool]:
+        """For summary.json."""
+        return asdict(self)
+
+
 @dataclass(frozen=True, eq=False)
 class CurtainSolution(Judged):
     """The curtain at one load step.
@@ -53,7 +68,7 @@ class CurtainSolution(Judged):
     Status and message are not given but follow from the rest: `stop` is why the solver stopped, `asked` what the
     numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `give` by how much the
     rings of a relaxed problem gave beyond locking, whose bounds primal and dual then are; None for the law as it is.
-    `elastic`: P is the stress of the elastic law, else of ideal locking.
+    `elastic`: P is the stress of the elastic law, else of ideal locking. `decided`: what the solver itself decided.
     """
 
     problem: Problem
@@ -73,6 +88,7 @@ class CurtainSolution(Judged):
     cones: Cones | None = field(default=None, repr=False)
     history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
     tension: float = 0.0
+    decided: tuple[Decision, ...] = ()
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -141,25 +157,12 @@ class CurtainSolution(Judged):
         These are the singular values of P, forces per reference length: what the rings of a pitch carry, finite even
         where the mesh is drawn together to a line. P is averaged over neighbours first (see `recovered`).
         """
-        _, values, Vt = np.linalg.svd(self.recovered(cell_mean(self.problem.disc, self.P)))
+        _, values, Vt = np.linalg.svd(self.recovered(self.problem.disc.cell_mean(self.P)))
         return values, Vt[:, 0, :]
 
     def recovered(self, values: Array) -> Array:
-        """Cell values (n_cells, ...) averaged over the cells at each corner, then over the corners of each cell.
-
-        The stress of locked triangles is right on average only: neighbours share a load as equilibrium of the corners
-        happens to leave it, and change places from row to row.
-        """
-        disc, t = self.problem.disc, self.problem.mesh.mesh.t.T
-        area = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
-        n = int(t.max()) + 1
-        flat = values.reshape(len(values), -1)
-        total = np.bincount(t.ravel(), weights=np.repeat(area, t.shape[1]), minlength=n)
-        at_corners = [
-            np.bincount(t.ravel(), weights=np.repeat(area * column, t.shape[1]), minlength=n) / total
-            for column in flat.T
-        ]
-        return np.stack([corner[t].mean(axis=1) for corner in at_corners], axis=-1).reshape(values.shape)
+        """Cell values (n_cells, ...) averaged over neighbours, see `rve.common.cells.recovered`."""
+        return recovered(self.problem.mesh.mesh.t.T, values, self.problem.disc.cell_area)
 
     def state(self) -> np.ndarray:
         """Per cell 0 where it is slack, 1 where it is drawn in one direction (wrinkled), 2 where it is taut in both."""
@@ -176,13 +179,13 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         raise InputError(f"{scene.source}: [mesh] {error}") from error
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), mesh, disc, force, scene.source)
-    hung = turned(law, scene.curtain.hang)
+    hung = rotated(law, scene.curtain.weave_angle)
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 
 
 def spread_tension(problem: Problem) -> float:
     """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
-    return problem.scene.solver.spread * float(np.abs(problem.force).sum()) / problem.mesh.size
+    return problem.scene.solver.stabilising_tension * float(np.abs(problem.force).sum()) / problem.mesh.size
 
 
 def spread_allowance(problem: Problem, tension: float) -> float:

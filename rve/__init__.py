@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rve.common.lazy import lazily
 
 if TYPE_CHECKING:
+    from rve.additions import with_rings as with_rings
     from rve.common.errors import InputError as InputError
     from rve.common.errors import NotConverged as NotConverged
     from rve.common.materials import MATERIALS as MATERIALS
@@ -24,20 +25,26 @@ if TYPE_CHECKING:
     from rve.geometry.kinematics import second_pk as second_pk
     from rve.geometry.weave import WEAVES as WEAVES
     from rve.geometry.weave import Weave as Weave
+    from rve.localization.curtain import Curtain as Curtain
+    from rve.localization.field import RingField as RingField
+    from rve.localization.job import LocalizeOptions as LocalizeOptions
+    from rve.localization.job import localize as localize
     from rve.solve import solve_table as solve_table
-    from rve.strength import with_rings as with_rings
     from rve.table import StrainTable as StrainTable
     from rve.table import read_table as read_table
     from rve.table import write_table as write_table
 
 _MODULES = {
     "Cell": "rve.geometry.cell",
+    "Curtain": "rve.localization.curtain",
     "DirectOptions": "rve.equilibrium.interior_point",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
+    "LocalizeOptions": "rve.localization.job",
     "MATERIALS": "rve.common.materials",
     "Material": "rve.common.materials",
     "NotConverged": "rve.common.errors",
+    "RingField": "rve.localization.field",
     "StrainTable": "rve.table",
     "WEAVES": "rve.geometry.weave",
     "Weave": "rve.geometry.weave",
@@ -46,12 +53,13 @@ _MODULES = {
     "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
     "grid": "rve.directions",
+    "localize": "rve.localization.job",
     "named_material": "rve.common.materials",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
     "solve_table": "rve.solve",
-    "with_rings": "rve.strength",
+    "with_rings": "rve.additions",
     "write_table": "rve.table",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -60,11 +68,14 @@ __all__ = [
     "MATERIALS",
     "WEAVES",
     "Cell",
+    "Curtain",
     "DirectOptions",
     "InputError",
     "LoadDirections",
+    "LocalizeOptions",
     "Material",
     "NotConverged",
+    "RingField",
     "StrainTable",
     "Weave",
     "cauchy_line_load",
@@ -72,6 +83,7 @@ __all__ = [
     "graded_grid",
     "green_lagrange",
     "grid",
+    "localize",
     "named_material",
     "read_loads",
     "read_table",

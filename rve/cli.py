@@ -39,21 +39,29 @@ def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def _feature_options(command: Callable[..., None]) -> Callable[..., None]:
+def _explain_options(command: Callable[..., None]) -> Callable[..., None]:
     for decorate in (
-        click.option("--force", multiple=True, help="Use this feature (or all) though the scene does not need it."),
+        click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force),
         click.option("--explain", is_flag=True, help="Say what was used and left out, and why."),
     ):
         command = decorate(command)
     return command
 
 
+def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
+    if value:
+        click.echo(
+            "Warning: --force has no effect any more and will be removed; python -m benchmarks.omissions measures what "
+            "each omission saves",
+            err=True,
+        )
+
+
 def _explain(found: Any) -> None:
     """The run's decisions on standard error: `case` keeps standard output for its JSON."""
-    from rve.explain import decisions, moving_decisions
+    from rve.explain import decisions
 
-    direct = found.provenance["method"] == "direct"
-    for decision in decisions(found.provenance) if direct else moving_decisions(found.provenance):
+    for decision in decisions(found.provenance):
         click.echo(str(decision), err=True)
 
 
@@ -68,26 +76,21 @@ def _cell(r1: float, r2: float, grain: str, weave: str, **material: Any) -> Any:
     return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal)
 
 
-def _solved(method: str, directions: tuple[Any, Any], mesh: Any, how: dict[str, Any]) -> Any:
+def _solved(method: str, directions: tuple[Any, Any], mesh: Any, checkpoint: Path | None, workers: int) -> Any:
     """The table of these load directions by either method."""
-    from rve.equilibrium.interior_point import DirectOptions
-    from rve.explain import MOVING, checked_force
     from rve.paper.checkpoints import SweepOptions
-    from rve.paper.stewart_trinkle import StewartTrinkleOptions
-    from rve.paper_table import solve_table_stewart_trinkle
+    from rve.paper.table import solve_table_stewart_trinkle
     from rve.solve import solve_table
 
     if method == "stewart-trinkle":
-        moving = StewartTrinkleOptions(gyroscopic="gyroscopic" in checked_force(how["force"], MOVING))
-        options = SweepOptions(folder=how["checkpoint"], workers=how["workers"])
-        return solve_table_stewart_trinkle(mesh, directions, moving, how=options)
-    if how["checkpoint"] is not None or how["workers"] != 1:
+        return solve_table_stewart_trinkle(mesh, directions, how=SweepOptions(folder=checkpoint, workers=workers))
+    if checkpoint is not None or workers != 1:
         raise InputError(
             "--checkpoint and --workers belong to --method stewart-trinkle; the direct solver needs neither"
         )
     hidden = not sys.stderr.isatty()
     with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=hidden) as bar:
-        return solve_table(mesh, directions, DirectOptions(force=checked_force(how["force"])), progress=bar.update)
+        return solve_table(mesh, directions, progress=bar.update)
 
 
 def _directions(loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
@@ -123,18 +126,24 @@ def main() -> None:
 @click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm instead.")
-@_feature_options
+@_explain_options
 @_cell_options
-def table(out: Path, method: str, **rest: Any) -> None:
+def table(
+    out: Path,
+    method: str,
+    checkpoint: Path | None,
+    workers: int,
+    rings: bool,
+    compliance: float | None,
+    span: bool,
+    explain: bool,
+    **rest: Any,
+) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
-    from rve.paper_table import with_compliance
-    from rve.span import with_span
+    from rve.additions import with_compliance, with_span
     from rve.table import write_table
 
-    how = {name: rest.pop(name) for name in ("checkpoint", "workers", "force")}
-    stiffness, span, explain = rest.pop("compliance"), rest.pop("span"), rest.pop("explain")
-    rings = rest.pop("rings")
-    if rings and stiffness is not None:
+    if rings and compliance is not None:
         raise InputError("--rings and --compliance both give dE/dS: choose the rings' wire, or contacts of a stiffness")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
@@ -142,13 +151,13 @@ def table(out: Path, method: str, **rest: Any) -> None:
     mesh = _cell(**rest)
     directions = _directions(**asked)
     check_out_table(out, inputs=[asked["loads"]])
-    if how["checkpoint"] is not None:
-        check_out_folder(how["checkpoint"], "--checkpoint")
+    if checkpoint is not None:
+        check_out_folder(checkpoint, "--checkpoint")
     if mesh.weave.caveat:
         click.echo(f"Warning: {mesh.weave.caveat}", err=True)
-    found = _solved(method, directions, mesh, how)
-    if rings or stiffness is not None:
-        found = with_compliance(found, stiffness, mesh)
+    found = _solved(method, directions, mesh, checkpoint, workers)
+    if rings or compliance is not None:
+        found = with_compliance(found, compliance, mesh)
     if span:
         found = with_span(found, mesh)
     write_table(found, out)
@@ -168,20 +177,17 @@ def table(out: Path, method: str, **rest: Any) -> None:
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write.")
-@_feature_options
+@_explain_options
 @_cell_options
-def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tuple[str, ...], **cell: Any) -> None:
+def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
-    from rve.equilibrium.interior_point import DirectOptions
-    from rve.explain import checked_force
     from rve.solve import solve_table
     from rve.table import COLUMNS
 
     if plot is not None:
         require("matplotlib", "plots", "--plot")
         check_out_file(plot, "--plot")
-    mesh = _cell(**cell)
-    found = solve_table(mesh, ([alpha], [beta]), DirectOptions(force=checked_force(force)))
+    found = solve_table(_cell(**cell), ([alpha], [beta]))
     if explain:
         _explain(found)
     status = str(found.status[0])
@@ -196,7 +202,7 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, force: tup
     if plot is not None:
         from rve.plots import draw_case, save
 
-        save(draw_case(alpha, beta, mesh), plot)
+        save(draw_case(found), plot)
 
 
 @main.command()
@@ -222,11 +228,12 @@ def study(out: Path) -> None:
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
 def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) -> None:
-    """Find back to the rings: from CURTAIN, the curtain.vtu of macro_fem, to rings.vtu, rings.png, worst_cell.csv."""
+    """Every ring of CURTAIN, the curtain.vtu of macro_fem or its folder: rings.vtu, rings.png, worst_cell.csv."""
     from rve.directions import parse_window
-    from rve.localization.job import JobOptions, run_localize
+    from rve.localization.job import LocalizeOptions, run_localize
 
-    found = run_localize(curtain, out, JobOptions(window=parse_window(window), **rest))
+    files = {name: rest.pop(name) for name in ("picture", "tubes")}
+    found = run_localize(curtain, out, LocalizeOptions(window=parse_window(window), **rest), **files)
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
     click.echo(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
     click.echo(f"{found['links_intact']} of {found['links']} links intact as drawn")

@@ -11,11 +11,10 @@ import numpy as np
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
 from rve.common.files import atomic_path
 from rve.common.types import Array
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.states import LockedStates
 from rve.equilibrium.system import lattice_load
-from rve.geometry.cell import Cell
 from rve.geometry.circles import tangent_frame
-from rve.solve import locked
+from rve.table import StrainTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +38,7 @@ def figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
 
 
 def save(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure whole or not at all; the ending of the name is the format, PNG without one.
+    """Write a figure, atomically; the ending of the name is the format, PNG without one.
 
     Raises InputError for unknown endings.
     """
@@ -54,55 +53,49 @@ def save(fig: Figure, path: str | os.PathLike[str]) -> None:
         plt.close(fig)
 
 
-def ring_points(found: Equilibrium, case: int, ring: Array, cell: Cell, count: int = 97) -> Array:
-    """Centre circle (count, 3) in mm, in weave axes, of the ring (class, i, j)."""
+def ring_points(states: LockedStates, ring: Array, count: int = 97) -> Array:
+    """Centre circle (count, 3) in mm, in weave axes, of the ring (class, i, j) of the first state."""
     k, i, j = (int(x) for x in ring)
-    pose = found.pose
-    centre = pose.centres[case, k] + i * pose.a1[case] + j * pose.a2[case]
-    e1, e2 = tangent_frame(pose.normals[case, k])
+    pose = states.pose
+    centre = pose.centres[0, k] + i * pose.a1[0] + j * pose.a2[0]
+    e1, e2 = tangent_frame(pose.normals[0, k])
     t = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
     circle = np.cos(t) * e1 + np.sin(t) * e2
-    return cell.r1 * (circle + np.append(centre, 0.0))
+    return states.cell.r1 * (circle + np.append(centre, 0.0))
 
 
-def contacts_mm(found: Equilibrium, case: int, cell: Cell) -> tuple[Array, Array, Array]:
-    """Loaded contacts of the drawn rings: points (m, 3) in mm, normals (m, 3), forces (m,) in units of s r1."""
-    weave, pose = cell.weave, found.pose
-    drawn = {tuple(int(x) for x in ring) for ring in weave.rings}
-    shift = found.contacts.take(np.array([case]))
-    slots = np.argwhere(shift.present[0])
+def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
+    """Loaded contacts of the drawn rings of the first state: points (m, 3) in mm, normals (m, 3), forces (m,)."""
+    cell, pose, contacts = states.cell, states.pose, states.contacts
+    drawn = {tuple(int(x) for x in ring) for ring in cell.weave.rings}
     points, normals, forces = [], [], []
-    for (p, slot), normal, rho_a, rho_b in zip(
-        slots, shift.minima.normal, shift.minima.rho_a, shift.minima.rho_b, strict=True
-    ):
-        force = found.lam[case, p, slot]
-        if force < 1e-6:
-            continue
-        a, b, i, j = (int(x) for x in weave.pairs[p])
+    for p, slot in np.argwhere(contacts.present[0] & (states.lam[0] >= 1e-6)):
+        rho_a, rho_b = contacts.rho[0, p, slot], contacts.rho_b[0, p, slot]
+        a, b, i, j = (int(x) for x in cell.weave.pairs[p])
         for ring, di, dj in drawn:
             if ring != a or (b, di + i, dj + j) not in drawn:
                 continue
-            origin = pose.centres[case, a] + di * pose.a1[case] + dj * pose.a2[case]
-            target = pose.centres[case, b] + (di + i) * pose.a1[case] + (dj + j) * pose.a2[case]
-            middle = 0.5 * (rho_a + rho_b + np.append(origin + target, 0.0))
-            points.append(cell.r1 * middle)
-            normals.append(normal)
-            forces.append(force)
+            origin = pose.centres[0, a] + di * pose.a1[0] + dj * pose.a2[0]
+            target = pose.centres[0, b] + (di + i) * pose.a1[0] + (dj + j) * pose.a2[0]
+            points.append(0.5 * cell.r1 * (rho_a + rho_b + np.append(origin + target, 0.0)))
+            normals.append(contacts.normal[0, p, slot])
+            forces.append(states.lam[0, p, slot])
     return np.array(points).reshape(-1, 3), np.array(normals).reshape(-1, 3), np.array(forces)
 
 
-def draw_cell(ax: Axes, found: Equilibrium, case: int, s: Array, cell: Cell) -> Axes:
-    """Rings seen along z, contact points with normals (blue) and the forces on the corner rings (red); returns `ax`."""
-    pose = found.pose
+def draw_cell(ax: Axes, states: LockedStates) -> Axes:
+    """Rings of the first state seen along z, contact points with normals (blue) and the forces on the corner rings
+    (red); returns `ax`."""
+    pose, cell = states.pose, states.cell
     swap = (lambda x: x[..., ::-1]) if cell.grain == "x" else (lambda x: x)
     for ring in cell.weave.rings:
-        line = swap(ring_points(found, case, ring, cell)[:, :2])
+        line = swap(ring_points(states, ring)[:, :2])
         colour = CLASS_COLOURS[int(ring[0]) % len(CLASS_COLOURS)]
         ax.plot(*line.T, color=colour, lw=1.6, solid_capstyle="round")
-    a1, a2 = cell.r1 * pose.a1[case], cell.r1 * pose.a2[case]
+    a1, a2 = cell.r1 * pose.a1[0], cell.r1 * pose.a2[0]
     corners = swap(np.array([0 * a1, a1, a1 + a2, a2, 0 * a1]))
     ax.plot(*corners.T, color="0.45", lw=0.8, ls="--", zorder=0)
-    points, normals, forces = contacts_mm(found, case, cell)
+    points, normals, forces = contacts_mm(states)
     if len(points):
         flat, tips = swap(points[:, :2]), swap(normals[:, :2])
         ax.scatter(flat[:, 0], flat[:, 1], s=16, color=CONTACT_COLOUR, zorder=3)
@@ -111,7 +104,7 @@ def draw_cell(ax: Axes, found: Equilibrium, case: int, s: Array, cell: Cell) -> 
             ax.quiver(
                 *flat.T, *(sign * reach).T, angles="xy", scale_units="xy", scale=1.0, color=CONTACT_COLOUR, width=3e-3
             )
-    f, _ = lattice_load(pose.take(np.array([case])), s[case : case + 1])
+    f, _ = lattice_load(pose, states.s)
     f1, f2 = f[0, :2], f[0, 2:]
     # Fig. 4: the line load on a face goes in equal parts to the two rings at its ends.
     nodal = swap(0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2]))
@@ -129,17 +122,22 @@ def draw_cell(ax: Axes, found: Equilibrium, case: int, s: Array, cell: Cell) -> 
     return ax
 
 
-def draw_case(alpha_deg: float, beta_deg: float, cell: Cell, options: DirectOptions | None = None) -> Figure:
-    """Picture of the locked cell under one load direction; raises NotConverged."""
-    found, s, unique = locked(np.array([alpha_deg]), np.array([beta_deg]), cell, options or DirectOptions())
-    status = str(found.status[0])
+def draw_case(table: StrainTable, row: int = 0) -> Figure:
+    """Picture of the locked cell of a row of a table that was solved here.
+
+    Raises NotConverged for a row that has not converged, InputError for a table without `states`.
+    """
+    status = str(table.status[row])
     if status != "converged":
         raise NotConverged(f"{status}: {SENTENCES[status]}")
+    if table.states is None:
+        raise InputError("a table read from a file has no locked states to draw; solve it again with solve_table")
+    states, cell = table.states.take(np.array([row])), table.states.cell
     fig, ax = figure(6.4, 6.8)
-    draw_cell(ax, found, 0, s, cell)
-    note = "" if unique[0] else " (strain not unique: limit shown)"
+    draw_cell(ax, states)
+    note = "" if states.unique[0] else " (strain not unique: limit shown)"
     ax.set_title(
-        f"locked cell, alpha = {alpha_deg:g} deg, beta = {beta_deg:g} deg{note}\n"
+        f"locked cell, alpha = {table.alpha_deg[row]:g} deg, beta = {table.beta_deg[row]:g} deg{note}\n"
         f"r1 = {cell.r1:g} mm, r2 = {cell.r2:g} mm; contacts and forces between rings blue, line-load forces red",
         fontsize=9,
     )

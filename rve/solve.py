@@ -13,86 +13,90 @@ from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import TABLE_FORMAT
-from rve.common.rings import (
-    areal_mass,
-)
+from rve.common.records import Flags
+from rve.common.rings import areal_mass
 from rve.common.types import Array
 from rve.common.versions import versions
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.limits import with_limits
+from rve.equilibrium.states import LockedStates
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
-from rve.explain import Work, motion_terms
+from rve.explain import Work
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.pose import Pose
-from rve.geometry.weave import Weave
-from rve.paper.motion import locked_by_motion
-from rve.paper.stewart_trinkle import StewartTrinkleOptions
-from rve.table import StrainTable, joined_tables
+from rve.table import StrainTable
 
-# Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache.
 BLOCK = 256
+"""Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""
 
 
-def locked(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
-) -> tuple[Equilibrium, Array, NDArray[np.bool_]]:
+def locked(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Array, Flags]:
     """Equilibria of the loads (n,) of one block; loads s (n, 3) in weave axes; flags unique (n,).
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
-    found, s, unique, _ = locked_with_work(alpha_deg, beta_deg, cell, options)
-    return found, s, unique
+    states, _ = locked_block(alpha_deg, beta_deg, cell, options)
+    return states.found, states.s, states.unique
 
 
-def locked_with_work(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
-) -> tuple[Equilibrium, Array, NDArray[np.bool_], Work]:
-    """What `locked` returns, and what the solver has met."""
+def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[LockedStates, Work]:
+    """Locked states of one block of loads, and what the solver has met; see `locked`."""
     s = cauchy_line_load(alpha_deg, beta_deg)
     if cell.grain == "x":
         s = s[:, ::-1]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
-    is_wide = "unlisted-pairs" in options.force
-    found, unique, symmetric = _solved(solved, cell, options, widened(cell.weave) if is_wide else cell.weave)
-    gap = np.full(len(s), np.inf) if is_wide else unlisted_gap(found.pose, cell.weave, cell.wire)
-    overlap = not is_wide and bool(gap.min() < 0.0)
-    if overlap:
-        found, unique, symmetric = _solved(solved, cell, options, widened(cell.weave))
+    found, unique, symmetric, limits = _solved(solved, cell, options)
+    gap = float(unlisted_gap(found.pose, cell.weave, cell.wire).min())
     near = pairs_in_reach(found.pose, cell.weave, cell.wire, options.reach)
-    listed = found.contacts.gap.shape[1]
-    work = Work(len(s), symmetric, listed, int(near.min()), int(near.max()), float(gap.min()), overlap)
-    return replace(found, status=np.where(tensile, found.status, "compressive")), s, unique | ~tensile, work
+    if gap < 0.0:
+        cell = replace(cell, weave=widened(cell.weave))
+        found, unique, symmetric, limits = _solved(solved, cell, options)
+    retried = int((found.attempts > 2).sum())  # the first is in symmetric coordinates
+    listed = len(cell.weave.pairs)
+    work = Work(len(s), symmetric, retried, limits, listed, int(near.min()), int(near.max()), gap, gap < 0.0)
+    found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))
+    return LockedStates(found, s, unique | ~tensile, cell, options.reach), work
 
 
-def _solved(s: Array, cell: Cell, options: DirectOptions, weave: Weave) -> tuple[Equilibrium, NDArray[np.bool_], int]:
-    """Equilibria, flags `unique`, and how many were solved in symmetric coordinates alone."""
-    equations = replace(
-        Equations.of(weave, cell.wire),
-        far_pairs="far-pairs" in options.force,
-        idle_curvature="idle-curvature" in options.force,
-    )
-    terms = motion_terms(options.force)
-    if terms:
-        motion = StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
-        found, symmetric = locked_by_motion(s, equations, options, motion, terms), 0
-    elif "asymmetry" in options.force:
-        found, symmetric = solve_equilibrium(s, equations, options), 0
-    else:
-        found, symmetric = solve_equilibrium_symmetric(s, equations, options)
-    found, unique = with_limits(s, equations, found, options)
-    return found, unique, symmetric
+def _solved(s: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Flags, int, int]:
+    """Equilibria, flags `unique`, how many rows were solved in symmetric coordinates, and how many are limits."""
+    equations = Equations.of(cell.weave, cell.wire)
+    direct, symmetric = solve_equilibrium_symmetric(s, equations, options)
+    found, unique = with_limits(s, equations, direct, options)
+    return found, unique, symmetric, int((direct.pose.lattice != found.pose.lattice).any(axis=1).sum())
+
+
+def locked_states(
+    alpha_deg: Array,
+    beta_deg: Array,
+    cell: Cell,
+    options: DirectOptions,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[LockedStates, Work]:
+    """Locked states of any number of loads (n,), block by block, and what the solver has met."""
+    blocks, works = [], []
+    for first in range(0, len(alpha_deg), BLOCK):
+        rows = slice(first, first + BLOCK)
+        states, work = locked_block(alpha_deg[rows], beta_deg[rows], cell, options)
+        blocks.append(states)
+        works.append(work)
+        if progress is not None:
+            progress(len(states.s))
+    widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
+    blocks = [states.listing(widest) for states in blocks]
+    return blocks[0].join(blocks[1:]), reduce(Work.plus, works)
 
 
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     """Sides b_x, b_y in mm of the reference cell: locked under a pull along the grain, symmetric in the grain.
 
-    The symmetry is imposed. From r1/r2 of about 30 on rings may slide over each other instead (docs/theory.md, 3),
-    but side by side stays the natural reference: b_x = 2 (r1 + r2). Raises NotConverged.
+    The symmetry is imposed, so that rings lie side by side: b_x = 2 (r1 + r2). Without it rings may slide over each
+    other from r1/r2 of about 30 on (docs/theory.md, 3). Raises NotConverged.
     """
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
     along = np.array([[0.0, 0.0, 1.0]])
@@ -133,29 +137,22 @@ def solve_table(
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the direct solver.
 
     The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
-    it fails. Other rows that fail keep their status and have nan elsewhere. `progress` is called with the number of
-    rows done since the last call.
+    it fails. Other rows that fail keep their status and have nan elsewhere. The table's `states` are the locked states.
+    `progress` is called with the number of rows done since the last call.
 
-    >>> solve_table(Cell(), ([0.0], [45.0])).x2_mm.round(4)
-    array([[13.1163,  0.    ]])
+    >>> print(solve_table(Cell(), ([0.0], [45.0])).x2_mm[0, 0].round(4))
+    13.1163
     """
     if not isinstance(cell, Cell) or not isinstance(loads, tuple | list) or len(loads) != 2:
         raise InputError("solve_table takes a Cell and a pair of angles: solve_table(Cell(r1=5, r2=0.5), grid(5.0))")
     options = options or DirectOptions()
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
-    b_x, b_y = reference_sides(cell, options)
-    blocks, works = [], []
-    for first in range(0, len(alpha), BLOCK):
-        rows = slice(first, first + BLOCK)
-        found, s, unique, work = locked_with_work(alpha[rows], beta[rows], cell, options)
-        works.append(work)
-        blocks.append(table_rows(alpha[rows], beta[rows], cell, found, unique, (b_x, b_y)))
-        if progress is not None:
-            progress(len(s))
-    table = joined_tables(blocks)
-    provenance = table_provenance(cell, options, (b_x, b_y), table.status, time.perf_counter() - began)
-    return replace(table, provenance=provenance | {"work": reduce(Work.plus, works).to_dict()})
+    sides = reference_sides(cell, options)
+    states, work = locked_states(alpha, beta, cell, options, progress)
+    table = table_rows(alpha, beta, cell, states.found, states.unique, sides)
+    provenance = table_provenance(cell, options, sides, table.status, time.perf_counter() - began)
+    return replace(table, states=states, provenance=provenance | {"work": asdict(work)})
 
 
 def table_rows(
@@ -166,8 +163,7 @@ def table_rows(
     F = np.stack([x2 / sides[0], x3 / sides[1]], axis=2)
     E, S = green_lagrange(F), second_pk(F, cauchy_line_load(alpha, beta))
     bad = found.status != "converged"
-    for array in (E, S, x2, x3):
-        array[bad] = np.nan
+    E, S, x2, x3 = (np.where(bad[:, None], np.nan, array) for array in (E, S, x2, x3))
     R = np.where(bad, np.nan, found.R)
     gap = np.where(bad, np.nan, found.contacts.min_gap * cell.r1)
     contacts = np.where(bad, 0, ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2)))
@@ -194,7 +190,7 @@ def table_provenance(
         "material": asdict(cell.material),
         "areal_mass_kg_per_m2": areal_mass(cell.r1, cell.r2, ring_area, cell.density),
         "method": "direct",
-        "options": asdict(options) | {"force": list(options.force)},
+        "options": asdict(options),
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
         "caveat": cell.weave.caveat,
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},

@@ -30,6 +30,8 @@ from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, gree
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from rve.equilibrium.states import LockedStates
+
 __all__ = [
     "COLUMNS",
     "COMPLIANCE_COLUMNS",
@@ -39,7 +41,6 @@ __all__ = [
     "cauchy_line_load",
     "deformation_gradient",
     "green_lagrange",
-    "joined_tables",
     "provenance_path",
     "read_table",
     "second_pk",
@@ -78,7 +79,8 @@ class StrainTable:
 
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
     unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
-    method, tolerances, versions, wall time; strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which
+    method, tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to
+    files, None for a table that was read; strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which
     the row's load is that of first yield and of plastic collapse.
     """
 
@@ -96,6 +98,7 @@ class StrainTable:
     iterations: NDArray[np.intp]
     compliance: Array | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    states: LockedStates | None = field(default=None, repr=False, compare=False)
     strength: Array | None = None
 
     def __len__(self) -> int:
@@ -106,6 +109,19 @@ class StrainTable:
         """Rows to rely on, (n,)."""
         return self.status == "converged"
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of the CSV file, by name."""
+        numbers = np.column_stack(
+            [self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm, self.R, self.min_gap_mm]
+        )
+        columns: dict[str, NDArray[Any]] = dict(zip(COLUMNS[:14], numbers.T, strict=True))
+        columns |= {name: getattr(self, name) for name in COLUMNS[14:]} | {"unique": self.unique.astype(int)}
+        if self.compliance is not None:
+            columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
+        if self.strength is not None:
+            columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
+        return columns
+
     def to_pandas(self) -> DataFrame:
         """The table as a pandas DataFrame with the columns of its CSV file; its `attrs` hold the provenance.
 
@@ -114,18 +130,7 @@ class StrainTable:
         require("pandas", "notebook", "to_pandas()", "read the CSV file in another way")
         from pandas import DataFrame
 
-        numbers = np.column_stack(
-            [self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm, self.R, self.min_gap_mm]
-        )
-        columns: dict[str, Any] = dict(zip(COLUMNS[:14], numbers.T, strict=True))
-        for name in COLUMNS[14:]:
-            columns[name] = getattr(self, name)
-        columns["unique"] = self.unique.astype(int)
-        if self.compliance is not None:
-            columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
-        if self.strength is not None:
-            columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
-        frame = DataFrame(columns)
+        frame = DataFrame(self._columns())
         frame.attrs.update(self.provenance)
         return frame
 
@@ -146,39 +151,16 @@ class StrainTable:
         return f"<p>{self}</p><table><tr>{head}</tr>{body}</table>"
 
 
-def joined_tables(tables: list[StrainTable]) -> StrainTable:
-    """One table with the rows of all, in order; compliance and strength only if all have them; no provenance."""
-    columns: dict[str, Any] = {}
-    for name, value in vars(tables[0]).items():
-        parts = [getattr(table, name) for table in tables]
-        if isinstance(value, np.ndarray) and all(part is not None for part in parts):
-            columns[name] = np.concatenate(parts)
-    return StrainTable(**columns)
-
-
 def provenance_path(path: str | os.PathLike[str]) -> Path:
     """The sidecar JSON of a table file."""
     return sidecar_path(path)
 
 
-def _cells(table: StrainTable) -> list[list[str]]:
-    def real(x: float) -> str:
-        return repr(float(x)) if np.isfinite(x) else ""
-
-    numbers = np.column_stack(
-        [table.alpha_deg, table.beta_deg, table.E, table.S, table.x2_mm, table.x3_mm, table.R, table.min_gap_mm]
-    )
-    rows = []
-    for i, row in enumerate(numbers):
-        cells = [real(x) for x in row]
-        cells += [str(int(table.contacts[i])), str(int(table.unique[i])), str(table.status[i])]
-        cells.append(str(int(table.iterations[i])))
-        if table.compliance is not None:
-            cells += [real(x) for x in table.compliance[i].ravel()]
-        if table.strength is not None:
-            cells += [real(x) for x in table.strength[i]]
-        rows.append(cells)
-    return rows
+def _text(values: NDArray[Any]) -> list[str]:
+    """A column as cells of a CSV file; numbers in full, an unknown number is an empty cell."""
+    if values.dtype.kind != "f":
+        return [str(value) for value in values]
+    return [repr(float(value)) if np.isfinite(value) else "" for value in values]
 
 
 def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
@@ -189,9 +171,8 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), provenance_path(path)
-    header = COLUMNS + (COMPLIANCE_COLUMNS if table.compliance is not None else [])
-    header += STRENGTH_COLUMNS if table.strength is not None else []
-    lines = [",".join(header)] + [",".join(cells) for cells in _cells(table)]
+    columns = table._columns()
+    lines = [",".join(columns), *map(",".join, zip(*map(_text, columns.values()), strict=True))]
     with job(target.parent, sidecar.name, clears=False) as folder:
         write_text(folder / target.name, "\n".join(lines) + "\n")
         write_text(folder / sidecar.name, json.dumps({"format": TABLE_FORMAT} | table.provenance, indent=2) + "\n")
@@ -301,7 +282,7 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         np.nan_to_num(column("iterations")).astype(int),
         compliance,
         _read_provenance(Path(path)),
-        strength,
+        strength=strength,
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from examples.curtain import SETTINGS, Setting, extrapolated, main, run, setting_for
-from homogenize.query import strain_answer
+from homogenize.query.answers import strain_answer
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 

@@ -1,4 +1,4 @@
-"""One material from the command line to the weight of the curtain: table, law, family, scene, summary."""
+"""One material from the command line to the weight of the curtain: table, law, scene, summary."""
 
 import json
 import math
@@ -68,22 +68,6 @@ def test_the_areal_mass_of_the_scene_wins_and_the_summary_says_so(titanium):
     assert (summary["areal_mass_kg_per_m2"], summary["areal_mass_from"]) == (4.0, "scene")
     assert summary["mass_kg"] == pytest.approx(4.0 * 0.06, rel=1e-9)
     assert summary["total_load_N"] == pytest.approx([0.0, -9.81 * 4.0 * 0.06], rel=1e-9)
-
-
-def test_a_family_keeps_its_material_and_refuses_two(titanium, tmp_path):
-    tables = []
-    for r1, density in ((4.0, TITANIUM), (5.0, TITANIUM), (6.0, TITANIUM), (6.0, 7850.0)):
-        tables.append(tmp_path / f"t{r1:g}_{density:g}.csv")
-        angles = ("--alpha", "0,45", "--beta", "0,45,90")
-        run(rve, "table", "--out", tables[-1], "--r1", r1, "--density", density, *angles)
-    run(homogenize, "family", *tables[:3], "--out", tmp_path / "family.json")
-    run(homogenize, "member", tmp_path / "family.json", "--r1", 5, "--r2", 0.5, "--out", tmp_path / "law.json")
-    assert load_law(tmp_path / "law.json").cell.areal_mass_kg_per_m2 == pytest.approx(AREAL_MASS, rel=1e-6)
-    family = ["family", *map(str, (*tables[:2], tables[3])), "--out", str(tmp_path / "x")]
-    mixed = CliRunner().invoke(homogenize, family)
-    assert mixed.exit_code == 2
-    assert "one material" in mixed.stderr
-    assert not (tmp_path / "x").exists()
 
 
 def test_one_case_says_what_its_rings_weigh():

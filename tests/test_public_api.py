@@ -13,6 +13,7 @@ import pytest
 import homogenize
 import macro_fem
 import rve
+from rve.localization.curtain import read_curtain
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -62,10 +63,77 @@ def test_a_scene_from_python_is_that_of_a_file(answer, table, tmp_path):
     assert again.summary["mean_height_mm"] == pytest.approx(answer.summary["mean_height_mm"], rel=1e-12)
 
 
-def test_results_show_themselves_in_a_notebook(table, answer):
+@pytest.fixture(scope="module")
+def rings(answer):
+    return rve.localize(answer)
+
+
+def test_rings_of_an_answer_are_those_of_its_files(answer, rings, tmp_path):
+    answer.save(tmp_path / "curtain", picture=False)
+    summary = rings.save(tmp_path / "rings", picture=False)
+    read = rve.localize(tmp_path / "curtain")
+    np.testing.assert_allclose(read.centre_mm, rings.centre_mm, atol=1e-9)
+    np.testing.assert_allclose(read.contact_force_N, rings.contact_force_N, rtol=1e-9)
+    np.testing.assert_array_equal(read.status, rings.status)
+    saved = json.loads((tmp_path / "rings" / "localize.json").read_text())
+    assert saved["files"].keys() == {"rings.vtu", "worst_cell.csv"}
+    assert saved["rings"] == summary["rings"] == len(rings)
+    assert saved["curtain"] == "a curtain in memory"
+    assert saved["r2_mm"] == 0.5
+    assert read.summary["curtain"] == str(tmp_path / "curtain" / "curtain.vtu")
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+def test_a_curtain_in_memory_is_that_of_its_file(element, tmp_path):
+    """One element of every kind: corners, and strain, line load and state of cells."""
+    tables = {"curtain": {"width": 100, "height": 80}, "support": {"kind": "top"}}
+    answer = macro_fem.solve(macro_fem.read_scene(tables | {"mesh": {"cells": 2, "element": element}}))
+    answer.save(tmp_path, picture=False)
+    read, known = read_curtain(tmp_path / "curtain.vtu"), answer.to_curtain()
+    for key, values in vars(read).items():
+        np.testing.assert_allclose(getattr(known, key), values, rtol=1e-12, atol=1e-12, err_msg=key)
+
+
+def test_every_ring_of_the_curtain_is_there(answer, rings):
+    assert len(rings) == pytest.approx(200.0 * 150.0 * 2.0 / (11.0 * 12.646), rel=0.05)
+    assert np.linalg.norm(rings.normal, axis=1) == pytest.approx(1.0, abs=1e-12)
+    assert rings.summary["smallest_gap_in_a_cell_mm"] >= 0.0
+    assert rings.centre_mm[:, 1].mean() == pytest.approx(answer.summary["mean_height_mm"], abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"weave": "felt"}, "weave = 'felt'"),
+        ({"grain": "z"}, "grain = 'z'"),
+        ({"max_rings": 0}, "max_rings = 0"),
+        ({"window": (5.0, 0.0, 1.0, 9.0)}, "window = "),
+        ({"window": (0.0, np.nan, 1.0, 9.0)}, "window = "),
+    ],
+)
+def test_options_of_localize_refuse_what_makes_no_sense(options, words):
+    with pytest.raises(rve.InputError, match=words):
+        rve.LocalizeOptions(**options)
+
+
+def test_localize_takes_curtains_and_obeys_its_options(answer):
+    with pytest.raises(rve.InputError, match="not a list"):
+        rve.localize([1, 2])
+    with pytest.raises(rve.InputError, match="max-rings = 3"):
+        rve.localize(answer, rve.LocalizeOptions(max_rings=3))
+    part = rve.localize(answer, rve.LocalizeOptions(window=(0.0, 100.0, 50.0, 150.0)))
+    assert 0 < len(part) < 60
+    bare = macro_fem.solve(macro_fem.Scene.rectangle(50, 50, areal_mass=3.0).hung_by("top"), homogenize.diagonal_net())
+    with pytest.raises(rve.InputError, match="summary: does not tell r1_mm, r2_mm"):
+        rve.localize(bare)
+
+
+def test_results_show_themselves_in_a_notebook(table, answer, rings):
     assert "28 of 28 rows converged" in table._repr_html_()
     assert "mean_height_mm" in answer._repr_html_()
     assert "converged" in str(answer)
+    assert f"RingField: {len(rings)} rings" in str(rings)
+    assert "largest_contact_force_N" in rings._repr_html_()
 
 
 def test_a_curtain_draws_itself_on_given_axes(answer):
@@ -78,6 +146,15 @@ def test_a_curtain_draws_itself_on_given_axes(answer):
     assert answer.plot(ax) is ax
     assert len(ax.collections) > 0
     plt.close(figure)
+
+
+def test_rings_draw_themselves(rings):
+    ax = rings.plot()
+    (lines,) = ax.collections
+    circle = np.array(lines.get_segments()[0])
+    np.testing.assert_allclose(circle[0], circle[-1], atol=1e-9)
+    assert np.linalg.norm(circle - rings.centre_mm[0, :2], axis=1).max() <= 5.0 + 1e-9
+    assert rings.plot(ax) is ax
 
 
 @pytest.mark.parametrize("step", [0.0, -5.0, 7.0, np.nan, 90.0])
@@ -101,8 +178,41 @@ def test_what_a_scene_does_not_know_is_refused():
         macro_fem.Scene.rectangle(100, 100).hung_by("corners", gather=-1.0)
 
 
-def test_the_lines_of_the_readme_run():
+def printed_by_the_readme(leave_out=""):
+    """What the Python block of the README prints, run in an interpreter of its own."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    run = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert float(run.stdout) == pytest.approx(420.26, abs=0.05)  # 3,584 cells: README's table of measured numbers
+    assert leave_out in block
+    code = block.replace(leave_out, "")
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+LOCALIZE = "rings = rve.localize(answer)"
+"""Takes longest by far: the slow test runs it for the square metre, the notebook for a small curtain."""
+
+
+def test_the_lines_of_the_readme_run():
+    height = float(printed_by_the_readme(LOCALIZE))
+    assert height == pytest.approx(420.26, abs=0.05)  # 3,584 cells: README's table of measured numbers
+
+
+@pytest.mark.slow
+def test_the_lines_of_the_readme_lead_back_to_the_rings():
+    assert float(printed_by_the_readme()) == pytest.approx(420.26, abs=0.05)
+
+
+def test_the_notebook_runs(answer, rings, tmp_path, monkeypatch):
+    import nbformat
+    from nbclient import NotebookClient
+
+    for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "IPYTHONDIR", "MPLCONFIGDIR"):
+        monkeypatch.setenv(name, str(tmp_path))
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel draws inline
+    page = nbformat.read(ROOT / "examples" / "five_lines.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in page.cells)  # results are made anew, not stored
+    done = NotebookClient(page, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
+    found = [output.data for cell in done.cells for output in cell.get("outputs", ()) if "data" in output]
+    assert sum("image/png" in data for data in found) == 3  # law, curtain, rings
+    tables = "".join(data.get("text/html", "") for data in found)
+    assert format(answer.summary["mean_height_mm"]) in tables
+    assert str(rings) in tables

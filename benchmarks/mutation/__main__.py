@@ -183,7 +183,7 @@ def _cell(text: str) -> str:
 @click.command()
 @click.option("--sample", "n", default=120, show_default=True, help="Number of mutants.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the sample.")
-@click.option("--only", default="", help="Beginning of the paths to mutate, say macro_fem/solvers/rigid.py.")
+@click.option("--only", default="", help="Beginning of the paths to mutate, say macro_fem/solvers/soc.py.")
 @click.option("--workers", default=2, show_default=True, help="Mutants that run at the same time.")
 @click.option("--record", "keep", type=click.Path(path_type=Path), help="Keep or reuse the tests' record here.")
 @click.option("--again", is_flag=True, help="Run mutants that are explained survivors, too.")

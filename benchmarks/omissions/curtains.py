@@ -1,6 +1,7 @@
 """The third coordinate, half-spaces that never act, second-order corrections, ties, coarse starts and slack cells."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,18 +13,22 @@ from benchmarks.report.measure import Row, least_seconds, profiled
 from benchmarks.report.records import Section, table
 from homogenize.io import default_law
 from homogenize.laws.protocol import MembraneLaw
-from macro_fem.curtain import COARSE_FROM, solve_problem, starts_coarse
+from macro_fem.curtain import CURTAIN, CurtainOptions, solve_problem
 from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.space import in_space, padded
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension, unit_tensors
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.cones import facets_of, same_cones
+from macro_fem.solvers.options import PATH, CutOptions, PathOptions
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""
 BAR = {"bar": {"mass": 1.0}}
 SLACK, SHARE, SAVED = "slack points, %", "law and assembly, % of the time", "could be saved at most, %"
 Answer = Callable[[], tuple[bool, float]]
+KEEP_IDLE = PathOptions(cuts=CutOptions(pruned_at=()))
 LAW_TIMES = ("law at a slack point, us", "law at a taut point, us")
 
 
@@ -32,24 +37,24 @@ def measure(full: bool) -> Section:
     law = default_law()
     cells = 24 if full else 16
     trials = [
-        forced(law, "third-coordinate", "corners", cells),
-        forced(law, "third-coordinate", "top", cells, BAR),
-        forced(law, "all-half-spaces", "corners", 6 if full else 4),
-        forced(law, "ties", "corners", cells),
-        forced(law, "coarse-start", "corners", cells),
+        third_coordinate(law, "corners", cells),
+        third_coordinate(law, "top", cells, BAR),
+        all_half_spaces(law, 6 if full else 4),
+        ties(law, cells),
+        coarse_start(law, cells),
         coarse_start(law, 64 if full else 40),
-        by_option(law, "idle half-spaces", cells, RigidOptions(), RigidOptions(drop_idle=False)),
-        by_option(law, "corrector", cells, RigidOptions(corrector=False), RigidOptions()),
+        by_option(law, "idle half-spaces", cells, PathOptions(), KEEP_IDLE),
+        by_option(law, "corrector", cells, PathOptions(corrector=False), PathOptions()),
     ]
     steps = [step_row(law, n, corrector) for n in ((8, 16, 32) if full else (8, 16)) for corrector in (True, False)]
     slack = [slack_row(law, kind, 24 if full else 16) for kind in ("corners", "gathered")]
     text = (
-        "A square metre of ring mesh, r1/r2 = 10, by `macro-fem run --force FEATURE`: hung by its corners, or from "
-        "its top edge with a straight bar. `third-coordinate`: nodes may leave the plane. `all-half-spaces`: every "
-        "point has all half-spaces of the law from the start, instead of adding those that are violated. `idle "
-        "half-spaces`: none is dropped during the iteration. `corrector`: the second derivatives in the cone solver, "
-        "Mehrotra's correction of each step. `ties`: a matrix between nodes and unknowns, needed only for straight "
-        f"bars. `coarse-start`: a coarser curtain first, from {COARSE_FROM} points on."
+        "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar; the "
+        "solver's functions are called with other options. `third-coordinate`: nodes may leave the plane. "
+        "`all-half-spaces`: every point begins with all half-spaces of the law, instead of adding those that are "
+        "violated. `idle half-spaces`: none is dropped on the way. `corrector`: the second derivatives in the "
+        "cone solver, Mehrotra's correction of each step. `ties`: a matrix between nodes and unknowns, needed only for "
+        f"straight bars. `coarse-start`: a coarser curtain first, by default from {CURTAIN.coarse_from} points on."
     )
     conclusion = (
         f"{verdict(trials)} The corrector {'saves' if trials[-1][RATIO] < 1.0 else 'does not save'} time and is always "
@@ -57,8 +62,8 @@ def measure(full: bool) -> Section:
         f"and assembly would save {max(row[SAVED] for row in slack):.0f} % of the time at most."
     )
     slack_note = (
-        "Elastic curtains, under the profiler. The law skips slack points: inside the locking surface it searches no "
-        "closest point, as the last two columns show."
+        "Elastic curtains, under the profiler. The law is asked for its nearest half-space, at slack points as at taut "
+        "ones; the last two columns tell what that takes."
     )
     slack_forms = {SLACK: ".0f", SHARE: ".0f timed", SAVED: ".1f timed"} | dict.fromkeys(LAW_TIMES, ".2f timed")
     tables = (
@@ -87,51 +92,72 @@ def compared(
     return trial(feature, scene, seconds, change, tolerance, unit, default, ok=plain[0] and found[0])
 
 
-def height(problem: Problem) -> tuple[bool, float]:
+def height(problem: Problem, options: CurtainOptions = CURTAIN) -> tuple[bool, float]:
     """Whether the curtain converges, and its mean height."""
-    found = solve_problem(problem)
+    found = solve_problem(problem, options=options)
     return found.status == "converged", found.mean_height()
 
 
-def forced(law: MembraneLaw, feature: str, kind: str, cells: int, load: dict[str, Any] | None = None) -> Row:
-    """A feature of the scene file, by the mean height."""
-    of = partial(problem_of, law, kind, cells, load)
-    calls = (lambda: height(of()), lambda: height(of(force=[feature])))
-    return compared(feature, "bar" if load else kind, calls, of())
+def rigid(problem: Problem, options: PathOptions = PATH) -> PathResult:
+    """Ideal locking with these options, in the plane or in space."""
+    fem, force, start = problem.fem, problem.force, gathered_start(problem)
+    if fem.d == 3:
+        force, start = padded(force), padded(start)
+    load = fem.gather(force) + fem.force(spread_tension(problem) * unit_tensors(problem))
+    return solve_path(fem, problem.law, load, fem.unknowns(start), problem.mesh.size, options)
+
+
+def rigid_height(problem: Problem) -> tuple[bool, float]:
+    """Whether the rigid curtain converges, and its mean height."""
+    area = load_vector(problem.disc, np.array([1.0]))[:, 0]
+    found = rigid(problem)
+    return found.converged, float(area @ problem.fem.positions(found.z)[:, 1] / area.sum())
+
+
+def third_coordinate(law: MembraneLaw, hung: str, cells: int, load: dict[str, Any] | None = None) -> Row:
+    """Nodes that may leave the plane, against nodes that may not, by the mean height."""
+    plane = problem_of(law, hung, cells, load)
+    space = replace(plane, fem=in_space(plane.fem))
+    calls = (partial(rigid_height, plane), partial(rigid_height, space))
+    return compared("third-coordinate", "bar" if load else hung, calls, plane)
+
+
+def all_half_spaces(law: MembraneLaw, cells: int) -> Row:
+    """All half-spaces of the law from the start, by the potential."""
+    facets, points = facets_of(law), problem_of(law, "corners", cells).disc.n_points
+    assert facets is not None
+    every = replace(KEEP_IDLE, cones=same_cones(facets, points))
+    return by_option(law, "all-half-spaces", cells, PATH, every)
+
+
+def ties(law: MembraneLaw, cells: int) -> Row:
+    """A matrix between nodes and unknowns though no bar needs one."""
+    plain = problem_of(law, "corners", cells)
+    tied = replace(plain, fem=plain.fem.tied())
+    return compared("ties", "corners", (partial(height, plain), partial(height, tied)), plain)
 
 
 def coarse_start(law: MembraneLaw, cells: int) -> Row:
-    """A mesh that starts coarse by default, against the same without."""
+    """A coarser curtain first, against none, whatever the default for so many points."""
     problem = problem_of(law, "corners", cells)
-    area = load_vector(problem.disc, np.array([1.0]))[:, 0]
-
-    def fine_only() -> tuple[bool, float]:
-        found = rigid(problem, RigidOptions())
-        return found.converged, float(area @ problem.fem.positions(found.z)[:, 1] / area.sum())
-
-    default = USED if starts_coarse(problem) else LEFT_OUT
-    return compared("coarse-start", "corners", (fine_only, lambda: height(problem)), problem, default=default)
+    never, always = CurtainOptions(coarse_from=10**9), CurtainOptions(coarse_from=0)
+    calls = (partial(height, problem, never), partial(height, problem, always))
+    default = USED if problem.disc.n_points >= CurtainOptions.coarse_from else LEFT_OUT
+    return compared("coarse-start", "corners", calls, problem, default=default)
 
 
-def rigid(problem: Problem, options: RigidOptions) -> RigidResult:
-    """Ideal locking with these options."""
-    fem = problem.fem
-    load = fem.gather(problem.force) + fem.force(spread_tension(problem) * unit_tensors(problem))
-    return solve_rigid(fem, problem.law, load, fem.unknowns(gathered_start(problem)), problem.mesh.size, options)
-
-
-def by_option(law: MembraneLaw, feature: str, cells: int, without: RigidOptions, with_it: RigidOptions) -> Row:
+def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, with_it: PathOptions) -> Row:
     """An option of the cone solver, by the potential over load times size."""
     problem = problem_of(law, "corners", cells)
     scale = float(np.abs(problem.force).sum()) * problem.mesh.size
 
-    def potential(options: RigidOptions) -> tuple[bool, float]:
+    def potential(options: PathOptions) -> tuple[bool, float]:
         found = rigid(problem, options)
         return found.converged, found.primal / scale
 
     calls, default = (
         (partial(potential, without), partial(potential, with_it)),
-        USED if with_it == RigidOptions() else LEFT_OUT,
+        USED if with_it == PathOptions() else LEFT_OUT,
     )
     return compared(feature, "corners", calls, problem, "of the potential", default)
 
@@ -139,17 +165,17 @@ def by_option(law: MembraneLaw, feature: str, cells: int, without: RigidOptions,
 def step_row(law: MembraneLaw, cells: int, corrector: bool) -> Row:
     """Steps and time of the cone solver with or without the correction to second order."""
     problem = problem_of(law, "corners", cells)
-    found, seconds = least_seconds(partial(rigid, problem, RigidOptions(corrector=corrector)))
+    found, seconds = least_seconds(partial(rigid, problem, PathOptions(corrector=corrector)))
     row = {"points": problem.disc.n_points, "corrector": corrector, "status": found.status}
     return row | {"steps": found.iterations, "s": seconds}
 
 
 def slack_row(law: MembraneLaw, kind: str, cells: int) -> Row:
     """The cost of slack cells in an elastic curtain: their share of the area, and of the time of law and assembly."""
-    problem = problem_of(law, kind, cells, kind="newton")
+    problem = problem_of(law, kind, cells, kind="elastic")
     found, of = profiled(lambda: solve_problem(problem))
     share = float(np.mean(problem.law.response(found.E).energy == 0.0))
-    time = sum(of(name, "macro_fem")[1] for name in ("tangent", "stiffness", "response")) + of("respond")[1]
+    time = sum(of(name, "macro_fem")[1] for name in ("law_cut", "stiffness", "response"))
     row = {
         "supports": kind,
         "status": found.status,
@@ -164,4 +190,4 @@ def _law_time(problem: Problem, found: CurtainSolution, count: int = 20_000) -> 
     """Microseconds of the law per point where it is slack and where it is taut: the answer, moved in, out."""
     E = np.resize(found.E, (count, 3))
     inside, outside = E - np.array([0.5, 0.0, 0.5]), E + np.array([1e-3, 0.0, 1e-3])
-    return [1e6 * least_seconds(partial(problem.law.response, E))[1] / count for E in (inside, outside)]
+    return [1e6 * least_seconds(partial(problem.law.cut, E))[1] / count for E in (inside, outside)]

@@ -9,7 +9,7 @@ from benchmarks.report.measure import Row, last_line
 from benchmarks.report.records import Diagram, Section, curves, table
 
 PACKAGES = ("rve.table", "rve.cli", "homogenize", "homogenize.cli", "macro_fem.cli")
-HEAVY = ("scipy", "skfem", "meshio", "matplotlib", "clarabel", "pyvista", "pandas", "sksparse", "pyamg")
+HEAVY = ("scipy", "skfem", "meshio", "matplotlib", "clarabel", "pyvista", "pandas", "sksparse")
 RUNS = 3
 WHAT = "command or import"
 

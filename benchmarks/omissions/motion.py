@@ -1,30 +1,37 @@
-"""Inertia, damping, gyroscopic torques and constraints in a static run of rings, and supports normal to the plane."""
+"""Inertia, damping and constraints in a static run of rings, and supports normal to the plane."""
 
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.optimize import nnls
 
+from benchmarks import ten_rings
 from benchmarks.omissions.compare import bars, trial, trial_table, verdict
 from benchmarks.problems import Array, loads
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section, table
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium
-from rve.equilibrium.symmetry import solve_equilibrium_symmetric
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve.equilibrium.limits import polish, touching
 from rve.equilibrium.system import Equations
-from rve.explain import motion_terms
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.paper.motion import TERMS
+from rve.geometry.pose import Pose
 from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
-from rve.solve import solve_table
 
+TERMS = ("damping", "inertia", "constraints")
+"""Each with those before; with `constraints` all ten rings move, gyroscopic torques included."""
+LIGHT = 1e-6
+"""Share of the mass that is left in a motion without inertia."""
+TOUCHING = 1e-4
+"""Gap in r1 below which a contact that presses at the end of the motion is closed."""
 SLOW = (45.0, 0.0)
 """The slowest case of the paper, besides the loads in `loads(15.0, 15.0)`."""
 ONE = (np.array([0.0]), np.array([45.0]))
 CHANGE = "change of the lattice, r1"
+ACROSS = "unbalanced force, s r1"
 TOLERANCE = 1e-9
-"""Of a strain: gaps of closed contacts end at mu_end / force, 1e-13 over forces of 1e-4 and more."""
+"""Of lengths in r1: gaps of closed contacts end at mu_end / force, 1e-13 over forces of 1e-4 and more."""
 
 
 def measure(full: bool) -> Section:
@@ -32,57 +39,78 @@ def measure(full: bool) -> Section:
     given = loads(15.0, 15.0)
     if full:
         given = np.append(given[0], SLOW[0]), np.append(given[1], SLOW[1])
-    trials = [forced(term, given if term != "constraints" else ONE) for term in TERMS]
+    trials = [moved(term, given if term != "constraints" else ONE) for term in TERMS]
     text = (
-        "A locked state has no velocities, so the direct solver solves its equations without inertia, damping and "
-        "gyroscopic torques. With `rve case --force inertia` the terms move the rings from the slack pose into the "
-        "locked one as in the paper, with compliant contacts; then Newton's method closes the contacts. `constraints` "
-        "includes all ten rings, 60 velocities with their bilateral constraints, for the equibiaxial load alone; the "
-        f"others are measured for {len(given[0])} loads, alpha 0:45:15 and beta "
-        f"15:90:15{', and (45, 0), the slowest' if full else ''}. r1/r2 = 10."
+        "A locked state has no velocities, so the direct solver solves its equations without inertia and damping. "
+        "Here the terms move the rings from the slack pose into the locked one as in the paper, with compliant "
+        "contacts; then Newton's method closes the contacts. `constraints` includes all ten rings, 60 velocities with "
+        "their bilateral constraints and gyroscopic torques, for the equibiaxial load alone; the others are measured "
+        f"for {len(given[0])} loads, alpha 0:45:15 and beta 15:90:15{', and (45, 0), the slowest' if full else ''}. "
+        "r1/r2 = 10."
     )
     moving = inside_the_motion(given)
     steps = {row["motion"]: row["steps"] for row in moving}
     conclusion = (
-        f"{verdict(trials)} Within the paper's scheme the gyroscopic torques vanish: the numbers of steps are equal "
-        f"({steps['all terms']} with them, {steps['as in the paper']} without). Without inertia the motion takes "
-        f"{steps['no inertia']} steps: damping determines it, and inertia is kept only because the paper has it."
+        f"{verdict(trials)} Within the paper's scheme the motion takes {steps['as in the paper']} steps, and "
+        f"{steps['no inertia']} without inertia: damping determines it, and inertia is kept only because the paper has "
+        "it."
     )
     motion_note = "The motion ends at R < 1e-9 on its own path, with compliant contacts."
     across_note = (
-        "Rings keep their centres in the plane, as in the paper. In symmetric states the supports that do this carry "
-        "no force: the states are locked with the third coordinate free, too. It cannot be switched on."
+        "Rings keep their centres in the plane, as in the paper. At every locked state contact forces exist that "
+        "balance the load without supports along z: the states are locked with the third coordinate free, too."
     )
     across = [support_across(ratio) for ratio in (5.0, 10.0, 20.0)]
     small = "at_most 1e-14"
     tables = (
         trial_table("Motion switched on", trials),
-        table("The paper's scheme with more and fewer terms", moving, {"s": ".3f timed", CHANGE: small}, motion_note),
-        table("The third coordinate of the rings", across, {"largest force along z, s r1": small}, across_note),
+        table("The paper's scheme with and without inertia", moving, {"s": ".3f timed", CHANGE: small}, motion_note),
+        table("The third coordinate of the rings", across, {ACROSS: small}, across_note),
     )
     return Section(
         "Motion in static runs", text, tables, (bars("motion", "Motion in a static run", trials),), conclusion
     )
 
 
-def forced(term: str, given: tuple[Array, Array]) -> Row:
+def moved(term: str, given: tuple[Array, Array]) -> Row:
     """A term and those it needs, against the direct solver; the longer run is made once."""
-    plain, without = least_seconds(partial(solve_table, Cell(), given))
-    options = DirectOptions(force=motion_terms((term,)))
-    moved, with_it = least_seconds(partial(solve_table, Cell(), given, options), repeats=1)
-    change, count = float(np.abs(moved.E - plain.E).max()), len(plain)
-    ok = bool(moved.converged.all() and plain.converged.all())
-    return trial(term, f"{count} load{'s' * (count > 1)}", (without, with_it), change, TOLERANCE, ok=ok)
+    s, equations = unit_loads(cauchy_line_load(*given)), Equations.of(Cell().weave, Cell().wire)
+    plain, without = least_seconds(partial(solve_equilibrium, s, equations))
+    found, with_it = least_seconds(partial(locked_by_motion, s, equations, term), repeats=1)
+    change, count = float(np.abs(found.pose.lattice - plain.pose.lattice).max()), len(s)
+    ok = bool((found.status == "converged").all() and (plain.status == "converged").all())
+    scene = f"{count} load{'s' * (count > 1)}"
+    return trial(term, scene, (without, with_it), change, TOLERANCE, "r1", ok=ok)
+
+
+def locked_by_motion(s: Array, equations: Equations, term: str) -> Equilibrium:
+    """Locked states under the unit line loads s (n, 3) at the end of motions; iterations are time steps."""
+    paper, options = StewartTrinkleOptions(), DirectOptions()
+    how = replace(paper, density=LIGHT * paper.density) if term == "damping" else paper
+    if term == "constraints":
+        pose, steps, at_rest = all_rings(s, equations, how)
+    else:
+        rest = solve(s, equations, how)
+        pose, steps, at_rest = rest.pose, rest.steps, rest.status == "converged"
+    pose, lam, contacts, R = polish(pose, equations, s, options, TOUCHING)
+    good = at_rest & (options.tolerance > R) & (contacts.min_gap > -1e-10) & contacts.links_intact
+    status = np.where(good, "converged", "stalled")
+    return Equilibrium(pose, lam, contacts, R, steps, status, np.ones(len(s), dtype=int))
+
+
+def all_rings(s: Array, equations: Equations, how: StewartTrinkleOptions) -> tuple[Pose, np.ndarray, np.ndarray]:
+    """Poses, steps, and whether at rest, with all ten rings and their constraints, one case after the other."""
+    weave = equations.weave
+    rest = [ten_rings.settled(load, weave, equations.wire, how) for load in s]
+    first, *others = [ten_rings.pose_of(rings, weave, how) for rings in rest]
+    steps, at_rest = zip(*((rings.steps, how.tolerance > rings.R) for rings in rest), strict=True)
+    return first.join(others), np.array(steps), np.array(at_rest)
 
 
 def inside_the_motion(given: tuple[Array, Array]) -> list[Row]:
-    """The paper's scheme with more and fewer terms: steps, time, and the difference of its answer."""
+    """The paper's scheme with and without inertia: steps, time, and the difference of its answer."""
     s, paper = cauchy_line_load(*given), StewartTrinkleOptions()
-    ways = {
-        "as in the paper": paper,
-        "all terms": replace(paper, gyroscopic=True),
-        "no inertia": replace(paper, inertia=False),
-    }
+    ways = {"as in the paper": paper, "no inertia": replace(paper, density=LIGHT * paper.density)}
     equations, rows, first = Equations.of(Cell().weave, Cell().wire), [], None
     for name, options in ways.items():
         rest, seconds = least_seconds(partial(solve, s, equations, options))
@@ -94,19 +122,25 @@ def inside_the_motion(given: tuple[Array, Array]) -> list[Row]:
 
 
 def support_across(ratio: float) -> Row:
-    """Forces of the supports along z, the third coordinate of the centres, which the cell does not have."""
-    cell = Cell(5.0, 5.0 / ratio)
-    s = cauchy_line_load(*loads(15.0, 15.0))
-    found, _ = solve_equilibrium_symmetric(s, Equations.of(cell.weave, cell.wire), DirectOptions())
-    good = found.status == "converged"
-    force = np.abs(force_across(found, cell))[good].max()
-    return {"cell": f"r1/r2 = {ratio:g}", "loads": good.sum(), "largest force along z, s r1": force}
+    """Whether contact forces exist that balance the load and need no support along z, the third coordinate.
+
+    Forces at a locked state are not unique; these balance the load and the third coordinate best.
+    """
+    cell, options = Cell(5.0, 5.0 / ratio), DirectOptions()
+    s = unit_loads(cauchy_line_load(*loads(15.0, 15.0)))
+    equations = Equations.of(cell.weave, cell.wire)
+    found = solve_equilibrium(s, equations, options)
+    good = np.flatnonzero(found.status == "converged")
+    force = max(unbalanced_across(found.take(good[[i]]), s[good[[i]]], equations) for i in range(len(good)))
+    return {"cell": f"r1/r2 = {ratio:g}", "loads": len(good), ACROSS: force}
 
 
-def force_across(found: Equilibrium, cell: Cell) -> np.ndarray:
-    """Force along z of all contacts on the rings of class 0, (n,), in s r1."""
-    pairs = cell.weave.pairs
+def unbalanced_across(found: Equilibrium, s: Array, equations: Equations) -> float:
+    """What is left of the load and of the force along z on ring class 0 with the best contact forces >= 0, in s r1."""
+    system = equations.assemble(found.pose, found.contacts, np.zeros(found.lam.shape), s)
+    pairs = equations.weave.pairs
     kinds = (pairs[:, 0] == 0).astype(float) - (pairs[:, 1] == 0).astype(float)
-    along = np.zeros(found.contacts.gap.shape)
-    along[found.contacts.present] = found.contacts.minima.normal[:, 2]
-    return np.einsum("p,npk,npk->n", kinds, found.lam, along)
+    across = (kinds[:, None] * found.contacts.normal[0, ..., 2]).ravel()
+    active = touching(found.contacts, 1e-8).ravel()
+    rows = np.column_stack([system.G[0][active], across[active]])
+    return float(nnls(rows.T, -np.append(system.f[0], 0.0))[1])

@@ -14,11 +14,10 @@ from benchmarks.problems import loads, scene_file, square
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section
 from macro_fem.job import run_scene
+from rve.additions import with_compliance, with_span
 from rve.geometry.cell import Cell
-from rve.paper_table import with_compliance
 from rve.plots import draw_case, save
 from rve.solve import solve_table
-from rve.span import with_span
 from rve.table import StrainTable
 
 
@@ -61,7 +60,7 @@ def tables() -> list[Row]:
 
     others = {
         "--span": lambda table: with_span(table, cell),
-        "--compliance": lambda table: with_compliance(table, 1e3, cell),
+        "--compliance": partial(with_compliance, stiffness_N_per_mm=1e3),
     }
     return unchanged("rve table", E, {feature: partial(E, add) for feature, add in others.items()})
 
@@ -70,9 +69,9 @@ def case_picture(folder: Path) -> list[Row]:
     """The picture of one load."""
 
     def drawn() -> Any:
-        E = solve_table(Cell(), ([20.0], [30.0])).E
-        save(draw_case(20.0, 30.0, Cell()), folder / "case.png")
-        return E
+        found = solve_table(Cell(), ([20.0], [30.0]))
+        save(draw_case(found), folder / "case.png")
+        return found.E
 
     return unchanged("rve case", lambda: solve_table(Cell(), ([20.0], [30.0])).E, {"--plot": drawn})
 
@@ -81,10 +80,12 @@ def curtain(folder: Path, cells: int) -> list[Row]:
     """Picture and bounds of a curtain."""
     scene = scene_file(folder / "scene.toml", square(cells))
 
-    def run(*force: str, picture: bool = False) -> Any:
-        run_scene(scene, None, folder, picture=picture, force=force)
+    bounded = scene_file(folder / "bounded.toml", square(cells, solver={"bounds": True}))
+
+    def run(path: Path = scene, picture: bool = False) -> Any:
+        run_scene(path, None, folder, picture=picture)
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         return np.array([summary[key] for key in ("mean_height_mm", "lowest_point_mm", "potential_dual_N_mm")])
 
-    others = {"picture": partial(run, picture=True), "bounds": partial(run, "bounds")}
+    others = {"picture": partial(run, picture=True), "bounds": partial(run, bounded)}
     return unchanged("macro-fem run", run, others, "mm", long=3.0)

@@ -157,7 +157,7 @@ def shapes(kind: str, folder: Path) -> dict[str, Scene]:
 def stiffness_rows(law: PolyhedralLaw) -> list[Row]:
     """One elastic curtain over nine decades of stiffness in N/mm, and the rigid one, which is its limit."""
     laws = {size: replace(law, stiffness=size * np.eye(3)) for size in STIFFNESSES}
-    rows = [row(f"rings of {size:.0e} N/mm", scene(kind="newton"), stiff) for size, stiff in laws.items()]
+    rows = [row(f"rings of {size:.0e} N/mm", scene(kind="elastic"), stiff) for size, stiff in laws.items()]
     return [*rows, row("ideal locking", scene(), law)]
 
 
@@ -167,14 +167,14 @@ def measure(full: bool) -> Section:
     if not isinstance(law, PolyhedralLaw):
         raise TypeError(f"the default law is {law.name}, not polyhedral")
     with tempfile.TemporaryDirectory() as folder:
-        kinds = [shapes(kind, Path(folder)) for kind in ("rigid", "newton")]
+        kinds = [shapes(kind, Path(folder)) for kind in ("rigid", "elastic")]
         rows = [row(name, given, law) for scenes in kinds for name, given in scenes.items()]
         for one in rows:
             one[STATUS] = one[STATUS].replace(f"{folder}/", "")
     springs = stiffness_rows(law)
     text = (
         "A square of 100 mm of the default rings (r1/r2 = 10) hung by two corners at 90 % of its width, 12 cells "
-        "wide, unless the row says otherwise. `rigid` is ideal locking, `newton` the elastic law at 1000 N/mm. "
+        "wide, unless the row says otherwise. `rigid` is ideal locking, `elastic` the elastic law at 1000 N/mm. "
         "Condition numbers are in the one-norm, of the last matrix that the interior-point iteration has factorised, "
         "and of the same scaled to unit diagonal. Close to a rigid answer the tangents of taut and slack cells differ "
         "by 16 orders of magnitude. A scene has one material; stiffness is varied from run to run."

@@ -31,7 +31,7 @@ BASE_SPACING, FINE_SPACING = 5.0, 2.5
 BASE_CELLS = 8
 GAPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 SPACINGS = (22.5, 15.0, 9.0, 5.0, 3.0)
-LAWS = ("net", "inner", "outer", "smooth", "refined")
+LAWS = ("net", "inner", "outer", "refined")
 ERROR, SECONDS = "error of the mean height / height", "s, rings to curtain"
 LEAST = 1e-6
 """Errors below are within the tolerance of the curtain's solver."""

@@ -12,57 +12,62 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.refine import FINEST, NEWS, Parts, refined_half_spaces
-from homogenize.fitting.report import ErrorReport, error_report, sampled_cone
+from homogenize.fitting.refine import FINEST, RESOLUTION, RefineOptions, refined_half_spaces
+from homogenize.fitting.report import error_report, sampled_cone
 from homogenize.fitting.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table, rows_to_dict
 from homogenize.fitting.stiffness import stiffness_of
-from homogenize.io import save_law
+from homogenize.io import Law
 from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
-from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
-from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.polyhedral import polyhedral_law
+from homogenize.laws.protocol import CellInfo
+from homogenize.laws.report import ErrorReport
 from homogenize.strength import strength_of_table
 from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.types import Array
+from rve.common.values import Options, choice, number
 
 if TYPE_CHECKING:
     from rve import StrainTable
 
 DEFAULT_KIND = "refined"
-SLOW_OR_FIXED = ("net", "interpolated", "smooth")
-"""Kinds that are not refitted without some of the rows: they do not depend on them, or take ten seconds a time."""
+KINDS = ("inner", "net", "outer", "refined")
 
 
 @dataclass(frozen=True)
-class FitOptions:
-    """`kind` of law; `normality`: what S_i:(E_i - E_j) may fall below zero, the strain error of the table if noisy.
+class FitOptions(Options):
+    """`kind` of law; `normality`: tolerated violation of S_i:(E_i - E_j) >= 0, the strain error of the table if noisy.
 
     `resolution`: support differences that are worth a half-space of the refined law. A finer one makes smaller facets,
     so better strains inside them, and pays where the rows are close; the default suits a table of 5 degrees.
+    InputError for values out of range.
     """
 
-    kind: str = DEFAULT_KIND
-    normality: float = NORMALITY_TOLERANCE
-    resolution: float = NEWS
+    kind: str = choice(*KINDS, default=DEFAULT_KIND)
+    normality: float = number(NORMALITY_TOLERANCE, least=0.0, most=1.0)
+    resolution: float = number(RESOLUTION, least=FINEST, most=1.0)
 
     def __post_init__(self) -> None:
-        if not FINEST <= self.resolution <= 1.0:
-            raise InputError(f"resolution = {self.resolution}: must lie between {FINEST:g} and 1, as a strain")
-        if self.resolution != NEWS and self.kind != DEFAULT_KIND:
+        super().__post_init__()
+        if self.resolution != RESOLUTION and self.kind != DEFAULT_KIND:
             raise InputError(f"resolution = {self.resolution}: belongs to kind {DEFAULT_KIND!r}, not {self.kind!r}")
 
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """The law, what is known of its error, and where it comes from."""
+    """The law and what is known of its error. The law carries its report and provenance into its file."""
 
-    law: MembraneLaw
+    law: Law
     report: ErrorReport
-    provenance: dict[str, Any]
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Where the law comes from."""
+        return self.law.provenance
 
     def save(self, path: str | Path) -> None:
         """Writes the law file."""
-        save_law(self.law, path, self.provenance)
+        self.law.save(path)
 
 
 def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
@@ -75,8 +80,8 @@ def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
         result = fit(table, options)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    result.provenance["table"] = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-    return result
+    source = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return replace(result, law=replace(result.law, provenance=result.provenance | {"table": source}))
 
 
 def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
@@ -88,12 +93,9 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         raise InputError(found.sentence())
     cell = cell_of(table)
     stiffness, origin = stiffness_of(table, STATED_STIFFNESS)
-    build = builder(options.kind, cell, stiffness, table, options.resolution)
-    law = build(rows)
-    strength = strength_of_table(table)
-    if isinstance(law, PolyhedralLaw):
-        law = replace(law, strength=strength)
-    refit = None if options.kind in SLOW_OR_FIXED else build
+    build = builder(options.kind, cell, stiffness, options.resolution)
+    law = replace(build(rows), strength=strength_of_table(table))
+    refit = None if options.kind == "net" else build  # the net does not depend on the rows
     provenance = {
         "kind": options.kind,
         "rows": len(rows),
@@ -105,36 +107,19 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "numpy": np.__version__,
     }
     report = replace(error_report(law, rows, found, refit), kind=options.kind)
-    return FitResult(law, report, provenance | {"report": report.to_dict()})
+    return FitResult(replace(law, provenance=provenance | {"report": report.to_dict()}), report)
 
 
-def builder(
-    kind: str, cell: CellInfo, stiffness: Array, table: StrainTable | None = None, resolution: float = NEWS
-) -> Callable[[Rows], MembraneLaw]:
-    """The function that makes a law of this kind from rows; InputError for a kind that does not exist.
-
-    `resolution` belongs to the refined law (`FitOptions`).
-    """
-    from homogenize.fitting.interpolated import interpolated_law
-    from homogenize.fitting.smooth import fit_smooth
-
-    def interpolated(rows: Rows) -> MembraneLaw:
-        if table is None:
-            raise InputError("the interpolated law needs a table")
-        return interpolated_law(table, "linear", stiffness, cell)
-
-    kinds: dict[str, Callable[[Rows], MembraneLaw]] = {
+def builder(kind: str, cell: CellInfo, stiffness: Array, resolution: float = RESOLUTION) -> Callable[[Rows], Law]:
+    """The function that makes a law of this kind from rows; `resolution` belongs to the refined law (`FitOptions`)."""
+    kinds: dict[str, Callable[[Rows], Law]] = {
         "refined": lambda rows: polyhedral_law(
-            *refined_half_spaces(rows, resolution, Parts.of(resolution)), stiffness, cell
+            *refined_half_spaces(rows, RefineOptions.of(resolution)), stiffness, cell
         ),
         "outer": lambda rows: outer_law(rows, stiffness, cell),
         "inner": lambda rows: inner_law(rows, stiffness, cell),
-        "smooth": lambda rows: fit_smooth(rows, stiffness, cell),
         "net": lambda rows: ring_net(cell),
-        "interpolated": interpolated,
     }
-    if kind not in kinds:
-        raise InputError(f"kind = {kind}: this version fits {', '.join(sorted(kinds))}")
     return kinds[kind]
 
 

@@ -9,7 +9,7 @@ disc, closely, because a polyhedron carries no load outside the hull of its norm
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +18,44 @@ from homogenize.fitting.bounds import Bounds, bounds_of
 from homogenize.fitting.rows import ROUNDING, Rows, with_mirror
 from rve.common.tensor import disc, double_dot, from_disc, mirror
 from rve.common.types import Array
+from rve.common.values import Options, number, whole
 
 Index = NDArray[np.intp]
 RIM_TOLERANCE = 1e-7
-RIM_STEP = np.radians(2.5)
-"""Largest angle in the disc between rim loads: the hull of the normals then misses the rim by 2.4e-4 of the load."""
-NEWS = 3e-5
-"""A prediction less than this strain below the rows' outer bound tells nothing new: the rows meet in a vertex there."""
-FINE, MOST_PARTS = 1e-4, 10
-"""Ways between rows are cut in sqrt(gap / FINE) parts, gap the distance of the bounds, and in MOST_PARTS at most.
-`Parts.of` makes them finer with the resolution."""
-FINEST = 1e-7
-"""The least resolution that makes sense: a hundred thousand half-spaces and more."""
-COARSE = 2e-3
-"""Bounds farther apart than this have rows between which the slope turns unevenly: cubics are not trusted there."""
-SHARE = 0.2
-"""There the support is put this share of the way from the inner to the outer bound. Measured on the paper's grid
-and 1000 directions, those it was chosen on: the largest error is 5.2e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without."""
+RESOLUTION, FINEST = 3e-5, 1e-7
+"""Default and least resolution; the least gives a hundred thousand half-spaces and more."""
+
+
+@dataclass(frozen=True)
+class RefineOptions(Options):
+    """How many half-spaces are predicted between the rows; InputError for values out of range.
+
+    resolution: a prediction less than this strain below the rows' outer bound is left out, because the rows meet in a
+    vertex there. fine, most_parts: ways between rows are cut in sqrt(gap / fine) parts, most_parts at most, where gap
+    is the distance of the bounds; `of` scales them with the resolution. coarse: where the bounds are farther apart, the
+    slope turns unevenly between the rows and cubics are not used. share: there the support is put this share of the way
+    from the inner to the outer bound. Largest error on the paper's grid and the 1000 directions that the share was
+    chosen on: 5.2e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without. rim_step_deg: largest angle in the disc between rim
+    loads; at 2.5 the hull of the normals misses the rim by 2.4e-4 of the load.
+    """
+
+    resolution: float = number(RESOLUTION, least=FINEST, most=1.0)
+    fine: float = number(1e-4, above=0.0, most=10.0)
+    most_parts: int = whole(10, least=3, most=10_000)
+    coarse: float = number(2e-3, above=0.0, most=1.0)
+    share: float = number(0.2, least=0.0, most=1.0)
+    rim_step_deg: float = number(2.5, least=0.01, most=180.0)
+
+    @staticmethod
+    def of(resolution: float) -> RefineOptions:
+        """Options that go with a resolution: parts finer, or coarser, in the same measure."""
+        least = RefineOptions(resolution=resolution)
+        share = resolution / RESOLUTION
+        return replace(least, fine=least.fine * share, most_parts=max(3, round(least.most_parts / np.sqrt(share))))
+
+    def parts(self, gap: Array, least: int) -> Index:
+        """Parts of ways with these distances of the bounds, (k,)."""
+        return np.clip(np.ceil(np.sqrt(np.maximum(gap, 0.0) / self.fine)), least, self.most_parts).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,46 +95,29 @@ def nodes_of(rows: Rows) -> Nodes:
     return Nodes(disc(both.S[first]), both.h[first], both.E, of_row.ravel())
 
 
-@dataclass(frozen=True)
-class Parts:
-    """How finely ways between rows are cut: in sqrt(gap / `fine`) parts, `most` at most."""
-
-    fine: float = FINE
-    most: int = MOST_PARTS
-
-    @staticmethod
-    def of(resolution: float) -> Parts:
-        """Parts that go with a resolution: finer, or coarser, in the same measure."""
-        share = resolution / NEWS
-        return Parts(FINE * share, max(3, round(MOST_PARTS / np.sqrt(share))))
-
-    def count(self, gap: Array, least: int) -> Index:
-        """Parts of ways with these distances of the bounds, (k,)."""
-        return np.clip(np.ceil(np.sqrt(np.maximum(gap, 0.0) / self.fine)), least, self.most).astype(np.intp)
-
-
-def refined_half_spaces(rows: Rows, news: float = NEWS, parts: Parts = Parts()) -> tuple[Array, Array]:
+def refined_half_spaces(rows: Rows, options: RefineOptions | None = None) -> tuple[Array, Array]:
     """Half-spaces S (m, 3), h (m,): those of the rows, their mirror images, and predictions between neighbours.
 
-    Predictions that are not `news` below the outer bound of the rows are left out, except on the rim.
+    Predictions that tell nothing new (`RefineOptions.resolution`) are left out, except on the rim.
     """
+    options = options or RefineOptions()
     bounds, nodes = bounds_of(rows), nodes_of(rows)
     triangles = triangles_of(nodes)
-    x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds, parts)
+    x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds, options)
     x_centre, h_centre = in_triangles(nodes, triangles)
-    x_coarse = coarse_lattice(nodes, triangles, bounds, parts)
-    x_rim, h_rim = on_arcs(nodes)
+    x_coarse = coarse_lattice(nodes, triangles, bounds, options)
+    x_rim, h_rim = on_arcs(nodes, options.rim_step_deg)
     S = from_disc(np.vstack([x_chord, x_centre, x_coarse, x_rim]))
     h = np.concatenate([h_chord, h_centre, np.full(len(x_coarse), np.inf), h_rim])
     lower, upper = bounds.lower(S), bounds.upper(S)
-    top = np.where(upper - lower > COARSE, lower + SHARE * (upper - lower), upper)
+    top = np.where(upper - lower > options.coarse, lower + options.share * (upper - lower), upper)
     h = np.clip(h, lower, top)
-    keep = (upper - h > news) | (np.arange(len(h)) >= len(h) - len(h_rim))
+    keep = (upper - h > options.resolution) | (np.arange(len(h)) >= len(h) - len(h_rim))
     S, h = S[keep], h[keep]
     return np.vstack([from_disc(nodes.x), S, mirror(S)]), np.concatenate([nodes.h, h, h])
 
 
-def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds, parts: Parts) -> Array:
+def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds, options: RefineOptions) -> Array:
     """Loads (k, 2) on a lattice in every triangle in which the bounds are far apart; finer, the farther."""
 
     def gap(x: Array) -> Array:
@@ -122,12 +126,12 @@ def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds, parts: Parts)
 
     centre_gap = gap(nodes.x[triangles].mean(axis=1))
     found = [np.zeros((0, 2))]
-    wide = np.flatnonzero(centre_gap > 0.5 * COARSE)
-    for k, n in zip(wide, parts.count(centre_gap[wide], 3), strict=True):
+    wide = np.flatnonzero(centre_gap > 0.5 * options.coarse)
+    for k, n in zip(wide, options.parts(centre_gap[wide], 3), strict=True):
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
         found.append(np.stack([i, j, n - i - j], axis=1) / n @ nodes.x[triangles[k]])
     x = np.vstack(found)
-    return x[gap(x) > COARSE]
+    return x[gap(x) > options.coarse]
 
 
 def triangles_of(nodes: Nodes) -> Index:
@@ -163,7 +167,7 @@ def in_triangles(nodes: Nodes, triangles: Index) -> tuple[Array, Array]:
     return nodes.x[triangles].mean(axis=1), (corners + 3.0 * beside + 6.0 * middle) / 27.0
 
 
-def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds, cut: Parts) -> tuple[Array, Array]:
+def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds, options: RefineOptions) -> tuple[Array, Array]:
     """Loads between the pairs as points of the disc (k, 2), and their predicted support (k,).
 
     The farther the bounds are apart half-way, the more loads: the error of the polyhedron between two of them falls
@@ -171,7 +175,7 @@ def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds, cut: Parts) -> tuple[A
     """
     middle = from_disc(0.5 * (nodes.x[pairs[:, 0]] + nodes.x[pairs[:, 1]]))
     gap = bounds.upper(middle) - bounds.lower(middle)
-    chord, t = subdivision(cut.count(gap, 2))
+    chord, t = subdivision(options.parts(gap, 2))
     i, j = pairs[chord].T
     way = from_disc(nodes.x[j]) - from_disc(nodes.x[i])
     ends = nodes.slope(i, way, last=False), nodes.slope(j, way, last=True)
@@ -185,15 +189,15 @@ def subdivision(parts: Index) -> tuple[Index, Array]:
     return way, part / parts[way]
 
 
-def on_arcs(nodes: Nodes) -> tuple[Array, Array]:
-    """Loads between neighbours on the rim, at most `RIM_STEP` apart, (k, 2), and their predicted support (k,)."""
+def on_arcs(nodes: Nodes, step_deg: float) -> tuple[Array, Array]:
+    """Loads (k, 2) between rim neighbours, at most `step_deg` apart in the disc, and their predicted support (k,)."""
     rim = np.flatnonzero(nodes.on_rim())
     if len(rim) < 3:
         return np.zeros((0, 2)), np.zeros(0)
     angle = np.arctan2(nodes.x[rim, 1], nodes.x[rim, 0])
     rim, angle = rim[np.argsort(angle)], np.sort(angle)
     step = np.mod(np.roll(angle, -1) - angle, 2.0 * np.pi)
-    parts = np.ceil(step / RIM_STEP).astype(int)
+    parts = np.ceil(step / np.radians(step_deg)).astype(int)
     arc, part = subdivision(parts)
     i, j = rim[arc], np.roll(rim, -1)[arc]
 

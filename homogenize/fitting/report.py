@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import Normality, Rows, subset, with_mirror
+from homogenize.fitting.rows import Normality, Rows, with_mirror
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.report import ErrorReport, Misfit
 from rve.common.errors import InputError
 from rve.common.tensor import disc, from_disc
 from rve.common.types import Array
@@ -18,61 +18,6 @@ from rve.common.types import Array
 DIRECTIONS = 1000
 SEED = 2026
 FOLDS = 5
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Largest and mean error of the support at unit trace of S, where it is largest, over `count` loads."""
-
-    count: int
-    maximum: float
-    mean: float
-    worst_S: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class ErrorReport:
-    """What is known of a law's error; supports at unit trace of S, so that they compare with strains.
-
-    `rows`: the law at the rows it was fitted to. `held_out`: rows left out in turn, the law refitted without them; None
-    where no refit was possible. `gap`: outer minus inner bound at random tensile loads, with no reference at all.
-    `below`, `above`: by how much the law leaves the two bounds there, zero if it stays between.
-    """
-
-    kind: str
-    normality: str
-    rows: Misfit
-    held_out: Misfit | None
-    gap: Misfit
-    below: float
-    above: float
-    not_unique: int
-    dropped: tuple[str, ...]
-
-    def text(self) -> str:
-        """The report in lines that a person reads."""
-        lines = [f"{self.kind} law: {self.normality}"]
-        if self.dropped:
-            lines.append(f"left out: {'; '.join(self.dropped[:5])}{'; ...' if len(self.dropped) > 5 else ''}")
-        if self.not_unique:
-            lines.append(f"{self.not_unique} rows have no unique strain: theirs is one of many")
-        lines.append(_line("error of h at the rows", self.rows))
-        if self.held_out is not None:
-            lines.append(_line("error of h at rows left out", self.held_out))
-        lines.append(_line("outer minus inner bound of h", self.gap))
-        lines.append(
-            f"the law leaves the bounds by {self.below:.1e} below, {self.above:.1e} above (h at unit trace of S)"
-        )
-        return "\n".join(lines)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers for a law file."""
-        return asdict(self)
-
-
-def _line(title: str, misfit: Misfit) -> str:
-    S = ", ".join(f"{x:.4f}" for x in misfit.worst_S)
-    return f"{title}: max {misfit.maximum:.2e} at S = ({S}), mean {misfit.mean:.2e}, {misfit.count} loads"
 
 
 def misfit_of(S: Array, error: Array) -> Misfit:
@@ -123,7 +68,7 @@ def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw], folds: int
         out = inner[fold::folds]
         keep = np.setdiff1d(np.arange(len(rows)), out)
         try:
-            law = refit(subset(rows, keep))
+            law = refit(rows.take(keep))
         except InputError:
             return None
         S.append(rows.S[out])

@@ -6,13 +6,14 @@ is not unique only the value counts. The mirror image of a row under the weave s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError
+from rve.common.records import Rows as Records
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
 from rve.common.types import Array
 
@@ -27,7 +28,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Rows(Records):
     """Sampled boundary of K+: S (n, 3) of unit trace, E (n, 3), h (n,) = S:E, `unique` (n,), row number `source` (n,).
 
     `dropped` says in words which rows of the table were left out and why.
@@ -110,14 +111,8 @@ def first_of_duplicates(S: Array, E: Array) -> Mask:
 def with_mirror(rows: Rows) -> Rows:
     """The rows and their images under S12 -> -S12, E12 -> -E12; a row that is its own image appears once."""
     other = (np.abs(rows.S[:, 1]) > ROUNDING) | (np.abs(rows.E[:, 1]) > ROUNDING)
-    return Rows(
-        np.vstack([rows.S, mirror(rows.S[other])]),
-        np.vstack([rows.E, mirror(rows.E[other])]),
-        np.concatenate([rows.h, rows.h[other]]),
-        np.concatenate([rows.unique, rows.unique[other]]),
-        np.concatenate([rows.source, rows.source[other]]),
-        rows.dropped,
-    )
+    image = rows.take(other)
+    return rows.join([replace(image, S=mirror(image.S), E=mirror(image.E))])
 
 
 def rows_to_dict(rows: Rows) -> dict[str, Any]:
@@ -143,11 +138,6 @@ def rows_from_dict(data: Any) -> Rows:
         pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
         raise InputError(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
     return Rows(S, E, double_dot(S, E), unique, np.arange(len(S)))
-
-
-def subset(rows: Rows, keep: Mask | Index) -> Rows:
-    """The rows chosen by a mask or an index."""
-    return Rows(rows.S[keep], rows.E[keep], rows.h[keep], rows.unique[keep], rows.source[keep], rows.dropped)
 
 
 def normality(rows: Rows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:

@@ -1,10 +1,10 @@
-"""Which half-space is violated most, found by looking near by: a map of the upper envelope of all half-spaces.
+"""Which half-space is violated most: a map of the upper envelope of all half-spaces.
 
 With T = (E11 + E22)/2, D = (E11 - E22)/2, G = E12 and a load of unit trace as (p, q) = (S11 - S22, 2 S12) a half-space
 reads T + p D + q G <= h. Which one is violated most depends on (D, G) alone: the highest plane p D + q G - h there. A
-grid over (D, G) lists, for each cell, every plane that is highest somewhere in it. Crowded cells are cut again; what is
-crowded still lies around a vertex and has longer lists. Points off the grid, and cells with too many, are left to a
-search through all planes.
+grid over (D, G) lists, for each cell, every plane that is highest somewhere in it. Cells with more than FEW planes are
+cut again; those that still have more lie around a vertex and get lists of up to MANY. For points off the grid, and in
+cells with more than MANY planes, all planes are compared.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ Index = NDArray[np.intp]
 
 CELLS = (96, 48)
 CUT = 8
-"""A crowded cell is cut in CUT x CUT; the first cells are sifted in groups of this size too."""
+"""A cell with more than FEW planes is cut in CUT x CUT; the first cells are also searched in groups of this size."""
 FEW, MANY = 6, 32
-"""Planes listed in a plain cell, and in a crowded one."""
+"""Planes listed in a plain cell, and in a cell near a vertex. Longer lists cost time in every call."""
 SEARCH_BLOCK = 256
+"""Points compared with all planes at a time: more need more memory."""
 RECTANGLES = 64
-"""Rectangles that are sifted at a time: more would leave the cache."""
+"""Rectangles searched at a time: more do not fit into the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)

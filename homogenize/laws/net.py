@@ -8,12 +8,14 @@ C = I + 2E a strain is admissible if n.C n <= l^2 for both, l the stretch at whi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from homogenize.laws.protocol import STIFFNESS, CellInfo, Cut, HalfSpaces, Response, check_finite
+from homogenize.laws.stored import StoredLaw
+from homogenize.strength import Strength
 from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import WEIGHT, double_dot, dyad, trace
@@ -27,7 +29,7 @@ STATED_STIFFNESS = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
-class NetLaw:
+class NetLaw(StoredLaw):
     """Two families of fibres along `directions` (2, 2), one unit vector per row, taut at stretch `limit`.
 
     `stiffness` (N/mm) is the line load per unit of Green strain beyond locking, for each family alone.
@@ -38,6 +40,8 @@ class NetLaw:
     stiffness: float = STATED_STIFFNESS
     cell: CellInfo | None = None
     name: str = "net"
+    provenance: dict[str, Any] = field(default_factory=dict)
+    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:

@@ -6,7 +6,7 @@ cone, all that the rows reach; its half-spaces are the hull's tensile facets and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite, stiffness_matrix
+from homogenize.laws.stored import StoredLaw
 from homogenize.laws.vertices import highest, outer_vertices
 from homogenize.strength import Strength
 from rve.common.errors import InputError
@@ -35,7 +36,7 @@ MAP_PAYS = 300
 
 
 @dataclass(frozen=True, eq=False)
-class PolyhedralLaw:
+class PolyhedralLaw(StoredLaw):
     """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3);
     strength of the rings, None if the law's table has none."""
 
@@ -45,6 +46,7 @@ class PolyhedralLaw:
     stiffness: Array
     cell: CellInfo | None = None
     name: str = "polyhedral"
+    provenance: dict[str, Any] = field(default_factory=dict)
     strength: Strength | None = None
 
     @property

@@ -13,13 +13,13 @@ import numpy as np
 
 from rve.common.errors import InputError
 from rve.common.rings import RING_CHECKS
+from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.common.values import checked, entry, finite, numbers
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
 """N/mm, of every strain. A wider range leaves no digits between stress and energy."""
 STIFFNESS = finite(least=LEAST_STIFFNESS, most=MOST_STIFFNESS)
-_WEIGHT = np.array([1.0, 2.0, 1.0])
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -35,7 +35,7 @@ def stiffness_matrix(data: dict[str, Any], where: str) -> Array:
     In tensor components: with W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
     """
     M: Array = checked(data, "stiffness_N_per_mm", numbers(3, 3, least=-MOST_STIFFNESS, most=MOST_STIFFNESS), where)
-    Q = _WEIGHT[:, None] * M
+    Q = WEIGHT[:, None] * M
     if np.abs(Q - Q.T).max() > 1e-9 * np.abs(Q).max():
         raise InputError(f"{where} stiffness_N_per_mm = {M.tolist()}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
     least = float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])

@@ -27,14 +27,20 @@ class Level:
     bounds: Bounds
 
 
-def levels(scene: Scene, law: MembraneLaw, factor: float = 1.0, mesh: CurtainMesh | None = None) -> Iterator[Level]:
+def levels(
+    scene: Scene,
+    law: MembraneLaw,
+    factor: float = 1.0,
+    mesh: CurtainMesh | None = None,
+    first: CurtainSolution | None = None,
+) -> Iterator[Level]:
     """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
 
-    Ends early if a solver did not converge.
+    `first` is the curtain on the first mesh where it is solved already. Ends early if a solver did not converge.
     """
     mesh = build_mesh(scene, law.cell) if mesh is None else mesh
     for number in range(scene.solver.adapt + 1):
-        solution = solve_problem(make_problem(scene, law, mesh, factor))
+        solution = first if first and not number else solve_problem(make_problem(scene, law, mesh, factor))
         if solution.status != "converged":
             return
         level = Level(solution, bound(solution, factor))

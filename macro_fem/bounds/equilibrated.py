@@ -23,7 +23,8 @@ import numpy as np
 import skfem
 
 from homogenize import MembraneLaw
-from macro_fem.fem.assembly import Discretization, discretize, load_vector
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import disk_areas, weight_per_area
 from macro_fem.scene.mesh import CurtainMesh

@@ -29,24 +29,32 @@ from macro_fem.bounds.equilibrated import (
     largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
-from macro_fem.scene.schema import Corners, Edge, Hooks, Point, Support
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
+from macro_fem.scene.tables import Corners, Edge, Hooks, Point, Support
 from macro_fem.solution import CurtainSolution, gathered_start
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import make_program
+from macro_fem.solvers.central_path import PathResult, solve_path
 from macro_fem.solvers.cones import repeated
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, solve_rigid
+from macro_fem.solvers.options import PathOptions
 from rve.common.types import Array
-
-BOUND_GAP = 2e-5
-"""Relative gap to which the dual program is solved: it only weakens the bound, far less than any mesh does."""
+from rve.common.values import Options, number
 
 
-BOUND_VIOLATION = 5e-3
-"""Violation of the law that the dual program may leave: a half-space left out weakens the bound, too."""
-INWARD = 0.05
-"""How far the dual program's start is drawn from the P1 curtain to its slack start: on the curtain itself no cone has
-room left, and the first steps get stuck."""
+@dataclass(frozen=True)
+class BoundOptions(Options):
+    """How the dual program is solved; InputError for values that make no sense."""
+
+    gap: float = number(2e-5, above=0.0, most=1.0)
+    """Relative gap. Larger gaps weaken the bound; that of any mesh is far larger than the default."""
+    violation: float = number(5e-3, above=0.0, most=1.0)
+    """Violation of the law that may be left: a half-space left out weakens the bound, too."""
+    inward: float = number(0.05, above=0.0, most=1.0)
+    """How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left
+    and the first steps get stuck; farther away more steps are needed."""
+
+
+BOUND = BoundOptions()
+"""The defaults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,24 +79,24 @@ class Bounds:
         return self.upper - self.lower
 
 
-def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
+def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions = BOUND) -> Bounds:
     """Bounds of the potential around a P1 solution on a mesh of triangles, at the same load step `factor`.
 
     InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
     """
     begin = time.perf_counter()
     problem = solution.problem
-    dual = dual_problem(solution, factor)
+    dual = dual_problem(solution, factor, options)
     fem = dual.fem
-    start = fem.unknowns(_at_dual_nodes(slackened(solution), dual.dual))
-    options = RigidOptions(
-        gap=BOUND_GAP,
-        violation=BOUND_VIOLATION,
+    start = fem.unknowns(_at_dual_nodes(slackened(solution, options.inward), dual.dual))
+    path = PathOptions(
+        gap=options.gap,
+        violation=options.violation,
         max_iterations=problem.scene.solver.max_iterations,
         cones=None if solution.cones is None else repeated(solution.cones, 3),
         drawn=False,
     )
-    result = solve_rigid(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, options)
+    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, path)
     held = fem.positions(np.zeros(fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -106,7 +114,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0) -> Bounds:
     )
 
 
-def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
+def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BOUND) -> DualProblem:
     """The hybrid problem that belongs to a P1 solution."""
     problem = solution.problem
     scene, mesh = problem.scene, problem.mesh
@@ -114,7 +122,7 @@ def dual_problem(solution: CurtainSolution, factor: float) -> DualProblem:
     force, cost = dead_and_live(scene, dual, problem.law, factor)
     mask = np.zeros((dual.disc.n_nodes, 2), bool)
     positions = dual.disc.nodes.copy()
-    near_point = slackened(solution)
+    near_point = slackened(solution, options.inward)
     tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
     for item, held in zip(scene.support, problem.supports.held, strict=True):
         if isinstance(item, Corners | Hooks | Point):
@@ -159,9 +167,9 @@ def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse
     return straight_ties(lines, X, mask) if lines else None
 
 
-def slackened(solution: CurtainSolution) -> Array:
+def slackened(solution: CurtainSolution, inward: float) -> Array:
     """Positions (n_nodes, 2) of the P1 curtain, drawn a little towards its slack start."""
-    return solution.x + INWARD * (gathered_start(solution.problem) - solution.x)
+    return solution.x + inward * (gathered_start(solution.problem) - solution.x)
 
 
 def _at_dual_nodes(x: Array, dual: DualMesh) -> Array:
@@ -182,7 +190,7 @@ def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
     return points * share / share.sum()
 
 
-def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held: Array) -> tuple[float, Array]:
+def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: Array) -> tuple[float, Array]:
     """What the lower bound loses because reactions r of points act along edges, N mm, and each edge's moment (k,).
 
     The program took the work r.x at the positions x_h of the edges; it is at least that at the point, less the
@@ -207,10 +215,10 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: RigidResult, held:
     return float(moved + moment.sum()), moment
 
 
-def error_map(solution: CurtainSolution, dual: DualProblem, result: RigidResult) -> Array:
+def error_map(solution: CurtainSolution, dual: DualProblem, result: PathResult) -> Array:
     """Integral of psi*(P) - P:F over every triangle (n_cells,), F of the P1 curtain, psi* from above by sum c |y1|."""
-    program = make_program(dual.fem, dual.fem.gather(dual.force), result.cones, 1.0, 1.0)
-    psi = result.cones.sum(program.c * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
+    radius = np.sqrt(2.0 * result.cones.size)
+    psi = result.cones.sum(radius * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
     n = dual.dual.disc.n_cells
     work = (result.P * np.tile(solution.F, (3, 1, 1))).sum(axis=(1, 2))
     return (dual.dual.disc.weight * (psi - work)).reshape(3, n).sum(axis=0)

@@ -1,4 +1,4 @@
-"""The total potential of an elastic membrane: its value, its gradient (forces) and its second derivative (tangent).
+"""The elastic energy of a membrane: its value, its gradient (forces) and its second derivative (tangent).
 
 Pi(u) = sum_p w_p psi(F_p) - f . u with psi(F) = Psi(E), E = (F^T F - I)/2. With S = dPsi/dE and C = dS/dE
 
@@ -10,49 +10,22 @@ the same in the plane (F 2 x 2) and in space (F 3 x 2). If Psi is convex and S p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import sparse
 
 from homogenize import Response
-from macro_fem.fem.assembly import Array, Discretization, gradient, internal_force
-from macro_fem.fem.materials import ElasticLaw
+from macro_fem.fem.assembly import gradient, internal_force
+from macro_fem.fem.discretization import Discretization
+from rve.common.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Membrane:
-    """A sheet, its law, its supports and its loads.
+class ElasticLaw(Protocol):
+    """The part of `homogenize.MembraneLaw` that `macro_fem.solvers.newton` uses."""
 
-    fixed (n_nodes, d): which components of the displacement are held. displacement (n_nodes, d): where they are held,
-    mm; read at fixed components only. force (n_nodes, d): dead nodal forces, N (see `load_vector`). tie: T
-    (n_nodes * d, n_z) of which the free part of every displacement is T z, None where each free component is its own.
-    """
-
-    disc: Discretization
-    law: ElasticLaw
-    fixed: NDArray[np.bool_]
-    displacement: Array
-    force: Array
-    tie: sparse.csc_matrix | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse arrays that do not belong to one mesh, and values that are not numbers."""
-        shape = np.shape(self.fixed)
-        if len(shape) != 2 or shape[0] != self.disc.n_nodes or shape[1] not in (2, 3):
-            raise ValueError(f"fixed has the shape {shape}, the mesh needs ({self.disc.n_nodes}, 2) or (.., 3)")
-        for name, value in (("displacement", self.displacement), ("force", self.force)):
-            if np.shape(value) != shape:
-                raise ValueError(f"{name} has the shape {np.shape(value)}, fixed has {shape}")
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"{name} holds a value that is not finite")
-        if self.tie is not None and (self.tie.shape[0] != self.fixed.size or self.tie[self.fixed.ravel()].nnz):
-            raise ValueError(f"tie has {self.tie.shape[0]} rows, or moves one of the {self.fixed.size} held components")
-
-    @property
-    def d(self) -> int:
-        """Components of the displacement: 2 in the plane, 3 in space."""
-        return int(self.fixed.shape[1])
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent of the elastic law at E (n, 3)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,27 +48,28 @@ class State:
         return bool(np.isfinite(self.stored) and np.all(np.isfinite(self.internal)))
 
 
-def evaluate(membrane: Membrane, u: Array) -> State:
+def evaluate(disc: Discretization, law: ElasticLaw, u: Array) -> State:
     """The state at the displacement u (n_nodes, d); one call of the law.
 
+    A square of the diagonal net stores S:D:S / 2 where it is stretched beyond its limit, D = 1/2 mm/N:
+
     >>> import skfem
-    >>> from macro_fem.fem.assembly import discretize
-    >>> from macro_fem.fem.materials import NeoHookeanSheet
+    >>> from homogenize import diagonal_net
+    >>> from macro_fem.fem.discretization import discretize
     >>> disc = discretize(skfem.MeshQuad(), "Q1")
-    >>> nothing = np.zeros((4, 2))
-    >>> sheet = Membrane(disc, NeoHookeanSheet(mu=1.0), nothing > 0.0, nothing, nothing)
-    >>> state = evaluate(sheet, disc.nodes @ np.diag([0.5, 0.0]))  # stretched to 1.5 at full width
-    >>> bool(np.isclose(state.stored, 0.5 * (1.5**2 + 1.0 + 1.5**-2 - 3.0)))
-    True
+    >>> state = evaluate(disc, diagonal_net(1.1, 2.0), 0.2 * disc.nodes)
+    >>> S = state.response.S[0]
+    >>> bool(S[0] > 0.0), bool(np.isclose(state.stored, 0.5 * 0.5 * (S[0] ** 2 + 2.0 * S[1] ** 2 + S[2] ** 2)))
+    (True, True)
     """
-    G = gradient(membrane.disc, u)
+    G = gradient(disc, u)
     E = green_strain(G)
     F = G  # E is taken from the displacement gradient, which does not cancel at small strain; then G becomes F
     F[:, 0, 0] += 1.0
     F[:, 1, 1] += 1.0
-    response = membrane.law.response(E)
-    stored = float(membrane.disc.weight @ response.energy)
-    return State(u, F, response, stored, internal_force(membrane.disc, first_piola(F, response.S)))
+    response = law.response(E)
+    stored = float(disc.weight @ response.energy)
+    return State(u, F, response, stored, internal_force(disc, first_piola(F, response.S)))
 
 
 def green_strain(G: Array) -> Array:
@@ -150,12 +124,3 @@ def tangent(F: Array, S: Array, C: Array) -> Array:
                         if j != l:
                             A[i, l, k, j] = entry
     return np.moveaxis(A, -1, 0)
-
-
-def full_tangent(A: Array) -> Array:
-    """A with its upper blocks filled by major symmetry, for products such as A : grad(v)."""
-    out = A.copy()
-    for i in range(A.shape[1]):
-        for k in range(i):
-            out[:, k, :, i, :] = A[:, i, :, k, :].swapaxes(1, 2)
-    return out

@@ -1,7 +1,6 @@
-"""The third coordinate, which a plane curtain under plane loads does without.
+"""A plane curtain with the third coordinate added as an unknown.
 
-The rigid curtain is a convex problem, and its mirror image in the plane is the same problem: so the plane answer is the
-answer in space, too. Here it is put back in, to show it.
+The rigid curtain is a convex problem that is symmetric about its plane, so the plane answer is the answer in space.
 """
 
 from __future__ import annotations
@@ -17,10 +16,7 @@ from rve.common.types import Array
 
 def in_space(fem: SupportedFem) -> SupportedFem:
     """The same curtain with nodes free to leave the plane, except where a support holds them."""
-    held = ~fem.free.reshape(-1, 2)
-    if fem.tie is not None:
-        held = np.diff(fem.tie.tocsr().indptr).reshape(-1, 2) == 0
-    out = np.asarray(~held.any(axis=1))
+    out = np.asarray(~fem.held.any(axis=1))
     free = np.column_stack([fem.free.reshape(-1, 2), out]).ravel()
     tie = None
     if fem.tie is not None:

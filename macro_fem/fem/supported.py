@@ -13,8 +13,10 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.assembly import Discretization, Pattern, gradient, internal_force, sparsity, stiffness, tied_pattern
-from macro_fem.fem.linear import Factor, LinearSolver, NotPositiveDefiniteError, analyze
+from macro_fem.fem.assembly import gradient, internal_force, stiffness
+from macro_fem.fem.discretization import Discretization
+from macro_fem.fem.linear import LinearSolver, NotPositiveDefiniteError, Solve, analyze
+from macro_fem.fem.sparsity import Pattern, sparsity, tied_pattern
 from rve.common.types import Array
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
@@ -25,13 +27,15 @@ SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 class SupportedFem:
     """A discretisation `disc` whose nodes (n_nodes, d) are at x_held + T z.
 
-    free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties.
+    free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties;
+    `method` of `macro_fem.fem.linear` factorizes the matrices.
     """
 
     disc: Discretization
     x_held: Array
     free: np.ndarray
     tie: sparse.csc_matrix | None = None
+    method: str = "auto"
 
     def tied(self) -> SupportedFem:
         """The same curtain with its free components picked by a matrix T, as if bars tied them; itself if some do."""
@@ -40,6 +44,13 @@ class SupportedFem:
         free = np.flatnonzero(self.free)
         one = (np.ones(len(free)), (free, np.arange(len(free))))
         return replace(self, tie=sparse.csc_matrix(one, shape=(self.free.size, len(free))))
+
+    def moved(self, x_held: Array) -> SupportedFem:
+        """The same curtain with its held components elsewhere; pattern and symbolic factor are kept."""
+        other = replace(self, x_held=x_held)
+        kept = ("pattern", "_tied", "solver")
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return other
 
     @property
     def d(self) -> int:
@@ -50,6 +61,23 @@ class SupportedFem:
     def n(self) -> int:
         """Number of free unknowns."""
         return int(self.free.sum()) if self.tie is None else self.tie.shape[1]
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Which components (n_nodes, d) no unknown moves."""
+        held = ~self.free if self.tie is None else np.diff(self.tie.tocsr().indptr) == 0
+        return np.asarray(held.reshape(self.x_held.shape))
+
+    @cached_property
+    def reference(self) -> Array:
+        """Positions of the nodes in the plane reference state (n_nodes, d), mm."""
+        nodes = self.disc.nodes
+        return np.column_stack([nodes, np.zeros((len(nodes), self.d - 2))])
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around the reference state, mm."""
+        return float(np.hypot(*np.ptp(self.disc.nodes, axis=0)))
 
     @property
     def weight(self) -> Array:
@@ -64,7 +92,7 @@ class SupportedFem:
 
     def positions(self, z: Array) -> Array:
         """x (n_nodes, d)."""
-        return self.x_held + self._spread(z)
+        return self.x_held + self.spread(z)
 
     def gradient(self, z: Array) -> Array:
         """F (nq, d, 2)."""
@@ -72,7 +100,7 @@ class SupportedFem:
 
     def gradient_change(self, dz: Array) -> Array:
         """B dz (nq, d, 2)."""
-        return gradient(self.disc, self._spread(dz))
+        return gradient(self.disc, self.spread(dz))
 
     def force(self, P: Array) -> Array:
         """B^T (w P) (n,)."""
@@ -89,33 +117,44 @@ class SupportedFem:
             return change[self.free]
         return sparse.linalg.spsolve((self.tie.T @ self.tie).tocsc(), self.tie.T @ change)
 
+    def spread(self, dz: Array) -> Array:
+        """T dz as nodal vectors (n_nodes, d)."""
+        out = np.zeros(self.x_held.size)
+        if self.tie is None:
+            out[self.free] = dz
+        else:
+            out = self.tie @ dz
+        return out.reshape(self.x_held.shape)
+
+    def matrix_data(self, tangent: Array) -> Array:
+        """Data of the lower triangle of B^T (w A) B for tangents A (nq, d, 2, d, 2), in the order of `solver`."""
+        data = stiffness(self.disc, self.pattern, tangent)
+        return data if self.tie is None else np.asarray(self._tied[1] @ self.pattern.full(data).data)
+
     def factorize(self, tangent: Array) -> Callable[[Array], Array]:
         """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2); NotPositiveDefiniteError if it has none.
 
         Close to the solution of a rigid curtain the stiffnesses of taut and slack places differ by 16 orders and more.
-        If a pivot is lost to rounding a multiple of the diagonal is added; two rounds of refinement with the true
-        matrix then take most of its effect away again.
+        If a pivot is lost to rounding a multiple of the diagonal is added. Two rounds of refinement with the true
+        matrix remove most of its effect.
         """
-        data = stiffness(self.disc, self.pattern, tangent)
-        pattern, solver = self._solver
-        if self.tie is not None:
-            data = self._tied[1] @ self.pattern.full(data).data
+        data = self.matrix_data(tangent)
+        pattern = self.pattern if self.tie is None else self._tied[0]
         matrix = pattern.full(data)
         for shift in SHIFTS:
             shifted = data.copy()
             shifted[pattern.diagonal] *= 1.0 + shift
             try:
-                factor = solver.factorize(shifted)
+                solve = self.solver.factorize(shifted)
             except NotPositiveDefiniteError:
                 continue
-            return lambda b: _refined(factor, matrix, b)
+            return lambda b: _refined(solve, matrix, b)
         raise NotPositiveDefiniteError(f"no pivot order works even with the diagonal raised by {SHIFTS[-1]:g}")
 
     @cached_property
-    def _solver(self) -> tuple[Pattern, LinearSolver]:
-        """The pattern on the free unknowns, ties applied, and its symbolic factor."""
-        pattern = self.pattern if self.tie is None else self._tied[0]
-        return pattern, analyze(pattern)
+    def solver(self) -> LinearSolver:
+        """The solver of matrices on the free unknowns, ties applied."""
+        return analyze(self.pattern if self.tie is None else self._tied[0], self.method)
 
     @cached_property
     def _tied(self) -> tuple[Pattern, sparse.csr_matrix]:
@@ -123,22 +162,14 @@ class SupportedFem:
         assert self.tie is not None
         return tied_pattern(self.pattern, self.tie)
 
-    def _spread(self, z: Array) -> Array:
-        out = np.zeros(self.x_held.size)
-        if self.tie is None:
-            out[self.free] = z
-        else:
-            out = self.tie @ z
-        return out.reshape(self.x_held.shape)
 
-
-def _refined(factor: Factor, matrix: sparse.csc_matrix, b: Array) -> Array:
+def _refined(solve: Solve, matrix: sparse.csc_matrix, b: Array) -> Array:
     """x with two rounds of refinement, as long as they help. Sizes are maxima: a norm would wake BLAS's threads."""
-    x = factor.solve(b).x
+    x = solve(b)
     left = b - matrix @ x
     best, least = x, np.abs(left).max(initial=0.0)
     for _ in range(2):
-        x = x + factor.solve(left).x
+        x = x + solve(left)
         left = b - matrix @ x
         size = np.abs(left).max(initial=0.0)
         if not size < least:

@@ -1,1 +1,1 @@
-"""What a solved curtain leaves: files, pictures, line loads, decisions in words."""
+"""Output of a solved curtain: files, pictures, line loads, explained decisions."""

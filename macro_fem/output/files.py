@@ -1,4 +1,4 @@
-"""Files of a solved curtain: summary.json, support_forces.csv and curtain.vtu, each written whole or not at all."""
+"""Files of a solved curtain: summary.json, support_forces.csv and curtain.vtu, written atomically."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
-from macro_fem.fem.assembly import cell_mean
+from macro_fem.fem.space import padded
 from macro_fem.output import line_load
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
 from macro_fem.solution import CurtainSolution, Problem
+from rve.common.cells import mean_at_corners
 from rve.common.files import write_text, write_whole
 from rve.common.types import Array
+from rve.common.vtu import DIRECTION_1, DISPLACEMENT, LINE_LOAD_1, LINE_LOAD_2, STATE, STRAIN, STRESS
 
 if TYPE_CHECKING:
     from macro_fem.bounds.adapt import Level
@@ -65,14 +67,13 @@ def _finite(value: Any) -> Any:
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
 
-    Heights are y coordinates; hang_deg is the angle of the weave, rings what the law is made of: `rve localize`
-    needs both. Potentials are -sum force . displacement in N mm; their gap is an error bound of the
-    discrete problem.
+    Heights are y coordinates. `hang_deg` (angle of the weave) and `rings` (radii and cell of the law) are read by
+    `rve localize`. Potentials are -sum force . displacement in N mm; their gap bounds the discrete error.
     """
     problem = solution.problem
     disc = problem.disc
     state = solution.state()
-    area = cell_area(solution)
+    area = disc.cell_area
     return {
         "status": solution.status,
         "message": solution.message,
@@ -95,7 +96,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "element": disc.element,
         "pattern": problem.mesh.pattern,
         "law": problem.law.name,
-        "hang_deg": problem.scene.curtain.hang,
+        "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
         **masses(solution),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
@@ -114,9 +115,9 @@ def rings(cell: CellInfo | None) -> dict[str, float] | None:
 
 
 def masses(solution: CurtainSolution) -> dict[str, Any]:
-    """The areal mass that weighs the curtain, whether scene or law told it, and the mass of the whole curtain."""
+    """The areal mass of the curtain, whether it is from the scene or the law, and the mass of the whole curtain."""
     mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
-    total = mass * PER_MM2 * float(cell_area(solution).sum())
+    total = mass * PER_MM2 * float(solution.problem.disc.cell_area.sum())
     return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
 
 
@@ -160,14 +161,8 @@ def held_length(problem: Problem, facets: list[np.ndarray]) -> float:
     return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
 
 
-def cell_area(solution: CurtainSolution) -> Array:
-    """Reference area of each cell (n_cells,), mm2."""
-    disc = solution.problem.disc
-    return disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
-
-
 def versions() -> dict[str, str]:
-    """Versions of what computed the answer."""
+    """Versions of Python and of the packages that were used."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"python": platform.python_version()}
@@ -223,11 +218,9 @@ def corner_positions(solution: CurtainSolution) -> Array:
         return solution.x[: mesh.p.shape[1]]
     middle = solution.x[disc.cell_dofs].mean(axis=1)
     X = mesh.p.T[mesh.t.T]
-    F = cell_mean(disc, solution.F)
+    F = disc.cell_mean(solution.F)
     at_corners = middle[:, None] + np.einsum("cij,ckj->cki", F, X - X.mean(axis=1, keepdims=True))
-    sums = np.zeros((mesh.p.shape[1], 2))
-    np.add.at(sums, mesh.t.T, at_corners)
-    return sums / np.bincount(mesh.t.ravel(), minlength=len(sums))[:, None]
+    return mean_at_corners(mesh.t.T, at_corners)
 
 
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
@@ -240,23 +233,23 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
 
     mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
-    F = cell_mean(disc, solution.F)
+    F = disc.cell_mean(solution.F)
     in_space = np.einsum("cij,cj->ci", F, direction)
     cell_data: dict[str, Sequence[Array]] = {
-        "E_11_12_22": [cell_mean(disc, solution.E)],
-        "S_11_12_22_N_per_mm": [cell_mean(disc, solution.S)],
-        "line_load_1_N_per_mm": [values[:, 0]],
-        "line_load_2_N_per_mm": [values[:, 1]],
-        "direction_1": [_in_space(in_space)],
-        "state_0_slack_1_wrinkled_2_taut": [solution.state().astype(float)],
+        STRAIN: [disc.cell_mean(solution.E)],
+        STRESS: [disc.cell_mean(solution.S)],
+        LINE_LOAD_1: [values[:, 0]],
+        LINE_LOAD_2: [values[:, 1]],
+        DIRECTION_1: [padded(in_space)],
+        STATE: [solution.state().astype(float)],
         **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
     }
     document = meshio.Mesh(
-        _in_space(mesh.p.T),
+        padded(mesh.p.T),
         [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
         point_data={
-            "displacement_mm": _in_space(corner_positions(solution) - mesh.p.T),
-            "support_force_N": _in_space(corner_forces(solution.problem, solution.reactions)),
+            DISPLACEMENT: padded(corner_positions(solution) - mesh.p.T),
+            "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
         },
         cell_data=cell_data,
     )
@@ -279,8 +272,3 @@ def corner_forces(problem: Problem, forces: Array) -> Array:
             np.add.at(result, corners, left[node[here]] / len(groups))
         left[node[here]] = 0.0
     return result
-
-
-def _in_space(plane: Array) -> Array:
-    """Vectors (n, 2) with a third component 0."""
-    return np.column_stack([plane, np.zeros(len(plane))])

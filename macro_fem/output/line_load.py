@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.assembly import cell_mean
-from macro_fem.scene.schema import Corners, Hooks, Point
+from macro_fem.scene.tables import Corners, Hooks, Point
 from macro_fem.solution import CurtainSolution
+from rve.common.cells import as_triangles, triangle_areas
 from rve.common.types import Array
 
 PIECES = 8.0
@@ -70,7 +70,7 @@ def warning(solution: CurtainSolution, peak: LineLoad, mean: LineLoad | None, ar
     if area is None:
         return f"{text}; the law has no cell to average it over"
     text += ": judge the rings by max_line_load_over_a_cell_N_per_mm"
-    side = np.sqrt(float(_areas(_triangles(solution)[0]).max()))
+    side = np.sqrt(float(triangle_areas(_triangles(solution)[0]).max()))
     if side > FINE * np.sqrt(area):
         text += (
             f", which needs mesh cells of {FINE * np.sqrt(area):.2g} mm there, less than the {side:.2g} mm of this mesh"
@@ -147,29 +147,21 @@ def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
     if not points:
         return False
     corners, _ = _triangles(solution)
-    side = float(np.sqrt(_areas(corners).max()))
+    side = float(np.sqrt(triangle_areas(corners).max()))
     return bool(np.linalg.norm(np.concatenate(points) - peak.at, axis=1).min() < NEAR * side)
 
 
 def _triangles(solution: CurtainSolution) -> tuple[Array, Array]:
     """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the recovered P (n, 2, 2) of their cells."""
     mesh = solution.problem.mesh.mesh
-    P = solution.recovered(cell_mean(solution.problem.disc, solution.P))
-    t = mesh.t.T
-    if t.shape[1] == 4:
-        t, P = np.concatenate([t[:, [0, 1, 2]], t[:, [0, 2, 3]]]), np.concatenate([P, P])
-    return mesh.p.T[t], P
-
-
-def _areas(corners: Array) -> Array:
-    """Areas (n,) of triangles (n, 3, 2)."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    P = solution.recovered(solution.problem.disc.cell_mean(solution.P))
+    triangles, cell = as_triangles(mesh.t.T)
+    return mesh.p.T[triangles], P[cell]
 
 
 def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:
     """Middles (n, 2), areas (n,) and triangles (n,) of equal parts of the triangles, of about `side` mm or less."""
-    cuts = np.clip(np.ceil(np.sqrt(_areas(corners)) / side), 1, MOST_CUTS).astype(int)
+    cuts = np.clip(np.ceil(np.sqrt(triangle_areas(corners)) / side), 1, MOST_CUTS).astype(int)
     points, weights, cell = [], [], []
     for k in np.unique(cuts):
         which = np.flatnonzero(cuts == k)
@@ -180,6 +172,6 @@ def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:
         v = np.where(up, j + 1.0 / 3.0, k - j - 1.0 / 3.0) / k
         shape = np.stack([1.0 - u - v, u, v], axis=-1)
         points.append(np.einsum("pc,nck->npk", shape, corners[which]).reshape(-1, 2))
-        weights.append(np.repeat(_areas(corners[which]) / k**2, k * k))
+        weights.append(np.repeat(triangle_areas(corners[which]) / k**2, k * k))
         cell.append(np.repeat(which, k * k))
     return np.concatenate(points), np.concatenate(weights), np.concatenate(cell)

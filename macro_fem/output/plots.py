@@ -1,4 +1,4 @@
-"""Pictures of curtains with matplotlib, made without a screen; every function takes a solution and returns the axes."""
+"""Pictures of curtains with matplotlib, without a display; plot functions take a solution and return the axes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from macro_fem.output.files import corner_positions
 from macro_fem.solution import CurtainSolution
+from rve.common.cells import as_triangles
 from rve.common.files import write_whole
 from rve.common.types import Array
 
@@ -16,24 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ARROWS = 700
-"""About so many principal directions are drawn."""
+"""Approximate number of principal directions in a picture. Larger: denser strokes."""
 STATE_COLOURS = ("#c9d3df", "#f2b872", "#8c2d19")
 STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
-
-
-def triangles_of(solution: CurtainSolution) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (n, 3) of corner numbers and the cell of each (n,); quadrilaterals are cut in two."""
-    t = solution.problem.mesh.mesh.t.T
-    cells = np.arange(len(t))
-    if t.shape[1] == 3:
-        return t, cells
-    return np.concatenate([t[:, [0, 1, 2]], t[:, [0, 2, 3]]]), np.concatenate([cells, cells])
 
 
 def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | None = None, **style: Any) -> Axes:
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
     ax = _axes(ax)
-    triangles, cell = triangles_of(solution)
+    triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)
     colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=np.asarray(values)[cell], **style)
     assert ax.figure is not None
@@ -69,7 +61,7 @@ def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     from matplotlib.patches import Patch
 
     ax = _axes(ax)
-    triangles, cell = triangles_of(solution)
+    triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)
     ax.tripcolor(
         corners[:, 0],
@@ -158,15 +150,13 @@ def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: 
     """Short strokes along the larger principal line load in the deformed state, longer where it is larger."""
     from matplotlib.collections import LineCollection
 
-    from macro_fem.fem.assembly import cell_mean
-
     top = float(np.quantile(values[:, 0], 0.995))
     mesh = solution.problem.mesh.mesh
     middle = mesh.p.T[mesh.t.T].mean(axis=1)
     cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * top), ARROWS)
     if not len(cells):
         return
-    F = cell_mean(solution.problem.disc, solution.F)[cells]
+    F = solution.problem.disc.cell_mean(solution.F)[cells]
     along = np.einsum("cij,cj->ci", F, direction[cells])
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     centre = corner_positions(solution)[mesh.t.T[cells]].mean(axis=1)

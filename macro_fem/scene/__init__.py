@@ -1,1 +1,1 @@
-"""What a scene file says: records, mesh, outline, edges, supports, loads."""
+"""Reading of scenes: records, mesh, outline, edges, supports, loads."""

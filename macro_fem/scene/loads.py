@@ -6,10 +6,12 @@ import numpy as np
 import skfem
 
 from homogenize import CellInfo
-from macro_fem.fem.assembly import Discretization, load_vector
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.mesh import CurtainMesh
-from macro_fem.scene.schema import Bar, EdgeLoad, PatchLoad, PointLoad, Scene
+from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import point_node
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -89,8 +91,7 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
         raise InputError(
             f"{scene.source}: [load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain"
         )
-    area = disc.weight.reshape(disc.n_quad, disc.n_cells).sum(axis=0)
-    even = np.tile(shares / area, disc.n_quad)
+    even = np.tile(shares / disc.cell_area, disc.n_quad)
     return load_vector(disc, even[:, None] * np.array(load.force) / shares.sum())
 
 

@@ -22,10 +22,12 @@ from macro_fem.scene.edges import facets_between, inherited_edges, named_edges
 from macro_fem.scene.mesh_files import read_mesh_file
 from macro_fem.scene.outline import mesh_outline, regular_polygon
 from macro_fem.scene.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
-from macro_fem.scene.schema import MOST_MM, Curtain, Hooks, Point, PointLoad, Scene
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import MOST_MM, Curtain, Hooks, Point, PointLoad
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
+from rve.common.vtu import DISPLACEMENT, OLD_REFERENCE
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
@@ -123,7 +125,7 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
         outline = np.array(curtain.outline)
     holes = [np.array(hole) for hole in curtain.holes]
     try:
-        points, cells = mesh_outline(outline, holes, columns(scene), aspect, math.radians(curtain.hang))
+        points, cells = mesh_outline(outline, holes, columns(scene), aspect, math.radians(curtain.weave_angle))
     except ValueError as error:
         raise InputError(f"{scene.source}: [curtain] {error}") from error
     mesh = skfem.MeshTri(points.T.copy(), cells.T.copy())
@@ -131,7 +133,7 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
 
 
 def _refuse_too_many(scene: Scene, aspect: float) -> None:
-    """InputError if the box around the shape is a thread, or would hold more than `MAX_TRIANGLES` cells."""
+    """InputError if the box around the shape is too slender, or would hold more than `MAX_TRIANGLES` cells."""
     curtain, cells = scene.curtain, scene.mesh.cells
     if curtain.shape == "rectangle":
         assert curtain.width is not None
@@ -182,7 +184,7 @@ def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
     assert curtain.width is not None
     assert curtain.height is not None
     W, H, n = curtain.width, curtain.height, columns(scene)
-    quarter_turns = curtain.hang / 90.0
+    quarter_turns = curtain.weave_angle / 90.0
     is_aligned = spec.pattern == "aligned" and quarter_turns == round(quarter_turns)
     pattern = "crossed" if spec.pattern == "aligned" and not is_aligned else spec.pattern
     if is_aligned:
@@ -247,7 +249,7 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
     points = _plane_points(reference_points(data)[used], where)
-    if "displacement_mm" in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
+    if DISPLACEMENT in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
         cells = counterclockwise(points, cells)
     _check_cells(points, cells, where)
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
@@ -263,7 +265,7 @@ def read_mesh(curtain: Curtain, source: Path) -> CurtainMesh:
 
 def reference_points(data: Any) -> Array:
     """Points (n, 2 or 3) of a mesh without load: those of the file, but `reference_mm` of an old curtain.vtu."""
-    old = data.point_data.get("reference_mm")
+    old = data.point_data.get(OLD_REFERENCE)
     return np.asarray(data.points if old is None or np.shape(old) != data.points.shape else old, dtype=float)
 
 

@@ -1,4 +1,4 @@
-"""Mesh files that are read, each within bounds and tested: Gmsh's MSH and VTU. Others are refused with the list."""
+"""Mesh files: Gmsh's MSH and VTU are read within bounds; other formats are refused with the list of these."""
 
 from __future__ import annotations
 

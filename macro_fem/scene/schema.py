@@ -1,8 +1,4 @@
-"""A scene: what hangs where, under which load, and how it is to be solved. Read from TOML and checked at the door.
-
-Lengths are mm, forces N, line loads N/mm, masses kg and kg/m2, angles degrees. x points right, y up; a rectangle spans
-from (0, 0) to (width, height), a disk is centred at (0, 0).
-"""
+"""A scene: curtain, mesh, supports, loads and solver, read from TOML and checked."""
 
 from __future__ import annotations
 
@@ -10,233 +6,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from macro_fem.scene.edges import canonical
+from macro_fem.scene.renamed import with_new_names
+from macro_fem.scene.tables import (
+    LIVE_LOADS,
+    MAX_CORNERS,
+    MAX_ENTRIES,
+    SUPPORTS,
+    Curtain,
+    Load,
+    Mesh,
+    Solver,
+    Support,
+)
 from rve.common.errors import InputError
 from rve.common.reading import read_toml
-from rve.common.values import (
-    MISSING,
-    choice,
-    entry,
-    finite,
-    flag,
-    list_of,
-    number,
-    read_record,
-    shown,
-    shown_key,
-    text,
-    whole,
-    words,
-)
-
-HANG_ANGLES = {"y": 0.0, "x": 90.0}
-ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
-MAX_CELLS = 20_000
-FEATURES = ("third-coordinate", "all-half-spaces", "ties", "coarse-start", "bounds")
-"""What a scene leaves out where it can; see `macro_fem.output.explain`."""
-
-
-MAX_CORNERS = 5_000
-"""Corners of the outline and its holes together: every one is compared with every other."""
-MAX_ENTRIES = 1_000
-"""Supports, or loads of one kind."""
-LEAST_MM, MOST_MM = 1e-6, 1e9
-"""Lengths and coordinates: their squares and ratios must stay numbers."""
-MOST_FORCE = 1e12
-
-
-def length(default: Any = MISSING) -> Any:
-    """A field for a length in mm."""
-    return number(default, least=LEAST_MM, most=MOST_MM)
-
-
-def _pair(size: float) -> Any:
-    component = finite(least=-size, most=size)
-
-    def check(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            raise ValueError("is not a pair of numbers [x, y]")
-        return component(value[0]), component(value[1])
-
-    return check
-
-
-_corners = list_of(_pair(MOST_MM), "points [x, y]", least=3, most=MAX_CORNERS)
-
-
-def vector(default: Any = MISSING, *, most: float = MOST_MM) -> Any:
-    """A field for a pair [x, y] with components up to `most` in size: mm, or N."""
-    return entry(_pair(most), default)
-
-
-def _hang(value: Any) -> float:
-    if isinstance(value, str) and value in HANG_ANGLES:
-        return HANG_ANGLES[value]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not -360.0 <= value <= 360.0:
-        raise ValueError('is neither "x", "y" nor an angle from -360 to 360 degrees')
-    return float(value)
-
-
-def _edge(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("is not the name of an edge")
-    return canonical(value)
-
-
-@dataclass(frozen=True)
-class Curtain:
-    """The sheet. `hang` is read as the angle from the vertical to the weave's y axis: "y" is 0, "x" is 90 degrees."""
-
-    shape: str = choice("rectangle", "disk", "outline", "file", default="rectangle")
-    width: float | None = length(None)
-    height: float | None = length(None)
-    radius: float | None = length(None)
-    outline: tuple[tuple[float, float], ...] | None = entry(_corners, None)
-    holes: tuple[tuple[tuple[float, float], ...], ...] = entry(list_of(_corners, "polygons", most=MAX_ENTRIES), ())
-    file: str | None = text(None)
-    hang: float = entry(_hang, 0.0)
-    areal_mass: float | None = number(None, least=0.0, most=1e6)
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """`cells` along the width. `pattern`: "aligned" has edges along both diagonal families of the weave."""
-
-    cells: int = whole(32, least=1, most=MAX_CELLS)
-    element: str = choice(*ELEMENTS, default="P1")
-    pattern: str = choice("aligned", "crossed", "diagonal", default="aligned")
-
-
-@dataclass(frozen=True)
-class Corners:
-    """Both ends of the top edge held; `gather` narrows their distance."""
-
-    gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, float] = vector((0.0, 0.0))
-
-
-@dataclass(frozen=True)
-class Top:
-    """The whole top edge held; `gather` narrows it."""
-
-    gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, float] = vector((0.0, 0.0))
-
-
-@dataclass(frozen=True)
-class Rail:
-    """The top edge held in height, free to slide sideways."""
-
-
-@dataclass(frozen=True)
-class Hooks:
-    """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm."""
-
-    pitch: float = length()
-    gather: float = number(1.0, above=0.0, most=1e6)
-    sliding: bool = flag(False)
-
-
-@dataclass(frozen=True)
-class Edge:
-    """A named edge held, by default in both directions, and moved by `move` mm."""
-
-    edge: str = entry(_edge)
-    held: str = choice("both", "x", "y", default="both")
-    gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, float] = vector((0.0, 0.0))
-
-
-@dataclass(frozen=True)
-class Point:
-    """The material point `at` held and moved by `move` mm."""
-
-    at: tuple[float, float] = vector()
-    held: str = choice("both", "x", "y", default="both")
-    move: tuple[float, float] = vector((0.0, 0.0))
-
-
-Support = Corners | Top | Rail | Hooks | Edge | Point
-SUPPORTS: dict[str, type[Support]] = {
-    "corners": Corners,
-    "top": Top,
-    "rail": Rail,
-    "hooks": Hooks,
-    "edge": Edge,
-    "point": Point,
-}
-
-
-@dataclass(frozen=True)
-class EdgeLoad:
-    """Force per reference length of a named edge, N/mm."""
-
-    edge: str = entry(_edge)
-    force: tuple[float, float] = vector(most=MOST_FORCE)
-
-
-@dataclass(frozen=True)
-class PointLoad:
-    """Force in N on the material point `at`."""
-
-    at: tuple[float, float] = vector()
-    force: tuple[float, float] = vector(most=MOST_FORCE)
-
-
-@dataclass(frozen=True)
-class PatchLoad:
-    """Force in N spread evenly over the reference disk of `radius` around `at`: a hand that pulls."""
-
-    at: tuple[float, float] = vector()
-    radius: float = length()
-    force: tuple[float, float] = vector(most=MOST_FORCE)
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
-
-    mass: float = number(least=0.0, most=1e9)
-    edge: str = entry(_edge, "bottom")
-    straight: bool = flag(True)
-
-
-@dataclass(frozen=True)
-class Load:
-    """Weight by `gravity` (m/s2) and the live loads; `steps` applies live loads and moves in equal steps."""
-
-    gravity: float = number(9.81, least=-1e6, most=1e6)
-    steps: int = whole(1, least=1, most=1000)
-    edge: tuple[EdgeLoad, ...] = ()
-    point: tuple[PointLoad, ...] = ()
-    patch: tuple[PatchLoad, ...] = ()
-    bar: tuple[Bar, ...] = ()
-
-
-LIVE_LOADS: dict[str, type[Any]] = {"edge": EdgeLoad, "point": PointLoad, "patch": PatchLoad, "bar": Bar}
-
-
-@dataclass(frozen=True)
-class Solver:
-    """`rigid`: ideal locking, `conic`: the same by a cone program (clarabel), `newton`: the elastic law.
-
-    `tolerance` is relative to the problem's energy scale, total load times size. `spread` adds an even tension of this
-    part of (total load / size) everywhere, which opens out what hangs slack and has no shape of its own; the bounds in
-    the summary allow for it, 0 switches it off. `force` names features, or all, that are used though the scene does not
-    need them.
-    """
-
-    kind: str = choice("rigid", "conic", "newton", default="rigid")
-    tolerance: float = number(1e-9, least=1e-12, most=1e-2)
-    max_iterations: int = whole(400, least=1, most=10_000)
-    spread: float = number(1e-6, least=0.0, most=1e-2)
-    bounds: bool = flag(False)
-    adapt: int = whole(0, least=0, most=12)
-    force: tuple[str, ...] = words("all", *FEATURES)
-
-    def forces(self, feature: str) -> bool:
-        """Whether a feature is to be used in any case."""
-        return feature in self.force or "all" in self.force
+from rve.common.values import read_record, shown, shown_key
 
 
 @dataclass(frozen=True)
@@ -275,11 +59,12 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
-    """The scene of parsed TOML tables.
+    """The scene of parsed TOML tables; OldName is the warning for a name that has changed.
 
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
+    data = with_new_names(data, source)
     tables = ("curtain", "mesh", "support", "load", "solver")
     for key in data:
         if key not in tables:
@@ -348,7 +133,7 @@ _NEEDS = {"rectangle": ("width", "height"), "disk": ("radius",), "outline": ("ou
 
 
 def _check_shape(curtain: Curtain, source: str | Path) -> None:
-    """Exactly the keys that describe the shape are given."""
+    """InputError unless exactly the keys that describe the shape are given."""
     needs = _NEEDS[curtain.shape]
     for key in ("width", "height", "radius", "outline", "file"):
         value = getattr(curtain, key)
@@ -393,15 +178,7 @@ def check_solver(scene: Scene, source: str | Path) -> None:
     element, shape, solver = scene.mesh.element, scene.curtain.shape, scene.solver
     if element in ("Q1", "Q2") and (shape not in ("rectangle", "file") or scene.curtain.holes):
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
-    if solver.kind == "newton" and (solver.bounds or solver.adapt):
-        raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'newton'")
-    if solver.kind != "rigid":
-        for feature in ("third-coordinate", "all-half-spaces", "bounds"):
-            if feature in solver.force:
-                raise InputError(f"{source}: [solver] force = {feature!r}: needs kind = 'rigid', not {solver.kind!r}")
-    if solver.kind == "conic" and "coarse-start" in solver.force:
-        raise InputError(f"{source}: [solver] force = 'coarse-start': needs kind = 'rigid' or 'newton', not 'conic'")
-    if "bounds" in solver.force and element != "P1":
-        raise InputError(f"{source}: [solver] force = 'bounds': needs element = 'P1', not {element!r}")
+    if solver.kind == "elastic" and (solver.bounds or solver.adapt):
+        raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

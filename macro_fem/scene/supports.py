@@ -1,6 +1,6 @@
 """Supports of a scene as held components of nodes, with the checks that need no solver.
 
-A support holds some components of some nodes at given positions. Everything that is certain to fail is found here:
+A support holds some components of some nodes at given positions. Scenes that must fail are refused here:
 supports that contradict each other, pieces of the curtain that nothing holds, loads along a direction that slides.
 """
 
@@ -12,10 +12,11 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.assembly import Discretization
+from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.mesh import CurtainMesh, components
-from macro_fem.scene.schema import Bar, Corners, Edge, Hooks, Point, Rail, Scene, Top
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Bar, Corners, Edge, Hooks, Point, Rail, Top
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -217,7 +218,7 @@ def straight_ties(lines: list[np.ndarray], X: Array, mask: np.ndarray) -> sparse
 def pin_sliding(supports: Supports, mesh: CurtainMesh, disc: Discretization, force: Array, source: object) -> Supports:
     """Pins one component of every piece of the curtain that can slide along x or y as a whole.
 
-    InputError if a piece hangs on nothing, or if the load `force` (n_nodes, 2) would push it along for ever.
+    InputError for a piece that nothing holds, and for a load `force` (n_nodes, 2) along a free sliding.
     """
     number, label = components(disc.cell_dofs, disc.n_nodes)
     pinned = np.zeros_like(supports.mask)
@@ -228,7 +229,7 @@ def pin_sliding(supports: Supports, mesh: CurtainMesh, disc: Discretization, for
         x, y = disc.nodes[nodes].mean(axis=0)
         if not held.any():
             what = "nothing holds the curtain" if number == 1 else f"nothing holds the piece around ({x:g}, {y:g})"
-            raise InputError(f"{source}: [support]: {what}, it would fall for ever")
+            raise InputError(f"{source}: [support]: {what}, so that it falls")
         for axis in np.flatnonzero(~held):
             push = float(force[nodes, axis].sum())
             if abs(push) > 1e-9 * total:

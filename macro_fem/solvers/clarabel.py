@@ -1,4 +1,4 @@
-"""The rigid curtain as a cone program solved by clarabel: an independent oracle for `macro_fem.solvers.rigid`.
+"""The rigid curtain as a cone program solved by clarabel: an independent oracle for `macro_fem.solvers.central_path`.
 
     minimise -l.z   subject to   ||F_q(z) L_i||_F <= c_i,   S_i = L_i L_i^T,   c_i^2 = 2 h_i + tr S_i
 
@@ -17,33 +17,41 @@ from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.cone_program import Iteration
-from macro_fem.solvers.cones import Cones, first_cones, law_cut, with_cuts
-from macro_fem.solvers.rigid import REACH, RigidResult, law_slack
+from macro_fem.solvers.central_path import PathResult
+from macro_fem.solvers.cone_program import REACH, Iteration
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
 from rve.common.errors import require
 from rve.common.types import Array
+from rve.common.values import Options, number, whole
 
-ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
-"""Errors that count as an answer: clarabel often ends "almost solved", short of what it was asked for."""
 FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
 
 
+ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+
+
 @dataclass(frozen=True)
-class ConicOptions:
-    """`gap` and `feasibility` of clarabel (relative), `violation` of the law that stops the cutting planes (strain)."""
+class ClarabelOptions(Options):
+    """When to stop; InputError for values that make no sense."""
 
-    gap: float = 1e-10
-    feasibility: float = 1e-10
-    violation: float = 1e-8
-    max_rounds: int = 30
+    gap: float = number(1e-10, above=0.0, most=1.0)
+    """Relative gap that clarabel is asked for."""
+    feasibility: float = number(1e-10, above=0.0, most=1.0)
+    """Relative residuals that clarabel is asked for. Smaller ones take more iterations."""
+    violation: float = number(1e-8, above=0.0, most=1.0)
+    """Violation of the law (strain) that ends the cutting planes. Smaller ones take more rounds."""
+    max_rounds: int = whole(30, least=1, most=1000)
+    """Programs solved at most, each with the half-spaces that the one before violated."""
+    attained: Accuracy = ATTAINED
+    """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
 
 
-def solve_conic(
-    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: ConicOptions = ConicOptions()
-) -> RigidResult:
-    """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `RigidResult`.
+def solve_clarabel(
+    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: ClarabelOptions = ClarabelOptions()
+) -> PathResult:
+    """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `PathResult`.
 
     InputError if clarabel is not installed.
     """
@@ -57,7 +65,7 @@ def solve_conic(
         if found.is_refuted:
             stop = "infeasible"
             break
-        S, h, g = law_cut(law, fem.gradient(found.z))
+        S, h, g = law_cut(law, green_strain(fem.gradient(found.z)))
         new = np.flatnonzero(g < -options.violation)
         history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
         if not found.is_solved or not len(new):
@@ -133,13 +141,13 @@ def square_roots(S: Array) -> tuple[Array, np.ndarray]:
 
 
 def _clarabel() -> Any:
-    require("clarabel", "cones", "[solver] kind = 'conic'", "use kind = 'rigid'")
+    require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     import clarabel
 
     return clarabel
 
 
-def _solve(clarabel: Any, task: _Task, cones: Cones, options: ConicOptions) -> _Found:
+def _solve(clarabel: Any, task: _Task, cones: Cones, options: ClarabelOptions) -> _Found:
     """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
     fem, B, size = task.fem, task.B, task.size
     d = fem.d
@@ -199,14 +207,14 @@ def _record(
     task: _Task,
     cones: Cones,
     found: _Found,
-    options: ConicOptions,
+    options: ClarabelOptions,
     history: list[Iteration],
-) -> RigidResult:
+) -> PathResult:
     fem = task.fem
-    return RigidResult(
+    return PathResult(
         stop=stop,
-        evidence=Evidence(found.gap, found.unbalanced, -law_slack(law, fem.gradient(found.z))),
-        asked=ATTAINED,
+        evidence=Evidence(found.gap, found.unbalanced, -least_slack(law, green_strain(fem.gradient(found.z)))),
+        asked=options.attained,
         z=found.z,
         lam=found.lam,
         y_tail=np.zeros((len(found.lam), 2 * fem.d)),

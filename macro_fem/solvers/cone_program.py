@@ -1,30 +1,45 @@
-"""The interior-point iteration for curtains with a given list of cones, with a bound at every step.
+"""One cone program for rigid and elastic curtains, and the interior-point step that solves it.
 
-    minimise  -l.z   subject to   (c_i, F_q(z) L_i) in the second-order cone,   S_i = L_i L_i^T,  c_i^2 = 2 h_i + tr S_i
+The elastic law is ideal locking with a compliance D behind it: Psi(E) = min over e of e:D^-1:e / 2 with E - e inside.
+With D = R R^T W (W weights the shear component by two) and e = R eps the curtain is
 
-Dual vectors y_i = (y0, y1) per reference area make the stress P_q = -sum_i y1_i L_i, in equilibrium when l = B^T (w P).
-Mehrotra's predictor and corrector in Nesterov and Todd's scaling (see `soc`), from any start: primal and dual residual
-need not vanish before the end, as in CVXOPT's conelp. `macro_fem.solvers.rigid` takes the steps. Every Newton matrix
-has the pattern of the finite elements,
+    minimise  -l.z + sum w eps.eps / 2   subject to   S_i:(E(F_q(z)) - R eps_q) <= h_i   at every point q,
 
-    H = B^T w sum_i L_i [W_i^-2]_11 L_i B.
+D = 0 is the rigid curtain: R has no columns and there is no eps. With S = L L^T, c^2 = 2 h + tr S and
+n = R^T W S . eps / c every half-space is a second-order cone,
 
-For equilibrated P the dual value -sum w (y0 c + y1:(F_0 L)), F_0 the part of F that supports impose, bounds -l.z from
-below for every admissible z. When it exceeds what -l.z can be, there is no admissible z: the certificate.
+    (c + n, n, F L):   (c + n)^2 - n^2 - |F L|^2 = 2 (h + S:e - S:E),      (c, F L) for D = 0.
+
+The dual vectors y per reference area make the stress P_q = -sum_i y_FL L_i, in equilibrium when l = B^T (w P), and the
+strains eps_q = sum_i (y_0 + y_n) N_i, N = R^T W S / c. Mehrotra's predictor and corrector in Nesterov and Todd's
+scaling (see `soc`), from any start: residuals need not vanish before the end, as in CVXOPT's conelp. The strains are
+eliminated point by point, so that every Newton matrix has the pattern of the finite elements.
+
+The dual value -sum w (y_0 c + y_FL:(F_0 L)) - sum w |eps(y)|^2 / 2, F_0 the part of F that supports impose, bounds the
+potential from below for every admissible z. A rigid curtain whose dual value exceeds every potential has no admissible
+state: the certificate. F is d x 2, d = 2 or 3. Linear half-spaces on the nodes themselves, a.z <= b (walls, floors),
+would be further cones of dimension one in `Program` and add diagonal entries a a^T to the matrix in `_Newton`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from macro_fem.solvers import soc
-from macro_fem.solvers.cones import Cones
+from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
+from macro_fem.solvers.options import STEPS, StepOptions
 from macro_fem.solvers.soc import Vectors
 from rve.common.types import Array
+
+SHEAR_TWICE = np.array([1.0, 2.0, 1.0])
+"""W: products of triples (xx, xy, yy) count the shear twice."""
+REACH = 4.0
+"""No point of an admissible state is farther than this many sizes from its place in another one: twice the stretch."""
 
 
 class Fem(Protocol):
@@ -52,12 +67,6 @@ class Fem(Protocol):
         ...
 
 
-LIFT = 0.1
-"""Least relative distance from the boundary of a cone at which an iteration begins."""
-BOUNDARY = 0.98
-"""Part of the way to the boundary of the cones that a step may go."""
-
-
 @dataclass(frozen=True)
 class Iteration:
     """One line of the history: relative gap, residuals of equilibrium and of the cones, step lengths, cones."""
@@ -72,9 +81,10 @@ class Iteration:
 
 @dataclass(frozen=True)
 class State:
-    """Free unknowns z, primal cone vectors s (lengths), dual ones y (N/mm)."""
+    """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm)."""
 
     z: Array
+    eps: Array
     s: Vectors
     y: Vectors
 
@@ -83,121 +93,145 @@ class State:
 class Program:
     """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm.
 
-    w (nc,) is the reference area of the point of each cone. Arrays over the cones keep every component contiguous.
+    R (3, k) is the root of the compliance, N (nc, k) what the strains eps do to each cone, both without columns for a
+    rigid curtain; w (nc,) is the reference area of the point of each cone. Arrays over the cones keep every component
+    contiguous.
     """
 
     fem: Fem
     load: Array
     cones: Cones
-    L: Array
-    c: Array
-    w: Array
+    R: Array
     scale: float
     total: float
 
-    def tails(self, F: Array) -> Array:
-        """F L of every cone, flat (nc, 2 d)."""
-        return gathered_root(F, self.cones.point, self.L)
+    @cached_property
+    def L(self) -> Array:
+        """Symmetric roots of the half-spaces as triples (nc, 3)."""
+        return symmetric_roots(self.cones.S)
 
-    def stress(self, tail: Array) -> Array:
-        """sum of y1 L over the cones of each point (nq, d, 2); minus the stress P."""
-        parts = times_root(tail.reshape(len(tail), -1, 2), self.L)
+    @cached_property
+    def c(self) -> Array:
+        """Radii (nc,)."""
+        return np.sqrt(2.0 * self.cones.size)
+
+    @cached_property
+    def N(self) -> Array:
+        """R^T W S / c (nc, k)."""
+        return np.asarray((self.cones.S * SHEAR_TWICE) @ self.R / self.c[:, None])
+
+    @cached_property
+    def w(self) -> Array:
+        """Reference area of the point of each cone (nc,), mm2."""
+        return self.fem.weight[self.cones.point]
+
+    @property
+    def lead(self) -> int:
+        """Components of a cone's tail before F L: 1 for n, 0 in a rigid curtain."""
+        return min(1, self.R.shape[1])
+
+    def map(self, F: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
+        """(n, n, F L) of every cone, or of some: what the unknowns F (nq, d, 2), eps (nq, k) do to it."""
+        point, L, lead = self.cones.point[which], self.L[which], self.lead
+        out = np.empty((lead + 2 * F.shape[1], len(point)))
+        for a in range(F.shape[1]):
+            root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[lead + 2 * a : lead + 2 * a + 2])
+        if not lead:
+            return Vectors(np.zeros(len(point)), out.T)
+        out[0] = soc.row_dot(self.N[which], eps[point])
+        return Vectors(out[0], out.T)
+
+    def slack(self, z: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
+        """(c + n, n, F L): the primal cone vectors that the unknowns ask for."""
+        v = self.map(self.fem.gradient(z), eps, which)
+        return Vectors(self.c[which] + v.head, v.tail)
+
+    def pull(self, y: Vectors) -> tuple[Array, Array]:
+        """The transpose of `map`, summed over the cones of each point: minus the stress P (nq, d, 2), eps (nq, k)."""
+        parts = times_root(y.tail[:, self.lead :].reshape(len(y.tail), -1, 2), self.L)
         summed = np.stack([self.cones.sum(column) for column in parts.T]).T
-        return summed.reshape(len(summed), -1, 2)
+        strain = [self.cones.sum(self.carried(y) * column) for column in self.N.T]
+        return summed.reshape(len(summed), -1, 2), np.array(strain).reshape(len(strain), len(summed)).T
 
-    def slack(self, z: Array) -> Vectors:
-        """(c, F L): the primal cone vectors that z asks for."""
-        return Vectors(self.c, self.tails(self.fem.gradient(z)))
+    def carried(self, y: Vectors) -> Array:
+        """y_0 + y_n (nc,): c times the multiplier lam of each half-space, whose stress is lam S."""
+        return y.head + y.tail[:, 0] if self.lead else y.head
 
-
-def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float) -> Program:
-    """The program of a list of half-spaces."""
-    c, w = np.sqrt(2.0 * cones.size), fem.weight[cones.point]
-    return Program(fem, load, cones, symmetric_roots(cones.S), c, w, scale, total)
-
-
-def times_root(F: Array, L: Array) -> Array:
-    """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
-    out = np.empty((2 * F.shape[1], len(F)))
-    for a in range(F.shape[1]):
-        _root_row(F[:, a, 0], F[:, a, 1], L, out[2 * a : 2 * a + 2])
-    return out.T
+    def locked(self, F: Array, eps: Array) -> Array:
+        """E - R eps (nq, 3): the strain that the half-spaces limit."""
+        return green_strain(F) - eps @ self.R.T
 
 
-def gathered_root(F: Array, point: np.ndarray, L: Array) -> Array:
-    """`times_root` of F[point] and L (nc, 3) for F (nq, d, 2)."""
-    out = np.empty((2 * F.shape[1], len(point)))
-    for a in range(F.shape[1]):
-        _root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[2 * a : 2 * a + 2])
-    return out.T
-
-
-def _root_row(x: Array, y: Array, L: Array, out: Array) -> None:
-    """(x, y) L of each cone into out (2, n)."""
-    np.multiply(x, L[:, 0], out=out[0])
-    out[0] += y * L[:, 1]
-    np.multiply(x, L[:, 1], out=out[1])
-    out[1] += y * L[:, 2]
-
-
-def symmetric_roots(S: Array) -> Array:
-    """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
-    det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))
-    size = np.sqrt(S[:, 0] + S[:, 2] + 2.0 * det)
-    return np.stack([(S[:, 0] + det) / size, S[:, 1] / size, (S[:, 2] + det) / size]).T
+def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float, compliance: Array) -> Program:
+    """The program of a list of half-spaces; compliance (3, 3) in tensor components, zero for a rigid curtain."""
+    values, vectors = np.linalg.eigh(compliance / SHEAR_TWICE)
+    is_soft = values > 1e-15 * max(values.max(), 1e-300)
+    return Program(fem, load, cones, vectors[:, is_soft] * np.sqrt(values[is_soft]), scale, total)
 
 
 @dataclass(frozen=True)
 class Measure:
     """How far a state is from the answer, relative to the energy scale, and the residuals themselves.
 
-    `gap`: sum of w s.y; `unbalanced`: forces, times one size; `outside`: largest cone residual relative to c;
-    `dual`: dual value over the scale; `error`: the sum of the first three. tail (nc, 2 d) is F L, r_x (n,) and r_s the
-    residuals of equilibrium and of the cones.
+    `gap`: sum of w s.y; `unbalanced`: forces, times one size; `outside`: largest cone residual relative to c; `strain`:
+    misfit of the strains; `error`: the largest of these. `lower`: a bound of the potential from below over all states
+    within REACH sizes of this one, `dual` the same without what unbalanced forces could do. `wanted` are the cone
+    vectors that the unknowns ask for; r_x (n,), r_e (nq, k), r_s: residuals of equilibrium, strains, cones.
     """
 
     gap: float
     unbalanced: float
     outside: float
+    strain: float
     dual: float
-    tail: Array
+    lower: float
+    wanted: Vectors
     r_x: Array
+    r_e: Array
     r_s: Vectors
 
     @property
     def error(self) -> float:
-        return self.gap + self.unbalanced + self.outside
+        return max(self.gap, self.unbalanced, self.outside, self.strain)
 
 
 def measure(program: Program, state: State) -> Measure:
-    """The residuals and the gap of a state, recomputed from z and y."""
-    fem, w = program.fem, program.w
-    sum_of_parts = program.stress(state.y.tail)
+    """The residuals and the gap of a state, recomputed from its unknowns and y."""
+    fem, w, scale = program.fem, program.w, program.scale
+    sum_of_parts, strain = program.pull(state.y)
     r_x = program.load + fem.force(sum_of_parts)
-    tail = program.tails(fem.gradient(state.z))
-    r_s = Vectors(state.s.head - program.c, state.s.tail - tail)
+    r_e = strain - state.eps
+    wanted = program.slack(state.z, state.eps)
+    r_s = state.s - wanted
     held = fem.gradient(np.zeros_like(state.z))
     dual = -float((w * state.y.head * program.c).sum())
     dual -= float((fem.weight * (sum_of_parts * held).sum(axis=(1, 2))).sum())
+    dual -= 0.5 * float((fem.weight * soc.row_dot(strain, strain)).sum())
+    unbalanced = float(np.abs(r_x).sum()) / program.total
     return Measure(
-        gap=float((w * state.s.dot(state.y)).sum()) / program.scale,
-        unbalanced=float(np.abs(r_x).sum()) / program.total,
+        gap=float((w * state.s.dot(state.y)).sum()) / scale,
+        unbalanced=unbalanced,
         outside=float(np.sqrt((r_s.dot(r_s) / program.c**2).max())),
-        dual=dual / program.scale,
-        tail=tail,
+        strain=float(np.sqrt((fem.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
+        dual=dual / scale,
+        lower=(dual - float((r_x * state.z).sum())) / scale - REACH * unbalanced,
+        wanted=wanted,
         r_x=r_x,
+        r_e=r_e,
         r_s=r_s,
     )
 
 
 @dataclass(frozen=True)
 class Step:
-    """Changes of the unknowns, the cone vectors and the tails F L; lengths at most 1; the share of residuals kept."""
+    """Changes of the unknowns, the cone vectors and what is asked of them; lengths at most 1; the share of residuals
+    kept."""
 
     dz: Array
+    deps: Array
     ds: Vectors
     dy: Vectors
-    d_tail: Array
+    d_wanted: Vectors
     keep: float
     primal: float = 0.0
     dual: float = 0.0
@@ -210,37 +244,80 @@ class _Newton:
         self.program, self.now = program, now
         self.W = soc.scaling(state.s, state.y)
         self.point = self.W.apply(state.y)
-        cones = program.cones
-        d = state.s.tail.shape[1] // 2
+        cones, w, k = program.cones, self.W.w, program.R.shape[1]
+        d = (w.tail.shape[1] - program.lead) // 2
         inv2 = 1.0 / self.W.eta**2
-        w1L = times_root(self.W.w.tail.reshape(-1, d, 2), program.L)
-        A = cones.sum_of_squares(w1L, 2.0 * inv2).reshape(-1, d, 2, d, 2)
+        # W^-2 seen through `map` is eta^-2 (2 q q^T + |F L|^2): the squares of the two n cancel.
+        q = times_root(w.tail[:, program.lead :].reshape(-1, d, 2), program.L)
+        if k:
+            q = np.column_stack([(w.tail[:, 0] - w.head)[:, None] * program.N, q])
+        H = cones.sum_of_squares(q, 2.0 * inv2)
         S = cones.stress(inv2)
-        for a in range(d):
-            A[:, a, 0, a, 0] += S[:, 0]
-            A[:, a, 0, a, 1] += S[:, 1]
-            A[:, a, 1, a, 0] += S[:, 1]
-            A[:, a, 1, a, 1] += S[:, 2]
-        self.solve = program.fem.factorize(A)
+        for a in range(k, k + 2 * d, 2):
+            H[:, a, a] += S[:, 0]
+            H[:, a, a + 1] += S[:, 1]
+            H[:, a + 1, a] += S[:, 1]
+            H[:, a + 1, a + 1] += S[:, 2]
+        self.strains = _Strains(H, k) if k else None
+        A = H if self.strains is None else self.strains.reduced
+        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2))
 
-    def direction(self, aim: Vectors, keep: float) -> Step:
-        """The step to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`."""
+    def direction(self, aim: Vectors, keep: float) -> tuple[Step, Vectors, Vectors]:
+        """The step to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`, W^-1 ds and W dy."""
         program, W, now = self.program, self.W, self.now
         r_s = now.r_s * (1.0 - keep)
-        aimed = W.undo(soc.divide(self.point, aim))
-        dual_part = aimed.tail + W.undo_twice_tail(r_s)
-        rhs = (1.0 - keep) * now.r_x + program.fem.force(program.stress(dual_part))
-        dz = self.solve(rhs)
-        d_tail = program.tails(program.fem.gradient_change(dz))
-        ds = Vectors(-r_s.head, d_tail - r_s.tail)
-        return Step(dz, ds, aimed - W.undo(W.undo(ds)), d_tail, keep)
+        both = soc.divide(self.point, aim)
+        aimed = W.undo(both)
+        force, strain = program.pull(aimed + W.undo_twice(r_s))
+        half = strain + (1.0 - keep) * now.r_e
+        if self.strains is not None:
+            half = self.strains.half(half)
+            force = force - self.strains.onto_gradient(half, force.shape)
+        dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force))
+        dF = program.fem.gradient_change(dz)
+        deps = half if self.strains is None else self.strains.whole(half, dF)
+        d_wanted = program.map(dF, deps)
+        ds = d_wanted - r_s
+        scaled = W.undo(ds)
+        return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, keep), scaled, both - scaled
 
 
-def step_lengths(state: State, step: Step, boundary: float) -> tuple[float, float]:
-    """How far s and y may go, at most 1."""
+class _Strains:
+    """The strains' part of the matrices H (nq, k + 2 d, k + 2 d), eliminated point by point.
+
+    By Cholesky's factor, for an explicit inverse would lose the square of its digits.
+    """
+
+    def __init__(self, H: Array, k: int) -> None:
+        H = np.ascontiguousarray(H)
+        H[:, range(k), range(k)] += 1.0
+        self.root: Array = np.asarray(np.linalg.cholesky(H[:, :k, :k]))
+        self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :k, k:]))
+        self.reduced: Array = H[:, k:, k:] - self.couple.swapaxes(1, 2) @ self.couple
+
+    def half(self, strain: Array) -> Array:
+        """root^-1 strain (nq, k)."""
+        return _solved(self.root, strain)
+
+    def onto_gradient(self, half: Array, shape: tuple[int, ...]) -> Array:
+        """What strains that follow at once take from the right-hand side (nq, d, 2)."""
+        return np.einsum("nij,ni->nj", self.couple, half).reshape(shape)
+
+    def whole(self, half: Array, dF: Array) -> Array:
+        """The change of the strains (nq, k) that goes with that of the gradient (nq, d, 2)."""
+        moved = np.einsum("nij,nj->ni", self.couple, dF.reshape(len(dF), -1))
+        return _solved(self.root.swapaxes(1, 2), half - moved)
+
+
+def _solved(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[:, :, None]))[:, :, 0]
+
+
+def step_lengths(program: Program, state: State, step: Step, boundary: float) -> tuple[float, float]:
+    """How far s and y may go, at most 1; equally far where strains tie them together."""
     primal = min(1.0, boundary * soc.largest_step(state.s, step.ds))
     dual = min(1.0, boundary * soc.largest_step(state.y, step.dy))
-    return primal, dual
+    return (min(primal, dual),) * 2 if program.lead else (primal, dual)
 
 
 def mean_product(program: Program, state: State) -> float:
@@ -248,7 +325,15 @@ def mean_product(program: Program, state: State) -> float:
     return float((program.w * state.s.dot(state.y)).sum() / program.w.sum())
 
 
-def search(program: Program, state: State, now: Measure, least_gap: float, *, corrector: bool = True) -> Step | None:
+def search(
+    program: Program,
+    state: State,
+    now: Measure,
+    least_gap: float,
+    *,
+    corrector: bool = True,
+    boundary: float = StepOptions.boundary,
+) -> Step | None:
     """A predictor-corrector step and its lengths; None if rounding leaves none.
 
     The aim is no closer than `least_gap` (relative to the scale): with gaps far below the residuals Newton's matrix
@@ -262,21 +347,26 @@ def search(program: Program, state: State, now: Measure, least_gap: float, *, co
     unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
     mu = mean_product(program, state)
     square = soc.product(newton.point, newton.point)
-    affine = newton.direction(square * -1.0, 0.0)
-    reach = min(step_lengths(state, affine, 1.0))
+    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, 0.0)
+    reach = min(step_lengths(program, state, affine, 1.0))
     sigma = (1.0 - reach) ** 3
-    second = soc.product(newton.W.undo(affine.ds), newton.W.apply(affine.dy)) * float(corrector)
+    second = soc.product(scaled_ds, scaled_dy) * float(corrector)
     least = min(mu, least_gap * program.scale / float(program.w.sum()))
-    step = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
+    step, _, _ = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
-    primal, dual = step_lengths(state, step, BOUNDARY)
+    primal, dual = step_lengths(program, state, step, boundary)
     return replace(step, primal=primal, dual=dual)
 
 
 def moved(state: State, step: Step) -> State:
     """The state after a step."""
-    return State(state.z + step.primal * step.dz, state.s + step.ds * step.primal, state.y + step.dy * step.dual)
+    return State(
+        state.z + step.primal * step.dz,
+        state.eps + step.primal * step.deps,
+        state.s + step.ds * step.primal,
+        state.y + step.dy * step.dual,
+    )
 
 
 def is_inside(state: State) -> bool:
@@ -284,15 +374,16 @@ def is_inside(state: State) -> bool:
     return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0)
 
 
-def first_state(program: Program, z: Array, gap: float) -> State:
-    """A state at z on the central path of relative gap `gap`; cone vectors of violated cones are lifted inside."""
-    s = program.slack(z).lifted(LIFT * program.c)
-    return State(z, s, soc.inverse(s, gap * program.scale / float(program.w.sum())))
+def first_state(program: Program, z: Array, options: StepOptions = STEPS) -> State:
+    """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
+    eps = np.zeros((len(program.fem.weight), program.R.shape[1]))
+    s = program.slack(z, eps).lifted(options.lift * program.c)
+    return State(z, eps, s, soc.inverse(s, options.first_gap * program.scale / float(program.w.sum())))
 
 
-def is_certificate(program: Program, state: State, now: Measure) -> bool:
+def is_certificate(program: Program, now: Measure) -> bool:
     """Whether y proves that no admissible z exists: its dual value is large against load and unbalanced forces."""
-    if now.outside == 0.0 or now.dual <= 0.0:
+    if program.lead or now.outside == 0.0 or now.dual <= 0.0:
         return False
     stress_only = float(np.abs(now.r_x - program.load).sum()) / program.total
     return stress_only < 1e-6 * now.dual

@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from homogenize import HalfSpaces, MembraneLaw
-from macro_fem.fem.turned import TurnedLaw
+from macro_fem.fem.rotated import RotatedLaw
 from rve.common.types import Array
 
 LAW_CHUNK = 20_000
@@ -50,10 +50,6 @@ class Cones:
         C = right_cauchy_green(F)[self.point]
         S = self.S
         return self.size - 0.5 * (S[:, 0] * C[:, 0] + 2.0 * S[:, 1] * C[:, 1] + S[:, 2] * C[:, 2])
-
-    def pull(self, F: Array) -> Array:
-        """F S (nc, d, 2): minus the gradient of every slack."""
-        return times_triple(F[self.point], self.S)
 
     def sum(self, values: Array) -> Array:
         """Sums over the half-spaces of each point: (nc, ...) to (nq, ...)."""
@@ -93,9 +89,27 @@ def times_triple(F: Array, S: Array) -> Array:
     return out
 
 
-def ddot(A: Array, B: Array) -> Array:
-    """A:B (n,) for A, B (n, d, 2)."""
-    return np.einsum("nij,nij->n", A, B)
+def times_root(F: Array, L: Array) -> Array:
+    """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
+    out = np.empty((2 * F.shape[1], len(F)))
+    for a in range(F.shape[1]):
+        root_row(F[:, a, 0], F[:, a, 1], L, out[2 * a : 2 * a + 2])
+    return out.T
+
+
+def root_row(x: Array, y: Array, L: Array, out: Array) -> None:
+    """(x, y) L of each cone into out (2, n)."""
+    np.multiply(x, L[:, 0], out=out[0])
+    out[0] += y * L[:, 1]
+    np.multiply(x, L[:, 1], out=out[1])
+    out[1] += y * L[:, 2]
+
+
+def symmetric_roots(S: Array) -> Array:
+    """Symmetric L with L L = S as triples (n, 3), for positive semidefinite triples S (n, 3), also of rank one."""
+    det = np.sqrt(np.maximum(S[:, 0] * S[:, 2] - S[:, 1] ** 2, 0.0))
+    size = np.sqrt(S[:, 0] + S[:, 2] + 2.0 * det)
+    return np.stack([(S[:, 0] + det) / size, S[:, 1] / size, (S[:, 2] + det) / size]).T
 
 
 def first_cones(law: MembraneLaw, n_points: int) -> Cones:
@@ -125,7 +139,7 @@ class Faceted(Protocol):
 
 def facets_of(law: MembraneLaw) -> HalfSpaces | None:
     """All half-spaces of a law, in the frame of the curtain; None if they are not a finite list."""
-    if isinstance(law, TurnedLaw):
+    if isinstance(law, RotatedLaw):
         own = facets_of(law.law)
         return None if own is None else HalfSpaces(own.S @ law.to_curtain.T, own.h)
     return law.facets() if isinstance(law, Faceted) else None
@@ -184,19 +198,15 @@ def only(cones: Cones, keep: np.ndarray) -> Cones:
     return Cones(point, cones.S[keep], cones.h[keep], np.searchsorted(point, np.arange(len(cones.first))))
 
 
-def law_cut(law: MembraneLaw, F: Array) -> tuple[Array, Array, Array]:
-    """The half-space of the law nearest to (or most violated by) each F (n, d, 2): S (n, 3), h (n,), slack g (n,)."""
-    return _cut(law, green_strain(F))
-
-
-def least_slack(law: MembraneLaw, E: Array) -> float:
-    """The least slack of the law over all strains E (n, 3), over h + tr S / 2; negative where one is not admissible."""
-    S, h, slack = _cut(law, E)
-    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())
-
-
-def _cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
+def law_cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
+    """The half-space of the law nearest to (or most violated by) each E (n, 3): S (n, 3), h (n,), h - S:E (n,)."""
     parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
     S = np.concatenate([part.S for part in parts])
     h = np.concatenate([part.h for part in parts])
     return S, h, -np.concatenate([part.violation for part in parts])
+
+
+def least_slack(law: MembraneLaw, E: Array) -> float:
+    """The least slack of the law over all strains E (n, 3), over h + tr S / 2; negative where one is not admissible."""
+    S, h, slack = law_cut(law, E)
+    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())

@@ -86,10 +86,11 @@ class Scaling:
         """W^-1 v."""
         return self._turn(v, -1.0, 1.0 / self.eta)
 
-    def undo_twice_tail(self, v: Vectors) -> Array:
-        """The tail of W^-2 v (n, m)."""
-        along = 2.0 * (row_dot(self.w.tail, v.tail) - self.w.head * v.head)
-        return (along[:, None] * self.w.tail + v.tail) / (self.eta**2)[:, None]
+    def undo_twice(self, v: Vectors) -> Vectors:
+        """W^-2 v."""
+        along, inv2 = 2.0 * (row_dot(self.w.tail, v.tail) - self.w.head * v.head), 1.0 / self.eta**2
+        head = -(along * self.w.head + v.head) * inv2
+        return Vectors(head, (along[:, None] * self.w.tail + v.tail) * inv2[:, None])
 
     def _turn(self, v: Vectors, sign: float, scale: Array) -> Vectors:
         w0, w1 = self.w.head, self.w.tail

@@ -18,37 +18,55 @@ the curtain x / (1 + g) hangs from supports which are drawn together by as much.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.rigid import RigidOptions, RigidResult, law_slack, solve_rigid
+from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.cones import green_strain, least_slack
+from macro_fem.solvers.options import PathOptions
 from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
 from rve.common.types import Array
+from rve.common.values import Options, entry, finite, list_of, number
 
-GIVES = (AT_LIMIT, 1e-3)
-"""By how much rings may give, tried in turn: the answer is off by its square root, multipliers are its inverse."""
-GAP = 1e-7
-"""What double precision leaves of the gap beside multipliers that are so large."""
-REACH_GAP = 1e-6
-"""Accuracy of the factor, far below AT_LIMIT."""
-SURE = 2.0
-"""The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT."""
 
-Solve = Callable[[SupportedFem, Array, Array, RigidOptions], RigidResult]
+@dataclass(frozen=True)
+class StretchOptions(Options):
+    """How the limit is found and relaxed; InputError for values that make no sense."""
+
+    gives: tuple[float, ...] = entry(
+        list_of(finite(above=0.0, most=0.1), "stretches", least=1, most=10), (AT_LIMIT, 1e-3)
+    )
+    """By how much rings may give, tried in turn: the answer is off by its square root, multipliers are its inverse."""
+    gap: float = number(1e-7, above=0.0, most=1.0)
+    """Least gap asked for there: double precision leaves no less beside multipliers that are so large."""
+    reach_gap: float = number(1e-6, above=0.0, most=AT_LIMIT)
+    """Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
+    sure: float = number(2.0, least=1.0, most=100.0)
+    """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
+
+
+Solve = Callable[[SupportedFem, Array, Array, PathOptions], PathResult]
 """A rigid solver of a discretisation under loads (n,) from unknowns (n,)."""
 
 
-def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float, solve: Solve | None = None) -> Reach:
+def reach_of(
+    fem: SupportedFem,
+    law: MembraneLaw,
+    start: Array,
+    size: float,
+    solve: Solve | None = None,
+    how: StretchOptions = StretchOptions(),
+) -> Reach:
     """How much farther apart the supports could be; cheap where the unknowns `start` already are slack everywhere.
 
     `size` (mm) is the extent of the curtain; `solve` another solver than our own interior point.
     """
-    room = law_slack(law, fem.gradient(start))
-    if room > SURE * 2.0 * AT_LIMIT:
+    room = least_slack(law, green_strain(fem.gradient(start)))
+    if room > how.sure * 2.0 * AT_LIMIT:
         return Reach(_stretchable(1.0, min(room, 1.0 - 1e-9)), np.inf)
     wider = movable(fem, size)
     if wider is None:
@@ -58,14 +76,14 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float, sol
 
     def bounds(z: Array, dual: float) -> Reach:
         factor = max(0.0, float(z[-1]) / size)
-        return Reach(_stretchable(factor, law_slack(law, wider.gradient(z))), max(0.0, -dual / size))
+        return Reach(_stretchable(factor, least_slack(law, green_strain(wider.gradient(z)))), max(0.0, -dual / size))
 
     def is_decided(z: Array, dual: float) -> bool:
-        return bounds(z, dual).lower > 1.0 + SURE * AT_LIMIT
+        return bounds(z, dual).lower > 1.0 + how.sure * AT_LIMIT
 
-    options = RigidOptions(REACH_GAP, REACH_GAP, drawn=False, enough=is_decided)
+    options = PathOptions(how.reach_gap, how.reach_gap, drawn=False, enough=is_decided)
     zero = np.zeros(wider.n)
-    result = solve_rigid(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options)
+    result = solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options)
     return bounds(result.z, result.dual)
 
 
@@ -90,16 +108,22 @@ def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
 
 
 def solve_taut(
-    fem: SupportedFem, load: Array, start: Array, options: RigidOptions, reach: Reach, solve: Solve
-) -> tuple[RigidResult, float]:
+    fem: SupportedFem,
+    load: Array,
+    start: Array,
+    options: PathOptions,
+    reach: Reach,
+    solve: Solve,
+    how: StretchOptions = StretchOptions(),
+) -> tuple[PathResult, float]:
     """The answer for rings that give, with its own bounds, and by how much; the last one tried if none converges.
 
     They give as much as the supports are out of reach, and a little more.
     """
-    loose = replace(options, gap=max(GAP, options.gap))
-    for more in GIVES:
+    loose = replace(options, gap=max(how.gap, options.gap))
+    for more in how.gives:
         give = max(0.0, 1.0 / reach.lower - 1.0) + more
-        nearer = replace(fem, x_held=fem.x_held / (1.0 + give))
+        nearer = fem.moved(fem.x_held / (1.0 + give))
         result = solve(nearer, load, start / (1.0 + give), loose)
         if result.converged:
             break

@@ -15,6 +15,7 @@ import os
 import signal
 import threading
 import traceback
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -22,7 +23,7 @@ from typing import Any
 
 import click
 
-from rve.common.errors import InputError, NotConverged
+from rve.common.errors import InputError, NotConverged, OldName
 
 _TRACE = "rve.common.command_line.traceback"
 _STOPS = ("SIGTERM", "SIGHUP")
@@ -52,7 +53,7 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes a sentence and an exit code."""
         try:
-            with _stops_raised():
+            with _stops_raised(), _old_names_told():
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
@@ -119,6 +120,23 @@ def _remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
 
 def _raise_stopped(number: int, frame: FrameType | None) -> None:
     raise Stopped(number)
+
+
+@contextmanager
+def _old_names_told() -> Iterator[None]:
+    """Warnings of old names in files are printed as sentences on standard error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", OldName)
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+            if issubclass(category, OldName):
+                click.echo(f"Warning: {message}", err=True)
+            else:
+                others(message, category, *place)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
 
 
 @contextmanager

@@ -13,6 +13,10 @@ class NotConverged(RuntimeError):
     """A single solve did not reach its tolerance; the message holds the status and its sentence."""
 
 
+class OldName(FutureWarning):
+    """A file uses a name that has changed; the message says the new one. Commands print it on standard error."""
+
+
 SENTENCES = {
     "converged": "equilibrium found: residual, gaps and links are within tolerance",
     "stalled": "no equilibrium after all attempts; allow more iterations or attempts, or move the load by 0.01 degrees",

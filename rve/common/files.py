@@ -51,7 +51,7 @@ def write_whole(path: AnyPath, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: AnyPath, text: str) -> None:
-    """Write a whole text file, or nothing."""
+    """Write a text file, atomically."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 

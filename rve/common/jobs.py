@@ -200,7 +200,7 @@ def _is_own(path: Path, known: str) -> bool:
 
 
 def _place(out: Path, record: str) -> None:
-    """Remove the old files and move the new ones from the hidden folder; goes on where a killed process has stopped."""
+    """Remove the old files and move the new ones from the hidden folder; continues where a killed process stopped."""
     ready = _ready(out, record)
     if not ready.is_dir():
         return

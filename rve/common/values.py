@@ -2,7 +2,7 @@
 
 A check takes a value as a TOML or JSON parser gives it and returns it in its own type, or raises ValueError with what
 is wrong with it and what is allowed. `checked` and `read_record` add file and key. All readers of the three packages
-use these checks; nothing here knows of rings, laws or curtains.
+use these checks, and so do option records made in Python (`Options`); nothing here knows of rings, laws or curtains.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field, fields
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -245,3 +245,33 @@ def read_record(cls: type[Record], table: Any, where: str, *, strict: bool = Tru
 def shown_key(key: str) -> str:
     """A key as an error message shows it."""
     return key if key.isidentifier() and key.isascii() and len(key) <= 80 else shown(key)
+
+
+class Options:
+    """Base of frozen dataclasses of options: a value is checked by the check of its field when the record is made.
+
+    InputError for a name that is no field, and for a value that does not pass.
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Steps(Options):
+    ...     most: int = whole(20, least=1, most=100)
+    >>> Steps(most=0)
+    Traceback (most recent call last):
+    ...
+    rve.common.errors.InputError: Steps: most = 0: must be from 1 to 100
+    """
+
+    def __new__(cls, *values: Any, **named: Any) -> Self:
+        """An empty record, if all names are known."""
+        known = [item.name for item in fields(cls)]  # type: ignore[arg-type]
+        for name in named:
+            if name not in known:
+                raise InputError(f"{cls.__name__}: {shown_key(name)}: unknown option; known are {', '.join(known)}")
+        return super().__new__(cls)
+
+    def __post_init__(self) -> None:
+        """Check every field that has a check."""
+        for item in fields(self):  # type: ignore[arg-type]
+            if "check" in item.metadata:
+                checked(vars(self), item.name, item.metadata["check"], f"{type(self).__name__}:")

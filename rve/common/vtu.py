@@ -34,6 +34,13 @@ CELL_KINDS = {1: "vertex", 3: "line", 5: "triangle", 9: "quad", 22: "triangle6",
 CELL_KINDS |= {10: "tetra", 12: "hexahedron", 7: "polygon", 4: "polyline"}
 SIZES = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
 
+DISPLACEMENT, OLD_REFERENCE = "displacement_mm", "reference_mm"
+"""Fields at the points of a curtain; in files of older versions points are deformed and the reference is a field."""
+STRAIN, STRESS = "E_11_12_22", "S_11_12_22_N_per_mm"
+LINE_LOAD_1, LINE_LOAD_2, DIRECTION_1 = "line_load_1_N_per_mm", "line_load_2_N_per_mm", "direction_1"
+STATE = "state_0_slack_1_wrinkled_2_taut"
+"""Fields of the cells of a curtain, written by `macro_fem.output.files`."""
+
 _TYPES = {f"{kind}{bits}": f"{kind[0].lower()}{bits // 8}" for kind in ("Int", "UInt") for bits in (8, 16, 32, 64)}
 _TYPES |= {"Float32": "f4", "Float64": "f8"}
 _WHOLE = re.compile(rb"<AppendedData\b[^>]*>")

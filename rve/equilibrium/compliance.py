@@ -2,7 +2,7 @@
 
 A contact of stiffness k lets rings overlap: gap + lam/k = 0 where lam > 0. In units of r1 and of the size s_hat of the
 line load only the ratio kappa = k/s_hat counts (k and s_hat both in N/mm): penetrations are lam/kappa, and strains
-differ from the rigid ones by a multiple of 1/kappa. Per primitive cell each contact is there once.
+differ from the rigid ones by a multiple of 1/kappa. Each contact is counted once per primitive cell.
 
 The locking compliance of a unit load is D(kappa) = dE/dS at constant k, a 3 x 3 matrix of tensor components (11, 12,
 22): dE_i = sum_j D_ij dS_j. At s_hat N/mm and k N/mm the compliance in mm/N is D(k/s_hat)/s_hat. Since the contact
@@ -17,7 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
+from rve.common.values import Options, number, whole
 from rve.equilibrium.contact_qp import Programme, solve_contact_step
 from rve.equilibrium.interior_point import Equilibrium, carry_forces
 from rve.equilibrium.system import Equations, System, lattice_load
@@ -25,28 +27,29 @@ from rve.geometry.contacts import Contacts, find_contacts
 from rve.geometry.kinematics import green_lagrange, second_pk
 from rve.geometry.pose import Pose, moved, reduction
 
-Flags = NDArray[np.bool_]
-
-_CONVEX, _STIFF = 1e-4, 1e6  # least curvature and largest stiffness of the programme that finds the working contacts
-_WEIGHT = np.array([1.0, 2.0, 1.0])
+_CONVEX, _STIFF = 1e-4, 1e6
+"""Least curvature and largest stiffness of the quadratic programme that finds the loaded contacts."""
 
 
 @dataclass(frozen=True)
-class SoftOptions:
-    """tolerance: weighted residual R; reach: gap in r1 from which contacts are seen; step: largest coordinate change
-    per iteration; start: ratio kappa of the first stage, from the rigid pose; factor: between stages.
+class CompliantOptions(Options):
+    """Options of `soften`; InputError for senseless values.
+
+    tolerance: weighted residual R at which a stage has converged; reach: contacts with a larger gap in r1 are ignored.
+    step: largest coordinate change per iteration; max_iterations: per stage.
+    start: ratio kappa of the first stage, which starts from the rigid pose; factor: between stages, smaller is safer.
     """
 
-    tolerance: float = 1e-11
-    reach: float = 0.1
-    step: float = 0.05
-    start: float = 1e10
-    factor: float = 10.0
-    max_iterations: int = 40
+    tolerance: float = number(1e-11, above=0.0, most=1.0)
+    reach: float = number(0.1, above=0.0, most=10.0)
+    step: float = number(0.05, above=0.0, most=0.5)
+    start: float = number(1e10, above=0.0)
+    factor: float = number(10.0, above=1.0, most=1e6)
+    max_iterations: int = whole(40, least=1, most=1_000_000)
 
 
 @dataclass(frozen=True)
-class SoftEquilibrium:
+class SoftEquilibrium(Rows):
     """Equilibria at finite contact stiffness.
 
     pose (n cases, in r1), contacts and lam (n, p, SLOTS) in s_hat r1; R (n,); iterations (n,): of all stages; status
@@ -57,7 +60,7 @@ class SoftEquilibrium:
     contacts: Contacts
     lam: Array
     R: Array
-    iterations: NDArray[np.intp]
+    iterations: Index
     status: NDArray[np.str_]
     compliance: Array
 
@@ -76,17 +79,17 @@ def _bordered(system: System, active: Flags, flexibility: Array) -> Array:
     return K
 
 
-def _columns(present: Flags) -> NDArray[np.intp]:
+def _columns(present: Flags) -> Index:
     """Slots of the contacts of each case, padded by empty ones, (n, c)."""
     count = int(present.sum(axis=1).max(initial=1))
     return np.argsort(~present, axis=1, kind="stable")[:, :count]
 
 
 @dataclass(frozen=True)
-class _Slots:
+class _Slots(Rows):
     """Contacts of a batch packed into c columns: their slots, gaps, forces, 1/kappa, and which are pressed."""
 
-    slot: NDArray[np.intp]
+    slot: Index
     system: System
     gap: Array
     lam: Array
@@ -121,7 +124,7 @@ def _pressed(system: System, there: Flags, gap: Array, flexibility: Array) -> Fl
 
 
 def _iterated(
-    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: SoftOptions
+    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: CompliantOptions
 ) -> tuple[SoftEquilibrium, Flags]:
     """One Newton step of each case, and which had converged before it."""
     n = len(s)
@@ -155,7 +158,7 @@ def soften(
     equations: Equations,
     kappa: float | Array,
     reference: tuple[float, float],
-    options: SoftOptions = SoftOptions(),
+    options: CompliantOptions = CompliantOptions(),
 ) -> SoftEquilibrium:
     """Equilibria at the stiffness ratio kappa = k/s_hat near the rigid ones `found`, with their compliances.
 
@@ -167,46 +170,31 @@ def soften(
     target = np.broadcast_to(np.asarray(kappa, dtype=float), (len(equations.weave.pairs),))
     contacts = find_contacts(found.pose, equations.weave, equations.wire, options.reach)
     n = len(s)
-    soft = SoftEquilibrium(
-        found.pose,
-        contacts,
-        _carried(found.contacts, found.lam, contacts),
-        np.full(n, np.nan),
-        np.zeros(n, dtype=int),
-        found.status,
-        np.full((n, 3, 3), np.nan),
-    )
+    lam, R, iterations = _carried(found.contacts, found.lam, contacts), np.full(n, np.nan), np.zeros(n, dtype=int)
+    soft = SoftEquilibrium(found.pose, contacts, lam, R, iterations, found.status, np.full((n, 3, 3), np.nan))
     stages = max(0, int(np.ceil(np.log(options.start / target.min()) / np.log(options.factor))))
     for stage in range(stages, -1, -1):
         soft = _stage(equations, soft, s, target * options.factor**stage, options)
-    good = soft.status == "converged"
-    if good.any():
-        soft.compliance[good] = locking_compliance(equations, _taken(soft, good), s[good], target, reference)
-    return soft
-
-
-def _taken(soft: SoftEquilibrium, keep: Flags) -> SoftEquilibrium:
-    rows = np.flatnonzero(keep)
-    rest = {name: getattr(soft, name)[rows] for name in ("lam", "R", "iterations", "status", "compliance")}
-    return SoftEquilibrium(pose=soft.pose.take(rows), contacts=soft.contacts.take(rows), **rest)
+    good = np.flatnonzero(soft.status == "converged")
+    if not len(good):
+        return soft
+    part = soft.take(good)
+    return soft.put(good, replace(part, compliance=locking_compliance(equations, part, s[good], target, reference)))
 
 
 def _stage(
-    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: SoftOptions
+    equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, options: CompliantOptions
 ) -> SoftEquilibrium:
-    """Newton's method at one stiffness for the cases that have come so far."""
+    """Newton's method at one stiffness for the cases that converged in the stage before."""
     rows = np.flatnonzero(soft.status == "converged")
-    part = _taken(soft, soft.status == "converged")
+    part = soft.take(rows)
     done = np.zeros(len(rows), dtype=bool)
     for _ in range(options.max_iterations):
         if done.all():
             break
         part, done = _iterated(equations, part, s[rows], kappa, options)
-    out = {name: getattr(soft, name).copy() for name in ("lam", "R", "iterations", "status")}
-    for name in ("lam", "R", "iterations"):
-        out[name][rows] = getattr(part, name)
-    out["status"][rows[~done]] = "stalled"
-    return replace(soft, pose=soft.pose.put(rows, part.pose), contacts=soft.contacts.put(rows, part.contacts), **out)
+    status = np.where(done, "converged", "stalled").astype(soft.status.dtype)
+    return soft.put(rows, replace(part, status=status))
 
 
 def deformation(pose: Pose, reference: tuple[float, float]) -> Array:
@@ -269,18 +257,6 @@ def _pk_derivative(F: Array, dF: Array, s: Array) -> Array:
     back = np.einsum("nxkj,nky->nxyj", turn, S)
     direct = np.stack([second_pk(F, np.tile(e, (n, 1))) for e in np.eye(3)], axis=2)
     return direct + triple[:, :, None] * dJ_over_J[:, None, :] - _triples(back + back.transpose(0, 2, 1, 3))
-
-
-def symmetric_defect(D: Array) -> Array:
-    """How far diag(1, 2, 1) D is from symmetric, relative to its size, (n,); the potential makes it zero."""
-    W = _WEIGHT[:, None] * D
-    skew = np.abs(W - W.transpose(0, 2, 1)).max(axis=(1, 2))
-    return np.asarray(skew / np.abs(W).max(axis=(1, 2)))
-
-
-def rigid_limit(coarse: Array, fine: Array, factor: float) -> Array:
-    """Extrapolation of any quantity from kappa and factor * kappa to rigid contact; its error falls like 1/kappa^2."""
-    return np.asarray((factor * fine - coarse) / (factor - 1.0))
 
 
 def strain(pose: Pose, reference: tuple[float, float]) -> Array:

@@ -7,7 +7,7 @@ With displacements w (m), gap gradients G and stiffnesses k of the contacts, the
 is the optimality condition of min 1/2 w^T A w - b^T w + 1/2 sum k min(gap + G w, 0)^2: without constraints, convex and
 piecewise quadratic. Newton's method on it changes the set of working contacts and ends after finitely many sets, with a
 line search from any start (Qi and Sun 1993, doi 10.1007/BF01581275). Slots without a contact have k = 0; arrays keep
-one shape whatever the batch, so that a case gives the same bits alone and in company.
+one shape for every batch, so that results do not depend on the other cases, to the bit.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _searched(
     """The point reached from w towards `target`, and whether it is the minimum."""
     G, gap, k = programme.G, programme.gap, programme.k
     after = gap + _times(G, target)
-    # A contact on the verge may flip for ever by round-off; its force is then k times round-off.
+    # A contact with a gap of round-off may alternate without end; its force is k times round-off.
     verge = 1e-15 * (1.0 + np.abs(_times(np.abs(G), np.abs(target))))
     same = (((after <= 0.0) & (k > 0.0)) == working) | (np.abs(after) <= verge) | (k == 0.0)
     settled = same.all(axis=1)

@@ -1,13 +1,12 @@
 """Direct equilibrium of the periodic cell: a primal-dual interior-point Newton method, batched over load cases.
 
-Each case follows lam_i gap_i = mu as mu -> 0 from one slack pose, with the exact unsymmetric Jacobian of `system`.
-Gaps stay positive and links intact in every accepted step, so rings never tunnel. A trust radius per case tames the
-unbounded curvature of contacts that merge. Cases that have converged leave the batch; cases that stall are tried again
-from turned start poses and with a slower fall of mu.
+Each case follows the central path lam_i gap_i = mu as mu -> 0 from one slack pose, with the exact unsymmetric Jacobian
+of `system`. Gaps stay positive and links intact in every accepted step, so rings never pass through each other. A trust
+radius per case limits steps where the curvature of merging contacts is unbounded. Converged cases leave the batch.
+Cases that stall are tried again from disturbed start poses and with a slower decrease of mu.
 
-What matters where contacts merge is in `contact`: both twins of a soft minimum must be found even when they are 0.001
-rad apart, and the saddle between them must not count. With that, the paper's delicate cases take no more iterations
-than others.
+Contact search (`rve.geometry.circles`) must find both minima of a merging pair even when they are 0.001 rad apart, and
+must not count the saddle between them.
 """
 
 from __future__ import annotations
@@ -17,49 +16,52 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
+from rve.common.values import Options, number, whole
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import Contacts, parallel_clearance
 from rve.geometry.pose import Pose, moved, start_pose
 
-Flags = NDArray[np.bool_]
-
 SLOW = (0.5, 0.7)
 """Factors on mu of the attempts after the first; 0.5 solves most loads that stall, 0.3 fewer, 0.7 some of the rest."""
+NEVER = 1e300
+"""Value of `DirectOptions.rejection` that rejects no step."""
 
 
 @dataclass(frozen=True)
-class DirectOptions:
-    """Options of the direct solver; lengths in units of r1, forces in units of s r1.
+class DirectOptions(Options):
+    """Options of the direct solver; lengths in units of r1, forces in units of s r1. InputError for senseless values.
 
-    tolerance: weighted residual R at which a case has converged; 1e-11 leaves two digits to the paper's 1e-9.
-    mu_end: final complementarity lam gap; gaps of working contacts end at mu_end / lam, about 1e-12 mm.
-    reach: gap beyond which a contact is not looked at; a step moves rings by less.
+    tolerance: weighted residual R at which a case has converged; the default leaves two digits to the paper's 1e-9.
+    mu_start, mu_end: first and final complementarity lam gap; loaded gaps end at mu_end / lam, about 1e-12 mm.
+    shrink, power: each stage lowers mu to the lesser of shrink mu and mu^power; larger `shrink` is slower and safer.
+    reach: contacts with a larger gap are ignored; a step moves rings by less.
     step: largest coordinate change per iteration (r1 or radians).
-    shrink, power: on the path mu falls to the lesser of shrink mu and mu^power. attempts: tries; those after the first
-    let mu fall slowly (`_attempt`).
-    curvature_below: mu from which on contact curvature is in the Jacobian, 1: from the start. Left out down to 1e-2 and
-    1e-3 it takes 1.1 to 1.7 and 1.9 to 2.9 times the iterations (docs/reports/omissions.md).
-    force: features of `explain` that a run would leave out by itself.
+    max_iterations: per case and attempt; attempts after the first get four times as many.
+    attempts: tries per case; those after the first lower mu slowly.
+    patience: iterations without progress after which mu is lowered off the central path.
+    rejection: a step that multiplies the merit by more than this is taken back.
+    curvature_below: mu below which contact curvature is in the Jacobian; 1 is always. Smaller values take more
+    iterations (docs/reports/omissions.md).
     """
 
-    tolerance: float = 1e-11
-    mu_start: float = 0.03
-    mu_end: float = 1e-13
-    shrink: float = 0.1
-    power: float = 1.5
-    reach: float = 0.6
-    step: float = 0.15
-    max_iterations: int = 150
-    attempts: int = 3
-    patience: int = 20
-    rejection: float = 3.0
-    curvature_below: float = 1.0
-    force: tuple[str, ...] = ()
+    tolerance: float = number(1e-11, above=0.0, most=1.0)
+    mu_start: float = number(0.03, above=0.0, most=1.0)
+    mu_end: float = number(1e-13, above=0.0, most=1.0)
+    shrink: float = number(0.1, above=0.0, most=0.99)
+    power: float = number(1.5, least=1.0, most=10.0)
+    reach: float = number(0.6, above=0.0, most=10.0)
+    step: float = number(0.15, above=0.0, most=0.5)
+    max_iterations: int = whole(150, least=0, most=1_000_000)
+    attempts: int = whole(3, least=1, most=100)
+    patience: int = whole(20, least=1, most=1_000_000)
+    rejection: float = number(3.0, least=1.0, most=NEVER)
+    curvature_below: float = number(1.0, least=0.0, most=1.0)
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class Equilibrium(Rows):
     """Locked poses of a batch of load cases and how they were found.
 
     pose: n poses in units of r1; lam (n, p, SLOTS): contact forces in units of s r1; contacts: where they act;
@@ -71,32 +73,19 @@ class Equilibrium:
     lam: Array
     contacts: Contacts
     R: Array
-    iterations: NDArray[np.intp]
+    iterations: Index
     status: NDArray[np.str_]
-    attempts: NDArray[np.intp]
-
-    def take(self, rows: NDArray[np.intp]) -> Equilibrium:
-        """The equilibria of these cases (rows in ascending order)."""
-        arrays = (self.R[rows], self.iterations[rows], self.status[rows], self.attempts[rows])
-        return Equilibrium(self.pose.take(rows), self.lam[rows], self.contacts.take(rows), *arrays)
-
-    def put(self, rows: NDArray[np.intp], other: Equilibrium) -> Equilibrium:
-        """A copy in which `rows` (ascending) are replaced by `other`."""
-        fields = {}
-        for name in ("lam", "R", "iterations", "status", "attempts"):
-            array = getattr(self, name).copy()
-            array[rows] = getattr(other, name)
-            fields[name] = array
-        return Equilibrium(
-            pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields
-        )
+    attempts: Index
 
 
 @dataclass(frozen=True)
-class _State:
-    """Cases still in the batch: row numbers, loads, poses, contacts, forces, path parameter, progress."""
+class _State(Rows):
+    """Cases still in the batch: row numbers, loads, poses, contacts, forces, path parameter, progress of the iteration.
 
-    row: NDArray[np.intp]
+    best, last: merit; stall: iterations without progress; radius: trust radius; moved: length of the last step.
+    """
+
+    row: Index
     s: Array
     pose: Pose
     contacts: Contacts
@@ -104,33 +93,11 @@ class _State:
     mu: Array
     best: Array
     last: Array
-    stall: NDArray[np.intp]
+    stall: Index
     radius: Array
     moved: Array
-
-    def take(self, keep: Flags) -> _State:
-        rows = np.flatnonzero(keep)
-        return _State(
-            self.row[keep],
-            self.s[keep],
-            self.pose.take(keep),
-            self.contacts.take(rows),
-            self.lam[keep],
-            self.mu[keep],
-            self.best[keep],
-            self.last[keep],
-            self.stall[keep],
-            self.radius[keep],
-            self.moved[keep],
-        )
-
-    def put(self, rows: NDArray[np.intp], other: _State) -> _State:
-        fields = {}
-        for name in ("row", "s", "lam", "mu", "best", "last", "stall", "radius", "moved"):
-            array = getattr(self, name).copy()
-            array[rows] = getattr(other, name)
-            fields[name] = array
-        return _State(pose=self.pose.put(rows, other.pose), contacts=self.contacts.put(rows, other.contacts), **fields)
+    R: Array
+    iterations: Index
 
 
 def carry_forces(old: Contacts, lam: Array, new: Contacts, mu: Array) -> Array:
@@ -193,7 +160,7 @@ def _accepted_step(
     length = np.minimum(1.0, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
     floor = 0.01 * state.contacts.min_gap
 
-    def look(rows: NDArray[np.intp]) -> tuple[Pose, Contacts, Flags]:
+    def look(rows: Index) -> tuple[Pose, Contacts, Flags]:
         here = state.pose.take(rows)
         pose = moved(here, equations.displacement(length[rows, None] * dq[rows], here))
         contacts = equations.contacts(pose, options.reach)
@@ -228,12 +195,12 @@ def _measure(state: _State, system: System) -> tuple[Array, Array, Array]:
     return R, off.max(axis=1), np.sqrt(R**2 + (off**2).sum(axis=1))
 
 
-def _followed(state: _State, R: Array, off: Array, merit: Array, options: DirectOptions) -> _State:
-    """The state with its path parameter, trust radius and progress counters brought up to date."""
+def _followed(state: _State, off: Array, merit: Array, options: DirectOptions) -> _State:
+    """The state with its path parameter, trust radius and counters updated."""
     better = merit < state.last
     improved = merit < 0.9 * state.best
     stall = np.where(improved, 0, state.stall + 1)
-    on_path = (10.0 * state.mu > R) & (off < 0.9 * state.mu)
+    on_path = (10.0 * state.mu > state.R) & (off < 0.9 * state.mu)
     # A barrier centre may not exist right where contacts merge: go on to the next mu after `patience` idle iterations.
     stuck = stall >= options.patience
     less = np.minimum(options.shrink * state.mu, state.mu**options.power)
@@ -250,6 +217,7 @@ def _followed(state: _State, R: Array, off: Array, merit: Array, options: Direct
         last=np.where(fresh, np.inf, merit),
         stall=np.where(fresh, 0, stall),
         radius=np.clip(radius, 1e-7, options.step),
+        iterations=state.iterations + 1,
     )
 
 
@@ -272,8 +240,9 @@ def _advanced(state: _State, equations: Equations, options: DirectOptions, syste
     return replace(state, pose=pose, contacts=contacts, lam=lam, moved=moved)
 
 
-def _run(state: _State, equations: Equations, options: DirectOptions, out: Equilibrium) -> _State:
-    """Iterate until every case has converged or the iterations are used up; converged cases are written to `out`."""
+def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[list[_State], _State]:
+    """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
+    finished: list[_State] = []
     anchor, anchor_system = state, None
     for _ in range(options.max_iterations + 1):
         curved = state.mu <= options.curvature_below
@@ -281,49 +250,41 @@ def _run(state: _State, equations: Equations, options: DirectOptions, out: Equil
         R, off, merit = _measure(state, system)
         if anchor_system is not None:
             worse = merit > options.rejection * state.last
-            rows = np.flatnonzero(worse)
-            if len(rows):
-                shrunk = 0.3 * np.minimum(state.radius, state.moved)[rows]
-                state = state.put(rows, replace(anchor.take(worse), radius=np.maximum(shrunk, 1e-7)))
-                system = system.put(rows, anchor_system.take(worse))
+            if worse.any():
+                rows = np.flatnonzero(worse)
+                radius = np.maximum(0.3 * np.minimum(state.radius, state.moved), 1e-7)
+                state = state.put(rows, replace(anchor, radius=radius).take(rows))
+                system = system.put(rows, anchor_system.take(rows))
                 R, off, merit = _measure(state, system)
-                state.last[rows] = merit[rows]
+                state = replace(state, last=np.where(worse, merit, state.last))
+        state = replace(state, R=R)
         done = (options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end)
-        _record(out, state.take(done), R[done])
-        go = ~done
-        state, system, R, off, merit = state.take(go), system.take(go), R[go], off[go], merit[go]
+        if done.any():
+            finished.append(state.take(done))
+            go = ~done
+            state, system, off, merit = state.take(go), system.take(go), off[go], merit[go]
         if not len(state.row):
             break
-        out.iterations[state.row] += 1
-        state = _followed(state, R, off, merit, options)
+        state = _followed(state, off, merit, options)
         anchor, anchor_system = state, system
         state = _advanced(state, equations, options, system)
-    return state
-
-
-def _record(out: Equilibrium, state: _State, R: Array) -> None:
-    """Write converged cases into the arrays of the result under construction."""
-    rows = state.row
-    for name in ("lattice", "centres", "normals"):
-        getattr(out.pose, name)[rows] = getattr(state.pose, name)
-    out.lam[rows] = state.lam
-    out.R[rows] = R
-    out.status[rows] = "converged"
+    return finished, state
 
 
 def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
-    """Options of an attempt: after the first, mu falls slowly and every step that keeps rings apart is taken.
+    """Options of an attempt: after the first, mu falls slowly and no step is taken back.
 
     A load that is nearly uniaxial, or a pull along the grain of thin wire, moves the cell far along a narrow valley
-    while mu falls. In strides of 1/10 and less the cell is left behind on its wall, from where no step leads on.
+    while mu falls. If mu falls by a factor of ten or more, the cell is left behind on the wall of the valley and
+    stalls there.
     """
     if attempt == 0:
         return options
     shrink = SLOW[(attempt - 1) % len(SLOW)]
-    return replace(options, shrink=shrink, power=1.0, rejection=np.inf, max_iterations=4 * options.max_iterations)
+    return replace(options, shrink=shrink, power=1.0, rejection=NEVER, max_iterations=4 * options.max_iterations)
 
 
-def _turned(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
+def _disturbed(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
     """Start poses shifted by seeded random numbers of size `amount`, the same for every case and batch."""
     shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, equations.modes.shape[1])
     return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1)), pose))
@@ -354,34 +315,39 @@ def unit_loads(s: Array) -> Array:
 def follow(
     s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
 ) -> Equilibrium:
-    """Equilibria under whatever load the equations have, `s` being its rows as they are; see `solve_equilibrium`."""
-    n = len(s)
-    first = start if start is not None else start_pose(equations.weave, n)
+    """Equilibria under the load of the equations, `s` being its rows; see `solve_equilibrium`."""
+    first = start if start is not None else start_pose(equations.weave, len(s))
     contacts = equations.contacts(first, options.reach)
-    out = Equilibrium(
-        first.take(np.arange(n)),
-        np.zeros(contacts.gap.shape),
-        contacts,
-        np.full(n, np.nan),
-        np.zeros(n, dtype=int),
-        np.full(n, "stalled", dtype="<U16"),
-        np.ones(n, dtype=int),
-    )
-    left = np.arange(n)
+    nan, none = np.full(len(s), np.nan), np.zeros(len(s), dtype=int)
+    stalled = np.full(len(s), "stalled", dtype="<U16")
+    found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, none, stalled, none + options.attempts)
+    left, iterations = np.arange(len(s)), none
     for attempt in range(options.attempts):
         tuned = _attempt(options, attempt)
         pose = first.take(left)
         if attempt > 0:
-            pose = _turned(pose, equations, attempt, 0.03)
-        found = equations.contacts(pose, options.reach)
-        mu = np.full(len(left), options.mu_start)
-        lam = np.where(found.present, mu[:, None, None] / np.maximum(found.gap, 1e-9), 0.0)
-        inf, none = np.full(len(left), np.inf), np.zeros(len(left))
-        radius = np.full(len(left), tuned.step)
-        state = _State(left, s[left], pose, found, lam, mu, inf, inf, none.astype(int), radius, none)
-        left = _run(state, equations, tuned, out).row
+            pose = _disturbed(pose, equations, attempt, 0.03)
+        state = _started(left, s[left], pose, iterations, equations, tuned)
+        finished, rest = _run(state, equations, tuned)
+        for part in finished:
+            tries = np.full(len(part.row), attempt + 1)
+            status = np.full(len(part.row), "converged", dtype="<U16")
+            done = Equilibrium(part.pose, part.lam, part.contacts, part.R, part.iterations, status, tries)
+            found = found.put(part.row, done)
+        left, iterations = rest.row, rest.iterations
         if not len(left):
-            break
-        out.attempts[left] += 1
-    out.attempts[left] = options.attempts
-    return replace(out, contacts=equations.contacts(out.pose, options.reach))
+            return found
+    total = found.iterations.copy()
+    total[left] = iterations
+    return replace(found, iterations=total)
+
+
+def _started(
+    row: Index, s: Array, pose: Pose, iterations: Index, equations: Equations, options: DirectOptions
+) -> _State:
+    """The state of cases at the start of an attempt, on the central path as far as forces can be."""
+    contacts = equations.contacts(pose, options.reach)
+    mu, inf, zero = np.full(len(row), options.mu_start), np.full(len(row), np.inf), np.zeros(len(row))
+    lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
+    radius = np.full(len(row), options.step)
+    return _State(row, s, pose, contacts, lam, mu, inf, inf, zero.astype(int), radius, zero, inf, iterations)

@@ -19,10 +19,10 @@ from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import Contacts
 from rve.geometry.pose import Pose, moved
 
-# Second principal load over the first, each half of the one before: the way to the limit.
 _SIZES = 1.6e-2 * 0.5 ** np.arange(7)
-# Values at d, d/2 and d/4 extrapolate to zero with an error of third order.
+"""Second principal loads over the first, by which the limit is approached; more of them get nearer and take longer."""
 _WEIGHTS = np.array([1.0, -6.0, 8.0]) / 3.0
+"""Extrapolate values at d, d/2 and d/4 to zero with an error of third order."""
 
 
 def strain_is_unique(equations: Equations, found: Equilibrium, s: Array, tolerance: float = 1e-8) -> NDArray[np.bool_]:
@@ -61,10 +61,10 @@ def _inward(s: Array, size: float) -> Array:
 
 
 def _trail(s: Array, equations: Equations, options: DirectOptions) -> list[Equilibrium]:
-    """Equilibria for ever smaller second loads, each from a pose near the one before.
+    """Equilibria for decreasing second loads, each started from the one before.
 
-    The start of a solve is its predecessor stopped early, at complementarity 1e-3 of the second load, where gaps are
-    still open: from a cold start such loads take ten times as many iterations, or stall.
+    The start of a solve is the one before stopped at complementarity 1e-3 of the second load, where gaps are still
+    open. From the slack pose such loads take ten times as many iterations, or stall.
     """
     found, start = [], None
     for size in _SIZES:
@@ -117,7 +117,7 @@ def _extrapolated(
     stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
     known = np.all([part.status == "converged" for part in three], axis=0)
     ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
-    status = np.where(ok, "converged", "no-limit")
+    status = np.where(ok, "converged", "no-limit").astype("<U16")
     return replace(three[-1], pose=pose, lam=lam, contacts=contacts, R=R, status=status)
 
 
@@ -181,7 +181,7 @@ def with_limits(
 ) -> tuple[Equilibrium, NDArray[np.bool_]]:
     """Equilibria with non-unique rows replaced by their limits, and the flags `unique` (n,).
 
-    Uniaxial and nearly uniaxial loads that have stalled are approached on the same way, from inside the tensile cone.
+    Stalled uniaxial and nearly uniaxial loads are approached from inside the tensile cone, too.
     A row whose limit cannot be found keeps one of its equilibria and gets the status "no-limit".
     """
     unique = strain_is_unique(equations, found, s)
@@ -192,9 +192,10 @@ def with_limits(
         return found, unique
     limit = limit_equilibrium(s[rows], equations, options)
     good = limit.status == "converged"
-    found = replace(found, status=np.where(unique, found.status, "no-limit"))
+    found = replace(found, status=np.where(unique, found.status, "no-limit").astype("<U16"))
     found = found.put(rows[good], limit.take(np.flatnonzero(good)))
     reached = rows[good & stalled[rows]]
     if len(reached):
-        unique[reached] = strain_is_unique(equations, found.take(reached), s[reached])
+        free = reached[~strain_is_unique(equations, found.take(reached), s[reached])]
+        unique = unique & ~np.isin(np.arange(len(s)), free)
     return found, unique

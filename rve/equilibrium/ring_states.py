@@ -12,10 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from rve.common.records import Flags, Index, Rows
+from rve.common.tensor import WEIGHT
 from rve.common.types import Array
+from rve.equilibrium.compliance import deformation
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.system import Equations, weighted_size
 from rve.geometry.circles import cross, dot, tangent_frame
@@ -36,11 +38,10 @@ _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
-_WEIGHT = np.array([1.0, 2.0, 1.0])
 
 
 @dataclass(frozen=True)
-class RingStates:
+class RingStates(Rows):
     """Elastic locked states of n cases.
 
     lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of
@@ -57,22 +58,18 @@ class RingStates:
 
 
 @dataclass(frozen=True)
-class Ends:
+class Ends(Rows):
     """Where contacts act on the rings of n cells: slot (n, c) of each contact, present (n, c); of its two ends, first
     all on ring a, then all on ring b: ring (n, 2c), angle phi (n, 2c), direction (n, 2c, 3) in the ring's local axes,
     zero for padding."""
 
-    slot: NDArray[np.intp]
-    present: NDArray[np.bool_]
-    ring: NDArray[np.intp]
+    slot: Index
+    present: Flags
+    ring: Index
     phi: Array
     direction: Array
 
-    def take(self, rows: NDArray[np.intp]) -> Ends:
-        """The ends of these cases."""
-        return Ends(*(column[rows] for column in vars(self).values()))
-
-    def on(self, k: int) -> tuple[Array, Array, NDArray[np.intp]]:
+    def on(self, k: int) -> tuple[Array, Array, Index]:
         """Angles (n, e), directions (n, e, 3), contacts (n, e) of the ends on ring k; padding has no direction."""
         mine = (self.ring == k) & (self.direction != 0.0).any(axis=2)
         count = int(mine.sum(axis=1).max(initial=1))
@@ -133,7 +130,7 @@ class DeadLoad:
         n, m = len(s), T.shape[2]
         area = self.reference[0] * self.reference[1]
         f, J = np.zeros((n, m)), np.zeros((n, m, m))
-        f[:, :3] = area * np.einsum("ni,nij->nj", s * _WEIGHT, strain_gradient(pose, self.reference))
+        f[:, :3] = area * np.einsum("ni,nij->nj", s * WEIGHT, strain_gradient(pose, self.reference))
         x2, y3, t = pose.lattice.T
         b_x, b_y = self.reference
         S11, S12, S22 = area * s[:, 0] / b_x**2, 2.0 * area * s[:, 1] / (b_x * b_y), area * s[:, 2] / b_y**2
@@ -171,12 +168,11 @@ def ring_states(
     states = RingStates(
         np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), ()))
     )
-    for start in range(0, len(good), _BLOCK):
-        rows = good[start : start + _BLOCK]
-        block = _block(equations, found.take(rows), s[rows], reference, poisson)
-        for name, values in vars(block).items():
-            getattr(states, name)[rows] = values
-    return states
+    if not len(good):
+        return states
+    parts = [good[start : start + _BLOCK] for start in range(0, len(good), _BLOCK)]
+    blocks = [_block(equations, found.take(rows), s[rows], reference, poisson) for rows in parts]
+    return states.put(good, blocks[0].join(blocks[1:]))
 
 
 def _block(
@@ -212,8 +208,7 @@ class _Cells:
 def _cells(
     equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends, C: Array
 ) -> _Cells:
-    F = np.stack([found.pose.a1 / reference[0], found.pose.a2 / reference[1]], axis=2)
-    S = second_pk(F, s)
+    S = second_pk(deformation(found.pose, reference), s)
     dead = replace(equations, load=DeadLoad(reference))
     system = dead.assemble(found.pose, found.contacts, found.lam, S)
     G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
@@ -289,7 +284,7 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     W = U - N @ np.linalg.solve(_positive(N.T @ C @ N), N.T @ C @ U) if N.shape[1] else U
     Z = Vt[len(sizes) :].T
     load = np.zeros((len(H), 3))
-    load[:3] = area * B.T * _WEIGHT
+    load[:3] = area * B.T * WEIGHT
     stiffness, motions = np.linalg.eigh(0.5 * Z.T @ (H + H.T) @ Z)
     V = Z @ motions
     soft = stiffness < _SOFT
@@ -298,7 +293,7 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     V, stiffness = V[:, ~soft], stiffness[~soft]
     dq = (V / stiffness) @ (V.T @ load)
     Lam = W @ ((Vt[: len(sizes)] @ (H @ dq - load)) / sizes[:, None])
-    return B @ dq[:3], (Lam.T @ C @ Lam) / area / _WEIGHT[:, None]
+    return B @ dq[:3], (Lam.T @ C @ Lam) / area / WEIGHT[:, None]
 
 
 def _spread(lam: Array, ends: Ends, found: Equilibrium) -> Array:
@@ -308,7 +303,7 @@ def _spread(lam: Array, ends: Ends, found: Equilibrium) -> Array:
     return full.reshape(found.lam.shape)
 
 
-def _at_ends(lam: Array, contact: NDArray[np.intp]) -> Array:
+def _at_ends(lam: Array, contact: Index) -> Array:
     return np.take_along_axis(lam, contact, axis=1)[..., None]
 
 

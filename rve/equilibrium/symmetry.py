@@ -1,11 +1,13 @@
-"""Two symmetries that the locked states of a weave have, and what they save.
+"""Two symmetries of the locked states of a weave: fewer coordinates, and contact forces that have the symmetry.
 
 Point inversion in the centre of a ring maps each class of rings on itself, the reflection z -> -z maps one class on the
 other. A cell with both has its second ring half-way between lattice points, c = (i a1 + j a2)/2, and its normals mirror
 images of each other: 5 of the 9 coordinates are left, and half of the pairs of rings, for the rest are their images.
 
-The symmetry is exploited, not assumed: a locked state found in it must obey all equations with all pairs, and must not
-give way to an asymmetric motion. Otherwise the case is solved again with all coordinates.
+Where more contacts touch than the cell has coordinates, forces are not unique and the solver shares them by round-off;
+in symmetric coordinates they balance every ring, along z as well. The symmetry is not assumed: a locked state must
+satisfy all equations with all pairs, and must be stable against asymmetric motions. Otherwise the case is solved again
+with all coordinates.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.equilibrium.interior_point import (
     DirectOptions,
@@ -29,9 +32,6 @@ from rve.equilibrium.system import Equations
 from rve.geometry.contacts import Contacts
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.weave import Weave
-
-Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 _INVERTED = np.array([-1.0, -1.0, -1.0])
 _REFLECTED = np.array([1.0, 1.0, -1.0])
@@ -140,9 +140,9 @@ def symmetric_start(weave: Weave, symmetry: Symmetry, count: int) -> Pose:
     """The slack pose of the weave, `count` times, symmetric to the last digit."""
     pose = start_pose(weave, count)
     i, j = symmetry.middle
-    pose.centres[:, 1] = 0.5 * (i * pose.a1 + j * pose.a2)
-    pose.normals[:, 1] = pose.normals[:, 0] * _TURNED
-    return pose
+    middle, first = 0.5 * (i * pose.a1 + j * pose.a2), pose.normals[:, 0]
+    centres = np.stack([pose.centres[:, 0], middle], axis=1)
+    return replace(pose, centres=centres, normals=np.stack([first, first * _TURNED], axis=1))
 
 
 def expanded(found: Equilibrium, symmetry: Symmetry, equations: Equations, s: Array, reach: float) -> Equilibrium:
@@ -166,12 +166,10 @@ def expanded(found: Equilibrium, symmetry: Symmetry, equations: Equations, s: Ar
 def _shared_by_twins(contacts: Contacts, lam: Array, symmetry: Symmetry) -> Array:
     """Forces (n, q, SLOTS) with equal parts for contacts that are each other's image within one pair of rings.
 
-    To symmetric motions these two are one, so that the solver shares their force as it happens to get there. The
+    Symmetric motions see only the sum of the two forces, so the solver does not determine their shares. The
     image of a pair of one class in itself is the inverted one; of two classes, the one turned about z by half a turn.
     """
-    rho_b = np.full(contacts.rho.shape, np.inf)
-    rho_b[contacts.present] = contacts.minima.rho_b
-    image = rho_b * symmetry.itself[:, None]
+    image = np.where(contacts.present[..., None], contacts.rho_b, np.inf) * symmetry.itself[:, None]
     way = contacts.rho[:, :, None] - image[:, :, :, None]  # case, pair, contact, candidate for its image
     there = contacts.present[:, :, None, :] & contacts.present[..., None]
     distance = np.where(there, np.linalg.norm(np.where(there[..., None], way, 0.0), axis=4), np.inf)

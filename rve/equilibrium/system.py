@@ -18,20 +18,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Rows
 from rve.common.types import Array
 from rve.geometry.circles import distance_gradient, distance_hessian
 from rve.geometry.contacts import Contacts, find_contacts
-from rve.geometry.pose import Pose, pair_maps, reduction
+from rve.geometry.pose import Pose, pair_maps, reduction, ring_normals
 from rve.geometry.weave import Weave
 
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 IDLE = 1e-6
-"""Contacts with less force, in units of s r1, do without curvature: a tenth to a third of them, and no step changes."""
+"""Contacts with less force, in units of s r1, get no curvature: a tenth to a third of them; no step changes."""
 
 
 @dataclass(frozen=True)
-class System:
+class System(Rows):
     """Equations of a batch of n poses with m coordinates and c contact slots.
 
     r, f (n, m): residual and load; J (n, m, m): derivative of r; G (n, c, m): gap gradients; M (n, m, m): mass matrix
@@ -44,19 +45,6 @@ class System:
     G: Array
     M: Array
     size: Array
-
-    def take(self, rows: NDArray[np.bool_]) -> System:
-        """The equations of these cases."""
-        return System(*(column[rows] for column in vars(self).values()))
-
-    def put(self, rows: NDArray[np.intp], other: System) -> System:
-        """A copy in which the equations of `rows` are replaced by those of `other`."""
-        columns = []
-        for name, part in vars(other).items():
-            array = getattr(self, name).copy()
-            array[rows] = part
-            columns.append(array)
-        return System(*columns)
 
     @property
     def weighted_residual(self) -> Array:
@@ -152,8 +140,8 @@ class Equations:
 
     modes (m, k): motions as combinations of the m reduced coordinates; the identity leaves all of them free. middle
     (i, j): the second ring is kept at (i a1 + j a2)/2, so that modes of the lattice carry it along (`symmetry`).
-    far_pairs: whether pairs too far apart to touch are sampled all the same; idle_curvature: whether contacts without
-    force take part in J with their curvature.
+    far_pairs: pairs too far apart to touch are sampled as well; idle_curvature: J holds the curvature of contacts
+    without force as well. Both are for benchmarks: they cost time and change no result (docs/reports/omissions.md).
     """
 
     weave: Weave
@@ -203,34 +191,38 @@ class Equations:
 
         curved (n,): cases whose J holds the curvature of the contacts, by default all.
         """
-        n, pairs = len(s), len(self.weave.pairs)
+        n = len(s)
         T = reduction(pose)
         m = T.shape[2]
-        case, pair = np.divmod(contacts.minima.pair, pairs)
-        g = distance_gradient(contacts.minima)
+        minima = contacts.minima
+        case, pair = np.divmod(minima.pair, len(self.weave.pairs))
+        g = distance_gradient(minima)
         LT = np.matmul(self.maps[pair], T[case])
-        G_rows = np.matmul(g[:, None, :], LT)[:, 0]
-        force = lam[contacts.present]
+        G = np.zeros((*contacts.present.shape, m))
+        G[contacts.present] = np.matmul(g[:, None, :], LT)[:, 0]
+        G = G.reshape(n, -1, m)
 
         f, J = self.load.force(pose, T, s)
-        r = f.copy()
-        np.add.at(r, case, force[:, None] * G_rows)
+        r = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0]
+        force = lam[contacts.present]
         works = force > (-1.0 if self.idle_curvature else IDLE)
         bent = np.flatnonzero(works if curved is None else works & curved[case])
-        H = distance_hessian(contacts.minima.take(bent), contacts.normal_a[bent], contacts.normal_b[bent], 1.0)
+        H = distance_hessian(minima.take(bent), *ring_normals(pose, self.weave, case[bent], pair[bent]), 1.0)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
-        np.add.at(J, case[bent], force[bent, None, None] * LTHLT)
-        on_lattice = np.zeros((n, 4))
-        np.add.at(on_lattice, case, force[:, None] * np.matmul(g[:, None, :], self.maps[pair][:, :, :4])[:, 0])
+        cases, first = np.unique(case[bent], return_index=True)
+        if len(cases):
+            J[cases] += np.add.reduceat(force[bent, None, None] * LTHLT, first, axis=0)
+        # The share of each contact force in the force on a1 and a2.
+        flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
+        on_lattice = np.concatenate(
+            [np.einsum("npx,p->nx", flat, shift) for shift in self.weave.pairs[:, 2:].T], axis=1
+        )
         add_lattice_curvature(J, on_lattice)
 
-        G = np.zeros((n, *contacts.present.shape[1:], m))
-        G[contacts.present] = G_rows
         M = np.matmul(np.matmul(T.transpose(0, 2, 1), self.mass), T)
         B = self.motions(pose)
         Bt = B.transpose(0, 2, 1)
-        f, M = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B
-        J = Bt @ J @ B
+        f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
         if self.middle is not None:
             add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
-        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G.reshape(n, -1, m) @ B, M, self.load.size(f, M))
+        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, self.load.size(f, M))

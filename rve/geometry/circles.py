@@ -5,7 +5,7 @@ have radius r1. Points on them are rho_a and d + rho_b, w = d + rho_b - rho_a jo
 contact normal, from A to B. The gap is D - 2 r2, negative in penetration. The leading axis is the pair or the contact.
 
 The distance of a point to a circle is closed form, so one angle is left: sample it, take every local minimum, polish by
-a safeguarded Newton iteration (DESIGN: a global minimum, or one alternating projection, misses contacts).
+a safeguarded Newton iteration. A global minimum, or one alternating projection, would miss contacts.
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
-
-Index = NDArray[np.intp]
 
 # Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature r1^2/D a minimum may have a
 # twin between two samples, so its neighbourhood is sampled again.
@@ -27,7 +25,7 @@ _ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True)
-class Minima:
+class Minima(Rows):
     """Local minima of the distance of two circles, one row per minimum.
 
     pair (m,) row of the input; normal (m, 3) unit vector from the point of A to the point of B; rho_a, rho_b (m, 3)
@@ -41,15 +39,6 @@ class Minima:
     rho_b: Array
     distance: Array
     curvature: Array
-
-    def take(self, rows: NDArray[np.bool_] | Index) -> Minima:
-        """The minima of these rows."""
-        return Minima(*(column[rows] for column in vars(self).values()))
-
-    def joined(self, *others: Minima) -> Minima:
-        """These minima and the others, one after the other."""
-        columns = zip(*(vars(part).values() for part in (self, *others)), strict=True)
-        return Minima(*(np.concatenate(column) for column in columns))
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -93,7 +82,7 @@ def foot_on_circle(p: Array, n: Array, r: float) -> Array:
     return q * (r / length)[..., None]
 
 
-def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> NDArray[np.bool_]:
+def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> Flags:
     """Whether circle B passes once through the disk of circle A, (n,): the linking number is +1 or -1, not 0.
 
     Circle B meets the plane of A in at most two points; exactly one of them inside the disk means linked.
@@ -135,12 +124,19 @@ def _slope_and_curvature(
 
 
 def _polish(
-    pair: Index, angle: Array, width: float | Array, d: Array, n_a: Array, n_b: Array, r1: float
+    pair: Index,
+    angle: Array,
+    width: float | Array,
+    d: Array,
+    n_a: Array,
+    n_b: Array,
+    r1: float,
+    shift: float | Array = 0.0,
 ) -> tuple[Array, Minima]:
-    """Newton on the slope, kept inside the bracket angle +- width by bisection; angles and minima."""
+    """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima."""
     d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
     e1, e2 = tangent_frame(n_a)
-    angle, low, high = angle.copy(), angle - width, angle + width
+    angle, low, high = angle + shift, angle - width, angle + width
     # Rows at rest leave, so that none depends on the company it is polished in; most need five rounds, a few thirty.
     go = np.arange(len(angle))
     for _ in range(40):
@@ -170,12 +166,24 @@ def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: 
     linear in (cos, sin), so that no vector is formed.
     """
     e1, e2 = tangent_frame(n_a)
-    c, s = np.cos(start)[:, None], np.sin(start)[:, None]
-    co, so = np.cos(offset), np.sin(offset)
-    cosine, sine = r1 * (c * co - s * so), r1 * (s * co + c * so)
-    z = dot(e1, n_b)[:, None] * cosine + dot(e2, n_b)[:, None] * sine - dot(d, n_b)[:, None]
-    pp = r1**2 + dot(d, d)[:, None] - 2.0 * (dot(e1, d)[:, None] * cosine + dot(e2, d)[:, None] * sine)
-    return pp - 2.0 * r1 * np.sqrt(np.maximum(pp - z * z, 0.0))
+    c, s = np.cos(start), np.sin(start)
+    cos, sin = np.cos(offset), np.sin(offset)
+
+    def over_samples(cosine: Array, sine: Array, constant: Array) -> Array:
+        # Written out: a matrix product rounds by the number of its rows, and no pair may depend on the others.
+        out = np.multiply.outer(c * cosine + s * sine, cos)
+        out += np.multiply.outer(c * sine - s * cosine, sin)
+        out += constant[:, None]
+        return out
+
+    z = over_samples(r1 * dot(e1, n_b), r1 * dot(e2, n_b), -dot(d, n_b))
+    pp = over_samples(-2.0 * r1 * dot(e1, d), -2.0 * r1 * dot(e2, d), r1**2 + dot(d, d))
+    np.multiply(z, z, out=z)
+    np.subtract(pp, z, out=z)
+    np.sqrt(np.maximum(z, 0.0, out=z), out=z)
+    z *= 2.0 * r1
+    pp -= z
+    return pp
 
 
 def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = np.inf, samples: int = 48) -> Minima:
@@ -192,42 +200,47 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     """
     step = 2.0 * np.pi / samples
     f = _samples(np.zeros(len(d)), step * np.arange(samples, dtype=np.float64), d, n_a, n_b, r1)
-    is_min = (f <= np.roll(f, 1, axis=1)) & (f < np.roll(f, -1, axis=1))
+    rise = np.roll(f, -1, axis=1) - f
+    fall = np.roll(rise, 1, axis=1)
+    is_min = (fall <= 0.0) & (rise > 0.0)
     lonely = ~is_min.any(axis=1)
     is_min[lonely, np.argmin(f[lonely], axis=1)] = True
     # The distance falls by no more than r1 per radian: minima that cannot come within reach are not polished.
-    is_min &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
-    pair, column = np.nonzero(is_min)
-    angle, found = _polish(pair, step * column.astype(np.float64), step, d, n_a, n_b, r1)
+    can_reach = f <= (reach + step * r1) ** 2 - r1**2
+    pair, column = np.nonzero(is_min & can_reach)
+    bend = rise[pair, column] - fall[pair, column]
+    # The vertex of the parabola through three samples; a lonely sample may be no minimum and keeps its angle.
+    vertex = np.where(bend > 0.0, -0.5 * (rise[pair, column] + fall[pair, column]) / np.maximum(bend, 1e-300), 0.0)
+    centre, shift = step * column.astype(np.float64), step * np.clip(vertex, -0.5, 0.5)
+    angle, found = _polish(pair, centre, step, d, n_a, n_b, r1, shift)
     near = found.distance <= reach
     soft = near & (found.curvature < _SOFT)
-    hidden, place = _shoulders(f, reach, step, r1)
+    hidden, place = _shoulders(rise, fall, can_reach, step)
     if not (soft.any() or len(hidden)):
         return found.take(near)
     around = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
     return _with_twins(found, near, soft, around, reach, (d, n_a, n_b), r1)
 
 
-def _shoulders(f: Array, reach: float, step: float, r1: float) -> tuple[Index, Array]:
-    """Pairs (k,) and angles (k,) between samples f (n, m) where the slope keeps its sign but has its least size.
+def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple[Index, Array]:
+    """Pairs (k,) and angles (k,) between samples (n, m) where the slope keeps its sign but has its least size.
 
-    A minimum in a basin narrower than two samples looks like that: one in 700 of random pairs within 0.9 r1
-    (benchmarks/stability/degenerate.py counts what is missed).
+    rise, fall (n, m): differences to the next sample and from the one before. A minimum in a basin narrower than two
+    samples looks like that: one in 700 of random pairs within 0.9 r1 (benchmarks/stability/pairs.py counts what is
+    missed).
     """
-    before = np.roll(f, 1, axis=1)
-    slope = np.roll(f, -1, axis=1) - f
-    left, right = f - before, np.roll(slope, -1, axis=1)
-    size = np.abs(slope)
-    flat = (left * slope > 0.0) & (slope * right > 0.0) & (size <= np.abs(left)) & (size <= np.abs(right))
-    flat &= np.sqrt(np.maximum(f + r1**2, 0.0)) <= reach + step * r1
-    pair, column = np.nonzero(flat)
-    return pair, step * (column.astype(np.float64) + 0.5)
+    size = np.abs(rise)
+    least = (size <= np.roll(size, 1, axis=1)) & (size <= np.roll(size, -1, axis=1))
+    pair, column = np.nonzero(least & can_reach)
+    slope, left, right = rise[pair, column], fall[pair, column], rise[pair, (column + 1) % rise.shape[1]]
+    flat = (slope * left > 0.0) & (slope * right > 0.0)
+    return pair[flat], step * (column[flat] + 0.5)
 
 
 def _with_twins(
     found: Minima,
-    near: NDArray[np.bool_],
-    soft: NDArray[np.bool_],
+    near: Flags,
+    soft: Flags,
     around: tuple[Index, Array],
     reach: float,
     circles: tuple[Array, Array, Array],
@@ -253,7 +266,7 @@ def _with_twins(
 
 def _joined(parts: list[Minima], r1: float) -> Minima:
     """All parts, each point once, sorted by pair and distance."""
-    both = parts[0].joined(*parts[1:])
+    both = parts[0].join(parts[1:])
     order = np.lexsort((both.distance, both.pair))
     both = both.take(order)
     first = np.ones(len(order), dtype=bool)

@@ -11,15 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rve.common.records import Index, Rows
 from rve.common.types import Array
 from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.weave import Weave
 
 
 @dataclass(frozen=True)
-class Pose:
+class Pose(Rows):
     """Positions of n cells in units of r1: lattice (n, 3) = x2, y3, t; centres (n, K, 2); normals (n, K, 3)."""
 
     lattice: Array
@@ -35,16 +35,6 @@ class Pose:
     def a2(self) -> Array:
         """Second lattice vector (t y3, y3), (n, 2)."""
         return np.stack([self.lattice[:, 2] * self.lattice[:, 1], self.lattice[:, 1]], axis=1)
-
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Pose:
-        """The poses of these rows."""
-        return Pose(self.lattice[rows], self.centres[rows], self.normals[rows])
-
-    def put(self, rows: NDArray[np.intp], other: Pose) -> Pose:
-        """A copy in which `rows` are replaced by `other`."""
-        out = Pose(self.lattice.copy(), self.centres.copy(), self.normals.copy())
-        out.lattice[rows], out.centres[rows], out.normals[rows] = other.lattice, other.centres, other.normals
-        return out
 
 
 def start_pose(weave: Weave, count: int) -> Pose:
@@ -113,3 +103,9 @@ def pair_geometry(pose: Pose, weave: Weave) -> tuple[Array, Array, Array]:
     offset = offset + i[:, None] * pose.a1[:, None] + j[:, None] * pose.a2[:, None]
     d = np.concatenate([offset, np.zeros((*offset.shape[:2], 1))], axis=2)
     return d, pose.normals[:, a], pose.normals[:, b]
+
+
+def ring_normals(pose: Pose, weave: Weave, case: Index, pair: Index) -> tuple[Array, Array]:
+    """Normals (m, 3) of ring a and ring b of m pairs, each given by its case and its row in `weave.pairs`."""
+    a, b = weave.pairs[pair, :2].T
+    return pose.normals[case, a], pose.normals[case, b]

@@ -1,32 +1,36 @@
-"""What `localize` needs of a solved curtain: its VTU, and the weave that the summary beside it names."""
+"""What `localize` needs of a solved curtain: fields of its cells, and the weave that its summary names.
+
+Both come from the files of `macro_fem run`, or from an answer in memory that follows `SolvedCurtain`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.cells import as_triangles, recovered, triangle_areas
 from rve.common.errors import InputError
 from rve.common.jobs import check_belongs
 from rve.common.reading import read_json_object
 from rve.common.rings import RING_CHECKS, check_rings
 from rve.common.types import Array
 from rve.common.values import checked, finite, shown
-from rve.common.vtu import VtuFile, read_vtu
+from rve.common.vtu import DISPLACEMENT, LINE_LOAD_1, OLD_REFERENCE, STATE, STRAIN, STRESS, VtuFile, read_vtu
 
-CURTAIN_RECORD = "summary.json"
-"""The file that stands for a curtain's job; it lists the others by their checksums."""
+CURTAIN_RECORD, CURTAIN_VTU = "summary.json", "curtain.vtu"
+"""The file that stands for a curtain's job and lists the others by their checksums, and the one with its fields."""
 HANG_DEG = finite(least=-360.0, most=360.0)
 MOST_NUMBER = 1e12
 """Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
 _CELL_FIELDS = {
-    "E": ("E_11_12_22", 3),
-    "S": ("S_11_12_22_N_per_mm", 3),
-    "line_load": ("line_load_1_N_per_mm", 1),
-    "state": ("state_0_slack_1_wrinkled_2_taut", 1),
+    "E": (STRAIN, 3),
+    "S": (STRESS, 3),
+    "line_load": (LINE_LOAD_1, 1),
+    "state": (STATE, 1),
 }
 
 
@@ -48,6 +52,47 @@ class Curtain:
     line_load: Array
     state: NDArray[np.intp]
 
+    @classmethod
+    def of(
+        cls,
+        X: Array,
+        x: Array,
+        cells: NDArray[np.intp],
+        *,
+        E: Array,
+        S: Array,
+        line_load: Array,
+        state: Array,
+        where: str = "curtain",
+    ) -> Curtain:
+        """The curtain of a mesh of triangles (c, 3) or quadrilaterals (c, 4) with corners X, x (p, 2) and cell fields.
+
+        S is averaged over neighbouring cells. InputError, which begins with `where`, for cells without area.
+        """
+        triangles, cell = as_triangles(cells)
+        _check_triangles(where, X, triangles, cell)
+        area = np.asarray(np.bincount(cell, weights=triangle_areas(X[triangles]), minlength=len(cells)), dtype=float)
+        return cls(X, x, triangles, cell, E, recovered(cells, S, area), line_load, state.astype(int))
+
+
+class SolvedCurtain(Protocol):
+    """A solved curtain in memory. What `macro_fem.solve` returns is one.
+
+    `summary` holds the entries of summary.json, of which `status`, `hang_deg` and `rings` are read.
+    """
+
+    @property
+    def summary(self) -> dict[str, Any]: ...
+
+    def to_curtain(self) -> Curtain:
+        """Geometry and fields of the curtain's cells."""
+        ...
+
+
+def curtain_file(path: Path) -> Path:
+    """The VTU that `path` names: itself, or curtain.vtu in the folder `path`."""
+    return path / CURTAIN_VTU if path.is_dir() else path
+
 
 def read_curtain(path: Path) -> Curtain:
     """The curtain in a VTU that `macro_fem run` wrote; InputError in one sentence otherwise.
@@ -63,14 +108,7 @@ def read_curtain(path: Path) -> Curtain:
         raise InputError(f"{path}: needs cells of one kind, triangle or quad, it has {kinds}")
     cells = data.cells[kinds[0]]
     fields = {key: _field(path, data.cell_data, *names, len(cells)) for key, names in _CELL_FIELDS.items()}
-    X, at = _states(path, data)
-    triangles, owner = cells, np.arange(len(cells))
-    if kinds == ["quad"]:
-        triangles, owner = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(owner, 2)
-    _check_triangles(path, X, triangles, owner)
-    S = _recovered(fields["S"], X, cells, triangles, owner)
-    state = fields["state"].astype(int)
-    return Curtain(X, at, triangles, owner, fields["E"], S, fields["line_load"], state)
+    return Curtain.of(*_states(path, data), cells, **fields, where=str(path))
 
 
 def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
@@ -78,10 +116,10 @@ def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
     points, number = np.asarray(data.points, dtype=float), len(data.points)
     if not np.isfinite(points).all():
         raise InputError(f"{path}: a point is not finite")
-    if "reference_mm" in data.point_data:  # an older version: points are deformed
-        reference, deformed = _field(path, data.point_data, "reference_mm", 3, number), points
+    if OLD_REFERENCE in data.point_data:  # an older version: points are deformed
+        reference, deformed = _field(path, data.point_data, OLD_REFERENCE, 3, number), points
     else:
-        reference, deformed = points, points + _field(path, data.point_data, "displacement_mm", 3, number)
+        reference, deformed = points, points + _field(path, data.point_data, DISPLACEMENT, 3, number)
     for state in (reference, deformed):
         if np.abs(state).max() > MOST_NUMBER:
             raise InputError(f"{path}: a coordinate is {np.abs(state).max():g} mm, at most {MOST_NUMBER:g} is allowed")
@@ -104,40 +142,19 @@ def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) 
     return found.reshape((count, width) if width > 1 else count)
 
 
-def _areas(X: Array, triangles: NDArray[np.intp]) -> Array:
-    (ax, ay), (bx, by) = ((X[triangles[:, k]] - X[triangles[:, 0]]).T for k in (1, 2))
-    return np.asarray(0.5 * np.abs(ax * by - ay * bx))
-
-
-def _check_triangles(path: Path, X: Array, triangles: NDArray[np.intp], owner: NDArray[np.intp]) -> None:
+def _check_triangles(where: str, X: Array, triangles: NDArray[np.intp], owner: NDArray[np.intp]) -> None:
     if triangles.min() < 0 or triangles.max() >= len(X):
-        raise InputError(f"{path}: a cell names point {triangles.max()}, there are {len(X)}")
-    area = _areas(X, triangles)
+        raise InputError(f"{where}: a cell names point {triangles.max()}, there are {len(X)}")
+    area = triangle_areas(X[triangles])
     if not area.min() > 1e-12 * area.max():
-        raise InputError(f"{path}: cell {owner[int(np.argmin(area))]} has no area in the reference state")
-
-
-def _recovered(
-    S: Array, X: Array, cells: NDArray[np.intp], triangles: NDArray[np.intp], owner: NDArray[np.intp]
-) -> Array:
-    """S averaged over the cells at each corner, then over the corners of each cell.
-
-    The stress of locked cells is right on average only: neighbours share a load as the equilibrium of corners happens
-    to leave it. Averages of tensions are tensions.
-    """
-    area = np.bincount(owner, weights=_areas(X, triangles), minlength=len(cells))
-    corners, size = cells.ravel(), cells.shape[1]
-    total = np.bincount(corners, weights=np.repeat(area, size), minlength=len(X))
-    columns = [np.bincount(corners, weights=np.repeat(area * c, size), minlength=len(X)) for c in S.T]
-    at_corners = np.stack(columns, axis=1) / np.maximum(total, 1e-300)[:, None]
-    return np.asarray(at_corners[cells].mean(axis=1))
+        raise InputError(f"{where}: cell {owner[int(np.argmin(area))]} has no area in the reference state")
 
 
 @dataclass(frozen=True)
 class WeaveOfCurtain:
     """Radii in mm, angle from the vertical to the weave's y axis, sides (b_x, b_y) in mm if the summary names them.
 
-    `solved`: how the solver of the curtain ended, as the summary says.
+    `solved`: status of the curtain's solver, as the summary says; `source`: the summary, for messages.
     """
 
     r1: float
@@ -145,32 +162,47 @@ class WeaveOfCurtain:
     hang_deg: float
     sides: tuple[float, float] | None
     solved: str
+    source: str
 
 
 def read_weave(vtu: Path, r1: float | None, r2: float | None, hang_deg: float | None) -> WeaveOfCurtain:
-    """What the options say, and where they are silent the summary.json beside the VTU; InputError if neither knows, or
+    """What the options say, and where they are None the summary.json beside the VTU; InputError if neither knows, or
     the summary is that of another VTU."""
     path = vtu.parent / CURTAIN_RECORD
     known = read_json_object(path) if path.is_file() else {}
     if known:
         check_belongs(vtu, path, known, "run macro_fem again, or put the two files of one run side by side")
+    says = "does not tell" if path.is_file() else "there is no such file to tell"
+    return weave_of(known, (r1, r2, hang_deg), str(path), says)
+
+
+def weave_of(
+    known: dict[str, Any],
+    asked: tuple[float | None, float | None, float | None],
+    source: str,
+    says: str = "does not tell",
+) -> WeaveOfCurtain:
+    """What `asked` (r1, r2, hang_deg) says, and where it holds None the summary `known`.
+
+    InputError, which begins with `source`, if neither knows or a value is impossible.
+    """
     rings = known.get("rings") or {}
     if not isinstance(rings, dict):
-        raise InputError(f"{path}: rings = {shown(rings)}: is not a table of names and values")
-    asked = (("--r1", r1, "r1_mm", rings), ("--r2", r2, "r2_mm", rings), ("--hang", hang_deg, "hang_deg", known))
-    missing = [(option, key) for option, given, key, table in asked if given is None and table.get(key) is None]
+        raise InputError(f"{source}: rings = {shown(rings)}: is not a table of names and values")
+    tables = (("--r1", "r1_mm", rings), ("--r2", "r2_mm", rings), ("--hang", "hang_deg", known))
+    rows = list(zip(tables, asked, strict=True))
+    missing = [(option, key) for (option, key, table), given in rows if given is None and table.get(key) is None]
     if missing:
         options, keys = (", ".join(names) for names in zip(*missing, strict=True))
-        says = "does not tell" if path.is_file() else "there is no such file to tell"
-        raise InputError(f"{path}: {says} {keys}; give {options}")
+        raise InputError(f"{source}: {says} {keys}; give {options}")
     values = {}
-    for option, given, key, table in asked:
+    for (option, key, table), given in rows:
         check = HANG_DEG if key == "hang_deg" else RING_CHECKS[key]
         values[key] = (
-            checked(table, key, check, f"{path}:") if given is None else checked({option: given}, option, check, "")
+            checked(table, key, check, f"{source}:") if given is None else checked({option: given}, option, check, "")
         )
-    is_own = r1 is None and r2 is None and {"b_x_mm", "b_y_mm"} <= rings.keys()
-    own = check_rings(rings, f"{path}: rings") if is_own else {}
+    is_own = asked[:2] == (None, None) and {"b_x_mm", "b_y_mm"} <= rings.keys()
+    own = check_rings(rings, f"{source}: rings") if is_own else {}
     sides = (own["b_x_mm"], own["b_y_mm"]) if is_own else None
     solved = str(known.get("status", "unknown"))
-    return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides, solved)
+    return WeaveOfCurtain(values["r1_mm"], values["r2_mm"], values["hang_deg"], sides, solved, source)

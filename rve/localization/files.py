@@ -1,4 +1,4 @@
-"""Files of the rings of a curtain: rings.vtu, worst_cell.csv, each written whole or not at all."""
+"""Files of the rings of a curtain: rings.vtu, worst_cell.csv, written atomically: each file is complete or absent."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
+from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium
 from rve.geometry.cell import Cell
@@ -25,14 +26,12 @@ def cauchy_of(S: Array, E: Array) -> Array:
 
 
 def directions(s: Array) -> tuple[Array, Array, Array]:
-    """Angles alpha, beta in degrees and size (n,) of line loads s (n, 3); what pushes counts as nothing.
+    """Angles alpha, beta in degrees and size (n,) of line loads s (n, 3); compressive components are set to zero.
 
     beta lies between 0 and 45 degrees: the first principal load is the larger one.
     """
-    mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
-    radius = np.hypot(half, s[:, 1])
-    s1, s2 = np.maximum(mean + radius, 0.0), np.maximum(mean - radius, 0.0)
-    alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], half))
+    s2, s1 = (np.maximum(value, 0.0) for value in eigenvalues(s))
+    alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], 0.5 * (s[:, 0] - s[:, 2])))
     return alpha, np.degrees(np.arctan2(s2, s1)), np.hypot(s1, s2)
 
 
@@ -123,7 +122,7 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
         raise NotConverged(f"contact forces: none of {len(keys)} load directions of the curtain was solved")
     loads = cauchy_line_load(*keys.T)
     for row in np.flatnonzero(~np.isfinite(unit).all(axis=1)):
-        unit[row] = unit[good[np.argmin((loads[good] - loads[row]) ** 2 @ np.array([1.0, 2.0, 1.0]))]]
+        unit[row] = unit[good[np.argmin((loads[good] - loads[row]) ** 2 @ WEIGHT)]]
     out[loaded] = size[loaded, None] * cell.r1 * unit[back.ravel()]
     return out
 

@@ -10,13 +10,16 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rve.common.files import atomic_path
 from rve.common.types import Array
-from rve.localization.files import TUBE, tubes
+from rve.localization.files import LINE, TUBE, circles, tubes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LEAST = 3e-3
 """Contact forces below this part of the greatest one are drawn as none."""
@@ -48,6 +51,35 @@ def read_rings(path: Path) -> tuple[Array, Array, dict[str, Array]]:
     normal = np.cross(points[:, 0] - centre, points[:, quarter] - centre)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return centre, normal, {name: np.asarray(values)[first] for name, values in mesh.cell_data.items()}
+
+
+def plot_rings(centre: Array, normal: Array, r1: float, force: Array, ax: Axes | None = None) -> Axes:
+    """Centre lines of rings at `centre` with unit `normal` (n, 3), mm, seen along z, coloured by force (n,) in N."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import ListedColormap, LogNorm
+    from matplotlib.figure import Figure
+
+    if ax is None:
+        ax = Figure(figsize=(7.0, 6.0), layout="constrained").subplots()
+    top = top_force(force)
+    lines = circles(centre, normal, r1, LINE[0])[0][:, :, :2]
+    drawn = LineCollection(
+        list(np.concatenate([lines, lines[:, :1]], axis=1)),
+        array=np.maximum(force, LEAST * top),
+        cmap=ListedColormap(colours()),
+        norm=LogNorm(LEAST * top, top),
+        linewidths=0.7,
+    )
+    ax.add_collection(drawn)
+    ax.figure.colorbar(drawn, ax=ax, shrink=0.75, label="largest contact force on the ring, N")
+    ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(force)} rings")
+    ax.autoscale_view()
+    return ax
+
+
+def top_force(force: Array) -> float:
+    """The force, N, at which the scale of colours ends: all but the greatest 0.2 % of the rings are below it."""
+    return max(float(np.quantile(force, 0.998)), 1e-12)
 
 
 def add_rings(plotter: Any, placed: tuple[Array, Array], radii: tuple[float, float], force: Array, style: Any) -> None:
@@ -87,7 +119,7 @@ def draw(folder: Path) -> None:
     centre, normal, data = read_rings(folder / "rings.vtu")
     radii = (summary["r1_mm"], summary["r2_mm"])
     force = np.asarray(data["contact_force_N"], dtype=float)
-    top = max(float(np.quantile(force, 0.998)), 1e-12)
+    top = top_force(force)
     at = np.argmin(((data["reference_mm"][:, :2] - summary["worst_cell"]["reference_mm"]) ** 2).sum(axis=1))
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[1600, 800], border=False)
     plotter.set_background("white")

@@ -1,12 +1,12 @@
-"""Back to the rings: the admissible pose of the cell at a given strain that is nearest to the locked ones.
+"""The admissible pose of the cell at a given strain that is nearest to the locked poses.
 
-A curtain's strain E* does not place the rings: offset and tilts are left. They are chosen as near as the other rings
-allow to an arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so
-that a locked state gives itself), by the springs of `spring` and the interior-point method of `equilibrium`: gaps stay
-positive and links intact from the slack pose on, so that every pose that comes back is admissible, converged or not.
+The strain E* of a curtain leaves offset and tilts of the rings open. They are chosen as near as contacts allow to an
+arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so that a locked
+strain gives its own locked state). The springs of `springs` and the interior-point method of `equilibrium` find it:
+gaps stay positive and links intact in every iterate, so that every pose is admissible, converged or not.
 
-Two things keep the rings from E*. It may lie outside what rings reach in tension, by the error of the law or because
-the law is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane; there it hangs in
+The rings cannot always have the strain E*. It may lie outside what rings reach in tension, because the law has an error
+or is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane. There it hangs in
 folds, E* = E - fold with a positive semidefinite fold, and the flat pose E with the least fold is given: `fold`.
 """
 
@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
+from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
+from rve.common.values import Options, entry, finite, list_of, number
 from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -27,45 +29,59 @@ from rve.geometry.pose import Pose
 from rve.localization.springs import Spring, lattice_strain
 from rve.solve import locked, reference_sides
 
-# Cells advanced together: the ladder is long, and stragglers cost as much alone as in company.
 _BLOCK = 1024
-# What a cell is called, and what that means.
+"""Cells solved together: larger blocks need more memory, smaller ones more time."""
 MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
     "beyond": "the curtain is stretched further than rigid rings reach; the nearest pose is drawn",
     "folded": "the curtain is drawn together further than rings can be in a plane; it hangs in folds there",
     "stalled": "the springs did not settle; an admissible pose from on the way is drawn",
 }
+"""Statuses of poses, and what they mean."""
+
+
+_STAGES = list_of(list_of(finite(above=0.0, most=1.0), "numbers", least=4, most=4), "stages", least=1, most=100)
+_ANGLES = list_of(
+    list_of(finite(least=-90.0, most=90.0), "angles", least=1, most=1000), "lists of angles", least=2, most=2
+)
 
 
 @dataclass(frozen=True)
-class LocalizeOptions:
-    """tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4.
+class PoseOptions(Options):
+    """How poses are found; InputError for values out of range.
 
-    ladder: weights of a fold and of the arrangement against strain that rings fall short of, first and last
-    complementarity of the stages, each started from the one before. Stiff springs first: with weak ones from the start
-    some cells lock on the way. merge: strains that agree to this are one solve. states: angles alpha and beta of the
-    locked states that arrangements are interpolated between, degrees.
+    tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4. ladder:
+    stages, each started from the one before, with the weights of a fold and of the arrangement against strain that
+    rings fall short of, and the first and last complementarity. Stiff springs come first: with weak ones from the start
+    some cells lock on the way. merge: strains that agree to this are one solve. states: angles alpha and beta, degrees,
+    of the locked states that arrangements are interpolated between; more states cost time once per curtain. direct:
+    options of the interior-point method.
     """
 
-    tolerance: float = 1e-3
-    ladder: tuple[tuple[float, float, float, float], ...] = (
-        (1e-2, 3e-1, 3e-2, 1e-3),
-        (1e-2, 1e-2, 1e-3, 1e-5),
-        (1e-2, 1e-4, 1e-5, 1e-7),
-        (1e-3, 1e-5, 1e-7, 1e-9),
-        (1e-3, 1e-6, 1e-9, 1e-11),
+    tolerance: float = number(1e-3, above=0.0, most=1.0)
+    ladder: tuple[tuple[float, float, float, float], ...] = entry(
+        _STAGES,
+        (
+            (1e-2, 3e-1, 3e-2, 1e-3),
+            (1e-2, 1e-2, 1e-3, 1e-5),
+            (1e-2, 1e-4, 1e-5, 1e-7),
+            (1e-3, 1e-5, 1e-7, 1e-9),
+            (1e-3, 1e-6, 1e-9, 1e-11),
+        ),
     )
-    merge: float = 1e-6
-    states: tuple[tuple[float, ...], tuple[float, ...]] = (
-        tuple(range(-45, 45, 15)),
-        (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
+    merge: float = number(1e-6, above=0.0, most=1e-2)
+    states: tuple[tuple[float, ...], tuple[float, ...]] = entry(
+        _ANGLES,
+        (
+            (-45.0, -30.0, -15.0, 0.0, 15.0, 30.0),
+            (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
+        ),
     )
     direct: DirectOptions = field(default_factory=DirectOptions)
 
 
 @dataclass(frozen=True)
-class LockedStates:
+class LockedArrangements:
     """Locked poses of a cell, their strains E (m, 3), and the reference sides in r1 of the strain, in weave axes."""
 
     pose: Pose
@@ -74,7 +90,7 @@ class LockedStates:
 
     def arrangement(self, E: Array) -> Array:
         """Rows (n, 3 + 2 (K - 1) + 3 K) of the springs that pull to strains E (n, 3) and the arrangement there."""
-        square = (self.E[None] - E[:, None]) ** 2 @ np.array([1.0, 2.0, 1.0])
+        square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
         share = np.einsum("nm,mkx->nkx", weight, shares(self.pose))
@@ -118,8 +134,8 @@ def weave_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     return along / cell.r1, across / cell.r1
 
 
-def locked_states(cell: Cell, options: LocalizeOptions) -> LockedStates:
-    """Locked states all round, to interpolate between; raises NotConverged if not one of them is found."""
+def locked_arrangements(cell: Cell, options: PoseOptions) -> LockedArrangements:
+    """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
     alpha, beta = (x.ravel() for x in np.meshgrid(*map(np.array, options.states), indexing="ij"))
     found, _, _ = locked(alpha.astype(float), beta, replace(cell, grain="y"), options.direct)
     good = np.flatnonzero(found.status == "converged")
@@ -127,21 +143,21 @@ def locked_states(cell: Cell, options: LocalizeOptions) -> LockedStates:
         raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
     sides = weave_sides(cell, options.direct)
     pose = found.pose.take(good)
-    return LockedStates(pose, lattice_strain(pose.lattice, sides)[0], sides)
+    return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
 
-def localize(
-    E: Array, cell: Cell, options: LocalizeOptions | None = None, states: LockedStates | None = None
+def nearest_poses(
+    E: Array, cell: Cell, options: PoseOptions | None = None, states: LockedArrangements | None = None
 ) -> RingStates:
     """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
 
     >>> import numpy as np
-    >>> found = localize(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
+    >>> found = nearest_poses(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
     >>> found.status.tolist(), bool(found.gap_mm.min() >= 0.0)
     (['met', 'folded'], True)
     """
-    options = options or LocalizeOptions()
-    states = states or locked_states(cell, options)
+    options = options or PoseOptions()
+    states = states or locked_arrangements(cell, options)
     E = np.asarray(E, dtype=float).reshape(-1, 3)
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
     flip = (E[:, 1] < 0.0) & (cell.weave.is_mirrored and cell.weave.classes == 2)
@@ -153,7 +169,7 @@ def localize(
     gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
     known = np.concatenate([settled for _, _, settled in blocks])
     rings = lattice_strain(pose.lattice, states.sides)[0]
-    low, high = _principal(rings - targets)
+    low, high = eigenvalues(rings - targets)
     short, fold = np.maximum(-low, 0.0), np.maximum(high, 0.0)
     far = np.where(fold > options.tolerance, "folded", "beyond")
     status = np.where(np.maximum(short, fold) <= options.tolerance, "met", np.where(known, far, "stalled"))
@@ -174,12 +190,12 @@ def mirrored(pose: Pose) -> Pose:
 
 
 def _settled(
-    E: Array, cell: Cell, options: LocalizeOptions, states: LockedStates
+    E: Array, cell: Cell, options: PoseOptions, states: LockedArrangements
 ) -> tuple[Pose, Contacts, NDArray[np.bool_]]:
     """Poses, their contacts, and whether one of the last three stages of the ladder has converged; a block of strains.
 
-    Right at the edge of what rings reach the exact end of the path may be degenerate (contacts without force). A stage
-    that stalls keeps the pose of the stage before, and what that misses of the strain is in the result.
+    At the edge of what rings reach, the end of the path may be degenerate (contacts without force). A stage that stalls
+    keeps the pose of the stage before; its error of the strain is in the result.
     """
     rows = states.arrangement(E)
     start, good = None, np.zeros(len(E), dtype=bool)
@@ -196,9 +212,3 @@ def _settled(
             good |= found.status == "converged"
     contacts = find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach)
     return found.pose, contacts, good
-
-
-def _principal(D: Array) -> tuple[Array, Array]:
-    """Smaller and larger principal value (n,) of the tensors D (n, 3)."""
-    mean, radius = 0.5 * (D[:, 0] + D[:, 2]), np.hypot(0.5 * (D[:, 0] - D[:, 2]), D[:, 1])
-    return mean - radius, mean + radius

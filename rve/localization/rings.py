@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Rows as Records
 from rve.common.types import Array
 from rve.geometry.cell import Cell
 from rve.geometry.circles import are_linked, dot, local_minima
@@ -22,14 +23,14 @@ from rve.localization.poses import RingStates, shares
 
 Index = NDArray[np.intp]
 
-# Pairs looked at together when gaps are measured: keeps the arrays of samples below 100 MB.
 _CHUNK = 100_000
+"""Pairs measured together: keeps the arrays of samples below 100 MB."""
 NEAR = 0.5
-"""Gaps between the rings of a curtain are looked for up to this many r1."""
+"""Gaps between the rings of a curtain are searched up to this many r1."""
 
 
 @dataclass(frozen=True)
-class Sites:
+class Sites(Records):
     """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,), cell (n,) around them."""
 
     index: Index
@@ -80,7 +81,7 @@ def find_sites(
         return sites
     x0, y0, x1, y1 = window
     keep = (X[:, 0] >= x0) & (X[:, 0] <= x1) & (X[:, 1] >= y0) & (X[:, 1] <= y1)
-    return Sites(index[keep], X[keep], triangle[keep], sites.cell[keep])
+    return sites.take(keep)
 
 
 def _reference_shares(cell: Cell) -> Array:
@@ -156,8 +157,8 @@ def place_rings(curtain: Curtain, sites: Sites, states: RingStates, row: Index, 
 class Fit:
     """How the rings of a curtain fit.
 
-    gap_mm (n,): smallest gap to any neighbour, negative where they overlap, inf where none is near; links, linked: how
-    many linked pairs of the weave are there, and how many of them interlink; broken (n,): has lost a link.
+    gap_mm (n,): smallest gap to any neighbour, negative where they overlap, inf where none is near; links,
+    linked: number of pairs that the weave links, and of those that interlink; broken (n,): rings that lost a link.
     """
 
     gap_mm: Array
@@ -167,7 +168,7 @@ class Fit:
 
 
 def fit_of(rings: Rings, cell: Cell) -> Fit:
-    """Gaps between all rings that may touch, and whether what the weave links is linked, as placed in the curtain."""
+    """Gaps between all rings that may touch, and whether the pairs that the weave links interlink, as placed."""
     index = rings.sites.index
     low = index[:, 1:].min(axis=0) - 1
     shape = (cell.weave.classes, *(index[:, 1:].max(axis=0) - low + 2))

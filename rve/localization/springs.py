@@ -1,12 +1,12 @@
 """Springs that pull a cell towards a given strain and, far more weakly, its rings towards a given arrangement.
 
-They take the place of the line load in the equations: with lengths in r1 and D = E - E*, the potential is
+They replace the line load in the equations. With lengths in r1 and D = E - E* the potential is
 
     W = 1/2 |D+|^2 fold + 1/2 |D-|^2 + 1/2 weak (sum |c_k - c_k*|^2 + sum |n_k - n_k*|^2),
 
-where D = D+ - D- splits the strain into what the rings are longer and shorter than asked for. Without rings in the way
-E* is met and the rings are as in the given arrangement; with rings in the way the interior-point method finds the
-admissible pose of least W: nearest in strain first, for `weak` is small.
+D+, D-: excess and deficit relative to the target strain, D = D+ - D-, both positive semidefinite. Without contacts the
+strain is E* and the rings are as in the given arrangement. With contacts the interior-point method finds the admissible
+pose of least W: nearest in strain first, because `weak` is small.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.equilibrium.system import add_lattice_curvature
 from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.pose import Pose
-
-_WEIGHTS = np.array([1.0, 2.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -52,9 +51,9 @@ class Spring:
     def _strain_part(self, pose: Pose, target: Array, f: Array, J: Array) -> None:
         E, dE, ddE = lattice_strain(pose.lattice, self.sides)
         g, H = split_response(E - target, self.fold)
-        f[:, :3] -= np.einsum("ni,nix->nx", _WEIGHTS * g, dE)
-        stiffness = np.matmul(np.matmul(dE.transpose(0, 2, 1), _WEIGHTS[:, None] * H), dE)
-        J[:, :3, :3] -= stiffness + np.einsum("ni,nixy->nxy", _WEIGHTS * g, ddE)
+        f[:, :3] -= np.einsum("ni,nix->nx", WEIGHT * g, dE)
+        stiffness = np.matmul(np.matmul(dE.transpose(0, 2, 1), WEIGHT[:, None] * H), dE)
+        J[:, :3, :3] -= stiffness + np.einsum("ni,nixy->nxy", WEIGHT * g, ddE)
 
     def _centre_part(self, pose: Pose, T: Array, shares: Array, f: Array, J: Array) -> None:
         for ring in range(shares.shape[1]):
@@ -123,7 +122,5 @@ def split_response(D: Array, fold: float) -> tuple[Array, Array]:
     with np.errstate(divide="ignore", invalid="ignore"):
         shear = np.where(radius > 1e-14, (w1 * d1 - w2 * d2) / (2.0 * radius), 0.5 * (w1 + w2))
     gradient = (w1 * d1)[:, None] * P1 + (w2 * d2)[:, None] * P2
-    H = sum(
-        (w[:, None, None] * P[:, :, None]) * (_WEIGHTS * P)[:, None, :] for w, P in ((w1, P1), (w2, P2), (shear, Q))
-    )
+    H = sum((w[:, None, None] * P[:, :, None]) * (WEIGHT * P)[:, None, :] for w, P in ((w1, P1), (w2, P2), (shear, Q)))
     return gradient, np.asarray(H)

@@ -8,6 +8,8 @@ starts lie on both sides of the ridge between them.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rve.common.types import Array
@@ -48,7 +50,8 @@ def alternating_projection(
 def find_contacts_by_projection(pose: Pose, weave: Weave, wire: float, reach: float) -> Contacts:
     """Contacts below `reach` (in r1) that two alternating projections per pair of rings find.
 
-    They start at the points of ring A nearest to and farthest from the centre of ring B. See `cell.find_contacts`.
+    They start at the points of ring A nearest to and farthest from the centre of ring B. See `find_contacts` of
+    `rve.geometry.contacts`.
     """
     d, n_a, n_b = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
     limit = 2.0 * wire + reach
@@ -57,10 +60,8 @@ def find_contacts_by_projection(pose: Pose, weave: Weave, wire: float, reach: fl
     ends = [alternating_projection(*part, sign * part[0]) for sign in (1.0, -1.0)]
     apart = ends[0].rho_a - ends[1].rho_a
     new = dot(apart, apart) > 1e-4**2
-    found = ends[0].joined(ends[1].take(new))
+    found = ends[0].join([ends[1].take(new)])
     found = found.take(found.distance <= limit)
     order = np.lexsort((found.distance, found.pair))
     found = found.take(order)
-    return contacts_of(
-        Minima(near[found.pair], *(getattr(found, name) for name in list(vars(found))[1:])), (d, n_a, n_b), weave, wire
-    )
+    return contacts_of(replace(found, pair=near[found.pair]), (d, n_a, n_b), weave, wire)

@@ -1,198 +1,115 @@
-"""Sweeps of the paper's scheme that survive being killed, cut into blocks that may run side by side.
+"""Solves of the paper's scheme in blocks of load cases, side by side and with files from which they can be resumed.
 
-Each block of load cases has one file, replaced as a whole (temporary file, then rename) every `save_every` batch steps
-and at the end. A sweep started again with the same folder goes on from these files and gives the same bits as one that
-was never stopped, in blocks of any size and on any number of workers: no case looks at another.
+Each block has one JSON file, written when the block is solved. A sweep started again with the same folder reads the
+blocks that are there and solves the others. No case depends on another, so that results are the same to the bit for
+blocks of any size and any number of workers.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import math
 import os
 import signal
 import threading
-import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rve.common.errors import InputError, NotConverged
-from rve.common.files import atomic_path
-from rve.common.reading import first_line, read_bytes
+from rve.common.files import AnyPath, check_out_folder, write_text
+from rve.common.reading import read_json_object
 from rve.common.types import Array
+from rve.common.values import Check, Options, checked, list_of, numbers, one_of, whole
 from rve.equilibrium.system import Equations
-from rve.geometry.contacts import SLOTS, joined_contacts
+from rve.geometry.contacts import SLOTS
 from rve.geometry.pose import Pose
 from rve.geometry.weave import Weave
-from rve.paper.stewart_trinkle import (
-    Motion,
-    Progress,
-    Settled,
-    StewartTrinkleOptions,
-    begin,
-    continued,
-    finder_of,
-    settled,
-)
+from rve.paper.dynamics import StewartTrinkleOptions
+from rve.paper.stewart_trinkle import NO_STEP, Settled, finder_of, solve
 
-MOST_CHECKPOINT_BYTES = 200_000_000
-"""A block of 48 load cases has 0.1 MB."""
-MOST_NUMBER = 1e12
-_PLAIN = ("row", "s", "v", "h", "time", "steps", "rejected", "R")
+WITHOUT_FILES = 256
+"""Load cases of a block that has no file."""
+_COUNTS = ("steps", "rejected")
 _POSE = ("lattice", "centres", "normals")
 
 
 @dataclass(frozen=True)
-class SweepOptions:
-    """folder: where the files go, none without; block: load cases per file; workers: processes side by side;
-    save_every: batch steps between two savings.
+class SweepOptions(Options):
+    """folder: where the files go, none without; block: load cases per file; workers: processes side by side.
+
+    A killed sweep loses the blocks that were being solved; smaller blocks lose less and take longer.
     """
 
-    folder: str | os.PathLike[str] | None = None
-    block: int = 48
-    workers: int = 1
-    save_every: int = 50
+    folder: AnyPath | None = None
+    block: int = whole(12, least=1, most=1_000_000)
+    workers: int = whole(1, least=1, most=1_000)
 
 
-def _columns(motions: tuple[Motion, ...]) -> dict[str, Any]:
-    out = {name: np.concatenate([getattr(motion, name) for motion in motions]) for name in _PLAIN}
-    return out | {name: np.concatenate([getattr(motion.pose, name) for motion in motions]) for name in _POSE}
+def save(path: Path, rest: Settled, key: str) -> None:
+    """Write a solved block, atomically; `key` identifies what was solved."""
+    columns = {name: getattr(rest.pose, name) for name in _POSE}
+    columns |= {name: getattr(rest, name) for name in ("lam", "R", "time", "status", *_COUNTS)}
+    write_text(path, json.dumps({"key": key} | {name: values.tolist() for name, values in columns.items()}) + "\n")
 
 
-def _motion(columns: dict[str, Any], equations: Equations, options: StewartTrinkleOptions) -> Motion:
-    pose = Pose(*(columns[name] for name in _POSE))
-    contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
-    plain = {name: columns[name] for name in _PLAIN}
-    return Motion(pose=pose, contacts=contacts, **plain)
-
-
-def save(path: Path, progress: Progress, key: str) -> None:
-    """Write a solve under way to an npz file, whole or not at all; `key` says what is being solved."""
-    arrays = {f"going_{name}": value for name, value in _columns((progress.going,)).items()}
-    if progress.gone:
-        arrays |= {f"gone_{name}": value for name, value in _columns(progress.gone).items()}
-        arrays["forces"] = np.concatenate(progress.forces)
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, key=np.array(key), **arrays)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
-
-
-def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: str, count: int) -> Progress:
+def load(path: Path, equations: Equations, options: StewartTrinkleOptions, key: str, count: int) -> Settled:
     """Read what `save` has written of `count` load cases.
 
-    Raises InputError when the file cannot be read, is damaged, or belongs to other loads, radii or options.
+    Raises InputError if the file cannot be read, is damaged, or belongs to other loads, radii or options.
     """
-    arrays = _arrays(path, key)
-    groups: dict[str, dict[str, Any]] = {"going": {}, "gone": {}}
-    for name, value in arrays.items():
-        group, _, column = name.partition("_")
-        if group in groups:
-            groups[group][column] = value
-    try:
-        _check_columns(groups, arrays.get("forces"), equations, count)
-    except ValueError as error:
-        raise InputError(_damaged(path, error)) from error
-    going = _motion(groups["going"], equations, options)
-    if not groups["gone"]:
-        return Progress(going)
-    return Progress(going, (_motion(groups["gone"], equations, options),), (arrays["forces"],))
-
-
-def _damaged(path: Path, error: object) -> str:
-    return f"{path}: is not a checkpoint of a sweep: {error}; delete it to start anew"
-
-
-def _arrays(path: Path, key: str) -> dict[str, NDArray[Any]]:
-    """Arrays by name of a stored npz file: none is larger than the file, and together they are not."""
-    content = read_bytes(path, MOST_CHECKPOINT_BYTES)
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = archive.infolist()
-            is_stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
-            if not is_stored or sum(member.file_size for member in members) > len(content):
-                raise ValueError("it holds more than its own bytes")
-            arrays = {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
-    except Exception as error:  # zipfile and the header of an array raise a dozen kinds, each for a damaged file
-        raise InputError(_damaged(path, first_line(error))) from error
-    if str(arrays.get("key")) != key:
+    found = read_json_object(path)
+    if found.get("key") != key:
         raise InputError(f"{path}: belongs to other loads, radii or options; delete it or choose another folder")
-    return arrays
-
-
-def _array(content: bytes) -> NDArray[Any]:
-    """One npy file; ValueError unless its header states as many bytes as follow."""
-    file = io.BytesIO(content)
-    version = np.lib.format.read_magic(file)
-    if version != (1, 0):
-        raise ValueError(f"npy version {version} is not read")
-    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(file)
-    left = len(content) - file.tell()
-    if dtype.kind not in "fiU" or is_fortran or min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != left:
-        raise ValueError(f"an array of shape {shape} and type {dtype} does not fill its {left} bytes")
-    return np.frombuffer(content[file.tell() :], dtype).reshape(shape).copy()
-
-
-def _check_columns(
-    groups: dict[str, dict[str, NDArray[Any]]], forces: NDArray[Any] | None, equations: Equations, count: int
-) -> None:
-    """ValueError unless every column has its shape and finite numbers, and each of the `count` cases is there once."""
     classes, pairs = equations.weave.classes, len(equations.weave.pairs)
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_PLAIN, ())
-    shapes |= {"s": (3,), "v": (len(equations.mass),)}
-    shapes |= {"lattice": (3,), "centres": (classes, 2), "normals": (classes, 3)}
-    rows = [columns["row"] for columns in groups.values() if "row" in columns]
-    if sorted(np.concatenate([np.zeros(0), *map(np.ravel, rows)]).tolist()) != list(range(count)):
-        raise ValueError(f"its rows are not those of {count} load cases")
-    for columns in filter(None, groups.values()):
-        size = columns["row"].size if "row" in columns else 0
-        for name, shape in shapes.items():
-            _check_array(name, columns.get(name), (size, *shape))
-        length = np.linalg.norm(columns["normals"], axis=-1)
-        if np.abs(length - 1.0).max(initial=0.0) > 1e-6:
-            raise ValueError("a normal is not of length 1")
-    if groups["gone"]:
-        _check_array("forces", forces, (groups["gone"]["row"].size, pairs, SLOTS))
+    whole_numbers = numbers(count, least=0, most=2.0**53)
+    checks: dict[str, Check] = {
+        "lattice": numbers(count, 3),
+        "centres": numbers(count, classes, 2),
+        "normals": numbers(count, classes, 3, least=-1.0 - 1e-9, most=1.0 + 1e-9),
+        "lam": numbers(count, pairs, SLOTS, least=0.0),
+        "R": numbers(count, least=0.0, most=NO_STEP),
+        "time": numbers(count, least=0.0),
+        "status": list_of(one_of("converged", "step-limit", "time-step"), "words", least=count, most=count),
+        **dict.fromkeys(_COUNTS, whole_numbers),
+    }
+    columns = {name: checked(found, name, check, f"{path}:") for name, check in checks.items()}
+    for name in ("lattice", "centres"):
+        if np.abs(columns[name]).max() > 1e6:
+            raise InputError(
+                f"{path}: {name} reaches {np.abs(columns[name]).max():g} r1; delete the file to start anew"
+            )
+    if np.abs(np.linalg.norm(columns["normals"], axis=2) - 1.0).max() > 1e-6:
+        raise InputError(f"{path}: normals: one is not of length 1; delete the file to start anew")
+    pose = Pose(*(columns.pop(name) for name in _POSE))
+    columns |= {name: columns[name].astype(int) for name in _COUNTS} | {"status": np.array(columns["status"], "<U16")}
+    contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
+    return Settled(pose=pose, contacts=contacts, **columns)
 
 
-def _check_array(name: str, value: NDArray[Any] | None, shape: tuple[int, ...]) -> None:
-    kind = "i" if name in ("row", "steps", "rejected") else "f"
-    if value is None or value.shape != shape or value.dtype.kind != kind:
-        raise ValueError(f"{name} is not an array of shape {shape}")
-    wrong = np.isnan(value) if name == "R" else ~(np.abs(value) <= MOST_NUMBER)  # R is infinite before the first step
-    if wrong.any():
-        raise ValueError(f"{name} holds a number that is not finite, or beyond {MOST_NUMBER:g}")
-
-
-def _key(s: Array, wire: float, weave: Weave, options: StewartTrinkleOptions) -> str:
+def checkpoint_key(s: Array, wire: float, weave: Weave, options: StewartTrinkleOptions) -> str:
     """Fingerprint of everything that decides a result."""
     text = json.dumps([weave.name, weave.repeat, wire, asdict(options), s.tolist()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _solved_block(
-    s: Array, weave: Weave, wire: float, options: StewartTrinkleOptions, path: Path | None, save_every: int
-) -> Progress:
-    equations, key = Equations.of(weave, wire), _key(s, wire, weave, options)
-    known = path is not None and path.exists()
-    progress = load(path, equations, options, key, len(s)) if path and known else begin(s, equations, options)
-    while len(progress.going.row):
-        progress = continued(progress, equations, options, save_every)
-        if path is not None:
-            save(path, progress, key)
-    return progress
+def _solved_block(s: Array, weave: Weave, wire: float, options: StewartTrinkleOptions, path: Path | None) -> Settled:
+    equations, key = Equations.of(weave, wire), checkpoint_key(s, wire, weave, options)
+    if path is not None and path.exists():
+        return load(path, equations, options, key, len(s))
+    rest = solve(s, equations, options)
+    if path is not None:
+        save(path, rest, key)
+    return rest
 
 
 def sweep(
@@ -205,37 +122,38 @@ def sweep(
     """Like `stewart_trinkle.solve` for loads s (n, 3), in blocks, with files from which it can be resumed.
 
     wire = r2/r1. Raises InputError when the folder cannot be made or one of its files belongs to another sweep,
-    NotConverged when a worker is ended from outside. Stopped (KeyboardInterrupt), it ends its workers at once; the same
-    call goes on from the files.
+    NotConverged when a worker is ended from outside. Stopped (KeyboardInterrupt), it ends its workers at once.
     """
     options, how = options or StewartTrinkleOptions(), how or SweepOptions()
-    options.validate()
-    blocks = [s[i : i + how.block] for i in range(0, len(s), how.block)]
-    paths: list[Path | None] = [None] * len(blocks)
-    if how.folder is not None:
-        folder = Path(how.folder)
+    kept = ""
+    with ExitStack() as stack:
+        if how.folder is not None:
+            check_out_folder(how.folder, "checkpoints")
+            Path(how.folder).mkdir(parents=True, exist_ok=True)
+            kept = f"solved blocks are kept in {how.folder}, and the same command continues from there"
+        shared = how.folder or (stack.enter_context(TemporaryDirectory()) if how.workers > 1 else None)
+        size = how.block if shared else WITHOUT_FILES
+        blocks = [s[i : i + size] for i in range(0, len(s), size)]
+        paths = [Path(shared) / f"block-{i:04d}.json" if shared else None for i in range(len(blocks))]
+        jobs = [(block, weave, wire, options, path) for block, path in zip(blocks, paths, strict=True)]
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
-        paths = [folder / f"block-{i:04d}.npz" for i in range(len(blocks))]
-    jobs = [(block, weave, wire, options, path, how.save_every) for block, path in zip(blocks, paths, strict=True)]
-    kept = "" if how.folder is None else f"what is solved is kept in {how.folder}, and the same command goes on there"
-    try:
-        done = _solved_side_by_side(jobs, how.workers) if how.workers > 1 else [_solved_block(*job) for job in jobs]
-    except BrokenProcessPool as error:
-        lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --workers"
-        raise NotConverged("; ".join(filter(None, [lost, kept]))) from error
-    except BaseException as error:
-        if kept and not isinstance(error, Exception):  # stopped
-            error.add_note(kept)
-        raise
-    return _joined([settled(progress, options) for progress in done])
+            if how.workers > 1:
+                with _pool(how.workers) as pool:
+                    list(pool.map(_keep_block, jobs))
+            parts = [_solved_block(*job) for job in jobs]  # read, if workers have solved them
+        except BrokenProcessPool as error:
+            lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --workers"
+            raise NotConverged("; ".join(filter(None, [lost, kept]))) from error
+        except BaseException as error:
+            if kept and not isinstance(error, Exception):  # stopped
+                error.add_note(kept)
+            raise
+    return parts[0].join(parts[1:])
 
 
-def _solved_side_by_side(jobs: list[Any], workers: int) -> list[Progress]:
-    with _pool(workers) as pool:
-        return list(pool.map(_solved_block, *zip(*jobs, strict=True)))
+def _keep_block(job: tuple[Any, ...]) -> None:
+    """Solve a block into its file. Nothing is sent back: a worker that ends while it sends would block the parent."""
+    _solved_block(*job)
 
 
 @contextmanager
@@ -259,7 +177,7 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _end_with(watched: Connection) -> None:
-    """Let this worker end at once when the pipe does; Ctrl-C is the parent's to handle."""
+    """Let this worker end at once when the pipe does; Ctrl-C is handled by the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def wait() -> None:
@@ -268,14 +186,3 @@ def _end_with(watched: Connection) -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-def _joined(parts: list[Settled]) -> Settled:
-    def column(name: str) -> Any:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    pose = Pose(*(np.concatenate([getattr(part.pose, name) for part in parts]) for name in _POSE))
-    count = sum(len(part.R) for part in parts)
-    contacts = joined_contacts([part.contacts for part in parts], np.arange(count))
-    plain = {name: column(name) for name in ("lam", "R", "steps", "rejected", "time", "status")}
-    return Settled(pose=pose, contacts=contacts, **plain)

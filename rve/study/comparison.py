@@ -9,108 +9,24 @@ import csv
 import io
 import json
 import os
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rve.common.errors import InputError, require
+from rve.common.errors import require
 from rve.common.files import write_text
 from rve.common.jobs import check_out_job, job
 from rve.common.types import Array
 from rve.common.versions import versions
-from rve.directions import product
-from rve.equilibrium.compliance import strain
-from rve.equilibrium.system import Equations
-from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.paper import stewart_trinkle as st
-from rve.paper.stewart_trinkle import History, Settled, StewartTrinkleOptions
-from rve.solve import solve_table
-from rve.table import StrainTable
+from rve.directions import grid
+from rve.paper.dynamics import StewartTrinkleOptions
+from rve.study.cases import Study, history_strain, side_contact_times, solve_study
 
 RECORD = "study.json"
-"""The file that stands for a study in its folder; it lists the others by their checksums."""
-
-
-@dataclass(frozen=True)
-class Study:
-    """Load cases solved by both methods.
-
-    alpha_deg, beta_deg, s: the cases; rest: the paper's scheme, with history; E (n, 3): its strains; table: the direct
-    solver's rows; wall_s: seconds of the scheme and of the direct solver.
-    """
-
-    alpha_deg: Array
-    beta_deg: Array
-    s: Array
-    cell: Cell
-    options: StewartTrinkleOptions
-    rest: Settled
-    E: Array
-    table: StrainTable
-    wall_s: tuple[float, float]
-
-    @property
-    def history(self) -> History:
-        """Accepted steps of all cases."""
-        if self.rest.history is None:
-            raise ValueError("this study was solved without a history")
-        return self.rest.history
-
-    def case(self, alpha_deg: float, beta_deg: float) -> int | None:
-        """Row of a load direction, None where the study has none."""
-        rows = np.flatnonzero((self.alpha_deg == alpha_deg) & (self.beta_deg == beta_deg))
-        return int(rows[0]) if len(rows) else None
-
-
-def paper_grid() -> tuple[Array, Array]:
-    """The 190 load cases of the paper's Fig. 9 in its order, beta running fastest."""
-    return product(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0))
-
-
-def solve_study(
-    alpha_deg: ArrayLike, beta_deg: ArrayLike, cell: Cell | None = None, options: StewartTrinkleOptions | None = None
-) -> Study:
-    """Solve the cases by the paper's scheme, with history, and by the direct solver.
-
-    Strains of both refer to the rigid reference cell. The interlacing direction must be y, as in the paper; raises
-    InputError otherwise.
-    """
-    cell = cell or Cell()
-    if cell.grain != "y":
-        raise InputError(f"grain = {cell.grain!r}: the study follows the paper, where it is y")
-    options = options or StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
-    alpha, beta = np.asarray(alpha_deg, dtype=float), np.asarray(beta_deg, dtype=float)
-    s = cauchy_line_load(alpha, beta)
-    began = time.perf_counter()
-    table = solve_table(cell, (alpha, beta))
-    between = time.perf_counter()
-    rest = st.solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
-    ended = time.perf_counter()
-    sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
-    E = strain(rest.pose, sides)
-    return Study(alpha, beta, s, cell, options, rest, E, table, (ended - between, between - began))
-
-
-def side_contact_times(study: Study, case: int) -> tuple[float, float]:
-    """Times in s from which, for good, one and all of the final contacts between rings that do not interlink press.
-
-    nan where the locked state has no such contact.
-    """
-    rows = study.history.case == case
-    side, times = study.history.side[rows], study.history.time[rows]
-    if not side[-1]:
-        return float("nan"), float("nan")
-
-    def since(pressed: NDArray[np.bool_]) -> float:
-        before = np.flatnonzero(~pressed)
-        return float(times[before[-1] + 1 if len(before) else 0])
-
-    return since(side > 0), since(side == side[-1])
+"""The record of a study in its folder; it lists the other files with their checksums."""
 
 
 def _span(values: Array, low: float, high: float) -> str:
@@ -205,16 +121,6 @@ def history_csv(study: Study, case: int) -> str:
     return _csv(header.split(","), values.tolist())
 
 
-def history_strain(study: Study, rows: NDArray[np.intp]) -> Array:
-    """Strains (m, 3) of rows of the history."""
-    x2, y3, t = study.history.lattice[rows].T
-    b_x, b_y = (study.table.provenance[name] / study.cell.r1 for name in ("b_x_mm", "b_y_mm"))
-    stretch = 1.0 + t**2
-    return np.stack(
-        [0.5 * (stretch * (x2 / b_x) ** 2 - 1.0), t * x2 * y3 / (b_x * b_y), 0.5 * (stretch * (y3 / b_y) ** 2 - 1.0)], 1
-    )
-
-
 def run(
     out_dir: str | os.PathLike[str],
     alpha_deg: ArrayLike | None = None,
@@ -234,7 +140,7 @@ def run(
     check_out_job(out_dir, RECORD)
     tell = progress or (lambda text: None)
     tell("solving by the paper's scheme and directly")
-    alpha, beta = paper_grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
+    alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
     study = solve_study(alpha, beta, None, options)
     with job(out_dir, RECORD) as folder:
         _write(study, folder, tell)
@@ -243,7 +149,7 @@ def run(
 
 def _write(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
     """Every table and picture of a study."""
-    from rve.study import figures as study_plots
+    from rve.study.figures import draw_all
 
     write_text(folder / "cases.csv", cases_csv(study))
     for pair in ((0.0, 0.0), (45.0, 90.0)):
@@ -254,4 +160,4 @@ def _write(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
     write_text(folder / "comparison.md", markdown(rows))
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
     write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
-    study_plots.draw_all(study, folder, tell)
+    draw_all(study, folder, tell)

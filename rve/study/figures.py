@@ -11,11 +11,11 @@ import numpy as np
 from rve.geometry.circles import are_linked, local_minima
 from rve.paper.alternating_projection import alternating_projection
 from rve.plots import draw_case, figure, save
+from rve.solve import solve_table
+from rve.study.cases import Study, history_strain, side_contact_times
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from rve.study.comparison import Study
 
 
 NAMES = ("E11", "E12", "E22")
@@ -37,6 +37,14 @@ def load_cases(study: Study) -> Figure:
 def _loads_in_space(ax: Any, study: Study) -> None:
     ax.scatter(*study.s[:, [0, 1, 2]].T, c=study.beta_deg, cmap="viridis", s=14)
     ax.set(xlabel="s_xx / s_hat", ylabel="s_xy / s_hat", zlabel="s_yy / s_hat")
+
+
+def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Figure:
+    """Figs. 10 to 12: the locked cell under a load, which is solved if the study does not have it."""
+    case = study.case(alpha_deg, beta_deg)
+    if case is not None:
+        return draw_case(study.table, case)
+    return draw_case(solve_table(study.cell, ([alpha_deg], [beta_deg])))
 
 
 def strains(study: Study) -> Figure:
@@ -108,8 +116,6 @@ def clock(study: Study) -> Figure:
 
 def progress_of_two(study: Study) -> Figure | None:
     """Fig. 17: strain, R and kinetic energy against time for cases 1 and 190; None if the study has neither."""
-    from rve.study.comparison import history_strain, side_contact_times
-
     cases = [(pair, study.case(*pair)) for pair in ((0.0, 0.0), (45.0, 90.0))]
     known = [(pair, case) for pair, case in cases if case is not None]
     if not known:
@@ -175,9 +181,9 @@ def draw_all(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
     """Draw every picture of the study into a folder."""
     pictures: dict[str, Callable[[], Figure | None]] = {
         "fig_09": lambda: load_cases(study),
-        "fig_10": lambda: draw_case(0.0, 90.0, study.cell),
-        "fig_11": lambda: draw_case(0.0, 0.0, study.cell),
-        "fig_12": lambda: draw_case(45.0, 0.0, study.cell),
+        "fig_10": lambda: locked_cell(study, 0.0, 90.0),
+        "fig_11": lambda: locked_cell(study, 0.0, 0.0),
+        "fig_12": lambda: locked_cell(study, 45.0, 0.0),
         "fig_13": lambda: strains(study),
         "fig_14": lambda: surface(study),
         "fig_15": lambda: steps(study),

@@ -7,22 +7,17 @@ import pytest
 
 import homogenize.laws.net
 import homogenize.laws.polyhedral
-import homogenize.laws.smooth
 import rve.common.errors
 import rve.geometry.circles
 from benchmarks.stability.laws import kinds
 from homogenize.io import default_law
-from homogenize.laws.net import diagonal_net, ring_cell, ring_net
+from homogenize.laws.net import ring_cell, ring_net
 from macro_fem import curtain as solvers
 from macro_fem.curtain import solve_scene
-from macro_fem.fem.assembly import discretize, load_vector
-from macro_fem.fem.linear import NotPositiveDefiniteError
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
-from macro_fem.solvers import newton, rigid
-from macro_fem.solvers.descent import Work
-from macro_fem.solvers.newton_records import NewtonStatus
+from macro_fem.solvers import central_path, newton
 from macro_fem.solvers.status import FREE
 from rve.common.errors import InputError
 from rve.equilibrium.interior_point import DirectOptions, follow, solve_equilibrium
@@ -130,7 +125,7 @@ def test_laws_need_their_check_for_numbers(monkeypatch):
         for function in (law.response, law.cut, law.support):
             with pytest.raises(InputError, match="finite numbers, row 0"):
                 function(nan)
-    for module in (homogenize.laws.net, homogenize.laws.polyhedral, homogenize.laws.smooth):
+    for module in (homogenize.laws.net, homogenize.laws.polyhedral):
         monkeypatch.setattr(module, "check_finite", lambda *_: None)
     assert np.isnan(laws["net, of the rings"].support(nan)).all()
     assert np.isnan(laws["polyhedral, of the rings"].cut(nan).violation).all()
@@ -150,46 +145,16 @@ def test_impossible_supports_need_the_certificate(monkeypatch):
     assert refuted.status == "infeasible"
     proved = float(refuted.message.split(" %")[0].split()[-1])
     assert proved == pytest.approx(100.0 * (1.65 / (18.0 / 11.0) - 1.0), abs=0.05)
-    monkeypatch.setattr(rigid, "is_certificate", lambda *_: False)
+    monkeypatch.setattr(central_path, "is_certificate", lambda *_: False)
     assert solve_scene(scene, law).status in ("stalled", "iterations")
-
-
-def strip():
-    import skfem
-
-    disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 20, 5), np.linspace(0, 100, 21)), "P1")
-    held = np.repeat(disc.nodes[:, 1:] == 100.0, 2, axis=1)
-    weight = load_vector(disc, np.array([0.0, -1e-4]))
-    return newton.Membrane(disc, diagonal_net(1.1, 1e3), held, np.zeros_like(weight), weight)
-
-
-def test_slack_sheets_need_regularisation(monkeypatch):
-    assert newton.solve(strip()).status.is_solution
-
-    def bare(work, data, eps):
-        try:
-            return work.solver.factorize(data), 0.0
-        except NotPositiveDefiniteError:
-            return None
-
-    monkeypatch.setattr(Work, "factorize", bare)
-    assert newton.solve(strip()).status is NewtonStatus.NOT_CONVEX
-
-
-def test_stiff_sheets_need_softening():
-    options = newton.NewtonOptions(max_iterations=250)
-    assert newton.solve(strip(), options).status.is_solution
-    without = newton.solve(strip(), replace(options, soften_after=250))
-    assert without.status is NewtonStatus.ITERATION_LIMIT
 
 
 def test_stiff_rings_need_interior_points():
     law = replace(default_law(), stiffness=1e9 * np.eye(3))
-    scene = square(mesh={"cells": 6}, support={"kind": "corners", "gather": 0.9}, solver={"kind": "newton"})
+    scene = square(mesh={"cells": 6}, support={"kind": "corners", "gather": 0.9}, solver={"kind": "elastic"})
     assert solve_scene(scene, law).status == "converged"
     problem = make_problem(scene, law, build_mesh(scene, law.cell))
-    fixed = problem.supports.mask | problem.supports.pinned
-    moved = problem.supports.positions - problem.disc.nodes
-    sheet = newton.Membrane(problem.disc, law, fixed, moved, problem.force)
-    alone = newton.solve(sheet, newton.NewtonOptions(max_iterations=150, soften_after=150))
-    assert not alone.status.is_solution
+    start = problem.supports.positions - problem.disc.nodes
+    alone = newton.solve(problem.fem, law, problem.force, start, newton.NewtonOptions(max_iterations=150))
+    assert alone.stop != "closed"
+    assert alone.residual > 1e-3

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main
+from homogenize.fitting.shipped import SHIPPED
 from homogenize.io import default_law, load_law
-from homogenize.ship import SHIPPED
 from rve.table import read_table, write_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
@@ -123,7 +123,7 @@ def test_loads_outside_the_sampled_cone_are_marked(tmp_path):
         (("support", SHIPPED, "--S", "0,0,0"), ("all are zero",)),
         (("support", "nowhere.json", "--S", "1,0,0"), ("nowhere.json", "cannot be read")),
         (("fit", "nowhere.csv", "--out", "law.json"), ("nowhere.csv",)),
-        (("fit", TABLE, "--out", "law.json", "--kind", "spline"), ("kind = spline", "refined")),
+        (("fit", TABLE, "--out", "law.json", "--kind", "spline"), ("kind = 'spline'", "refined")),
         (("fit", TABLE, "--out", "nowhere/law.json"), ("nowhere", "cannot be written")),
         (("export", "nowhere.json", "--out", "umat.f"), ("nowhere.json",)),
     ],
@@ -139,7 +139,11 @@ def test_bad_input_is_one_sentence(arguments, words, tmp_path, monkeypatch):
     [
         (lambda record: record | {"schema": 99}, ("schema = 99",)),
         (lambda record: record | {"units": {"strain": "%"}}, ("units",)),
-        (lambda record: record | {"kind": "magic"}, ("kind = 'magic'",)),
+        (lambda record: record | {"kind": "magic"}, ("kind = 'magic'", "net, polyhedral")),
+        (lambda record: record | {"kind": "smooth"}, ("kind = 'smooth'", "homogenize fit TABLE")),
+        (lambda record: record | {"kind": "family"}, ("kind = 'family'", "rve table --r1 R1")),
+        (lambda record: record | {"kind": ["net"]}, ("kind = ['net']",)),
+        (lambda record: record | {"provenance": 3}, ("provenance = 3",)),
         (lambda record: {k: v for k, v in record.items() if k != "cell"}, ("cell: is missing",)),
         (lambda record: record | {"parameters": {"S": [[1, 0, 0]], "h": [1]}}, ("stiffness_N_per_mm",)),
         (
@@ -201,9 +205,7 @@ def test_no_command_overwrites_what_it_reads(tmp_path):
     for out in ("glove.json", "glove.csv", "hard.csv", "soft"):
         assert refused(run("fit", table, "--out", tmp_path / out), "would overwrite", out)
     assert refused(run("fit", TABLE, "--out", tmp_path / "glove.json"), "is the sidecar file of a table")
-    assert refused(run("family", table, "--out", tmp_path / "glove.json"), "would overwrite")
     assert refused(run("export", law, "--out", law), "would overwrite")
-    assert refused(run("member", law, "--r1", 5, "--r2", 0.5, "--out", law), "would overwrite")
     assert refused(run("fit", table, "--out", tmp_path / "folder"), "is a folder")
     assert refused(run("fit", table, "--out", "/dev/null"), "device, pipe or socket")
     assert refused(run("fit", table, "--out", tmp_path / ("n" * 300)), "name too long")

@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 from homogenize.cli import main
 from homogenize.fitting.rows import rows_from_table
+from homogenize.fitting.shipped import SHIPPED
 from homogenize.io import default_law
 from homogenize.plots import plot_sections, plot_strains, surface_height
-from homogenize.ship import SHIPPED
 from rve.table import read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
@@ -55,8 +55,11 @@ def test_pictures_are_written(tmp_path):
     assert not (tmp_path / "bad").exists()
 
 
-def test_report_on_rows_that_no_fit_has_seen():
-    seen = CliRunner().invoke(main, ["report", str(SHIPPED), "--table", str(TABLE.with_name("directions.csv"))])
-    assert seen.exit_code == 0
-    assert "1000 loads" in seen.output
+def test_report_on_rows_that_no_fit_has_seen(tmp_path):
+    lines = TABLE.with_name("directions.csv").read_text().splitlines()
+    (tmp_path / "some.csv").write_text("\n".join(lines[:101]) + "\n")
+    (tmp_path / "some.json").write_text(TABLE.with_suffix(".json").read_text())
+    seen = CliRunner().invoke(main, ["report", str(SHIPPED), "--table", str(tmp_path / "some.csv")])
+    assert seen.exit_code == 0, seen.output
+    assert "100 loads" in seen.output
     assert "extrapolated: 0" in seen.output

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import homogenize.ship
+import homogenize.fitting.shipped
 from homogenize.io import default_law
-from homogenize.query import support_answer
+from homogenize.query.answers import support_answer
 from rve.common.errors import InputError
 
-LAW = homogenize.ship.SHIPPED
+LAW = homogenize.fitting.shipped.SHIPPED
 
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import Rows, normality, rows_from_table, subset, with_mirror
+from homogenize.fitting.rows import Rows, normality, rows_from_table, with_mirror
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, mirror
 
@@ -82,7 +82,7 @@ def test_mirror_rows_appear_once(rows):
     both = with_mirror(rows)
     assert len(both) == 2 * len(rows) - int(((np.abs(rows.S[:, 1]) < 1e-9) & (np.abs(rows.E[:, 1]) < 1e-9)).sum())
     assert np.allclose(double_dot(both.S, both.E), both.h)
-    assert len(subset(rows, np.arange(3))) == 3
+    assert len(rows.take(np.arange(3))) == 3
 
 
 def test_a_row_with_shear_in_load_or_strain_alone_has_its_mirror_image():

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from homogenize.fitting.bounds import outer_law
-from homogenize.fitting.refine import refined_half_spaces
+from homogenize.fitting.refine import RefineOptions, refined_half_spaces
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, rows_to_dict
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.strain import StrainOptions, locked_strain
-from homogenize.strain_bounds import strain_bounds
+from homogenize.query.strain import StrainOptions, locked_strain
+from homogenize.query.strain_bounds import BoundsOptions, strain_bounds
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
 from rve.geometry.cell import Cell
@@ -74,6 +74,39 @@ def test_options_are_obeyed(ellipsoid):
     assert tired.status[0] == "no_convergence"
     assert tired.residual[0] > 1e-9
     assert np.isfinite(tired.E).all()
+
+
+def test_widths_decide_what_is_unique(ellipsoid):
+    """Loads near the normal of a facet carry all its strains: one strain, or many, as the width says."""
+    law = outer_law(rows_of(ellipsoid, disc_grid(8, 32)))
+    loads = np.linspace(-80.0, 80.0, 40), np.linspace(5.0, 85.0, 40)
+    assert locked_strain(law, *loads, StrainOptions(width=10.0)).unique.all()
+    assert not locked_strain(law, *loads, StrainOptions(width=1e-6)).unique.all()
+
+
+def test_coarser_rectangles_give_wider_bounds(ellipsoid):
+    rows, load = rows_of(ellipsoid, disc_grid(4, 16)), cauchy_line_load([20.0], [50.0])
+    usual, coarse = strain_bounds(rows, load), strain_bounds(rows, load, BoundsOptions(resolution=0.5))
+    assert np.all(coarse.E_min <= usual.E_min)
+    assert np.all(coarse.E_max >= usual.E_max)
+    assert coarse.width()[0] > 1.1 * usual.width()[0]
+
+
+@pytest.mark.parametrize(
+    ("record", "options", "words"),
+    [
+        (StrainOptions, {"offset": 0.0}, "offset = 0.0: must be greater than 0"),
+        (StrainOptions, {"newton_steps": 0}, "newton_steps = 0: must be from 1"),
+        (StrainOptions, {"retries": (1.0, np.inf)}, "retries = "),
+        (StrainOptions, {"step": 3}, "step: unknown option"),
+        (BoundsOptions, {"margin": 0.5}, "margin = 0.5"),
+        (BoundsOptions, {"first": 40.0}, "first = 40.0: is not a whole number"),
+        (RefineOptions, {"share": 2.0}, "share = 2.0"),
+    ],
+)
+def test_options_refuse_what_makes_no_sense(record, options, words):
+    with pytest.raises(InputError, match=words):
+        record(**options)
 
 
 def test_the_tolerance_decides_what_has_converged(ellipsoid):

@@ -13,9 +13,9 @@ from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import normality, rows_from_table
+from homogenize.fitting.shipped import SHIPPED, shipped_record
 from homogenize.io import default_law
-from homogenize.ship import SHIPPED, shipped_record
-from homogenize.strain import locked_strain
+from homogenize.query.strain import locked_strain
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.table import read_table
@@ -143,7 +143,7 @@ def test_noise_is_refused_or_taken_with_its_level(table):
 
 def test_every_kind_is_fitted_and_reports(table):
     worst = {}
-    for kind in ("refined", "outer", "inner", "net", "interpolated"):
+    for kind in ("refined", "outer", "inner", "net"):
         result = fit(table, FitOptions(kind))
         assert kind == "net" or result.law.name == "polyhedral"
         assert "outer minus inner" in result.report.text()
@@ -152,8 +152,24 @@ def test_every_kind_is_fitted_and_reports(table):
     assert worst["refined"] < 1e-10
     assert worst["outer"] < 1e-10
     assert worst["net"] > 0.01
-    with pytest.raises(InputError, match="kind = spline"):
-        fit(table, FitOptions("spline"))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"kind": "spline"}, "kind = 'spline': is not one of inner, net, outer, refined"),
+        ({"kind": "smooth"}, "kind = 'smooth'"),
+        ({"normality": -1e-8}, "normality = -1e-08"),
+        ({"normality": float("nan")}, "normality = nan"),
+        ({"resolution": 0.0}, "resolution = 0.0"),
+        ({"resolution": float("nan")}, "resolution = nan"),
+        ({"kinds": "outer"}, "kinds: unknown option"),
+        ({"kind": "outer", "resolution": 1e-5}, "belongs to kind 'refined'"),
+    ],
+)
+def test_options_refuse_what_makes_no_sense(options, words):
+    with pytest.raises(InputError, match=words):
+        FitOptions(**options)
 
 
 @pytest.mark.slow

@@ -6,11 +6,11 @@ import subprocess
 import numpy as np
 import pytest
 
+from homogenize.export.umat import data_statements, umat_source
 from homogenize.fitting.bounds import outer_law
 from homogenize.fitting.refine import refined_half_spaces
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.umat import data_statements, umat_source
 from rve.common.errors import InputError
 
 from .conftest import disc_grid, rows_of

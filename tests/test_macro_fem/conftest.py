@@ -77,7 +77,7 @@ def scene_tables():
 
     def make(hang="y", width=100.0, height=100.0, areal_mass=2.785, mesh=(), support=(), load=(), solver=()):
         return {
-            "curtain": {"width": width, "height": height, "hang": hang, "areal_mass": areal_mass},
+            "curtain": {"width": width, "height": height, "weave_angle": hang, "areal_mass": areal_mass},
             "mesh": {"cells": 6, **dict(mesh)},
             "support": dict(support) or {"kind": "top"},
             "load": dict(load),

@@ -7,19 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skfem.helpers import dot, grad
 
-from macro_fem.fem.assembly import (
-    ELEMENTS,
-    cell_mean,
-    deformation_gradient,
-    discretize,
-    gradient,
-    internal_force,
-    interpolate,
-    load_vector,
-    pack_blocks,
-    sparsity,
-    stiffness,
-)
+from macro_fem.fem.assembly import deformation_gradient, gradient, internal_force, load_vector, stiffness
+from macro_fem.fem.discretization import ELEMENTS, discretize
+from macro_fem.fem.sparsity import sparsity
 
 MESHES = {"P1": skfem.MeshTri, "P2": skfem.MeshTri, "CR": skfem.MeshTri, "Q1": skfem.MeshQuad, "Q2": skfem.MeshQuad}
 SKFEM = {
@@ -89,21 +79,6 @@ def test_forces_and_stiffness_are_plain_sums(element, d):
     np.testing.assert_array_equal(pattern.free, np.flatnonzero(free))
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_cell_blocks_land_where_the_plain_sum_puts_them(d):
-    rng = np.random.default_rng(3)
-    disc = discretize(distorted("P2"), "P2")
-    m = disc.cell_dofs.shape[1] * d
-    B = rng.standard_normal((disc.n_cells, m, m))
-    B = B + B.swapaxes(1, 2)
-    K = np.zeros((disc.n_nodes * d,) * 2)
-    for cell, nodes in enumerate(disc.cell_dofs):
-        rows = (nodes[:, None] * d + np.arange(d)).ravel()
-        K[np.ix_(rows, rows)] += B[cell]
-    pattern = sparsity(disc, d, np.ones(disc.n_nodes, dtype=bool))
-    np.testing.assert_allclose(pattern.full(pattern.scatter(pack_blocks(B, d))).toarray(), K, atol=1e-12)
-
-
 @settings(deadline=None, max_examples=25)
 @given(
     element=st.sampled_from(ELEMENTS),
@@ -127,11 +102,11 @@ def test_affine_fields_are_exact_on_distorted_cells(element):
     H = np.array([[0.3, -0.2], [0.1, 0.4], [0.7, -0.5]])
     u = disc.nodes @ H.T + np.array([1.0, -2.0, 3.0])
     np.testing.assert_allclose(gradient(disc, u), np.broadcast_to(H, (disc.n_points, 3, 2)), atol=1e-12)
-    np.testing.assert_allclose(interpolate(disc, u), disc.points @ H.T + [1.0, -2.0, 3.0], atol=1e-12)
+    np.testing.assert_allclose(disc.interpolate(u), disc.points @ H.T + [1.0, -2.0, 3.0], atol=1e-12)
     np.testing.assert_allclose(
         deformation_gradient(disc, u)[:, :2] - H[:2], np.broadcast_to(np.eye(2), (disc.n_points, 2, 2)), atol=1e-12
     )
-    np.testing.assert_allclose(cell_mean(disc, gradient(disc, u)), np.broadcast_to(H, (disc.n_cells, 3, 2)), atol=1e-12)
+    np.testing.assert_allclose(disc.cell_mean(gradient(disc, u)), np.broadcast_to(H, (disc.n_cells, 3, 2)), atol=1e-12)
 
 
 @pytest.mark.parametrize(("element", "order"), [("P1", 2), ("P2", 3), ("CR", 2), ("Q1", 2), ("Q2", 3)])
@@ -145,7 +120,7 @@ def test_interpolation_converges_at_the_order_of_the_element(element, order):
         v = f(disc.nodes)[:, None]
         x, y = disc.points.T
         exact = np.stack([3 * np.cos(3 * x) * np.cos(2 * y), -2 * np.sin(3 * x) * np.sin(2 * y)], axis=-1)
-        errors.append(np.sqrt(disc.weight @ (interpolate(disc, v)[:, 0] - f(disc.points)) ** 2))
+        errors.append(np.sqrt(disc.weight @ (disc.interpolate(v)[:, 0] - f(disc.points)) ** 2))
         slopes.append(np.sqrt(disc.weight @ ((gradient(disc, v)[:, 0] - exact) ** 2).sum(axis=1)))
     assert np.log2(errors[1] / errors[2]) == pytest.approx(order, abs=0.1)
     assert np.log2(slopes[1] / slopes[2]) == pytest.approx(order - 1, abs=0.1)

@@ -24,7 +24,7 @@ def net_scene(pattern="diagonal", cells=6, **solver):
             "curtain": {"width": 40.0, "height": 40.0, "areal_mass": 1.0},
             "mesh": {"cells": cells, "pattern": pattern},
             "support": {"kind": "top", "gather": 0.7},
-            "solver": {"spread": 0.0, **solver},
+            "solver": {"stabilising_tension": 0.0, **solver},
         }
     )
 
@@ -49,7 +49,7 @@ def test_bounds_contain_the_exact_net_square_and_close(pattern):
 
 @pytest.mark.parametrize(("hang", "kind"), [("y", "top"), ("x", "rail")])
 def test_linear_stress_makes_hanging_strips_exact(ring_like, scene_tables, hang, kind):
-    tables = scene_tables(hang=hang, support={"kind": kind}, solver={"spread": 0.0})
+    tables = scene_tables(hang=hang, support={"kind": kind}, solver={"stabilising_tension": 0.0})
     solution = solve_scene(read_scene(tables), ring_like)
     bounds = bound(solution)
     scale = np.abs(solution.problem.force).sum() * 100.0

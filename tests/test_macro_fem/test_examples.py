@@ -64,7 +64,7 @@ def test_rings_hung_along_y_keep_their_height(element, support):
 
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
 def test_rings_hung_along_x_from_a_rail_stretch_evenly(element):
-    curtain = {"width": 1000.0, "height": 1000.0, "hang": "x"}
+    curtain = {"width": 1000.0, "height": 1000.0, "weave_angle": "x"}
     tables = {"curtain": curtain, "mesh": {"cells": 6, "element": element}, "support": {"kind": "rail"}}
     solution = solve_scene(read_scene(tables), default_law())
     X = solution.problem.disc.nodes

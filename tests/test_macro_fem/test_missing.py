@@ -1,5 +1,7 @@
 """Half-spaces taken in on the way: they land at their points, keep the state inside, and spare most of the steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,11 @@ from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers import soc
+from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cone_program import first_state, make_program, mean_product, measure, moved, search, step_lengths
-from macro_fem.solvers.cones import Cones, first_cones, law_cut, with_cuts
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
 from macro_fem.solvers.cutting_planes import find, joined, pruned, widened
-from macro_fem.solvers.rigid import FIRST_GAP, LEAST_GAP, RigidOptions, solve_rigid
+from macro_fem.solvers.options import PathOptions, StepOptions
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +33,8 @@ def begun(problem):
     fem = problem.fem
     load, z = fem.gather(problem.force), fem.unknowns(gathered_start(problem))
     total = np.abs(load).sum()
-    program = make_program(fem, load, first_cones(problem.law, len(fem.weight)), 140.0 * total, total)
-    return program, first_state(program, z, FIRST_GAP)
+    program = make_program(fem, load, first_cones(problem.law, len(fem.weight)), 140.0 * total, total, np.zeros((3, 3)))
+    return program, first_state(program, z)
 
 
 def on_the_way(problem, rings):
@@ -40,13 +43,13 @@ def on_the_way(problem, rings):
     for _ in range(60):
         now = measure(program, state)
         step = search(program, state, now, 1e-10)
-        end = now.tail + step.primal * step.d_tail
-        found = find(program, rings, problem.fem.gradient(state.z + step.primal * step.dz), end)
+        E = green_strain(problem.fem.gradient(state.z + step.primal * step.dz))
+        found = find(program, rings, E, now.wanted + step.d_wanted * step.primal)
         if np.count_nonzero(found.is_missing) > 3:
             return program, state, step, found
         part = 0.5 * step.primal
         s, y = state.s + step.ds * part, state.y + step.dy * (0.5 * step.dual)
-        state = type(state)(state.z + part * step.dz, s, y)
+        state = replace(state, z=state.z + part * step.dz, s=s, y=y)
     raise AssertionError("the law was never left")
 
 
@@ -69,7 +72,7 @@ def test_cuts_are_sorted_in_behind_the_others_of_their_points():
 def test_what_is_missing_is_what_no_known_half_space_says(problem, rings):
     program, state, step, found = on_the_way(problem, rings)
     F = problem.fem.gradient(state.z + step.primal * step.dz)
-    S, h, slack = law_cut(rings, F)
+    S, h, slack = law_cut(rings, green_strain(F))
     known = program.cones.slack(F) / (program.cones.S[:, 0] + program.cones.S[:, 2])
     least = np.array([known[program.cones.point == p].min() for p in range(len(F))])
     violated = slack / (S[:, 0] + S[:, 2]) < np.minimum(least, 0.0) - 1e-9
@@ -103,8 +106,9 @@ def test_joining_keeps_the_unknowns_and_the_central_path(problem, rings):
     assert measure(into.program, into.state).outside == pytest.approx(measure(program, state).outside, abs=1e-12)
     shorter = widened(step, into)
     assert shorter.primal < step.primal
-    assert min(step_lengths(into.state, shorter, 1.0)) >= min(shorter.primal, shorter.dual)
-    end = find(into.program, rings, problem.fem.gradient(state.z + shorter.primal * step.dz), shorter.d_tail)
+    assert min(step_lengths(into.program, into.state, shorter, 1.0)) >= min(shorter.primal, shorter.dual)
+    E = green_strain(problem.fem.gradient(state.z + shorter.primal * step.dz))
+    end = find(into.program, rings, E, shorter.d_wanted)
     assert end.violation[found.is_missing].max() < 0.0
 
 
@@ -123,10 +127,10 @@ def test_pruning_leaves_what_carries(problem, rings):
 def test_the_path_takes_few_steps_though_the_law_has_thousands_of_half_spaces(problem, rings):
     """Solving in rounds, a new start for each, took 150 steps at 3,600 cells and grew with the mesh."""
     program, state = begun(problem)
-    result = solve_rigid(problem.fem, rings, program.load, state.z, 140.0)
+    result = solve_path(problem.fem, rings, program.load, state.z, 140.0)
     assert result.status == "converged"
     assert result.iterations <= 60
     assert len(result.cones) < 14 * len(result.cones.first)
-    assert law_cut(rings, problem.fem.gradient(result.z))[2].min() > -1e-9
-    assert result.residual < RigidOptions.gap
-    assert min(line.gap for line in result.history) > 0.5 * LEAST_GAP * RigidOptions.gap
+    assert law_cut(rings, green_strain(problem.fem.gradient(result.z)))[2].min() > -1e-9
+    assert result.residual < PathOptions.gap
+    assert min(line.gap for line in result.history) > 0.5 * StepOptions.least_gap * PathOptions.gap

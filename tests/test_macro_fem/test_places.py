@@ -97,7 +97,7 @@ def test_every_point_has_its_node(shape, hang, tmp_path):
         at = [rim, *rng.uniform([12.0, 15.0], [36.0, 60.0], size=(3, 2)).round(3).tolist()]
         at[1:] = [[x - 30.0, y - 30.0] for x, y in at[1:]] if shape == "disk" else at[1:]
         load = {"point": [{"at": place, "force": [0.0, 0.0]} for place in at]}
-        table = {"curtain": {"areal_mass": 1.0, "hang": hang, **shapes[shape]}, "support": {"kind": "top"}}
+        table = {"curtain": {"areal_mass": 1.0, "weave_angle": hang, **shapes[shape]}, "support": {"kind": "top"}}
         if shape != "file":
             table["mesh"] = {"cells": 9}
         without = build_mesh(read_scene(table, tmp_path / "scene.toml"), None)
@@ -124,7 +124,7 @@ def test_a_point_leaves_the_curtain_exact():
         load = {"point": {"at": at, "force": [0.0, 0.0]}}
         top = {"kind": "top", "gather": 0.7}
         solution = solve_scene(
-            scene(top, load=load, mesh={"cells": 8}, solver={"spread": 0.0}, **curtain), diagonal_net()
+            scene(top, load=load, mesh={"cells": 8}, solver={"stabilising_tension": 0.0}, **curtain), diagonal_net()
         )
         assert has_node(solution.problem.mesh, at)
         assert solution.mean_height() == pytest.approx(NET_MEAN_HEIGHT, abs=1e-5)
@@ -306,7 +306,7 @@ FAMILY = np.degrees(np.arctan(RINGS.b_y_mm / RINGS.b_x_mm))
 def test_inner_edges_follow_the_turned_weave(shape, hang):
     """Both diagonals of the weave's cell, 49 degrees from its x axis, turn with it counterclockwise."""
     outline = {"shape": "outline", "outline": [[0, 0], [100, 0], [100, 80], [0, 80]]}
-    curtain = {"hang": hang, **(outline if shape == "outline" else {})}
+    curtain = {"weave_angle": hang, **(outline if shape == "outline" else {})}
     mesh = build_mesh(scene({"kind": "top"}, mesh={"cells": 24}, **curtain), RINGS)
     for family in (FAMILY, -FAMILY):
         assert share_along(mesh, hang + family) > 0.25
@@ -316,7 +316,7 @@ def test_inner_edges_follow_the_turned_weave(shape, hang):
 
 def test_the_mesh_of_a_weave_hung_along_x_has_its_other_aspect():
     """Rectangles b_x high and b_y wide: turned by 90 degrees, not the cell upright."""
-    mesh = build_mesh(scene({"kind": "top"}, hang="x", mesh={"cells": 10}), RINGS)
+    mesh = build_mesh(scene({"kind": "top"}, weave_angle="x", mesh={"cells": 10}), RINGS)
     high = 10.0 * RINGS.b_x_mm / RINGS.b_y_mm
     y = np.unique(np.round(mesh.mesh.p[1], 6))
     assert np.diff(y)[-4:] == pytest.approx(0.5 * high)

@@ -14,7 +14,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError
 
-KINDS = ("rigid", "conic", "newton")
+KINDS = ("rigid", "clarabel", "elastic")
 NAMED = {"converged", "taut", "infeasible"}
 
 
@@ -24,7 +24,7 @@ def draw(seed):
     width, height = float(rng.choice([200.0, 500.0, 1000.0])), float(rng.choice([200.0, 500.0, 1000.0]))
     shape = rng.choice(["rectangle", "rectangle", "rectangle", "hole", "disk", "outline"])
     return {
-        "curtain": {**curtain(shape, width, height, rng), "hang": hang(rng)},
+        "curtain": {**curtain(shape, width, height, rng), "weave_angle": hang(rng)},
         "mesh": mesh(shape, rng),
         "support": supports(shape, width, height, rng),
         "load": loads(shape, width, height, rng),

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import tomllib
 
 import meshio
 import numpy as np
@@ -14,14 +15,15 @@ from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.mesh import build_mesh, signed_areas
-from macro_fem.scene.schema import Bar, Corners, Hooks, load_scene, read_scene
-from rve.common.errors import InputError
+from macro_fem.scene.schema import load_scene, read_scene
+from macro_fem.scene.tables import Bar, Corners, Hooks
+from rve.common.errors import InputError, OldName
 
 SCENE = """
 [curtain]
 width = 100.0
 height = 80.0
-hang = "y"
+weave_angle = "y"
 areal_mass = 2.785
 [mesh]
 cells = 6
@@ -157,7 +159,8 @@ BAD = [
     ("height = 80.0", "", ["[curtain]", "height", "missing"]),
     ("height = 80.0", "height = 80.0\nradius = 5.0", ["radius", "5.0"]),
     ("height = 80.0", "height = 80.0\nlength = 5.0", ["length", "5.0", "unknown key"]),
-    ('hang = "y"', 'hang = "z"', ["hang", "'z'"]),
+    ('weave_angle = "y"', 'weave_angle = "z"', ["weave_angle", "'z'"]),
+    ('weave_angle = "y"', 'weave_angle = "y"\nhang = "x"', ["hang and weave_angle", "one key"]),
     ("cells = 6", "cells = 0", ["[mesh]", "cells", "0"]),
     ("cells = 6", "cells = 2.5", ["cells", "2.5"]),
     ('element = "P1"', 'element = "P9"', ["element", "'P9'"]),
@@ -193,6 +196,25 @@ def test_bad_input_ends_in_one_sentence(tmp_path, law_file, old, new, words):
     for word in ["scene.toml", *words]:
         assert word in lines[0]
     assert not out.exists()
+
+
+OLD = SCENE.replace("weave_angle", "hang").replace('"rigid"', '"newton"\nspread = 1e-5')
+
+
+def test_old_names_are_read_with_one_warning(tmp_path, law_file):
+    result, _ = run(tmp_path, OLD, "--law", str(law_file))
+    assert result.exit_code == 0
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("Warning: ")
+    for words in ("hang is now weave_angle", "spread is now stabilising_tension", "kind = 'newton' is now 'elastic'"):
+        assert words in line
+    new = SCENE.replace('"rigid"', '"elastic"\nstabilising_tension = 1e-5')
+    with pytest.warns(OldName, match="read until the next version"):
+        old = read_scene(tomllib.loads(OLD))
+    assert old == read_scene(tomllib.loads(new))
+    same, again = run(tmp_path, new, "--law", str(law_file))
+    assert same.stderr == ""
+    assert json.loads((again / "summary.json").read_text())["status"] == "converged"
 
 
 def test_a_solver_that_gives_up_says_so(tmp_path, law_file):

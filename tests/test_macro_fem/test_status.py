@@ -15,12 +15,12 @@ from macro_fem.curtain import solve_scene, supports_reach
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
-from macro_fem.solvers.rigid import solve_rigid
+from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
-KINDS = ("rigid", "conic", "newton")
+KINDS = ("rigid", "clarabel", "elastic")
 RAIL_AND_CORNERS = [{"kind": "rail"}, {"kind": "corners"}]
 ALL_EDGES = [{"kind": "edge", "edge": edge} for edge in ("left", "right", "top", "bottom")]
 ASKED = Accuracy(gap=1e-9, unbalanced=1e-9, violation=1e-8)
@@ -29,7 +29,7 @@ GOOD = Evidence(gap=1e-10, unbalanced=0.0, violation=-1e-3)
 
 def tables(support, hang="y", cells=4, **solver):
     return {
-        "curtain": {"width": 1000.0, "height": 1000.0, "hang": hang},
+        "curtain": {"width": 1000.0, "height": 1000.0, "weave_angle": hang},
         "mesh": {"cells": cells},
         "support": support,
         "solver": solver,
@@ -81,7 +81,7 @@ def test_an_answer_with_other_numbers_has_another_status(kind):
     assert replace(solution, P=1.001 * solution.P).status == "stalled"
     assert replace(solution, F=np.nan * solution.F).status == "not_finite"
     assert replace(solution, reach=Reach(1.0, 1.0)).status == "taut"
-    if kind != "newton":
+    if kind != "elastic":
         assert replace(solution, F=1.001 * solution.F).status == "stalled"
 
 
@@ -90,10 +90,10 @@ def test_rail_and_corners_close_the_gap(fitted_law):
     scene = read_scene(tables(RAIL_AND_CORNERS, "x", 6))
     problem = make_problem(scene, fitted_law, build_mesh(scene, fitted_law.cell))
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
-    result = solve_rigid(problem.fem, problem.law, load, start, problem.mesh.size)
+    result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     gap = (result.primal - result.dual) / (np.abs(load).sum() * problem.mesh.size)
     assert result.status != "converged" or abs(gap) < 2e-6
-    solution, oracle = (solve(RAIL_AND_CORNERS, "x", 6, fitted_law, kind=kind) for kind in ("rigid", "conic"))
+    solution, oracle = (solve(RAIL_AND_CORNERS, "x", 6, fitted_law, kind=kind) for kind in ("rigid", "clarabel"))
     assert (solution.status, oracle.status) == ("taut", "taut")
     assert abs(solution.relative_gap) < 5e-6
     assert solution.mean_height() == pytest.approx(oracle.mean_height(), abs=0.05)
@@ -160,7 +160,7 @@ def test_the_pull_at_the_limit_follows_what_rings_give():
     assert np.abs(at[0]).max() == pytest.approx(np.sqrt(10.0) * np.abs(at[1]).max(), rel=0.02)
     assert np.abs(short[0]).max() == pytest.approx(np.abs(short[1]).max(), rel=0.1)
     top = {"kind": "top", "gather": 18.0 / 11.0}
-    soft, stiff = (np.abs(solve(top, law=ring_net(RINGS, k), kind="newton").P).max() for k in (1e3, 1e4))
+    soft, stiff = (np.abs(solve(top, law=ring_net(RINGS, k), kind="elastic").P).max() for k in (1e3, 1e4))
     assert stiff == pytest.approx(10.0 ** (1.0 / 3.0) * soft, rel=0.01)
 
 
@@ -169,7 +169,7 @@ def solve_relaxed(gather, give):
     scene = read_scene(tables({"kind": "top", "gather": gather / (1.0 + give)}, tolerance=1e-7))
     problem = make_problem(scene, ring_net(RINGS), build_mesh(scene, RINGS))
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
-    result = solve_rigid(problem.fem, problem.law, load, start, problem.mesh.size)
+    result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     assert result.converged
     return result
 

@@ -48,7 +48,7 @@ def frame_flexibility(phi, directions, radius, stiffness, count=240):
     stiffness: E A, E I in the plane, E I out of it, G J, kappa G A (0: no shear). Nodes lie at all points phi.
     """
     angle = np.unique(np.concatenate([2.0 * np.pi * np.arange(count) / count, np.mod(phi, 2.0 * np.pi)]))
-    angle = angle[np.append(True, np.diff(angle) > 1e-12)]
+    angle = angle[np.diff(np.append(angle, 2.0 * np.pi)) > 1e-9]  # round-off on either side of 0 is one node
     n = len(angle)
     x = radius * local_axes(angle)[:, 0]
     K = np.zeros((6 * n, 6 * n))

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main as homogenize
-from homogenize.ship import SHIPPED
+from homogenize.fitting.shipped import SHIPPED
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
 from rve.common.command_line import Group
@@ -143,7 +143,7 @@ def test_workers_end_with_their_command(tmp_path, number, code):
     command = ["rve", "table", "--out", tmp_path / "t.csv", "--beta", "0:90:10", "--method", "stewart-trinkle"]
     process = started(*command, "--checkpoint", folder, "--workers", 2)
     try:
-        assert waited(lambda: len(list(folder.glob("block-*.npz"))) > 0), "no checkpoint"
+        assert waited(lambda: len(list(folder.glob("block-*.json"))) > 0), "no checkpoint"
         assert len(in_session(process.pid)) >= 3
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
@@ -152,14 +152,12 @@ def test_workers_end_with_their_command(tmp_path, number, code):
     finally:
         if in_session(process.pid):
             os.killpg(process.pid, signal.SIGKILL)
-    assert list(folder.glob("block-*.npz"))
+    assert list(folder.glob("block-*.json"))
     assert not (tmp_path / "t.csv").exists()
     if code > 0:
         name = signal.Signals(number).name
-        assert (
-            errors
-            == f"Error: stopped by {name}; what is solved is kept in {folder}, and the same command goes on there\n"
-        )
+        kept = f"solved blocks are kept in {folder}, and the same command continues from there"
+        assert errors == f"Error: stopped by {name}; {kept}\n"
 
 
 MISSING = """
@@ -178,11 +176,11 @@ import {package}.cli
         ("matplotlib", "plots", ("rve", "case", "--alpha", "0", "--beta", "45", "--plot", "out.png")),
         ("matplotlib", "plots", ("macro_fem", "run", "scene.toml", "--out", "out")),
         ("pyvista", "three-d", ("rve", "localize", "curtain.vtu", "--out", "out")),
-        ("clarabel", "cones", ("macro_fem", "run", "conic.toml", "--out", "out", "--no-picture")),
+        ("clarabel", "cones", ("macro_fem", "run", "cones.toml", "--out", "out", "--no-picture")),
     ],
 )
 def test_what_a_command_needs_is_checked_first(tmp_path, module, extra, arguments):
-    (tmp_path / "conic.toml").write_text(SCENE.format(cells=30) + '[solver]\nkind = "conic"\n')
+    (tmp_path / "cones.toml").write_text(SCENE.format(cells=30) + '[solver]\nkind = "clarabel"\n')
     before = sorted(tmp_path.iterdir())
     package, *rest = (str(a) for a in arguments)
     code = MISSING.format(module=module, package=package, arguments=rest)

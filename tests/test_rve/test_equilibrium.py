@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rve.equilibrium.interior_point import DirectOptions, _accepted_step, _State, solve_equilibrium
+from rve.additions import strain_span, with_span
+from rve.equilibrium.interior_point import DirectOptions, _accepted_step, _started, solve_equilibrium
 from rve.equilibrium.limits import contact_forces, polish, touching
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -17,7 +18,6 @@ from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import Pose, moved, start_pose, tangent_frame
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.solve import locked, reference_sides, solve_table
-from rve.span import strain_span, with_span
 
 OPTIONS = DirectOptions()
 
@@ -248,9 +248,8 @@ def test_a_step_of_the_solver_stops_before_rings_pass_through_each_other():
     dq = np.concatenate([np.zeros((1, 5)), tilts.reshape(1, 4)], axis=1)
     whole = moved(before, dq)
     np.testing.assert_allclose(whole.normals, after.normals, atol=1e-3)
-    one, none = np.ones(1), np.zeros(1)
-    lam = np.ones(contacts.gap.shape)
-    state = _State(np.arange(1), one[:, None], before, contacts, lam, one, one, one, np.zeros(1, int), one, none)
+    row = np.arange(1)
+    state = replace(_started(row, np.ones((1, 3)), before, row, equations, OPTIONS), radius=np.ones(1))
     pose, found, length = _accepted_step(state, dq, equations, OPTIONS)
     assert length[0] == 0.25  # half of the way has the rings in each other, a quarter of it keeps the wires apart
     assert found.min_gap[0] > 0.0

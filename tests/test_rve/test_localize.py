@@ -18,21 +18,21 @@ from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, seco
 from rve.geometry.pose import Pose
 from rve.geometry.weave import SIX_IN_ONE
 from rve.localization.curtain import Curtain, read_curtain
+from rve.localization.field import draw
 from rve.localization.files import tubes, write_ring_vtu
 from rve.localization.forces import cauchy_of, cell_forces, directions, largest_forces
-from rve.localization.job import draw
-from rve.localization.poses import LocalizeOptions, localize, locked_states, mirrored, shares
+from rve.localization.poses import PoseOptions, locked_arrangements, mirrored, nearest_poses, shares
 from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
 from rve.localization.springs import lattice_strain
 from rve.solve import locked
 
-CELL, OPTIONS = Cell(), LocalizeOptions()
+CELL, OPTIONS = Cell(), PoseOptions()
 WEIGHTS = np.array([1.0, 2.0, 1.0])
 
 
 @pytest.fixture(scope="module")
 def states():
-    return locked_states(CELL, OPTIONS)
+    return locked_arrangements(CELL, OPTIONS)
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +53,14 @@ def is_admissible(found, cell):
 
 def test_a_locked_strain_gives_back_the_locked_rings(states, table):
     pose, E, _, _ = table
-    found = localize(E, CELL, OPTIONS, states)
+    found = nearest_poses(E, CELL, OPTIONS, states)
     assert (found.status == "met").all()
     assert np.abs(found.E - E).max() < 1e-4
     assert np.abs(shares(found.pose) - shares(pose)).max() < 1e-4
     # The tilts of rings that slide on each other are softer than the strain: 1e-4 of strain turns them by 1e-2.
     assert np.abs(found.pose.normals - pose.normals).max() < 1e-2
     is_admissible(found, CELL)
-    again = localize(states.E, CELL, OPTIONS, states)
+    again = nearest_poses(states.E, CELL, OPTIONS, states)
     assert np.abs(again.E - states.E).max() < 1e-4
     assert np.abs(again.pose.normals - states.pose.normals).max() < 2e-3
 
@@ -69,7 +69,7 @@ def test_too_large_a_strain_comes_back_to_the_locked_state_it_left_along_the_nor
     """Springs find by projection on the admissible strains what line loads find by equilibrium."""
     _, E, S, _ = table
     normal = S / np.sqrt(S**2 @ WEIGHTS)[:, None]
-    found = localize(E + 0.02 * normal, CELL, OPTIONS, states)
+    found = nearest_poses(E + 0.02 * normal, CELL, OPTIONS, states)
     assert (found.status == "beyond").all()
     assert np.abs(found.E - E).max() < 5e-6
     largest = 0.5 * (normal[:, 0] + normal[:, 2]) + np.hypot(0.5 * (normal[:, 0] - normal[:, 2]), normal[:, 1])
@@ -82,10 +82,10 @@ def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, ta
     _, E, _, _ = table
     rng = np.random.default_rng(5)
     share = rng.dirichlet(np.ones(len(E)), 20)
-    inside = localize(0.9 * share @ E, CELL, OPTIONS, states)
+    inside = nearest_poses(0.9 * share @ E, CELL, OPTIONS, states)
     assert (inside.status == "met").all()
     assert np.maximum(inside.short, inside.fold).max() < 1e-3
-    wild = localize(rng.uniform(-0.5, 0.8, (20, 3)) * [1.0, 0.5, 1.0], CELL, OPTIONS, states)
+    wild = nearest_poses(rng.uniform(-0.5, 0.8, (20, 3)) * [1.0, 0.5, 1.0], CELL, OPTIONS, states)
     is_admissible(wild, CELL)
     assert np.isfinite(wild.E).all()
     assert {"beyond", "folded"} <= set(wild.status)
@@ -95,7 +95,7 @@ def test_a_mesh_drawn_together_hangs_in_folds(states):
     """Pulled along x the mesh can be no wider than locked: what the curtain lacks in width is the fold, to 2e-3."""
     pose = locked(np.array([0.0]), np.array([2.0]), CELL, OPTIONS.direct)[0].pose
     E = lattice_strain(pose.lattice, states.sides)[0]
-    found = localize(E - [0.0, 0.0, 0.03], CELL, OPTIONS, states)
+    found = nearest_poses(E - [0.0, 0.0, 0.03], CELL, OPTIONS, states)
     assert found.status.tolist() == ["folded"]
     assert found.fold[0] == pytest.approx(0.03, abs=2e-3)
     assert found.short[0] < 1e-3
@@ -104,7 +104,7 @@ def test_a_mesh_drawn_together_hangs_in_folds(states):
 
 def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, table):
     _, E, _, _ = table
-    found, image = (localize(E * [1.0, sign, 1.0], CELL, OPTIONS, states) for sign in (1.0, -1.0))
+    found, image = (nearest_poses(E * [1.0, sign, 1.0], CELL, OPTIONS, states) for sign in (1.0, -1.0))
     assert np.abs(found.E * [1.0, -1.0, 1.0] - image.E).max() < 1e-12
     assert np.abs(found.pose.normals * [-1.0, 1.0, 1.0] - image.pose.normals).max() < 1e-12
     assert found.solves < len(E) + 1
@@ -113,8 +113,8 @@ def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, 
 
 def test_company_does_not_matter(states, table):
     _, E, _, _ = table
-    together = localize(E[:6], CELL, OPTIONS, states)
-    alone = localize(E[4:5], CELL, OPTIONS, states)
+    together = nearest_poses(E[:6], CELL, OPTIONS, states)
+    alone = nearest_poses(E[4:5], CELL, OPTIONS, states)
     assert np.abs(together.pose.normals[4] - alone.pose.normals[0]).max() < 1e-9
 
 
@@ -136,7 +136,7 @@ def sheet(F, E, S, turn):
 def test_a_uniform_curtain_gets_the_rings_of_one_locked_cell(states, table, hang, grain):
     """Every gap and every link of hundreds of rings in space, for a strained, sheared, turned sheet of turned weave."""
     _, E, S, _ = table
-    found = localize(E[3:4], CELL, OPTIONS, states)
+    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
     angle = np.radians(20.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     F = turn @ deformation_gradient(found.E)[0]
@@ -167,7 +167,7 @@ def test_the_grain_runs_where_the_weave_is_turned_to(states, grain, hang):
     at = {tuple(index): X for index, X in zip(sites.index.tolist(), sites.X, strict=True)}
     step = at[0, 0, 1] - at[0, 0, 0]
     np.testing.assert_allclose(step, 5.0 * states.sides[1] * along, atol=1e-9)
-    rest = localize(np.zeros((1, 3)), cell, OPTIONS, states)
+    rest = nearest_poses(np.zeros((1, 3)), cell, OPTIONS, states)
     normal = place_rings(flat, sites, rest, np.zeros(len(sites.X), dtype=int), cell, axes).normal[:, :2]
     assert np.abs(normal @ along).min() > 0.3
     assert np.abs(normal @ [-along[1], along[0]]).max() < 1e-3
@@ -176,7 +176,7 @@ def test_the_grain_runs_where_the_weave_is_turned_to(states, grain, hang):
 def test_a_ring_taken_out_of_the_net_is_missed(states, table):
     """Four links lost, five rings concerned, and a ring pushed through its neighbour's wire has a negative gap."""
     _, E, S, _ = table
-    found = localize(E[3:4], CELL, OPTIONS, states)
+    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
     curtain = sheet(deformation_gradient(found.E)[0], E[3], S[3], np.eye(2))
     sites = find_sites(curtain, CELL, states.sides, np.eye(2))
     rings = place_rings(curtain, sites, found, np.zeros(len(sites.X), dtype=int), CELL, np.eye(2))
@@ -197,7 +197,7 @@ def test_neighbouring_cells_meet_whatever_their_strains(states, table):
     flat = sheet(np.eye(2), np.zeros(3), S[0], np.eye(2))
     bent = replace(flat, x=flat.X + 0.1 * np.abs(flat.X[:, :1]) * [0.0, 1.0])  # linear in every triangle
     sites = find_sites(bent, CELL, states.sides, np.eye(2))
-    found = localize(E[:8], CELL, OPTIONS, states)
+    found = nearest_poses(E[:8], CELL, OPTIONS, states)
     rings = place_rings(bent, sites, found, sites.cell, CELL, np.eye(2))
     expected = sites.X + 0.1 * np.abs(sites.X[:, :1]) * [0.0, 1.0]
     np.testing.assert_allclose(rings.centre[:, :2], expected, atol=1e-3)
@@ -257,8 +257,8 @@ def test_directions_are_those_of_the_load(table):
 
 def test_six_in_one_has_poses_too():
     cell = Cell(8.0, 1.0, SIX_IN_ONE)
-    states = locked_states(cell, OPTIONS)
-    found = localize(states.E[:12], cell, OPTIONS, states)
+    states = locked_arrangements(cell, OPTIONS)
+    found = nearest_poses(states.E[:12], cell, OPTIONS, states)
     assert (found.status == "met").all()
     is_admissible(found, cell)
 
@@ -416,7 +416,7 @@ def test_bad_files_end_in_one_sentence(hung, tmp_path):
     assert_one_sentence(run(tmp_path / "none.vtu", "--out", out), "none.vtu")
     (tmp_path / "words.vtu").write_text("no curtain")
     assert_one_sentence(run(tmp_path / "words.vtu", "--out", out), "words.vtu: cannot be read as VTU: it is not XML")
-    assert_one_sentence(run(tmp_path, "--out", out), "is a folder")
+    assert_one_sentence(run(tmp_path, "--out", out), "curtain.vtu: there is no such file")
     half = (hung / "curtain.vtu").read_bytes()
     (tmp_path / "half.vtu").write_bytes(half[: len(half) // 2])
     assert_one_sentence(run(tmp_path / "half.vtu", "--out", out), "half.vtu")
@@ -498,10 +498,12 @@ def test_a_pose_in_a_mirror_keeps_its_links(states):
 def test_a_renderer_that_fails_is_named_and_leaves_no_picture(hung, tmp_path, monkeypatch):
     assert "the renderer ended with code 1" in draw(tmp_path)
     assert not (tmp_path / "rings.png").exists()
-    monkeypatch.setattr("rve.localization.job.draw", lambda folder: "the renderer ended with code 1 (no screen)")
+    (tmp_path / "pyvista.py").write_text("raise RuntimeError('no screen')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--window", "0,0,30,30")
     assert result.exit_code == 1
-    assert "rings.png: the renderer ended with code 1 (no screen); the other files are written" in result.stderr
+    words = "rings.png: the renderer ended with code 1 (RuntimeError: no screen); the other files are written"
+    assert words in result.stderr
     assert {p.name for p in (tmp_path / "rings").iterdir()} == {"rings.vtu", "worst_cell.csv", "localize.json"}
 
 
@@ -552,8 +554,7 @@ def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
     summary = json.loads((tmp_path / "summary.json").read_text())
     for status, is_said in ((summary["status"], False), ("iterations", True)):
         (tmp_path / "summary.json").write_text(json.dumps(summary | {"status": status}))
-        arguments = ["localize", str(tmp_path / "curtain.vtu"), "--out", str(tmp_path / "rings"), "--no-picture"]
-        done = CliRunner().invoke(main, arguments)
+        done = run(tmp_path, "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")
         assert done.exit_code == 0, done.output
         assert ("not solved: its status is iterations" in done.output) is is_said
         assert json.loads((tmp_path / "rings" / "localize.json").read_text())["curtain_status"] == status
@@ -570,3 +571,18 @@ def test_forces_of_a_cell_take_their_options():
     s = cauchy_line_load([20.0], [30.0])[0]
     assert cell_forces(s, CELL, DirectOptions(max_iterations=2, attempts=1)).status == "stalled"
     assert cell_forces(s, CELL).status == "converged"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"ladder": ()}, "ladder = .*at least 1 stages"),
+        ({"ladder": ((1e-2, 1e-2, 1e-3),)}, "ladder = "),
+        ({"states": ((0.0,), (2.0,), (3.0,))}, "states = "),
+        ({"merge": -1.0}, "merge = -1.0"),
+    ],
+)
+def test_options_of_poses_refuse_what_makes_no_sense(options, words):
+    with pytest.raises(InputError, match=words):
+        PoseOptions(**options)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
+from rve.directions import grid
 from rve.geometry.cell import Cell
 from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 from rve.study import comparison as study
@@ -15,7 +16,7 @@ PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)] + [
 
 
 def test_the_grid_is_that_of_the_paper():
-    alpha, beta = study.paper_grid()
+    alpha, beta = grid()
     assert len(alpha) == 190
     assert (alpha[0], beta[0]) == (0.0, 0.0)
     assert (alpha[189], beta[189]) == (45.0, 90.0)
@@ -68,7 +69,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
 
 @pytest.mark.slow
 def test_the_paper_s_figures():
-    found = study.solve_study(*study.paper_grid())
+    found = study.solve_study(*grid())
     rows = {row[0]: row[2] for row in study.comparison(found)}
     assert rows["converged cases"] == "190 of 190"
     unique = found.table.unique

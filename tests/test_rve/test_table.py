@@ -14,7 +14,7 @@ from rve.common.files import atomic_path
 from rve.directions import graded_grid, parse_angles, product, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
-from rve.table import COLUMNS, COMPLIANCE_COLUMNS, joined_tables, provenance_path, read_table, write_table
+from rve.table import COLUMNS, COMPLIANCE_COLUMNS, provenance_path, read_table, write_table
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +24,8 @@ def small():
 
 def same(first, second):
     for name, value in vars(first).items():
+        if name == "states":  # not in files
+            continue
         other = getattr(second, name)
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(value, other, err_msg=name)
@@ -62,7 +64,6 @@ def test_compliance_columns_round_trip(small, tmp_path):
     write_table(full, tmp_path / "t.csv")
     same(full, read_table(tmp_path / "t.csv"))
     assert pd.read_csv(tmp_path / "t.csv").columns[-9:].tolist() == COMPLIANCE_COLUMNS
-    assert joined_tables([full, full]).compliance.shape == (8, 3, 3)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""A law for other programs: source of a user material."""

@@ -1,0 +1,125 @@
+"""Answers for the command line: the strain under a load direction and the support at a load, as plain dictionaries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homogenize.fitting.report import is_sampled, misfit_of
+from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table
+from homogenize.io import Law, load_law
+from homogenize.query.strain import locked_strain
+from homogenize.strength import strength_answer
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot, eigenvalues, trace
+from rve.common.types import Array
+
+ROUNDING = 1e-12
+NAMES = ("11", "12", "22")
+
+
+def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[str, Any]:
+    """E of the law under the Cauchy load direction, its bounds, S of unit trace, h, and two warnings.
+
+    E11_min ... E22_max bound the strain at which the rings lock, as the rows of the table prove; None if the law file
+    has no rows. A row's own load is answered with the row. `unique` is false where another strain carries the same load
+    or the bounds are too wide to tell, `extrapolated` true where the table has no load around this one. InputError if
+    the load is not tensile or no strain is found.
+    """
+    law = load_law(path)
+    if not (np.isfinite(alpha_deg) and np.isfinite(beta_deg)):
+        raise InputError(f"--alpha {alpha_deg} --beta {beta_deg}: angles are finite numbers of degrees")
+    if not 0.0 <= beta_deg <= 90.0:
+        raise InputError(
+            f"--beta {beta_deg}: rings cannot push; both line loads are tensile for beta from 0 to 90 degrees"
+        )
+    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows=rows_behind(law, path))
+    if found.status[0] != "converged":
+        raise InputError(
+            f"{path}: no strain of this law carries --alpha {alpha_deg} --beta {beta_deg}: the direction is missed "
+            f"by {found.residual[0]:.1e}; try a neighbouring angle"
+        )
+    E, S = found.E[0], found.S[0]
+    return {
+        "alpha_deg": alpha_deg,
+        "beta_deg": beta_deg,
+        **components("E{}", E),
+        **components("E{}_min", found.E_min[0]),
+        **components("E{}_max", found.E_max[0]),
+        **components("S{}", S),
+        "h": float(double_dot(S, E)),
+        "unique": bool(found.unique[0]),
+        "extrapolated": extrapolates(law, S),
+    }
+
+
+def components(key: str, values: Array) -> dict[str, float | None]:
+    """Named components of a triple (3,); None for nan, which JSON does not have."""
+    return {key.format(name): float(x) if np.isfinite(x) else None for name, x in zip(NAMES, values, strict=True)}
+
+
+def rows_behind(law: Law, path: str | Path) -> Rows | None:
+    """The rows of the table behind a law, None if its file has none; InputError if they are not what a fit writes."""
+    if "table_rows" not in law.provenance:
+        return None
+    try:
+        return rows_from_dict(law.provenance["table_rows"])
+    except InputError as error:
+        raise InputError(f"{path}: table_rows: {error}") from error
+
+
+def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
+    """h of the law at the load S (3,); InputError if S is not tensile."""
+    law = load_law(path)
+    size = float(trace(S))
+    if not size > 0.0 or float(eigenvalues(S)[0]) < -ROUNDING * size:
+        raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
+    return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law, S)}
+
+
+def strength_at(path: str | Path, S: Array, yield_N_per_mm2: float | None) -> dict[str, Any]:
+    """First yield and collapse of the rings along S (3,), see `strength_answer`; InputError if the law does not say."""
+    law = load_law(path)
+    return strength_answer(law.strength, S, yield_N_per_mm2, str(path)) | {"extrapolated": extrapolates(law, S)}
+
+
+def error_at_rows(path: str | Path, table_path: str | Path) -> str:
+    """What the law in `path` gets wrong at the converged rows of a table it need not have seen, in lines to read."""
+    from rve import read_table
+
+    law, table = load_law(path), read_table(table_path)
+    try:
+        rows = rows_from_table(table)
+    except InputError as error:
+        raise InputError(f"{table_path}: {error}") from error
+    for key in ("r1_mm", "r2_mm"):
+        theirs = table.provenance.get(key)
+        if law.cell is not None and theirs is not None:
+            check_radius(f"{table_path}: {key}", float(theirs), getattr(law.cell, key))
+    found = locked_strain(law, table.alpha_deg[rows.source], table.beta_deg[rows.source])
+    good = (found.status == "converged") & rows.unique & found.unique
+    miss = np.abs(found.E - rows.E).max(axis=1)[good]
+    support = misfit_of(rows.S, law.support(rows.S) - rows.h)
+    outside = sum(extrapolates(law, S) for S in rows.S)
+    lines = [
+        f"h at unit trace of S: max error {support.maximum:.2e}, mean {support.mean:.2e}, {support.count} loads",
+        f"strain component: max error {miss.max(initial=0.0):.2e}, mean {miss.sum() / max(len(miss), 1):.2e}, "
+        f"{int((miss > 5e-3).sum())} of {len(miss)} loads above 5e-3",
+        f"not compared: {int((~good).sum())} loads without a unique strain or without an answer of the law",
+        f"extrapolated: {outside} loads outside those of the law's table",
+    ]
+    return "\n".join(lines)
+
+
+def check_radius(what: str, theirs: float, mine: float) -> None:
+    """InputError if a radius of the table is not the law's."""
+    if abs(theirs - mine) > 1e-9 * mine:
+        raise InputError(f"{what} = {theirs} is not that of the law, {mine}")
+
+
+def extrapolates(law: Law, S: Array) -> bool:
+    """Whether the table behind the law has no loads around S (3,); false for a law without a table."""
+    polygon = law.provenance.get("sampled_loads")
+    return polygon is not None and not bool(is_sampled(np.array(polygon, float), S[None])[0])

@@ -1,0 +1,156 @@
+"""Bounds on the locked strain under a Cauchy load that follow from the rows of a table alone, whatever law is fitted.
+
+Write C = I + 2E = l C0 with the shape C0 = [[cosh w / m, sinh w], [sinh w, m cosh w]], det C0 = 1, and the size l. The
+deformation gradient of l C0 is that of C0 times sqrt(l), so the direction S of the second Piola-Kirchhoff load (unit
+trace) depends on the shape alone. For a strain E locked under S, with rows S_i, E_i, h_i = S_i:E_i of one convex set,
+
+    S:E >= S:E_j for all rows, so  l >= (1 + 2 max_j S:E_j) / (S:C0),
+    S_i:E <= h_i for all rows, so  l <= min_i (1 + 2 h_i) / (S_i:C0).
+
+Shapes for which the second limit is below the first do not occur under this load. The others form a region of the plane
+(log m, w). It is found by halving rectangles; the bounds are the extremes of E over the rectangles that are left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from homogenize.fitting.rows import Rows, normality, with_mirror
+from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
+from rve.common.types import Array
+from rve.common.values import Options, number, whole
+
+STAR = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+CORNERS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class BoundsOptions(Options):
+    """How the region of shapes is found; InputError for values out of range.
+
+    largest: shapes with |log m| and |w| up to this are searched; cells beyond 4 are 50 times longer than wide or
+    sheared to 2 degrees. first: rectangles along each axis at the start; fewer may miss a small region. resolution:
+    halving ends when rectangles are this share of the region; the bounds are wider than the region by about as much.
+    smallest: regions smaller than this are points. margin: factor on the change of log(upper / lower limit of l) that
+    is seen inside a rectangle; a larger one keeps more rectangles. round_off: excess below zero that is still kept.
+    """
+
+    largest: float = number(4.0, above=0.0, most=20.0)
+    first: int = whole(40, least=2, most=1000)
+    resolution: float = number(0.02, above=0.0, most=1.0)
+    smallest: float = number(1e-7, above=0.0, most=1.0)
+    margin: float = number(2.0, least=1.0, most=100.0)
+    round_off: float = number(1e-10, least=0.0, most=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class StrainBounds:
+    """The locked strain lies between E_min and E_max (n, 3), component by component; nan where no strain is left."""
+
+    E_min: Array
+    E_max: Array
+
+    def width(self) -> Array:
+        """Largest distance of the bounds over the components, (n,)."""
+        return np.asarray((self.E_max - self.E_min).max(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Rows and mirror images: weighted loads S (k, 3), `top` (k,) = 1 + 2 h, weighted strains E (j, 3), and `slack`,
+    the amount by which the rows contradict each other. Fewer rows give wider bounds, never wrong ones."""
+
+    S: Array
+    top: Array
+    E: Array
+    slack: float
+
+    def sizes(self, shape: Array, s: Array) -> _Sizes:
+        """Sizes of cells of these shapes (n, 2) under the load s (3,)."""
+        from rve import deformation_gradient, second_pk
+
+        m, cosh = np.exp(shape[:, 0]), np.cosh(shape[:, 1])
+        C0 = np.stack([cosh / m, np.sinh(shape[:, 1]), cosh * m], axis=1)
+        S = second_pk(deformation_gradient(0.5 * (C0 - IDENTITY)), np.broadcast_to(s, (len(C0), 3)))
+        S = S / trace(S)[:, None]
+        work, limit = S @ self.E.T, self.top / (C0 @ self.S.T)
+        least = (1.0 + 2.0 * (work.max(axis=1) - self.slack)) / double_dot(S, C0)
+        return _Sizes(C0, np.maximum(least, 1e-300), limit.min(axis=1), work, limit)
+
+    def near(self, seen: _Sizes, reach: float) -> _Known:
+        """The rows whose limit of the size is within a factor exp(reach) of the closest one at some of the shapes."""
+        outer = (seen.limit <= np.exp(reach) * seen.most[:, None]).any(axis=0)
+        least = 1.0 + 2.0 * seen.work
+        inner = (least >= np.exp(-reach) * least.max(axis=1, keepdims=True)).any(axis=0)
+        return _Known(self.S[outer], self.top[outer], self.E[inner], self.slack)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sizes:
+    """Shapes C0 (n, 3), their least and largest size l (n,); per row S:E_j (n, j) and the largest size (n, k)."""
+
+    C0: Array
+    least: Array
+    most: Array
+    work: Array
+    limit: Array
+
+    def excess(self) -> Array:
+        """log of the largest over the least size, (n,): negative where the shape does not occur."""
+        return np.asarray(np.log(self.most / self.least))
+
+    def take(self, keep: NDArray[np.bool_]) -> _Sizes:
+        """Some of the shapes."""
+        return _Sizes(self.C0[keep], self.least[keep], self.most[keep], self.work[keep], self.limit[keep])
+
+
+def strain_bounds(rows: Rows, s: Array, options: BoundsOptions | None = None) -> StrainBounds:
+    """Bounds of the locked strain under the Cauchy loads s (n, 3) from the rows of a table and their mirror images.
+
+    They hold if the locked strains lie on one convex set; rows that contradict each other by some strain widen them by
+    as much. Under a load of rank one they hold all strains that the rows allow, down to cells drawn to a line.
+    """
+    options = options or BoundsOptions()
+    both = with_mirror(rows)
+    slack = -normality(rows).slack
+    known = _Known(both.S * WEIGHT, 1.0 + 2.0 * (both.h + slack), both.E * WEIGHT, slack)
+    ends = [_bounds_under(load, known, options) for load in np.asarray(s, float)]
+    low, high = (np.array([pair[k] for pair in ends]).reshape(-1, 3) for k in (0, 1))
+    return StrainBounds(low, high)
+
+
+def _bounds_under(s: Array, known: _Known, options: BoundsOptions) -> tuple[Array, Array]:
+    """Least and largest strain components (3,) under the load s (3,), by halving rectangles of the plane of shapes."""
+    half = np.full(2, options.largest / options.first)
+    ticks = (2.0 * np.arange(options.first) + 1.0 - options.first) * half[0]
+    x = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
+    while True:
+        seen = [known.sizes(x + way * half, s) for way in STAR]
+        change = options.margin * _change(seen)
+        keep = seen[0].excess() + change >= -options.round_off
+        if not keep.any():
+            return np.full(3, np.nan), np.full(3, np.nan)
+        x, known = x[keep], known.near(seen[0].take(keep), 2.0 * change[keep].max())
+        coarse = half > np.maximum(options.resolution * (np.ptp(x, axis=0) + 2.0 * half), options.smallest)
+        if not coarse.any():
+            return _extremes([known.sizes(x + way * half, s) for way in CORNERS])
+        half = np.where(coarse, 0.5 * half, half)
+        parts = CORNERS if coarse.all() else np.where(coarse, CORNERS[:2], 0.0)
+        x = (x[:, None] + half * parts).reshape(-1, 2)
+
+
+def _change(seen: list[_Sizes]) -> Array:
+    """Change of the excess from the middle of rectangles to their edges, (n,), seen at the points of `STAR`."""
+    middle, right, left, up, down = (one.excess() for one in seen)
+    along = np.maximum(abs(right - middle), abs(left - middle))
+    return np.asarray(along + np.maximum(abs(up - middle), abs(down - middle)))
+
+
+def _extremes(corners: list[_Sizes]) -> tuple[Array, Array]:
+    """Least and largest strain components (3,) over the corners of rectangles."""
+    sizes = [(size[:, None] * one.C0) for one in corners for size in (np.minimum(one.least, one.most), one.most)]
+    E = 0.5 * (np.array(sizes) - IDENTITY)
+    return E.min(axis=(0, 1)), E.max(axis=(0, 1))

@@ -1,0 +1,153 @@
+"""A mesh and an element as arrays: nodes, cells, quadrature points, shape functions and areas.
+
+Shapes: the point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d).
+
+Example:
+    >>> disc = discretize(skfem.MeshQuad.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "Q1")
+    >>> disc.n_cells, disc.n_points, float(disc.weight.sum())
+    (8, 32, 2.0)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+
+Index = NDArray[np.int64]
+
+# Element and order of its quadrature. P1 and CR have constant gradients; the others take the fewest points that
+# integrate the stiffness of an undistorted cell without spurious modes.
+_ELEMENTS: dict[str, tuple[Any, Any, int]] = {
+    "P1": (skfem.MeshTri1, skfem.ElementTriP1, 0),
+    "CR": (skfem.MeshTri1, skfem.ElementTriCR, 0),
+    "P2": (skfem.MeshTri1, skfem.ElementTriP2, 2),
+    "Q1": (skfem.MeshQuad1, skfem.ElementQuad1, 3),
+    "Q2": (skfem.MeshQuad1, skfem.ElementQuad2, 5),
+}
+ELEMENTS = tuple(_ELEMENTS)
+
+
+@dataclass(frozen=True, eq=False)
+class Discretization:
+    """A mesh and an element as arrays; points are ordered as the module header says.
+
+    nodes (n_nodes, 2): positions of the unknowns in the reference state, mm (CR: midpoints of edges).
+    cell_dofs (n_cells, n_local): node numbers of each cell.
+    shape_values (n_quad, n_local) and shape_gradients (n_quad, 2, n_local): in the reference element.
+    inverse_jacobian (2, 2, n_quad, n_cells): dX_J/dx_j, or with n_quad replaced by 1 where it is constant in the cell.
+    weight (n_points,): quadrature weight times area, mm2.
+    """
+
+    element: str
+    nodes: Array
+    cell_dofs: Index
+    shape_values: Array
+    shape_gradients: Array
+    inverse_jacobian: Array
+    weight: Array
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes; the unknown has d components at each."""
+        return self.nodes.shape[0]
+
+    @property
+    def n_cells(self) -> int:
+        """Number of cells."""
+        return self.cell_dofs.shape[0]
+
+    @property
+    def n_quad(self) -> int:
+        """Quadrature points in a cell."""
+        return self.shape_values.shape[0]
+
+    @property
+    def n_points(self) -> int:
+        """Quadrature points of the whole mesh."""
+        return self.n_quad * self.n_cells
+
+    @cached_property
+    def dofs(self) -> Index:
+        """The node numbers seen by each point, (n_points, n_local)."""
+        return np.tile(self.cell_dofs, (self.n_quad, 1))
+
+    @cached_property
+    def grad(self) -> Array:
+        """The gradients of the shape functions at each point, (n_points, n_local, 2), 1/mm."""
+        g = np.einsum("qJa,Jjqc->qcaj", self.shape_gradients, self._jacobian_at_points)
+        return g.reshape(self.n_points, -1, 2)
+
+    @cached_property
+    def points(self) -> Array:
+        """Positions of the points in the reference state, (n_points, 2), mm."""
+        # Every element here reproduces the reference position, CR's edge midpoints included.
+        return self.interpolate(self.nodes)
+
+    @cached_property
+    def cell_area(self) -> Array:
+        """Reference area of each cell (n_cells,), mm2."""
+        return np.asarray(self.weight.reshape(self.n_quad, self.n_cells).sum(axis=0))
+
+    def interpolate(self, v: Array) -> Array:
+        """The nodal field v (n_nodes, d) at the points, (n_points, d)."""
+        local = v.T[:, self.cell_dofs.T]
+        return np.asarray(np.matmul(self.shape_values, local).reshape(v.shape[1], -1).T)
+
+    def cell_mean(self, values: Array) -> Array:
+        """The area mean in each cell (n_cells, ...) of values at the points (n_points, ...)."""
+        w = self.weight.reshape(self.n_quad, self.n_cells)
+        stacked = values.reshape(self.n_quad, self.n_cells, -1)
+        mean = np.einsum("qc,qcx->cx", w / self.cell_area, stacked)
+        return mean.reshape((self.n_cells, *values.shape[1:]))
+
+    @property
+    def _jacobian_at_points(self) -> Array:
+        shape = (2, 2, self.n_quad, self.n_cells)
+        return np.broadcast_to(self.inverse_jacobian, shape)
+
+
+def discretize(mesh: Any, element: str, order: int | None = None) -> Discretization:
+    """The arrays of a scikit-fem mesh (`MeshTri`, `MeshQuad`) with an element of `ELEMENTS`.
+
+    `order` is the polynomial degree integrated exactly in an undistorted cell; None takes the element's own.
+    Raises ValueError for an unknown element, one that does not fit the cells, or a cell without area.
+    """
+    if element not in _ELEMENTS:
+        raise ValueError(f"element = {element!r} is not one of {', '.join(ELEMENTS)}")
+    mesh_type, element_type, own_order = _ELEMENTS[element]
+    if not isinstance(mesh, mesh_type):
+        raise ValueError(f"element {element} needs a {mesh_type.__name__}, not a {type(mesh).__name__}")
+    degree = own_order if order is None else order
+    # scikit-fem starts at three points on a triangle; a constant gradient needs one.
+    rule = (np.full((2, 1), 1 / 3), np.array([0.5])) if degree <= 1 and mesh_type is skfem.MeshTri1 else None
+    basis = skfem.CellBasis(mesh, element_type(), intorder=degree, quadrature=rule)
+    X = basis.X
+    n_local = basis.element_dofs.shape[0]
+    local = [element_type().lbasis(X, a) for a in range(n_local)]
+    ones = np.ones(X.shape[1])
+    # A transposed copy, because the cell is the fast axis of every product below.
+    inverse = np.ascontiguousarray(np.moveaxis(basis.mapping.invDF(X), -1, 2))
+    weight = np.ascontiguousarray(basis.dx.T).ravel()
+    if not (np.all(np.isfinite(weight)) and np.all(weight > 0.0)):
+        bad = int(np.flatnonzero(~(weight > 0.0))[0]) % mesh.nelements
+        raise ValueError(f"cell {bad} of the mesh has no area")
+    if mesh_type is skfem.MeshTri1:
+        inverse = np.ascontiguousarray(inverse[:, :, :1])
+    return Discretization(
+        element=element,
+        nodes=np.ascontiguousarray(basis.doflocs.T),
+        cell_dofs=np.ascontiguousarray(basis.element_dofs.T.astype(np.int64)),
+        shape_values=np.stack([value * ones for value, _ in local], axis=-1),
+        shape_gradients=np.stack([np.asarray(g) * np.ones_like(X) for _, g in local], axis=-1)
+        .transpose(1, 0, 2)
+        .copy(),
+        inverse_jacobian=inverse,
+        weight=weight,
+    )

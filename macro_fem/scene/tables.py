@@ -1,0 +1,215 @@
+"""The tables of a scene file as records: every key with its default and the range of its values.
+
+Lengths are mm, forces N, line loads N/mm, masses kg and kg/m2, angles degrees. x points right, y up; a rectangle spans
+from (0, 0) to (width, height), a disk is centred at (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from macro_fem.scene.edges import canonical
+from rve.common.values import MISSING, choice, entry, finite, flag, list_of, number, text, whole
+
+WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
+ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
+MAX_CELLS = 20_000
+
+
+MAX_CORNERS = 5_000
+"""Most corners of the outline and its holes together; the work grows with their square."""
+MAX_ENTRIES = 1_000
+"""Most supports, and most loads of one kind."""
+LEAST_MM, MOST_MM = 1e-6, 1e9
+"""Range of lengths and coordinates, in which squares and ratios stay finite."""
+MOST_FORCE = 1e12
+
+
+def length(default: Any = MISSING) -> Any:
+    """A field for a length in mm."""
+    return number(default, least=LEAST_MM, most=MOST_MM)
+
+
+def _pair(size: float) -> Any:
+    component = finite(least=-size, most=size)
+
+    def check(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            raise ValueError("is not a pair of numbers [x, y]")
+        return component(value[0]), component(value[1])
+
+    return check
+
+
+_corners = list_of(_pair(MOST_MM), "points [x, y]", least=3, most=MAX_CORNERS)
+
+
+def vector(default: Any = MISSING, *, most: float = MOST_MM) -> Any:
+    """A field for a pair [x, y] with components up to `most` in size: mm, or N."""
+    return entry(_pair(most), default)
+
+
+def _weave_angle(value: Any) -> float:
+    if isinstance(value, str) and value in WEAVE_ANGLES:
+        return WEAVE_ANGLES[value]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -360.0 <= value <= 360.0:
+        raise ValueError('is neither "x", "y" nor an angle from -360 to 360 degrees')
+    return float(value)
+
+
+def _edge(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError("is not the name of an edge")
+    return canonical(value)
+
+
+@dataclass(frozen=True)
+class Curtain:
+    """The sheet. `weave_angle`: degrees from the vertical to the weave's y axis; "y" is read as 0, "x" as 90."""
+
+    shape: str = choice("rectangle", "disk", "outline", "file", default="rectangle")
+    width: float | None = length(None)
+    height: float | None = length(None)
+    radius: float | None = length(None)
+    outline: tuple[tuple[float, float], ...] | None = entry(_corners, None)
+    holes: tuple[tuple[tuple[float, float], ...], ...] = entry(list_of(_corners, "polygons", most=MAX_ENTRIES), ())
+    file: str | None = text(None)
+    weave_angle: float = entry(_weave_angle, 0.0)
+    areal_mass: float | None = number(None, least=0.0, most=1e6)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """`cells` along the width. `pattern`: "aligned" has edges along both diagonal families of the weave."""
+
+    cells: int = whole(32, least=1, most=MAX_CELLS)
+    element: str = choice(*ELEMENTS, default="P1")
+    pattern: str = choice("aligned", "crossed", "diagonal", default="aligned")
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Both ends of the top edge held; `gather` narrows their distance."""
+
+    gather: float = number(1.0, above=0.0, most=1e6)
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Top:
+    """The whole top edge held; `gather` narrows it."""
+
+    gather: float = number(1.0, above=0.0, most=1e6)
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Rail:
+    """The top edge held in height, free to slide sideways."""
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm."""
+
+    pitch: float = length()
+    gather: float = number(1.0, above=0.0, most=1e6)
+    sliding: bool = flag(False)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A named edge held, by default in both directions, and moved by `move` mm."""
+
+    edge: str = entry(_edge)
+    held: str = choice("both", "x", "y", default="both")
+    gather: float = number(1.0, above=0.0, most=1e6)
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Point:
+    """The material point `at` held and moved by `move` mm."""
+
+    at: tuple[float, float] = vector()
+    held: str = choice("both", "x", "y", default="both")
+    move: tuple[float, float] = vector((0.0, 0.0))
+
+
+Support = Corners | Top | Rail | Hooks | Edge | Point
+SUPPORTS: dict[str, type[Support]] = {
+    "corners": Corners,
+    "top": Top,
+    "rail": Rail,
+    "hooks": Hooks,
+    "edge": Edge,
+    "point": Point,
+}
+
+
+@dataclass(frozen=True)
+class EdgeLoad:
+    """Force per reference length of a named edge, N/mm."""
+
+    edge: str = entry(_edge)
+    force: tuple[float, float] = vector(most=MOST_FORCE)
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """Force in N on the material point `at`."""
+
+    at: tuple[float, float] = vector()
+    force: tuple[float, float] = vector(most=MOST_FORCE)
+
+
+@dataclass(frozen=True)
+class PatchLoad:
+    """Force in N, distributed evenly over the reference disk of `radius` around `at`."""
+
+    at: tuple[float, float] = vector()
+    radius: float = length()
+    force: tuple[float, float] = vector(most=MOST_FORCE)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
+
+    mass: float = number(least=0.0, most=1e9)
+    edge: str = entry(_edge, "bottom")
+    straight: bool = flag(True)
+
+
+@dataclass(frozen=True)
+class Load:
+    """Weight by `gravity` (m/s2) and the live loads; `steps` applies live loads and moves in equal steps."""
+
+    gravity: float = number(9.81, least=-1e6, most=1e6)
+    steps: int = whole(1, least=1, most=1000)
+    edge: tuple[EdgeLoad, ...] = ()
+    point: tuple[PointLoad, ...] = ()
+    patch: tuple[PatchLoad, ...] = ()
+    bar: tuple[Bar, ...] = ()
+
+
+LIVE_LOADS: dict[str, type[Any]] = {"edge": EdgeLoad, "point": PointLoad, "patch": PatchLoad, "bar": Bar}
+
+
+@dataclass(frozen=True)
+class Solver:
+    """`kind`: "rigid" is ideal locking, "clarabel" the same by an independent solver, "elastic" the elastic law.
+
+    `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
+    tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
+    summary allow for it, 0 switches it off; an elastic curtain is only guided by it. `bounds` asks for bounds of the
+    continuous curtain, `adapt` for this number of refinements where the bounds differ.
+    """
+
+    kind: str = choice("rigid", "elastic", "clarabel", default="rigid")
+    tolerance: float = number(1e-9, least=1e-12, most=1e-2)
+    max_iterations: int = whole(400, least=1, most=10_000)
+    stabilising_tension: float = number(1e-6, least=0.0, most=1e-2)
+    bounds: bool = flag(False)
+    adapt: int = whole(0, least=0, most=12)

@@ -1,0 +1,54 @@
+"""Triangles and quadrilaterals of a plane mesh: cutting in two, areas, averages at corners."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+
+Index = NDArray[np.int64]
+
+
+def as_triangles(cells: Index) -> tuple[Index, Index]:
+    """Triangles (n, 3) of corner numbers and the cell (n,) of each: quadrilaterals (c, 4) are cut in two.
+
+    >>> as_triangles(np.array([[0, 1, 2, 3]]))[0].tolist()
+    [[0, 1, 2], [0, 2, 3]]
+    """
+    cell = np.arange(len(cells))
+    if cells.shape[1] == 3:
+        return cells, cell
+    return np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(cell, 2)
+
+
+def triangle_areas(corners: Array) -> Array:
+    """Areas (n,) of triangles with corners (n, 3, 2)."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+
+
+def mean_at_corners(cells: Index, values: Array, weight: Array | None = None) -> Array:
+    """The mean at each corner (p, ...) of what the cells (c, k) that meet there say, values (c, k, ...).
+
+    weight (c,) of the cells, None for equal ones; p is the largest corner number plus one.
+
+    >>> mean_at_corners(np.array([[0, 1], [1, 2]]), np.array([[1.0, 1.0], [3.0, 3.0]]))
+    array([1., 2., 3.])
+    """
+    where, count = cells.ravel(), int(cells.max()) + 1
+    share = np.repeat(np.ones(len(cells)) if weight is None else weight, cells.shape[1])
+    total = np.maximum(np.bincount(where, weights=share, minlength=count), 1e-300)
+    columns = values.reshape(cells.size, -1).T
+    means = [np.bincount(where, weights=share * column, minlength=count) / total for column in columns]
+    return np.stack(means, axis=-1).reshape(count, *values.shape[2:])
+
+
+def recovered(cells: Index, values: Array, area: Array) -> Array:
+    """Cell values (c, ...) averaged over the cells at each corner, then over the corners of each cell.
+
+    The stress of locked cells is right on average only: equilibrium of the corners does not decide how neighbours share
+    a load, so that single cells may be far off. Averages of tensions are tensions.
+    """
+    each = np.repeat(values[:, None], cells.shape[1], axis=1)
+    return np.asarray(mean_at_corners(cells, each, area)[cells].mean(axis=1))

@@ -1,0 +1,240 @@
+"""What `rve.localize` returns: every ring of a curtain, with its files, its picture and its summary."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.errors import NotConverged, require
+from rve.common.files import write_text
+from rve.common.jobs import check_out_job, job
+from rve.common.types import Array
+from rve.common.versions import versions
+from rve.geometry.cell import Cell
+from rve.localization.curtain import Curtain, WeaveOfCurtain
+from rve.localization.files import LINE, TUBE, write_forces_csv, write_ring_vtu
+from rve.localization.forces import CellForces
+from rve.localization.poses import MEANINGS, RingStates
+from rve.localization.rings import NEAR, Fit, Rings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+RECORD = "localize.json"
+"""The file that stands for the job; it lists the others by their checksums."""
+
+
+@dataclass(frozen=True)
+class WorstCell:
+    """The cell with the largest principal line load: number, pose, contact forces, turn (2, 2) into the curtain."""
+
+    number: int
+    states: RingStates
+    forces: CellForces
+    turn: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RingField:
+    """Every ring of a curtain, n rings in m cells of its mesh.
+
+    rings: places in mm and unit normals; states: poses of the m cells, and row (n,) the cell of each ring in it; fit:
+    gaps and links of the rings as placed; contact_force_N (n,): largest contact force on each ring; worst: the cell
+    with the largest principal line load; source: where the curtain comes from; wall_s: seconds it took.
+    """
+
+    curtain: Curtain
+    weave: WeaveOfCurtain
+    cell: Cell
+    rings: Rings
+    states: RingStates
+    row: NDArray[np.intp]
+    fit: Fit
+    contact_force_N: Array
+    worst: WorstCell
+    source: str
+    wall_s: float
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @property
+    def centre_mm(self) -> Array:
+        """Centres (n, 3) in the axes of the curtain."""
+        return self.rings.centre
+
+    @property
+    def normal(self) -> Array:
+        """Unit normals (n, 3) in the axes of the curtain."""
+        return self.rings.normal
+
+    @property
+    def status(self) -> NDArray[np.str_]:
+        """How the pose of each ring relates to the strain of the curtain there, (n,): a key of `poses.MEANINGS`."""
+        return self.states.status[self.row]
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of localize.json: lengths in mm, forces in N, line loads in N/mm."""
+        lines = {"worst_cell": _worst_lines(self.curtain, self.worst), "wall_s": self.wall_s, "versions": versions()}
+        return _summary(self) | lines
+
+    @property
+    def data(self) -> dict[str, Array]:
+        """Numbers per ring, (n,) or (n, w), by their names in rings.vtu."""
+        return _ring_data(self)
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        picture: bool = True,
+        tubes: bool = False,
+        inputs: Iterable[str | Path | None] = (),
+    ) -> dict[str, Any]:
+        """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
+
+        `tubes`: write tori instead of centre lines. All files appear together, and what they replace is gone
+        (`rve.common.jobs`). InputError where they cannot be written or would overwrite one of `inputs`; NotConverged
+        if the picture cannot be drawn, the other files are written then.
+        """
+        if picture:
+            require("pyvista", "three-d", "rings.png", "ask for --no-picture")
+        inputs = list(inputs)
+        check_out_job(folder, RECORD, inputs=inputs)
+        radii, kind = (self.cell.r1, self.cell.r2), TUBE if tubes else LINE
+        with job(folder, RECORD, inputs) as staged:
+            write_ring_vtu(staged / "rings.vtu", (self.centre_mm, self.normal), radii, self.data, kind)
+            write_forces_csv(staged / "worst_cell.csv", self.worst.forces, self.worst.turn)
+            write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
+            failure = draw(staged) if picture else None
+        if failure is not None:
+            raise NotConverged(
+                f"{Path(folder) / 'rings.png'}: {failure}; the other files are written; install libosmesa6 or ask for "
+                "--no-picture"
+            )
+        return self.summary
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""
+        require("matplotlib", "plots", "plot()", "read rings.vtu in another program")
+        from rve.localization.picture import plot_rings
+
+        return plot_rings(self.centre_mm, self.normal, self.cell.r1, self.contact_force_N, ax)
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{count} {name}" for name, count in self.summary["cells_by_status"].items())
+        return (
+            f"RingField: {len(self)} rings in {len(self.states.E)} cells ({counts}), {self.fit.linked} of "
+            f"{self.fit.links} links intact, contact forces up to {self.summary['largest_contact_force_N']:.4g} N"
+        )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
+        meanings = "".join(f"<li>{name}: {escape(text)}</li>" for name, text in self.summary["meanings"].items())
+        rows = [(key, value) for key, value in self.summary.items() if isinstance(value, str | int | float)]
+        body = "".join(f"<tr><th>{escape(key)}</th><td>{escape(format(value))}</td></tr>" for key, value in rows)
+        return f"<p>{escape(str(self))}</p><ul>{meanings}</ul><table>{body}</table>"
+
+
+def _ring_data(field: RingField) -> dict[str, Array]:
+    """Numbers per ring for the VTU; gaps are looked for up to NEAR r1 and given as that where they are larger."""
+    sites, states, row = field.rings.sites, field.states, field.row
+    names = list(MEANINGS)
+    code = np.array([names.index(str(status)) for status in states.status])
+    listed: dict[str, Any] = {
+        "ring": np.arange(len(row)),
+        "class_i_j": sites.index,
+        "macro_cell": sites.cell,
+        "state_0_slack_1_wrinkled_2_taut": field.curtain.state[sites.cell],
+        f"pose_{'_'.join(f'{i}_{name}' for i, name in enumerate(names))}": code[row],
+        "strain_short": states.short[row],
+        "strain_fold": states.fold[row],
+        "cell_gap_mm": states.gap_mm[row],
+        "drawn_gap_mm": _drawn_gap(field),
+        "broken_link": field.fit.broken.astype(int),
+        "contact_force_N": field.contact_force_N,
+        "reference_mm": np.column_stack([sites.X, np.zeros(len(sites.X))]),
+    }
+    return listed
+
+
+def _drawn_gap(field: RingField) -> Array:
+    """Smallest gap of each ring as placed (n,), mm, at most the distance that is searched."""
+    return np.minimum(field.fit.gap_mm, NEAR * field.cell.r1)
+
+
+def _summary(field: RingField) -> dict[str, Any]:
+    """The numbers of all rings, ready for JSON."""
+    cell, weave, states, fit = field.cell, field.weave, field.states, field.fit
+    force, status, gap = field.contact_force_N, field.status, _drawn_gap(field)
+    names, counts = np.unique(states.status, return_counts=True)
+    return {
+        "curtain": field.source,
+        "curtain_status": weave.solved,
+        "weave": cell.weave.name,
+        "grain": cell.grain,
+        "r1_mm": cell.r1,
+        "r2_mm": cell.r2,
+        "hang_deg": weave.hang_deg,
+        "rings": len(force),
+        "cells": len(states.E),
+        "solves": states.solves,
+        "cells_by_status": {str(name): int(count) for name, count in zip(names, counts, strict=True)},
+        "meanings": {str(name): MEANINGS[str(name)] for name in names},
+        "largest_strain_short": float(states.short.max()),
+        "largest_strain_fold": float(states.fold.max()),
+        "smallest_gap_in_a_cell_mm": float(states.gap_mm.min()),
+        "drawn_gap_mm_quantiles_0_5_25_50": {
+            str(name): [float(x) for x in np.quantile(gap[status == name], [0.0, 0.05, 0.25, 0.5])]
+            for name in np.unique(status)
+        },
+        "links": fit.links,
+        "links_intact": fit.linked,
+        "largest_contact_force_N": float(force.max()),
+    }
+
+
+def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
+    """What the summary says of the worst cell."""
+    forces = worst.forces
+    triangle = int(np.flatnonzero(curtain.cell == worst.number)[0])
+    return {
+        "cell": worst.number,
+        "reference_mm": curtain.X[curtain.triangles[triangle]].mean(axis=0).tolist(),
+        "largest_principal_line_load_N_per_mm": float(curtain.line_load[worst.number]),
+        "pose": str(worst.states.status[0]),
+        "alpha_deg": forces.alpha_deg,
+        "beta_deg": forces.beta_deg,
+        "status": forces.status,
+        "contacts": len(forces.force),
+        "largest_force_N": float(forces.force.max(initial=0.0)),
+        "cauchy_line_load_11_12_22_N_per_mm": forces.s.tolist(),
+        "line_load_of_contacts_11_12_22_N_per_mm": forces.virial.tolist(),
+    }
+
+
+def draw(folder: Path) -> str | None:
+    """rings.png from the files in `folder`, by a process of its own: renderers without a screen may crash.
+
+    Returns what went wrong, None if the picture is there.
+    """
+    command = [sys.executable, "-m", "rve.localization.picture", str(folder)]
+    here = str(Path(__file__).resolve().parents[2])
+    paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths})
+    if not run.returncode:
+        return None
+    last = (run.stderr.strip().splitlines() or ["no message"])[-1]
+    return f"the renderer ended with code {run.returncode} ({last})"

@@ -1,0 +1,136 @@
+"""The paper's rings in motion: options, mass and damping matrices, energies, and the residual of eq. (9).
+
+Scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time stays in seconds. Velocities are those of the
+rings, v = T(q) u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rve.common.records import Index
+from rve.common.types import Array
+from rve.common.values import Options, choice, flag, number, whole
+from rve.equilibrium.system import Equations
+from rve.geometry.contacts import Contacts
+from rve.geometry.weave import Weave
+
+
+@dataclass(frozen=True)
+class StewartTrinkleOptions(Options):
+    """Parameters of the paper's section 3.1, in mm, kg, s; InputError for senseless values.
+
+    Two are calibrated, see docs/stewart_trinkle.md: `rotational_damping` (the paper prints 0.1 kgm/s) and `load` (the
+    paper states none).
+
+    r1_mm: centre-circle radius; density in kg/mm3; damping in kg/s and rotational_damping in kg mm2/s: on each ring.
+    stiffness: of one contact in kg/s2; load: size of the Cauchy line load s_hat in kg/s2, 1 kg/s2 = 1 N/m.
+    h_max, h_min: largest time step and the one at which the solver gives up, s.
+    tolerance: R of eq. (9) at which a case has converged; max_steps: accepted steps per case.
+    restore: growth of the step after an accepted one.
+    reach: contacts with a larger gap in r1 are ignored.
+    largest_move: largest displacement (r1) and rotation (rad) of a ring per step, so that rings do not pass through
+    each other.
+    contacts: "newton" finds all local minima, "projection" those that two alternating projections per pair of rings end
+    in.
+    curvature: the step holds the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps.
+    Without it, as eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
+    """
+
+    r1_mm: float = number(5.0, above=0.0)
+    density: float = number(7.85e-6, above=0.0)
+    damping: float = number(1.0, above=0.0)
+    rotational_damping: float = number(100.0, above=0.0)
+    stiffness: float = number(1e6, above=0.0)
+    load: float = number(2.5, above=0.0)
+    h_max: float = number(1.0, above=0.0)
+    h_min: float = number(1e-9, above=0.0)
+    tolerance: float = number(1e-9, above=0.0)
+    max_steps: int = whole(20000, least=1, most=1_000_000_000)
+    restore: float = number(2.0, least=1.0)
+    reach: float = number(0.2, above=0.0)
+    largest_move: float = number(0.4, above=0.0)
+    contacts: str = choice("newton", "projection", default="newton")
+    curvature: bool = flag(True)
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Matrices of the motion in scaled units.
+
+    mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity in
+    1/s; ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2,
+    m_full): from the velocities to those of every ring's centre.
+    """
+
+    mass: Array
+    damping: Array
+    decay: Array
+    ring_mass: float
+    stiffness: Array
+    ring_maps: Array
+
+    @staticmethod
+    def of(equations: Equations, options: StewartTrinkleOptions) -> Dynamics:
+        """The matrices of a cell with these options."""
+        size, k = len(equations.mass), equations.weave.classes
+        wire, r1 = equations.wire, options.r1_mm
+        ring_mass = options.density * 2.0 * np.pi**2 * r1**3 * wire**2 / options.load
+        turns = np.arange(size) >= 2 + 2 * k
+        inertia = 0.5 + 0.625 * wire**2
+        turning = options.rotational_damping / (options.load * r1**2 * ring_mass * inertia)
+        decay = np.where(turns, turning, options.damping / (options.load * ring_mass))
+        mass = ring_mass * equations.mass
+        stiffness = options.stiffness / options.load * np.maximum(copies(equations.weave), 1)
+        maps = _ring_maps(equations.weave, size)
+        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, maps)
+
+
+def _ring_maps(weave: Weave, size: int) -> Array:
+    maps = np.zeros((len(weave.rings), 2, size))
+    for ring, (kind, i, j) in enumerate(weave.rings.tolist()):
+        for x in range(2):
+            maps[ring, x, x], maps[ring, x, 2 + x] = i, j
+            if kind > 0:
+                maps[ring, x, 2 + 2 * kind + x] = 1.0
+    return maps
+
+
+def largest_motion(v: Array, weave: Weave, dynamics: Dynamics) -> Array:
+    """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""
+    speed = np.einsum("rxm,nm->nrx", dynamics.ring_maps, v)
+    spin = v[:, 2 + 2 * weave.classes :].reshape(len(v), weave.classes, 3)
+    return np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1)))
+
+
+def copies(weave: Weave) -> Index:
+    """How many times each pair of `weave.pairs` occurs among the rings that carry mass, (p,): in parallel, their
+    contact stiffnesses add.
+    """
+    rings = {tuple(ring) for ring in weave.rings.tolist()}
+    return np.array(
+        [sum(c == a and (b, x + i, y + j) in rings for c, x, y in rings) for a, b, i, j in weave.pairs.tolist()]
+    )
+
+
+def contact_energy(contacts: Contacts, stiffness: Array) -> Array:
+    """Elastic energy of the penetrating contacts, (n,)."""
+    pressed = np.where(contacts.present, np.minimum(contacts.gap, 0.0), 0.0)
+    return 0.5 * (stiffness[:, None] * pressed**2).sum(axis=(1, 2))
+
+
+def kinetic_energy(v: Array, dynamics: Dynamics) -> Array:
+    """Kinetic energy of all rings, (n,)."""
+    return 0.5 * (v * np.matmul(v[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
+
+
+def weighted_load(v_new: Array, v: Array, h: Array, load: Array, dynamics: Dynamics) -> Array:
+    """R of eq. (9) over all rings, (n,), with the contact and constraint forces of the step.
+
+    By (6) their sum with the load is M (v+ - v)/h + D v+; the load on the corners 1-4 is +-(f1 + f2)/2, +-(f1 - f2)/2.
+    """
+    y = (v_new - v) / h[:, None] + dynamics.decay * v_new
+    top = (y * np.matmul(y[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
+    return np.sqrt(top * dynamics.ring_mass / (load**2).sum(axis=1))

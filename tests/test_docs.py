@@ -1,0 +1,47 @@
+"""Every command, scene and Python block of tutorial and how-to runs, page by page, in the order of the page."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+BLOCK = re.compile(r"^```(bash|toml|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def blocks(page: str) -> list[tuple[str, str]]:
+    """Kind and text of the code blocks of a page."""
+    return BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["tutorial.md", "how_to.md"])
+def test_the_page_runs_as_it_stands(page, tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(DOCS.parent), "MPLBACKEND": "Agg"}
+    found = blocks(page)
+    assert {kind for kind, _ in found} >= {"bash", "toml"}
+    for kind, text in found:
+        if kind == "toml":
+            tomllib.loads(text)
+            named = re.match(r"# (\w+\.toml)\n", text)
+            (tmp_path / (named[1] if named else "scene.toml")).write_text(text, encoding="utf-8")
+            continue
+        code = text.replace("python -m", f"{sys.executable} -m")
+        run = ["bash", "-e", "-c", code] if kind == "bash" else [sys.executable, "-c", text]
+        done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{text}\n{done.stdout}{done.stderr}"
+    written = {path.name for path in tmp_path.iterdir()}
+    named = set(re.findall(r"--out (\S+)", "".join(text for kind, text in found if kind == "bash")))
+    assert named <= written
+
+
+def test_links_between_pages_lead_somewhere():
+    for page in [DOCS.parent / "README.md", *sorted(DOCS.rglob("*.md"))]:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for target in re.findall(r"\]\(([^)#\s]+)", text):
+            if not target.startswith(("http:", "https:")):
+                assert (page.parent / target).exists(), f"{page.name} links to {target}"

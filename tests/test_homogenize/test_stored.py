@@ -1,0 +1,67 @@
+"""What a law carries beside its mechanics: report, provenance, file, picture, what a notebook shows."""
+
+import json
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from homogenize import CellInfo, default_law, fit_table, load_law, ring_net
+from homogenize.fitting.shipped import SHIPPED
+from homogenize.query.answers import strain_answer
+from rve.common.errors import InputError
+
+TABLE = Path(__file__).parent / "data" / "table190.csv"
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit_table(TABLE)
+
+
+def test_a_law_keeps_its_report_and_rows_through_its_file(fitted, tmp_path):
+    law, path = fitted.law, tmp_path / "law.json"
+    law.save(path)
+    again = load_law(path)
+    assert again.report == law.report == fitted.report
+    assert again.report.held_out.maximum == pytest.approx(5.767e-4, rel=1e-2)
+    assert again.provenance["table"]["name"] == "table190.csv"
+    assert strain_answer(path, 45.0, 0.0)["E11_min"] == pytest.approx(-0.0398369637, abs=1e-8)  # bounds need the rows
+
+
+def test_a_report_that_is_none_is_refused(tmp_path):
+    record = json.loads(SHIPPED.read_text())
+    for change, words in (
+        ({"report": 3}, "the law's report: is not a table"),
+        ({"report": record["provenance"]["report"] | {"gap": {"count": -1}}}, "count = -1"),
+        ({"report": {"kind": "refined"}}, "normality: is missing"),
+    ):
+        (tmp_path / "law.json").write_text(json.dumps(record | {"provenance": record["provenance"] | change}))
+        law = load_law(tmp_path / "law.json")  # the mechanics do not depend on it
+        with pytest.raises(InputError, match=words):
+            _ = law.report
+
+
+def test_a_law_without_a_fit_has_no_report():
+    net = ring_net(CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785))
+    assert net.report is None
+    assert str(net) == "NetLaw: net, r1 = 5 mm, r2 = 0.5 mm"
+
+
+def test_a_law_shows_itself_in_a_notebook(fitted):
+    assert str(fitted.law) == "PolyhedralLaw: refined, r1 = 5 mm, r2 = 0.5 mm"
+    shown = fitted.law._repr_html_()
+    assert "error of h at rows left out: max 5.77e-04" in shown
+    assert "(E_i - E_j) &gt;= " in shown  # escaped
+
+
+def test_a_law_draws_its_sections():
+    matplotlib.use("Agg")
+    law = default_law()
+    ax = law.plot()
+    x, y = ax.get_lines()[0].get_data()
+    E = np.column_stack([x, np.zeros_like(x), y])
+    assert np.abs(law.cut(E).violation).max() < 1e-12
+    assert x.max() == pytest.approx(0.5 * ((17.42005 / 11.0) ** 2 - 1.0), abs=1e-3)  # the chain along x, drawn straight
+    assert law.plot(ax) is ax

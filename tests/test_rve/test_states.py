@@ -1,0 +1,95 @@
+"""Locked states that come with a table: what they hold, and that nothing which needs them solves again."""
+
+import cProfile
+import pstats
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rve.additions import with_compliance
+from rve.cli import main
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.weave import FOUR_IN_ONE
+from rve.plots import draw_case
+from rve.solve import solve_table
+from rve.table import read_table
+
+LOADS = np.array([20.0, 45.0, 10.0, 25.0]), np.array([30.0, 60.0, 95.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def table():
+    return solve_table(Cell(), LOADS)
+
+
+def solves(call):
+    """The answer of `call`, and how many batches of load cases it has solved."""
+    profile = cProfile.Profile()
+    answer = profile.runcall(call)
+    stats = pstats.Stats(profile).stats
+    return answer, sum(entry[1] for key, entry in stats.items() if key[2] == "follow" and "interior_point" in key[0])
+
+
+def test_states_are_those_of_the_rows(table):
+    """The forces of every state balance its load, and their virial is the line load: two ways to one number."""
+    states, good = table.states, np.flatnonzero(table.converged)
+    assert states.unique.tolist() == table.unique.tolist() == [True, True, True, False]
+    part, equations = states.take(good), Equations.of(states.cell.weave, states.cell.wire)
+    system = equations.assemble(part.pose, part.contacts, part.lam, part.s)
+    assert system.weighted_residual.max() < 1e-9
+    np.testing.assert_allclose(part.pose.a1 * 5.0, table.x2_mm[good], atol=1e-12)
+    np.testing.assert_allclose(part.contacts.min_gap * 5.0, table.min_gap_mm[good], atol=1e-15)
+    assert part.lam[~part.contacts.present].max() == 0.0
+
+
+def test_states_do_not_go_into_files(table, tmp_path):
+    table.save(tmp_path / "t.csv")
+    read = read_table(tmp_path / "t.csv")
+    assert read.states is None
+    with pytest.raises(InputError, match="no locked states to draw"):
+        draw_case(read)
+    again = with_compliance(read, 1e4)
+    assert again.compliance == pytest.approx(with_compliance(table, 1e4).compliance, rel=1e-6, nan_ok=True)
+
+
+def test_compliance_and_picture_solve_nothing(table):
+    compliant, count = solves(lambda: with_compliance(table, 1e4))
+    assert count == 0
+    assert np.isfinite(compliant.compliance).all(axis=(1, 2)).tolist() == [True, True, False, False]
+    _, count = solves(lambda: draw_case(table, 1))
+    assert count == 0
+
+
+def test_commands_solve_once(tmp_path):
+    def count(*arguments):
+        result, number = solves(lambda: CliRunner().invoke(main, [str(a) for a in arguments]))
+        assert result.exit_code == 0, result.output
+        return number
+
+    load = ("--alpha", 20, "--beta", 30)
+    assert count("case", *load) == count("case", *load, "--plot", tmp_path / "c.png") == 2  # the reference, the load
+    out = ("--out", tmp_path / "t.csv")
+    assert count("table", *out, *load) == count("table", *out, *load, "--compliance", 1000) == 2
+    assert count("table", *out, *load, "--span") == 2  # no free strain: nothing to span
+
+
+def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
+    """A weave that forgets its side neighbours needs them under the second load; the states are those of 4-in-1."""
+    kept = np.array([a != b or (i, j) not in ((1, 0), (1, 1), (1, -1)) for a, b, i, j in FOUR_IN_ONE.pairs.tolist()])
+    forgetful = replace(FOUR_IN_ONE, pairs=FOUR_IN_ONE.pairs[kept], linked=FOUR_IN_ONE.linked[kept])
+    monkeypatch.setattr("rve.solve.BLOCK", 1)
+    loads = np.array([0.0, 10.0]), np.array([45.0, 80.0])
+    states = solve_table(Cell(weave=forgetful), loads).states
+    assert len(states.cell.weave.pairs) == 161 == states.lam.shape[1]
+    equations = Equations.of(states.cell.weave, states.cell.wire)
+    assert equations.assemble(states.pose, states.contacts, states.lam, states.s).weighted_residual.max() < 1e-9
+    plain = solve_table(Cell(), loads)
+    np.testing.assert_allclose(states.pose.lattice, plain.states.pose.lattice, atol=1e-9)
+    stiff = with_compliance(solve_table(Cell(weave=forgetful), loads), 1e4).compliance
+    assert stiff == pytest.approx(with_compliance(plain, 1e4).compliance, rel=1e-5, abs=1e-9)
+    assert (np.einsum("nii->n", WEIGHT[:, None] * stiff) > 0.0).all()
