@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from homogenize import load_law, save_law
 from homogenize.cli import main
-from homogenize.fitting.fit import fit
+from homogenize.fitting.fit import FitOptions, fit
 from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
 from rve import Material
 from rve.common.errors import InputError
@@ -89,12 +89,16 @@ def test_the_error_falls_with_the_square_of_the_distance():
     assert errors[0] / errors[1] > 3.0
 
 
-def test_a_law_file_keeps_it(law, strength, tmp_path):
+def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     save_law(law, tmp_path / "law.json")
     again = load_law(tmp_path / "law.json").strength
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
+    b = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
+    net = fit(replace(table, provenance=table.provenance | b), FitOptions(kind="net")).law
+    net.save(tmp_path / "net.json")  # the strength is that of the table, whatever the kind of law
+    assert load_law(tmp_path / "net.json").strength.to_dict() == strength.to_dict()
     # the law's own stiffness is that of the rings, too
     along = double_dot(S, (law.compliance @ S.T).T)
     assert strength.compliance_along(S) == pytest.approx(along, rel=1e-6)
