@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COLUMNS",
     "COMPLIANCE_COLUMNS",
+    "STRENGTH_COLUMNS",
     "InputError",
     "StrainTable",
     "cauchy_line_load",
@@ -68,6 +69,8 @@ _MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12"
 MOST_CELLS = 5_000_000
 """Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
+STRENGTH_COLUMNS = ["first_yield_1_per_mm", "collapse_1_per_mm"]
+"""Yield stress in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,8 @@ class StrainTable:
     alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
     unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
     method, tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to
-    files, None for a table that was read.
+    files, None for a table that was read; strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which
+    the row's load is that of first yield and of plastic collapse.
     """
 
     alpha_deg: Array
@@ -95,6 +99,7 @@ class StrainTable:
     compliance: Array | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     states: LockedStates | None = field(default=None, repr=False, compare=False)
+    strength: Array | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -113,6 +118,8 @@ class StrainTable:
         columns |= {name: getattr(self, name) for name in COLUMNS[14:]} | {"unique": self.unique.astype(int)}
         if self.compliance is not None:
             columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
+        if self.strength is not None:
+            columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
         return columns
 
     def to_pandas(self) -> DataFrame:
@@ -257,6 +264,9 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     compliance = None
     if all(name in columns for name in COMPLIANCE_COLUMNS):
         compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
+    strength = None
+    if all(name in columns for name in STRENGTH_COLUMNS):
+        strength = np.stack([column(name) for name in STRENGTH_COLUMNS], axis=1)
     return StrainTable(
         column("alpha_deg"),
         column("beta_deg"),
@@ -272,6 +282,7 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         np.nan_to_num(column("iterations")).astype(int),
         compliance,
         _read_provenance(Path(path)),
+        strength=strength,
     )
 
 
