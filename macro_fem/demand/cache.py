@@ -25,7 +25,7 @@ FORMAT = "ring-mesh support value"
 VERSION = 1
 """Raised when the same direction would be answered differently, so that older files are no longer read."""
 MOST_BYTES = 10_000
-NOT_ASKED = ("r1", "r2", "density", "weave")
+NOT_ASKED = ("r1", "r2", "density", "material", "weave")
 """Fields of a cell that enter by name and ratio, or not at all."""
 
 
@@ -98,7 +98,7 @@ def default_folder() -> Path:
 
 
 def question(cell: Cell, S: Array, beside: Beside = ()) -> dict[str, Any]:
-    """All that the answer depends on: every field of the cell but its size and density."""
+    """All that the answer depends on: every field of the cell but its size and metal."""
     others = {one.name: str(getattr(cell, one.name)) for one in fields(cell) if one.name not in NOT_ASKED}
     return {
         "format": FORMAT,
