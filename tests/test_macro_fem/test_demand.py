@@ -38,6 +38,7 @@ from macro_fem.solution import make_problem
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
 from rve.common.errors import InputError
+from rve.common.materials import named_material
 from rve.common.tensor import WEIGHT, disc, from_disc
 
 KNOWN = read_law_interval()
@@ -304,6 +305,13 @@ def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp
     assert ask(Cell(), cache, x, NOTHING).solves == 1
     file.write_text(json.dumps(record | {"question": record["question"] | {"grain": "x"}}))
     assert ask(Cell(), cache, x, NOTHING).solves == 1
+
+
+def test_answers_are_those_of_any_size_and_metal_but_of_one_grain(known_rings, tmp_path):
+    cache, x = RingCache(tmp_path), np.array([[0.5, 0.0]])
+    ask(Cell(), cache, x, NOTHING)
+    assert ask(Cell(10.0, 1.0, material=named_material("steel 1.4404")), cache, x, NOTHING).hits == 1
+    assert ask(Cell(grain="x"), cache, x, NOTHING).solves == 1
 
 
 def test_where_answers_are_kept(monkeypatch, tmp_path):
