@@ -23,10 +23,25 @@ import click
 
 from benchmarks.machine import ROOT, describe
 
-NO_RESULT = ("wall", "version", "sha256", "bytes", "files", "iterations", "work", "options", "features", "_R", "gap")
+NO_RESULT = (
+    "wall",
+    "version",
+    "sha256",
+    "bytes",
+    "files",
+    "iterations",
+    "work",
+    "options",
+    "features",
+    "worst_S",
+    "_R",
+    "gap",
+)
 """Parts of keys that tell of the run or of its round-off, and not of the answer."""
 FLOOR = 1e-6
 """Numbers below this part of the largest of their kind (column, field) are compared with that part."""
+ZERO = 1e-3
+"""Numbers below this, in mm, N, N/mm or as strains, are compared with it: round-off of what is zero."""
 KEPT = 5
 """Differences that are printed."""
 
@@ -126,7 +141,7 @@ def differences(first: dict[str, float], second: dict[str, float]) -> list[tuple
     for name, value in first.items():
         size[kind_of(name)] = max(size.get(kind_of(name), 0.0), abs(value))
     both = [name for name in first if name in second]
-    scale = {name: max(abs(first[name]), FLOOR * size[kind_of(name)], 1e-300) for name in both}
+    scale = {name: max(abs(first[name]), FLOOR * size[kind_of(name)], ZERO) for name in both}
     return sorted(((abs(first[name] - second[name]) / scale[name], name) for name in both), reverse=True)
 
 
@@ -143,9 +158,10 @@ def main(before: Path, tolerance: float, gap: float, cells: int, quick: bool) ->
         folders = {name: Path(home) / name for name in trees}
         for folder in folders.values():
             folder.mkdir()
+        for name, folder in folders.items():
             for scene in SCENES:
                 for kind in KINDS:
-                    text = scene_text(ROOT / "examples" / f"{scene}.toml", kind, cells, gap)
+                    text = scene_text(trees[name] / "examples" / f"{scene}.toml", kind, cells, gap)
                     (folder / f"{scene}_{kind}.toml").write_text(text, encoding="utf-8")
         is_same, total = True, dict.fromkeys(trees, 0.0)
         for name, line in commands(quick):
@@ -167,7 +183,7 @@ def main(before: Path, tolerance: float, gap: float, cells: int, quick: bool) ->
         click.echo(f"  {difference:.1e} {name}: {first[name]!r} and {second[name]!r}")
     for told, these, others in (("before", first, second), ("now", second, first)):
         kinds = sorted({kind_of(name) for name in these if name not in others})
-        click.echo(f"only {told}: {', '.join(kinds) or 'none'}")
+        click.echo(f"{len(kinds)} kinds of numbers only {told}: {', '.join(kinds[:KEPT]) or 'none'}")
     click.echo(f"processor time: before {total['before']:.1f} s, now {total['now']:.1f} s\n{describe()}")
     sys.exit(0 if is_same else 1)
 

@@ -1,4 +1,4 @@
-"""The command line: fit, strain, support, report, plot, export. How commands end: `rve.common.command_line`."""
+"""The command line: fit, strain, support, strength, report, plot, export. How they end: `rve.common.command_line`."""
 
 from __future__ import annotations
 
@@ -34,6 +34,8 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
     click.echo(result.report.text())
+    if result.law.strength is not None:
+        click.echo(result.law.strength.text())
     click.echo(f"law written to {out}")
 
 
@@ -56,6 +58,17 @@ def support(law: Path, load: str) -> None:
     from homogenize.query.answers import support_answer
 
     click.echo(json.dumps(support_answer(law, parse_load(load))))
+
+
+@main.command()
+@click.argument("law", type=click.Path(path_type=Path))
+@click.option("--S", "load", required=True, help="S11,S12,S22: the direction of a tensile line load")
+@click.option("--yield", "yield_stress", type=float, help="yield stress of the wire, N/mm2; default: the material's")
+def strength(law: Path, load: str, yield_stress: float | None) -> None:
+    """Prints the line loads, S of unit trace times what is printed, at which rings first yield and collapse."""
+    from homogenize.query.answers import strength_at
+
+    click.echo(json.dumps(strength_at(law, parse_load(load), yield_stress)))
 
 
 @main.command()

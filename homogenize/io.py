@@ -14,6 +14,7 @@ from homogenize.laws.net import NetLaw, net_from_dict
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict
 from homogenize.laws.protocol import CellInfo
 from homogenize.laws.stored import SCHEMA, UNITS, save_law
+from homogenize.strength import read_strength
 from rve.common.errors import InputError
 from rve.common.reading import read_json
 from rve.common.rings import check_rings
@@ -45,7 +46,7 @@ def default_law() -> Law:
 
 
 def load_law(path: str | Path) -> Law:
-    """The law in the file `path`, with its provenance and error report.
+    """The law in the file `path`, with its provenance, error report and strength.
 
     InputError names file, key and value of what this version does not read.
     """
@@ -70,9 +71,11 @@ def law_from_record(record: Any, source: str) -> Law:
         raise InputError(f"{source}: kind = {shown(kind)}, this version reads {', '.join(sorted(READERS))}{removed}")
     cell = checked(record, "cell", optional(mapping), f"{source}:")
     parameters = checked(record, "parameters", mapping, f"{source}:")
-    return READERS[kind](
+    strength = checked({"strength": None} | record, "strength", optional(mapping), f"{source}:")
+    law = READERS[kind](
         parameters, None if cell is None else cell_from_dict(cell, f"{source}: cell"), f"{source}: parameters"
     )
+    return replace(law, strength=None if strength is None else read_strength(strength, f"{source}: strength"))
 
 
 def cell_from_dict(table: dict[str, Any], where: str) -> CellInfo:

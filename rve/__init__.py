@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING
 from rve.common.lazy import lazily
 
 if TYPE_CHECKING:
+    from rve.additions import with_rings as with_rings
     from rve.common.errors import InputError as InputError
     from rve.common.errors import NotConverged as NotConverged
+    from rve.common.materials import MATERIALS as MATERIALS
+    from rve.common.materials import Material as Material
+    from rve.common.materials import named_material as named_material
     from rve.directions import LoadDirections as LoadDirections
     from rve.directions import graded_grid as graded_grid
     from rve.directions import grid as grid
@@ -39,6 +43,8 @@ _MODULES = {
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
     "LocalizeOptions": "rve.localization.job",
+    "MATERIALS": "rve.common.materials",
+    "Material": "rve.common.materials",
     "NotConverged": "rve.common.errors",
     "RingField": "rve.localization.field",
     "StrainTable": "rve.table",
@@ -51,16 +57,19 @@ _MODULES = {
     "green_lagrange": "rve.geometry.kinematics",
     "grid": "rve.directions",
     "localize": "rve.localization.job",
+    "named_material": "rve.common.materials",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
     "solve_table": "rve.solve",
     "support": "rve.support_function",
+    "with_rings": "rve.additions",
     "write_table": "rve.table",
 }
 """Public names and the modules that hold them: imported when they are first used."""
 
 __all__ = [
+    "MATERIALS",
     "WEAVES",
     "Cell",
     "Curtain",
@@ -68,6 +77,7 @@ __all__ = [
     "InputError",
     "LoadDirections",
     "LocalizeOptions",
+    "Material",
     "NotConverged",
     "RingField",
     "StrainTable",
@@ -79,11 +89,13 @@ __all__ = [
     "green_lagrange",
     "grid",
     "localize",
+    "named_material",
     "read_loads",
     "read_table",
     "second_pk",
     "solve_table",
     "support",
+    "with_rings",
     "write_table",
 ]
 

@@ -1,16 +1,18 @@
-"""Additions to a solved table: locking compliances as columns, spans of free strains in the provenance."""
+"""Additions to a solved table: compliances and strengths as columns, spans of free strains in the provenance."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.equilibrium.compliance import soften
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.ring_states import ring_states
 from rve.equilibrium.states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -34,30 +36,79 @@ def _sides(table: StrainTable, cell: Cell) -> tuple[float, float]:
     return (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
 
 
-def with_compliance(table: StrainTable, stiffness_N_per_mm: float = 1e3, cell: Cell | None = None) -> StrainTable:
-    """The table with its compliance: dE/dS in mm/N at contacts of this stiffness, for a line load of 1 N/mm.
+def _solved(table: StrainTable) -> NDArray[np.bool_]:
+    """The rows (n,) whose locked states are known: those that have converged, and of a table that was read those from
+    the slack pose, since that is where its states are solved again.
+    """
+    if table.states is None and table.branch is not None:
+        return np.asarray(table.converged & (table.branch == "slack"))
+    return table.converged
+
+
+def _check_cell(table: StrainTable, cell: Cell) -> None:
+    """InputError unless the table is one of this cell, as far as its provenance says."""
+    given = {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}
+    for key, value in given.items():
+        theirs = table.provenance.get(key, value)
+        if theirs != value:
+            raise InputError(f"{key} = {value} of the cell: the table has {key} = {theirs}; give the table's cell")
+
+
+def with_rings(table: StrainTable, cell: Cell) -> StrainTable:
+    """The table with compliance and strength of its rings, welded rings of the cell's material.
+
+    compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
+    rings give; at s N/mm the bend is to be divided by s. nan where the strain is not unique. strength: see
+    `StrainTable`. Rows that have not converged have nan in both, and so have those of a table that was read from a file
+    whose state is not that from the slack pose. InputError for a cell other than the table's. Docs: theory.md, 7.
+
+    >>> from rve.solve import solve_table
+    >>> found = with_rings(solve_table(Cell(), ([0.0], [90.0])), Cell())
+    >>> found.strength.round(1)  # yield stress in N/mm2 per N/mm of line load along the grain
+    array([[123.2,  59.4]])
+    """
+    _check_cell(table, cell)
+    states, material = states_of(table, cell), cell.material
+    found = replace(states.found, status=np.where(_solved(table), states.found.status, "stalled"))
+    equations = Equations.of(states.cell.weave, cell.wire)
+    rings = ring_states(equations, found, states.s, weave_sides(cell, _sides(table, cell)), material.poisson)
+    D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
+    D = np.where(states.unique[:, None, None], D, np.nan)
+    if cell.grain == "x":
+        D = D[:, ::-1, ::-1]
+    asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
+    strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
+    provenance = table.provenance | {"compliance": "rings", "joint": "welded", "material": asdict(material)}
+    return replace(table, compliance=D, strength=strength, provenance=provenance)
+
+
+def with_compliance(
+    table: StrainTable, stiffness_N_per_mm: float | None = None, cell: Cell | None = None
+) -> StrainTable:
+    """The table with its compliance, dE/dS in mm/N for a line load of 1 N/mm: that of its rings (`with_rings`), or of
+    rigid rings with contacts of this stiffness.
 
     A line load of s N/mm at stiffness k has the compliance of stiffness k/s, over s. Rows that have not converged or
     whose strain is not unique have nan. `cell` is needed for a table that was read from a file, whose rows from a
     restart have nan as well. Raises InputError for a stiffness that is not positive.
     """
+    if cell is None:
+        cell = Cell() if table.states is None else table.states.cell
+    if stiffness_N_per_mm is None:
+        return with_rings(table, cell)
     if not (np.isfinite(stiffness_N_per_mm) and stiffness_N_per_mm > 0.0):
         raise InputError(f"stiffness = {stiffness_N_per_mm}: must be a positive number of N/mm")
-    states = states_of(table, cell or Cell())
+    states = states_of(table, cell)
     cell = states.cell
-    reference = weave_sides(cell, _sides(table, cell))
-    good = states.unique & table.converged
-    if table.states is None and table.branch is not None:  # states solved again are those of the slack pose
-        good &= table.branch == "slack"
-    status = np.where(good, states.found.status, "stalled")
+    status = np.where(states.unique & _solved(table), states.found.status, "stalled")
     equations = Equations.of(cell.weave, cell.wire)
     # One contact per primitive cell: forces in s_hat r1 and penetrations in r1 leave only the ratio k / s_hat.
     found = replace(states.found, status=status)
-    D = soften(found, states.s, equations, stiffness_N_per_mm, reference).compliance
+    D = soften(found, states.s, equations, stiffness_N_per_mm, weave_sides(cell, _sides(table, cell))).compliance
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]
-    provenance = table.provenance | {"compliance_stiffness_N_per_mm": stiffness_N_per_mm}
-    return replace(table, compliance=D, provenance=provenance)
+    springs = {"compliance": "contact springs", "compliance_stiffness_N_per_mm": stiffness_N_per_mm}
+    return replace(table, compliance=D, provenance=table.provenance | springs)
 
 
 def strain_span(table: StrainTable, cell: Cell, options: DirectOptions | None = None, size: float = 2e-3) -> Array:

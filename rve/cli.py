@@ -24,9 +24,12 @@ def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
     for decorate in (
         click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
         click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
-        click.option(
-            "--density", type=float, default=7850.0, show_default=True, help="Density of the rings in kg/m3: steel."
-        ),
+        click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
+        click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
+        click.option("--poisson", type=float, help="Poisson's ratio; by default the material's."),
+        click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
+        click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
+        click.option("--material", help="Named material, e.g. 'steel 1.4404'.  [default: steel]"),
         click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
         click.option(
             "--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."
@@ -83,16 +86,15 @@ def _explain(found: Any) -> None:
         click.echo(str(decision), err=True)
 
 
-def _cell(r1: float, r2: float, density: float, grain: str, weave: str) -> Any:
-    from rve.common.rings import DENSITY_KG_PER_M3
-    from rve.common.values import checked
+def _cell(r1: float, r2: float, grain: str, weave: str, **material: Any) -> Any:
+    from rve.common.materials import material_of
     from rve.geometry.cell import Cell
     from rve.geometry.weave import WEAVES
 
     if weave not in WEAVES:
         raise InputError(f"--weave = {weave!r}: known are {', '.join(WEAVES)}")
-    density = checked({"--density": density}, "--density", DENSITY_KG_PER_M3, "")
-    return Cell(r1, r2, WEAVES[weave], grain, density / 1e9)
+    metal = material_of(material, prefix="--")
+    return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal)
 
 
 def _solved(
@@ -151,7 +153,8 @@ def main() -> None:
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes (stewart-trinkle)."
 )
 @click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
-@click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm.")
+@click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
+@click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm instead.")
 @_explain_options
 @_branch_options
 @_cell_options
@@ -160,6 +163,7 @@ def table(
     method: str,
     checkpoint: Path | None,
     workers: int,
+    rings: bool,
     compliance: float | None,
     span: bool,
     explain: bool,
@@ -172,6 +176,8 @@ def table(
     from rve.equilibrium.interior_point import DirectOptions
     from rve.table import write_table
 
+    if rings and compliance is not None:
+        raise InputError("--rings and --compliance both give dE/dS: choose the rings' wire, or contacts of a stiffness")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
@@ -182,8 +188,8 @@ def table(
     if checkpoint is not None:
         check_out_folder(checkpoint, "--checkpoint")
     found = _solved(method, directions, mesh, direct, checkpoint, workers)
-    if compliance is not None:
-        found = with_compliance(found, compliance)
+    if rings or compliance is not None:
+        found = with_compliance(found, compliance, mesh)
     if span:
         found = with_span(found, mesh)
     write_table(found, out)

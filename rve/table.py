@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COLUMNS",
     "COMPLIANCE_COLUMNS",
+    "STRENGTH_COLUMNS",
     "InputError",
     "StrainTable",
     "cauchy_line_load",
@@ -68,6 +69,8 @@ _MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12"
 MOST_CELLS = 5_000_000
 """Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
+STRENGTH_COLUMNS = ["first_yield_1_per_mm", "collapse_1_per_mm"]
+"""Yield stress in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ class StrainTable:
     method, tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to
     files, None for a table that was read. branch (n,) str or None: how the locked state was reached, "slack",
     "restart", or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`).
+    strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first yield
+    and of plastic collapse.
     """
 
     alpha_deg: Array
@@ -97,6 +102,7 @@ class StrainTable:
     provenance: dict[str, Any] = field(default_factory=dict)
     branch: NDArray[np.str_] | None = None
     states: LockedStates | None = field(default=None, repr=False, compare=False)
+    strength: Array | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -117,6 +123,8 @@ class StrainTable:
             columns["branch"] = self.branch
         if self.compliance is not None:
             columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
+        if self.strength is not None:
+            columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
         return columns
 
     def to_pandas(self) -> DataFrame:
@@ -261,6 +269,9 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     compliance = None
     if all(name in columns for name in COMPLIANCE_COLUMNS):
         compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
+    strength = None
+    if all(name in columns for name in STRENGTH_COLUMNS):
+        strength = np.stack([column(name) for name in STRENGTH_COLUMNS], axis=1)
     return StrainTable(
         column("alpha_deg"),
         column("beta_deg"),
@@ -277,6 +288,7 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         compliance,
         _read_provenance(Path(path)),
         np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
+        strength=strength,
     )
 
 

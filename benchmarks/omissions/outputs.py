@@ -60,7 +60,7 @@ def tables() -> list[Row]:
 
     others = {
         "--span": lambda table: with_span(table, cell),
-        "--compliance": with_compliance,
+        "--compliance": partial(with_compliance, stiffness_N_per_mm=1e3),
     }
     return unchanged("rve table", E, {feature: partial(E, add) for feature, add in others.items()})
 

@@ -151,7 +151,7 @@ def projection(pairs: Pairs, iterations: int) -> Found:
         for sign in (1.0, -1.0)
     ]
     apart = np.linalg.norm(ends[0].rho_a - ends[1].rho_a, axis=1) > 1e-4
-    both = ends[0].joined(ends[1].take(apart))
+    both = ends[0].join([ends[1].take(apart)])
     return _near(both.pair, both.rho_a, both.distance)
 
 

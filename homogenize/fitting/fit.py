@@ -21,6 +21,7 @@ from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
 from homogenize.laws.protocol import CellInfo
 from homogenize.laws.report import ErrorReport
+from homogenize.strength import strength_of_table
 from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.types import Array
@@ -93,7 +94,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     cell = cell_of(table)
     stiffness, origin = stiffness_of(table, STATED_STIFFNESS)
     build = builder(options.kind, cell, stiffness, options.resolution)
-    law = build(rows)
+    law = replace(build(rows), strength=strength_of_table(table))
     refit = None if options.kind == "net" else build  # the net does not depend on the rows
     provenance = {
         "kind": options.kind,

@@ -1,8 +1,9 @@
 """Stiffness beyond locking from the rings' own compliance.
 
-Contacts of finite stiffness make the locked strain depend on the size of the load, E = dh/dS + A S. The compliance
-D = dE/dS of a row holds both: the bend of the locking surface, which has no part along S because h is homogeneous of
-degree one, and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted to these.
+Rings that give, or contacts of finite stiffness, make the locked strain depend on the size of the load, E = dh/dS + A
+S. The compliance D = dE/dS of a row holds both: the bend of the locking surface, which has no part along S because h is
+homogeneous of degree one, and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted
+to these. The strength of the law keeps S:D S of every direction (`homogenize.strength`).
 """
 
 from __future__ import annotations
@@ -44,5 +45,12 @@ def stiffness_of(table: StrainTable, stated: float) -> tuple[Array, str]:
     if table.compliance is None:
         return stated * np.eye(3), f"stated: {stated:g} N/mm for every strain, the table has no compliance"
     rows = table.converged & table.unique
-    A = compliance_fit(table.S[rows], table.compliance[rows])
-    return np.asarray(np.linalg.inv(A)), "the rows' compliance along their own load"
+    S, D = table.S[rows], table.compliance[rows]
+    A = compliance_fit(S, D)
+    found, exact = (np.einsum("ni,nij,nj->n", S * WEIGHT, M, S) for M in (np.broadcast_to(A, D.shape), D))
+    known = np.isfinite(exact) & (exact > 0.0)
+    share = found[known] / exact[known]
+    origin = (
+        f"the rows' compliance along their own load, S:D S of the rows times {share.min():.3g} to {share.max():.3g}"
+    )
+    return np.asarray(np.linalg.inv(A)), origin

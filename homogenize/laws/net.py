@@ -15,6 +15,7 @@ import numpy as np
 
 from homogenize.laws.protocol import STIFFNESS, CellInfo, Cut, HalfSpaces, Response, check_finite
 from homogenize.laws.stored import StoredLaw
+from homogenize.strength import Strength
 from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import WEIGHT, double_dot, dyad, trace
@@ -40,6 +41,7 @@ class NetLaw(StoredLaw):
     cell: CellInfo | None = None
     name: str = "net"
     provenance: dict[str, Any] = field(default_factory=dict)
+    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:

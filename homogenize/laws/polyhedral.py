@@ -17,6 +17,7 @@ from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite, stiffness_matrix
 from homogenize.laws.stored import StoredLaw
 from homogenize.laws.vertices import highest, outer_vertices
+from homogenize.strength import Strength
 from rve.common.errors import InputError
 from rve.common.tensor import IDENTITY, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
@@ -36,7 +37,8 @@ MAP_PAYS = 300
 
 @dataclass(frozen=True, eq=False)
 class PolyhedralLaw(StoredLaw):
-    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
+    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3);
+    strength of the rings, None if the law's table has none."""
 
     S: Array
     h: Array
@@ -45,6 +47,7 @@ class PolyhedralLaw(StoredLaw):
     cell: CellInfo | None = None
     name: str = "polyhedral"
     provenance: dict[str, Any] = field(default_factory=dict)
+    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, report_from_dict
+from homogenize.strength import Strength
 from rve.common.errors import require
 from rve.common.files import write_text
 
@@ -21,9 +22,13 @@ UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"
 
 
 class StoredLaw(MembraneLaw, Protocol):
-    """Base of the laws that have a file. `provenance` says where the law comes from: table, options, error report."""
+    """Base of the laws that have a file. `provenance` says where the law comes from: table, options, error report.
+
+    strength: that of the rings (`homogenize.strength`), None if the table of the law has none.
+    """
 
     provenance: dict[str, Any]
+    strength: Strength | None
 
     @property
     def report(self) -> ErrorReport | None:
@@ -61,6 +66,7 @@ def law_record(law: StoredLaw) -> dict[str, Any]:
         "units": UNITS,
         "cell": None if law.cell is None else asdict(law.cell),
         "parameters": law.to_dict(),
+        **({} if law.strength is None else {"strength": law.strength.to_dict()}),
         "provenance": law.provenance,
     }
 

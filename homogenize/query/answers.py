@@ -11,6 +11,7 @@ from homogenize.fitting.report import is_sampled, misfit_of
 from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table
 from homogenize.io import Law, load_law
 from homogenize.query.strain import locked_strain
+from homogenize.strength import strength_answer
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 from rve.common.types import Array
@@ -76,6 +77,12 @@ def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
     if not size > 0.0 or float(eigenvalues(S)[0]) < -ROUNDING * size:
         raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
     return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law, S)}
+
+
+def strength_at(path: str | Path, S: Array, yield_N_per_mm2: float | None) -> dict[str, Any]:
+    """First yield and collapse of the rings along S (3,), see `strength_answer`; InputError if the law does not say."""
+    law = load_law(path)
+    return strength_answer(law.strength, S, yield_N_per_mm2, str(path)) | {"extrapolated": extrapolates(law, S)}
 
 
 def error_at_rows(path: str | Path, table_path: str | Path) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rve.common.errors import InputError
+from rve.common.materials import STEEL, Material
 from rve.common.rings import (
     LEAST_KG_PER_MM3,
     LEAST_MM,
@@ -20,9 +21,14 @@ from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 @dataclass(frozen=True)
 class Cell:
-    """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3.
+    """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
 
-    Raises InputError for radii that are not positive numbers and for wire too thick for the weave.
+    `density` follows the material, or the material follows a density other than that of steel. Raises InputError for
+    radii that are not positive numbers, for wire too thick for the weave, and for two different densities.
+
+    >>> from rve.common.materials import named_material
+    >>> Cell(material=named_material("steel 1.4404")).density, Cell(density=8e-6).material.density_kg_per_mm3
+    (8e-06, 8e-06)
     """
 
     r1: float = 5.0
@@ -30,6 +36,7 @@ class Cell:
     weave: Weave = FOUR_IN_ONE
     grain: str = "y"
     density: float = STEEL_KG_PER_MM3
+    material: Material = STEEL
 
     def __post_init__(self) -> None:
         for name, value in (("r1", self.r1), ("r2", self.r2), ("density", self.density)):
@@ -40,6 +47,7 @@ class Cell:
                 raise InputError(f"{name} = {value}: must lie between 1e-9 and 1e9 mm")
         if not LEAST_KG_PER_MM3 <= self.density <= MOST_KG_PER_MM3:
             raise InputError(f"density = {self.density}: must lie between 1e-12 and 1e3 kg/mm3")
+        self._agree_on_density()
         if self.grain not in ("x", "y"):
             raise InputError(f"grain = {self.grain!r}: must be x or y")
         limit = self.weave.jamming_ratio
@@ -47,6 +55,19 @@ class Cell:
             raise InputError(
                 f"r2 = {self.r2}: too thick for the {self.weave.name} weave, which jams at r1/r2 = {limit:.4f}; "
                 f"here r1/r2 = {self.r1 / self.r2:.4f}"
+            )
+
+    def _agree_on_density(self) -> None:
+        theirs = self.material.density_kg_per_mm3
+        if self.density == theirs:
+            return
+        if self.density == STEEL_KG_PER_MM3:
+            object.__setattr__(self, "density", theirs)
+        elif theirs == STEEL_KG_PER_MM3:
+            object.__setattr__(self, "material", replace(self.material, density_kg_per_mm3=self.density))
+        else:
+            raise InputError(
+                f"density = {self.density:g}: {self.material.name} has {theirs:g} kg/mm3; give one of the two"
             )
 
     @property

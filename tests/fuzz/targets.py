@@ -108,7 +108,6 @@ force = [1, 2]
 [solver]
 kind = "rigid"
 tolerance = 1e-8
-force = ["ties"]
 """
 
 

@@ -78,7 +78,9 @@ def test_short_sections_come_out_the_same_twice():
 def test_named_pairs_have_their_distances():
     for pair in pairs.PAIRS:
         row = pairs.pair_row(*pair)
-        assert row[pairs.ERROR] <= (1e-8 if pair[2] is pairs.TILT else 1e-12), row
+        # Where circles cross, the distance has a kink: it is as exact as the angle, which is polished to 1e-9.
+        is_crossing = pair[4] == "two crossings"
+        assert row[pairs.ERROR] <= (1e-8 if is_crossing or pair[2] is pairs.TILT else 1e-12), row
         assert row["derivatives finite"], row
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rve.additions import with_compliance
+from rve.additions import with_compliance, with_rings
 from rve.cli import main
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT
@@ -63,6 +63,26 @@ def test_compliance_and_picture_solve_nothing(table):
     assert np.isfinite(compliant.compliance).all(axis=(1, 2)).tolist() == [True, True, False, False]
     _, count = solves(lambda: draw_case(table, 1))
     assert count == 0
+
+
+def test_rings_solve_nothing_and_are_those_of_a_table_from_a_file(table, tmp_path):
+    rings, count = solves(lambda: with_rings(table, Cell()))
+    assert count == 0
+    assert np.isfinite(rings.strength).all(axis=1).tolist() == [True, True, False, True]
+    assert np.array_equal(with_compliance(table).compliance, rings.compliance, equal_nan=True)
+    table.save(tmp_path / "t.csv")
+    again = with_rings(read_table(tmp_path / "t.csv"), Cell())
+    assert again.strength == pytest.approx(rings.strength, rel=1e-3, nan_ok=True)
+    assert again.compliance == pytest.approx(rings.compliance, rel=1e-6, abs=1e-9, nan_ok=True)
+    rings.save(tmp_path / "rings.csv")
+    read = read_table(tmp_path / "rings.csv")
+    assert np.array_equal(read.strength, rings.strength, equal_nan=True)
+
+
+@pytest.mark.parametrize("cell", [Cell(10.0, 1.0), Cell(grain="x")])
+def test_rings_of_another_cell_are_refused(table, cell):
+    with pytest.raises(InputError, match="give the table's cell"):
+        with_rings(table, cell)
 
 
 def test_commands_solve_once(tmp_path):

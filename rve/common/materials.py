@@ -1,0 +1,114 @@
+"""Materials of rings: density, elastic constants and strength once, with units, and a short table of named ones.
+
+Strengths are the least values of the standards for annealed wire and bars. Drawn wire may be two or three times as
+strong: take the values of the certificate of the wire at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rve.common.errors import InputError
+from rve.common.rings import DENSITY_KG_PER_M3, LEAST_KG_PER_MM3, MOST_KG_PER_MM3, STEEL_KG_PER_MM3
+from rve.common.values import Check, checked, entry, finite, optional, read_record, shown
+
+YOUNG = finite(least=1.0, most=2e6)
+"""N/mm2: from rubber to diamond. 210 would be GPa."""
+POISSON = finite(least=0.0, most=0.5)
+STRESS = finite(above=0.0, most=2e4)
+_DENSITY = finite(least=LEAST_KG_PER_MM3, most=MOST_KG_PER_MM3)
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material: name, density in kg/mm3, Young's modulus, yield and ultimate stress in N/mm2, Poisson's ratio.
+
+    Yield and ultimate stress may be unknown, None. `check_material` finds numbers that no material has.
+    """
+
+    name: str = entry(lambda value: str(value), "steel")
+    density_kg_per_mm3: float = entry(_DENSITY, STEEL_KG_PER_MM3)
+    young_N_per_mm2: float = entry(YOUNG, 210e3)
+    poisson: float = entry(POISSON, 0.3)
+    yield_N_per_mm2: float | None = entry(optional(STRESS), 235.0)
+    ultimate_N_per_mm2: float | None = entry(optional(STRESS), 360.0)
+
+    def __post_init__(self) -> None:
+        """InputError for numbers out of range, and for an ultimate stress below the yield stress."""
+        checks = {name: field.metadata["check"] for name, field in self.__dataclass_fields__.items() if name != "name"}
+        for name, check in checks.items():
+            checked(vars(self), name, check, f"material {self.name!r}:")
+        low, high = self.yield_N_per_mm2, self.ultimate_N_per_mm2
+        if low is not None and high is not None and high < low:
+            raise InputError(
+                f"material {self.name!r}: ultimate_N_per_mm2 = {high:g}: is less than yield_N_per_mm2 = {low:g}"
+            )
+
+
+STEEL = Material()
+"""Steel S235, EN 10025-2: density and elastic constants are those of all unalloyed steels."""
+MATERIALS = {
+    material.name: material
+    for material in (
+        STEEL,
+        # EN 10088-1 (density, elastic constants), EN 10088-3 (strength, solution annealed).
+        Material("steel 1.4301", 7.9e-6, 200e3, 0.3, 190.0, 500.0),
+        Material("steel 1.4404", 8.0e-6, 200e3, 0.3, 200.0, 500.0),
+        # ASTM B348, grade 2 (strength); ASM Handbook 2 (density, elastic constants).
+        Material("titanium grade 2", 4.51e-6, 105e3, 0.37, 275.0, 345.0),
+    )
+}
+"""Named materials. Strengths are least values of the standards named beside them."""
+
+
+def named_material(name: str, where: str = "material") -> Material:
+    """The material of this name; InputError says which there are.
+
+    >>> named_material("steel 1.4404").young_N_per_mm2
+    200000.0
+    """
+    if name not in MATERIALS:
+        raise InputError(
+            f"{where} = {shown(name)}: known are {', '.join(MATERIALS)}; or give density, young and poisson"
+        )
+    return MATERIALS[name]
+
+
+_KEYS: dict[str, tuple[str, Check]] = {
+    "density": ("density_kg_per_mm3", DENSITY_KG_PER_M3),
+    "young": ("young_N_per_mm2", YOUNG),
+    "poisson": ("poisson", POISSON),
+    "yield": ("yield_N_per_mm2", STRESS),
+    "ultimate": ("ultimate_N_per_mm2", STRESS),
+}
+
+
+def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "") -> Material:
+    """The material that a user describes: `material` names one; density (kg/m3), young, yield, ultimate (N/mm2) and
+    poisson replace its values. Keys with the value None count as absent; `prefix` stands before keys in messages.
+
+    A new density or elastic constant keeps the strength of the named material. InputError for values out of range. A
+    yield stress above the named ultimate one makes that unknown, None.
+
+    >>> material_of({"material": "steel 1.4404", "yield": 450.0}).yield_N_per_mm2
+    450.0
+    """
+    name = given.get("material")
+    base = STEEL if name is None else named_material(name, f"{where} {prefix}material".strip())
+    values: dict[str, Any] = {}
+    for key, (field, check) in _KEYS.items():
+        if given.get(key) is not None:
+            values[field] = checked({prefix + key: given[key]}, prefix + key, check, where)
+    if "density_kg_per_mm3" in values:
+        values["density_kg_per_mm3"] /= 1e9
+    strength = values.get("yield_N_per_mm2", 0.0)
+    if "ultimate_N_per_mm2" not in values and strength > (base.ultimate_N_per_mm2 or strength):
+        values["ultimate_N_per_mm2"] = None
+    return replace(base, name=base.name if not values else f"{base.name}, changed", **values)
+
+
+def read_material(table: Mapping[str, Any], where: str) -> Material:
+    """The material that a file holds, as `dataclasses.asdict` writes it; InputError names file, key and value."""
+    return read_record(Material, table, where)

@@ -1,0 +1,176 @@
+"""Plastic collapse of rings: the largest load for which moments within yield balance it (static theorem).
+
+A section yields where (M_r^2 + M_z^2)/M_p^2 + M_t^2/T_p^2 = 1, with M_p = 4/3 r2^3 sigma_y and
+T_p = 2 pi/3 r2^3 sigma_y/sqrt(3). Axial and shear force are left out: they lower the load by about (N/N_p)^2, 1 % at
+r1/r2 = 10 and less for thinner wire. The six self-stresses of each ring are free. Maximising the load is a cone program
+in a few unknowns, solved by Newton's method with a logarithmic barrier for all rings at once. With its round yield
+surface replaced by planes it is the linear program of plastic hinges (tests/test_rve/test_ring_collapse.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rve.common.errors import InputError, NotConverged
+from rve.common.types import Array
+from rve.ring.kernels import internal_forces, opened_forces, self_stress
+from rve.ring.section import Ring
+
+BENDING = 4.0 / 3.0
+"""Plastic moment of a round section over r2^3 sigma_y."""
+TORSION = 2.0 * np.pi / 3.0 / np.sqrt(3.0)
+"""Plastic torque of a round section over r2^3 sigma_y, by von Mises."""
+SECTIONS = 96
+"""Sections at which yield is checked, besides those under the loads: a moment between them is at most 5e-4 larger."""
+_GROWTH = 30.0
+"""Factor on the barrier's sharpness once Newton's decrement is below `_CENTRED`; larger ones take more steps each."""
+_CENTRED = 1.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The largest factors (n,) on loads: `factor` is safe, the exact one is at most `upper`; nan where not found."""
+
+    factor: Array
+    upper: Array
+
+
+def plastic_collapse(
+    phi: Array,
+    forces: Array,
+    ring: Ring,
+    yield_N_per_mm2: float,
+    *,
+    joint: Array | None = None,
+    tolerance: float = 1e-6,
+    steps: int = 400,
+) -> Limits:
+    """The factors (n,) on forces (n, m, 3) at phi (n, m), local axes, in balance, at which rings become mechanisms.
+
+    joint (n,): the angle at which butted rings are open, None for welded ones. `factor` and `upper` of the result
+    differ by less than `tolerance`, relative. InputError for a tolerance below round-off, NotConverged if `steps` steps
+    of Newton's method do not suffice.
+
+    >>> pull = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])
+    >>> found = plastic_collapse(np.array([[0.0, np.pi]]), pull, Ring(5.0, 0.5, 2e5, 0.3), 400.0)
+    >>> hinges = 4.0 * 4.0 / 3.0 * 0.5**3 * 400.0 / 5.0  # four hinges: 4 M_p/R
+    >>> bool(abs(found.factor[0] / hinges - 1.0) < 1e-6)
+    True
+    """
+    if not 1e-9 <= tolerance <= 0.1:
+        raise InputError(f"tolerance = {tolerance}: must lie between 1e-9 and 0.1")
+    at = checked_sections(phi)
+    section = ring.thin()
+    if joint is None:
+        q, free = internal_forces(phi, forces, at, section), relative_moments(self_stress(at, ring.r1), ring.r2)
+    else:
+        q, free = opened_forces(phi, forces, at, joint, section), np.zeros((*at.shape, 3, 0))
+    base = relative_moments(q[..., None], ring.r2)[..., 0]
+    found = largest_factors(base, free, tolerance=tolerance, steps=steps)
+    lost = np.count_nonzero(np.isnan(found.factor))
+    if lost:
+        raise NotConverged(f"the plastic collapse of {lost} of {len(phi)} rings was not found in {steps} steps")
+    return Limits(found.factor * yield_N_per_mm2, found.upper * yield_N_per_mm2)
+
+
+def checked_sections(phi: Array) -> Array:
+    """The angles (..., k) at which yield is checked: SECTIONS of them and those of the loads phi (..., m)."""
+    uniform = np.broadcast_to(2.0 * np.pi / SECTIONS * np.arange(SECTIONS), (*phi.shape[:-1], SECTIONS))
+    return np.concatenate([uniform, phi], axis=-1)
+
+
+def relative_moments(q: Array, r2: float) -> Array:
+    """M_r, M_t, M_z of section forces (..., 6, v) over the plastic moments for unit yield stress, (..., 3, v)."""
+    plastic = r2**3 * np.array([BENDING, TORSION, BENDING])
+    return np.asarray(q[..., 3:, :] / plastic[:, None])
+
+
+def largest_factors(
+    base: Array, free: Array, signs: Array | None = None, tolerance: float = 1e-4, steps: int = 400
+) -> Limits:
+    """The largest mu (n,) with |mu base + free x| <= 1 at every section and signs (mu, x) >= 0.
+
+    base (n, k, 3), free (n, k, 3, v), signs (n, h, 1 + v), whose first column is positive. nan where `steps` steps of
+    Newton's method do not suffice; most cases take 30.
+    """
+    J = np.moveaxis(np.concatenate([base[..., None], free], axis=3), 2, 1).copy()
+    scale = np.abs(J).max(axis=(1, 2))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    J = J / scale[:, None, None]
+    H = np.zeros((len(J), 0, J.shape[3])) if signs is None else signs / scale[:, None]
+    y = np.zeros((len(J), J.shape[3]))
+    y[:, 0] = 0.5 / np.sqrt((J[..., 0] ** 2).sum(axis=1)).max(axis=1)
+    degree = 2.0 * J.shape[2] + H.shape[1]
+    sharp = degree / y[:, 0]
+    go = np.arange(len(J))
+    for _ in range(steps):
+        here = J if len(go) == len(J) else J[go]
+        step, decrement = _newton(here, H[go], y[go], sharp[go])
+        y[go] += _length(here, H[go], y[go], step, sharp[go])[:, None] * step
+        centred = decrement < _CENTRED
+        fine = degree <= 0.5 * tolerance * sharp[go] * y[go, 0]
+        sharp[go] *= np.where(centred & ~fine, _GROWTH, 1.0)
+        go = go[~(fine & (decrement < 1e-9))]
+        if not len(go):
+            break
+    found = _bounds(J, y, sharp, scale[:, 0])
+    found.factor[go] = found.upper[go] = np.nan
+    return found
+
+
+def _moments(J: Array, y: Array) -> Array:
+    """Relative moments (n, 3, k) of the unknowns y (n, p) by J (n, 3, k, p)."""
+    return np.matmul(J.reshape(len(J), -1, J.shape[3]), y[..., None]).reshape(J.shape[:3])
+
+
+def _newton(J: Array, H: Array, y: Array, sharp: Array) -> tuple[Array, Array]:
+    """Newton's step (n, p) on the barrier function and its squared decrement (n,)."""
+    n, p = y.shape
+    m = _moments(J, y)
+    slope = 2.0 / (1.0 - (m**2).sum(axis=1))
+    Jm = (m[:, 0, :, None] * J[:, 0] + m[:, 1, :, None] * J[:, 1] + m[:, 2, :, None] * J[:, 2]) * slope[..., None]
+    left = H / np.matmul(H, y[..., None])
+    gradient = Jm.sum(axis=1) - left.sum(axis=1)
+    gradient[:, 0] -= sharp
+    bent = (J * slope[:, None, :, None]).reshape(n, -1, p)
+    K = np.matmul(J.reshape(n, -1, p).transpose(0, 2, 1), bent)
+    K += np.matmul(Jm.transpose(0, 2, 1), Jm) + np.matmul(left.transpose(0, 2, 1), left)
+    unused = np.einsum("nii->ni", K) == 0.0
+    np.einsum("nii->ni", K)[...] += unused
+    step = -np.linalg.solve(K, gradient[..., None])[..., 0]
+    return step, -np.einsum("nv,nv->n", gradient, step)
+
+
+def _length(J: Array, H: Array, y: Array, step: Array, sharp: Array) -> Array:
+    """Step lengths (n,): halved until the barrier function falls."""
+    size = np.ones(len(y))
+    m, dm = _moments(J, y), _moments(J, step)
+    g, dg = np.matmul(H, y[..., None])[..., 0], np.matmul(H, step[..., None])[..., 0]
+    start = _barrier(m, g) - sharp * y[:, 0]
+    for _ in range(40):
+        there = (
+            _barrier(m + size[:, None, None] * dm, g + size[:, None] * dg) - sharp * (y + size[:, None] * step)[:, 0]
+        )
+        worse = ~(there <= start + 1e-12 * np.abs(start))
+        if not worse.any():
+            break
+        size[worse] *= 0.5
+    return size
+
+
+def _barrier(m: Array, g: Array) -> Array:
+    """- sum log(1 - |m|^2) - sum log g, (n,), for m (n, 3, k) and g (n, h); inf outside."""
+    room = 1.0 - (m**2).sum(axis=1)
+    inside = (room > 0.0).all(axis=1) & (g > 0.0).all(axis=1)
+    value = -np.log(np.where(room > 0.0, room, 1.0)).sum(axis=1) - np.log(np.where(g > 0.0, g, 1.0)).sum(axis=1)
+    return np.where(inside, value, np.inf)
+
+
+def _bounds(J: Array, y: Array, sharp: Array, scale: Array) -> Limits:
+    """The answer scaled out to the yield surface, and the bound of the multipliers on it, which balance here."""
+    size = np.sqrt((_moments(J, y) ** 2).sum(axis=1))
+    upper = (2.0 * size / (1.0 - size**2)).sum(axis=1) / sharp
+    factor = y[:, 0] / size.max(axis=1)
+    return Limits(factor / scale, np.maximum(upper, factor) / scale)

@@ -1,0 +1,134 @@
+"""The wire of a ring: how a section of it gives under its forces, and the stress in its skin.
+
+Section forces are those that the part ahead (at larger angles) exerts on the part behind, at the centre of the wire,
+in the ring's own axes r (outwards), t (along the ring) and z (its normal): force (V_r, N, V_z), moment (M_r, M_t, M_z).
+M_z > 0 bends the ring more sharply, with tension outside. Units N and N mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+
+@dataclass(frozen=True)
+class Section:
+    """How much one mm of wire gives: strain energy per length is half the square of the section forces with these.
+
+    radius: of the centre circle, mm. bending (M_z), out_of_plane (M_r), torsion (M_t) in 1/(N mm2); axial (N), shear
+    (V_r and V_z) in 1/N; coupling (N with M_z) in 1/(N mm), zero for thin wire.
+    """
+
+    radius: float
+    bending: float
+    out_of_plane: float
+    torsion: float
+    axial: float = 0.0
+    shear: float = 0.0
+    coupling: float = 0.0
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A ring of round wire: r1, r2 in mm, young in N/mm2, Poisson's ratio.
+
+    InputError for numbers that no ring has.
+    """
+
+    r1: float
+    r2: float
+    young: float
+    poisson: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.r1, self.r2]).all() and 0.0 < self.r2 < self.r1):
+            raise InputError(f"r1 = {self.r1}, r2 = {self.r2}: a ring has 0 < r2 < r1, in mm")
+        if not (np.isfinite(self.young) and self.young > 0.0):
+            raise InputError(f"young = {self.young}: must be a positive number of N/mm2")
+        if not 0.0 <= self.poisson <= 0.5:
+            raise InputError(f"poisson = {self.poisson}: must lie between 0 and 0.5")
+
+    @property
+    def shear_modulus(self) -> float:
+        """G = E / (2 (1 + nu)), N/mm2."""
+        return self.young / (2.0 * (1.0 + self.poisson))
+
+    def thin(self) -> Section:
+        """The section of wire that is thin against the ring: bending E I and torsion G J alone."""
+        inertia = 0.25 * np.pi * self.r2**4
+        bending = 1.0 / (self.young * inertia)
+        return Section(self.r1, bending, bending, 1.0 / (self.shear_modulus * 2.0 * inertia))
+
+    def straight(self) -> Section:
+        """The section of a straight beam: E I, G J, E A and kappa G A, no coupling of N and M_z."""
+        area = np.pi * self.r2**2
+        thin = self.thin()
+        shear = 1.0 / (shear_factor(self.poisson) * self.shear_modulus * area)
+        return Section(self.r1, thin.bending, thin.out_of_plane, thin.torsion, 1.0 / (self.young * area), shear)
+
+    def curved(self) -> Section:
+        """The section of the thick ring (Winkler): sections stay plane, and inner fibres are shorter than outer ones.
+
+        In the plane 1/(E A e R) in place of 1/(E I), with e = R - r_n, the distance to the neutral fibre, and N and M_z
+        coupled by 1/(E A R); out of the plane the integral of z^2 R/(R + x) over the section in place of I. Torsion and
+        shear are those of a straight wire; their corrections are of the order (r2/r1)^2 (docs/theory.md, 7).
+        """
+        straight, short = self.straight(), _short(self.r1, self.r2)
+        area = np.pi * self.r2**2
+        bending = 2.0 / (self.young * area * self.r1**2 * short)
+        inertia = out_of_plane_inertia(self.r1, self.r2)
+        coupling = 1.0 / (self.young * area * self.r1)
+        return Section(
+            self.r1,
+            bending,
+            1.0 / (self.young * inertia),
+            straight.torsion,
+            straight.axial,
+            straight.shear,
+            coupling,
+        )
+
+
+def _short(r1: float, r2: float) -> float:
+    """1 - sqrt(1 - (r2/r1)^2) without cancellation: twice the eccentricity of the neutral fibre over r1."""
+    share = (r2 / r1) ** 2
+    return share / (1.0 + float(np.sqrt(1.0 - share)))
+
+
+def out_of_plane_inertia(r1: float, r2: float) -> float:
+    """Integral of z^2 r1/(r1 + x) over the round section, mm4; pi r2^4/4 for thin wire."""
+    short = _short(r1, r2)
+    return 2.0 / 3.0 * np.pi * r1**4 * short**2 * (1.5 - short)
+
+
+def shear_factor(poisson: float) -> float:
+    """Share of the round section that carries shear, 6 (1 + nu)/(7 + 6 nu) (Cowper, J. Appl. Mech. 33, 1966)."""
+    return 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)
+
+
+def skin_stress(forces: Array, fibre: Array, r1: float, r2: float) -> Array:
+    """Von Mises stress in the skin of the wire, N/mm2, from section forces (..., 6) at the fibres (...).
+
+    fibre: angle around the wire in radians, 0 outside, pi/2 at +z. Bending and tension as in a thick curved bar,
+
+        sigma = N/A + M_z (r - r_n)/(A e r) - M_r z R/(I_r r),    r = R + r2 cos(fibre),    z = r2 sin(fibre),
+
+    torsion with tau = M_t r2/J R/r: inner fibres are shorter and twist more. Transverse shear is left out; it is of the
+    order r2/r1 of the bending stress and acts elsewhere.
+
+    >>> straight = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    >>> float(skin_stress(straight, np.array(0.0), 1e6, 1.0).round(4)), round(4.0 / np.pi, 4)
+    (1.2732, 1.2732)
+    """
+    area, short = np.pi * r2**2, _short(r1, r2)
+    x, z = r2 * np.cos(fibre), r2 * np.sin(fibre)
+    r = r1 + x
+    e = 0.5 * r1 * short
+    sigma = forces[..., 1] / area + forces[..., 5] * (x + e) / (area * e * r)
+    sigma = sigma - forces[..., 3] * z * r1 / (out_of_plane_inertia(r1, r2) * r)
+    tau = forces[..., 4] * r1 / (0.5 * area * r2 * r)
+    return np.asarray(np.sqrt(sigma**2 + 3.0 * tau**2))

@@ -1,0 +1,184 @@
+"""The strength surface: exact at its rows, homogeneous, symmetric, and the same after a law file."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize import load_law, save_law
+from homogenize.cli import main
+from homogenize.fitting.fit import FitOptions, fit
+from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
+from rve import Material
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT, double_dot, mirror, trace
+
+from .conftest import Ellipsoid, disc_grid, table_of
+
+S = disc_grid(5, 24)
+D = np.array([[3e-3, 0.0, -1e-3], [0.0, 4e-3, 0.0], [-1e-3, 0.0, 2e-3]])
+STEEL = asdict(Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0))
+
+
+def asked(S):
+    """A made-up yield stress: a norm of S, so convex and homogeneous of degree one; and half of it."""
+    first = 100.0 * np.sqrt(S[:, 0] ** 2 + 3.0 * S[:, 1] ** 2 + 0.5 * S[:, 2] ** 2)
+    return np.stack([first, 0.5 * first], axis=1)
+
+
+@pytest.fixture(scope="module")
+def table():
+    E = Ellipsoid().strain(S)
+    found = table_of(2.0 * S, E)
+    provenance = found.provenance | {"material": STEEL}
+    compliance = np.tile(D / WEIGHT[:, None], (len(S), 1, 1))
+    return replace(found, compliance=compliance, strength=asked(S), provenance=provenance)
+
+
+@pytest.fixture(scope="module")
+def strength(table):
+    return strength_of_table(table)
+
+
+@pytest.fixture(scope="module")
+def law(table):
+    return fit(table).law
+
+
+def test_rows_are_exact_and_size_counts_once(strength):
+    assert strength.utilisation(S) == pytest.approx(asked(S)[:, 0] / 400.0, rel=1e-9)
+    assert strength.collapse_utilisation(3.0 * S) == pytest.approx(3.0 * asked(S)[:, 1] / 400.0, rel=1e-9)
+    assert strength.utilisation(S, 200.0) == pytest.approx(2.0 * strength.utilisation(S), rel=1e-12)
+    assert strength.compliance_along(7.0 * S) == pytest.approx(np.einsum("ni,ij,nj->n", S, D, S), rel=1e-9)
+
+
+def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(strength):
+    rng = np.random.default_rng(3)
+    v = rng.normal(size=(200, 2, 2))
+    loads = np.einsum("nki,nkj->nij", v, v)
+    loads = np.stack([loads[:, 0, 0], loads[:, 0, 1], loads[:, 1, 1]], axis=1)
+    found = strength.utilisation(loads)
+    assert strength.utilisation(mirror(loads)) == pytest.approx(found, rel=1e-12)
+    assert strength.utilisation(10.0 * loads) == pytest.approx(10.0 * found, rel=1e-12)
+    error = found / (asked(loads)[:, 0] / 400.0) - 1.0
+    assert 1e-4 < np.abs(error).max() < strength.error.first_yield_max < 0.1
+    inside = np.hypot(loads[:, 0] - loads[:, 2], 2.0 * loads[:, 1]) < 0.95 * trace(loads)
+    assert error[inside].min() > -1e-9  # linear between the rows of a convex function: never below it
+    assert strength.error.first_yield_mean < 0.5 * strength.error.first_yield_max
+    assert strength.error.rows == 97  # all but the rim's 24
+
+
+def test_compression_counts_as_no_load(strength):
+    v = np.array([[0.6, 0.8]])
+    pull = np.stack([v[:, 0] ** 2, v[:, 0] * v[:, 1], v[:, 1] ** 2], axis=1)
+    push = np.stack([v[:, 1] ** 2, -v[:, 0] * v[:, 1], v[:, 0] ** 2], axis=1)
+    assert tensile_part(pull - 0.7 * push) == pytest.approx(pull, abs=1e-12)
+    assert tensile_part(-push) == pytest.approx(np.zeros((1, 3)), abs=1e-12)
+    assert strength.utilisation(pull - 0.7 * push) == pytest.approx(strength.utilisation(pull), rel=1e-9)
+    assert strength.utilisation(-pull)[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_error_falls_with_the_square_of_the_distance():
+    errors = []
+    for rings, spokes in ((4, 16), (8, 32)):
+        loads = disc_grid(rings, spokes)
+        k = asked(loads)
+        errors.append(off_grid(Strength(loads, loads, k[:, 0], k[:, 1], k[:, 0], Material())).first_yield_mean)
+    assert errors[0] / errors[1] > 3.0
+
+
+def test_a_law_file_keeps_it(table, law, strength, tmp_path):
+    save_law(law, tmp_path / "law.json")
+    again = load_law(tmp_path / "law.json").strength
+    assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
+    assert again.error == strength.error
+    assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
+    b = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
+    net = fit(replace(table, provenance=table.provenance | b), FitOptions(kind="net")).law
+    net.save(tmp_path / "net.json")  # the strength is that of the table, whatever the kind of law
+    assert load_law(tmp_path / "net.json").strength.to_dict() == strength.to_dict()
+    # the law's own stiffness is that of the rings, too
+    along = double_dot(S, (law.compliance @ S.T).T)
+    assert strength.compliance_along(S) == pytest.approx(along, rel=1e-6)
+
+
+def test_the_command_prints_both_loads(law, tmp_path):
+    save_law(law, tmp_path / "law.json")
+
+    def run(*words):
+        return CliRunner().invoke(main, ["strength", str(tmp_path / "law.json"), *words])
+
+    found = json.loads(run("--S", "0,0,5", "--yield", "800").stdout)
+    assert found["S22"] == 1.0
+    assert found["first_yield_N_per_mm"] == pytest.approx(800.0 / (100.0 * np.sqrt(0.5)), rel=1e-9)
+    assert found["collapse_N_per_mm"] == pytest.approx(2.0 * found["first_yield_N_per_mm"], rel=1e-9)
+    assert found["extrapolated"] is False
+    assert json.loads(run("--S", "0,0,5").stdout)["yield_N_per_mm2"] == 400.0
+    for words, name in ((("--S", "1,2,1"), "not tensile"), (("--S", "1,0,1", "--yield", "-4"), "greater than 0")):
+        failed = run(*words)
+        assert failed.exit_code == 2
+        assert name in failed.stderr
+
+
+def test_the_fit_prints_the_error_between_rows(table, tmp_path):
+    b = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
+    replace(table, provenance=table.provenance | b).save(tmp_path / "t.csv")
+    result = CliRunner().invoke(main, ["fit", str(tmp_path / "t.csv"), "--out", str(tmp_path / "law.json")])
+    assert result.exit_code == 0, result.output
+    line = next(line for line in result.output.splitlines() if line.startswith("strength of welded rings of steel"))
+    assert "121 loads; relative error at 97 rows left out: first yield max 0.0" in line
+    assert line == load_law(tmp_path / "law.json").strength.text()
+
+
+def test_a_law_without_strength_says_what_to_do(table, tmp_path):
+    plain = replace(table, strength=None)
+    save_law(fit(plain).law, tmp_path / "old.json")
+    found = CliRunner().invoke(main, ["strength", str(tmp_path / "old.json"), "--S", "1,0,1"])
+    assert found.exit_code == 2
+    assert "make the table again with rve table --rings" in found.stderr
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("S", [[1.0, 0.9, 0.0]], "differ in length"),
+        ("collapse_1_per_mm", [0.0] * 121, "collapse_1_per_mm"),
+        ("joint", "glued", "welded"),
+        ("material", {"young_N_per_mm2": -1.0}, "young_N_per_mm2"),
+        ("compliance_mm_per_N", "none", "compliance_mm_per_N"),
+        ("error", {"rows": 3}, "first_yield_max"),
+    ],
+)
+def test_damaged_strengths_are_refused(strength, key, value, message):
+    with pytest.raises(InputError, match=message):
+        read_strength(json.loads(json.dumps(strength.to_dict())) | {key: value}, "law.json: strength")
+
+
+def test_loads_on_one_side_have_no_surface(strength):
+    some = S[S[:, 0] > 0.6]
+    with pytest.raises(InputError, match="all sides"):
+        Strength(some, some, *asked(some).T, some[:, 0], Material()).utilisation(S)
+
+
+def test_a_material_without_yield_needs_one(strength):
+    nameless = replace(strength, material=Material(name="wire", yield_N_per_mm2=None, ultimate_N_per_mm2=None))
+    with pytest.raises(InputError, match="no yield stress"):
+        nameless.utilisation(S)
+    assert nameless.utilisation(S, 400.0) == pytest.approx(strength.utilisation(S), rel=1e-12)
+
+
+@pytest.mark.slow
+def test_loads_off_the_grid_are_as_wrong_as_the_law_reports():
+    from rve import Cell, grid, solve_table, with_rings
+
+    cell, rng = Cell(), np.random.default_rng(8)
+    found = strength_of_table(with_rings(solve_table(cell, grid(5.0)), cell))
+    off = with_rings(solve_table(cell, (rng.uniform(0.0, 45.0, 30), rng.uniform(0.0, 90.0, 30))), cell)
+    good = off.converged
+    asked = found.utilisation(off.S[good], 1.0) / trace(off.S[good])
+    error = np.abs(asked / off.strength[good, 0] - 1.0)
+    assert found.error.first_yield_max < 0.15
+    assert error.max() < 1.5 * found.error.first_yield_max
+    assert error.mean() < 2.0 * found.error.first_yield_mean

@@ -1,0 +1,79 @@
+"""Materials: named ones, values that replace theirs, one sentence for what no material has, and the way into files."""
+
+import json
+from dataclasses import asdict
+
+import pytest
+from click.testing import CliRunner
+
+from rve import MATERIALS, Cell, Material, named_material, read_table
+from rve.cli import main
+from rve.common.errors import InputError
+from rve.common.materials import material_of, read_material
+
+
+def test_named_materials_have_plausible_numbers():
+    for name, material in MATERIALS.items():
+        assert named_material(name) is material
+        assert 1e-6 < material.density_kg_per_mm3 < 1e-5
+        assert 0.1e-6 < material.young_N_per_mm2 / 1e12 < 0.25e-6
+        assert material.ultimate_N_per_mm2 > material.yield_N_per_mm2 > 100.0
+    assert MATERIALS["steel"].density_kg_per_mm3 == 7.85e-6
+
+
+def test_given_values_replace_those_of_the_named_material():
+    found = material_of({"material": "steel 1.4404", "density": 7990.0, "yield": 450.0, "young": None})
+    assert found == Material("steel 1.4404, changed", 7.99e-6, 200e3, 0.3, 450.0, 500.0)
+    assert material_of({}) == Material()
+    assert material_of({"yield": 400.0}).ultimate_N_per_mm2 is None  # more than the named one: unknown
+    assert read_material(asdict(found), "table.json: material") == found
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"material": "mithril"}, "known are steel"),
+        ({"young": 0.21}, "young = 0.21: must be at least 1"),
+        ({"poisson": 0.7}, "poisson = 0.7: must be at most 0.5"),
+        ({"yield": 0.0}, "yield = 0.0: must be greater than 0"),
+        ({"yield": float("nan")}, "yield = nan: is not a finite number"),
+        ({"yield": 400.0, "ultimate": 300.0}, "ultimate_N_per_mm2 = 300: is less than yield_N_per_mm2 = 400"),
+        ({"density": 7.85}, "density = 7.85: must be at least 100"),
+    ],
+)
+def test_bad_values_are_one_sentence(given, message):
+    with pytest.raises(InputError, match=message) as caught:
+        material_of(given)
+    assert "\n" not in str(caught.value)
+    name, value = next(iter(given.items()))
+    if len(given) == 1:
+        result = CliRunner().invoke(main, ["table", "--out", "t.csv", f"--{name}", str(value)])
+        assert result.exit_code == 2
+        assert f"--{name}" in result.stderr
+
+
+def test_a_cell_has_one_density():
+    assert Cell(material=named_material("titanium grade 2")).density == 4.51e-6
+    assert Cell(density=8e-6).material == Material(density_kg_per_mm3=8e-6)
+    with pytest.raises(InputError, match="give one of the two"):
+        Cell(density=8e-6, material=named_material("titanium grade 2"))
+
+
+def test_columns_and_material_from_the_command_line_to_the_file(tmp_path):
+    words = ["table", "--out", str(tmp_path / "t.csv"), "--alpha", "0", "--beta", "45,90", "--rings"]
+    result = CliRunner().invoke(main, [*words, "--material", "steel 1.4404", "--yield", "420"])
+    assert result.exit_code == 0, result.output
+    sidecar = json.loads((tmp_path / "t.json").read_text())
+    assert sidecar["material"]["name"] == "steel 1.4404, changed"
+    assert sidecar["material"]["yield_N_per_mm2"] == 420.0
+    assert sidecar["density_kg_per_mm3"] == 8.0e-6
+    assert (sidecar["compliance"], sidecar["joint"]) == ("rings", "welded")
+    table = read_table(tmp_path / "t.csv")
+    assert table.strength.shape == (2, 2)
+    assert (table.strength[:, 0] > table.strength[:, 1]).all()
+    assert table.compliance[1, 2, 2] > 0.0
+    frame = table.to_pandas()
+    assert frame["first_yield_1_per_mm"].tolist() == table.strength[:, 0].tolist()
+    both = CliRunner().invoke(main, [*words, "--compliance", "1000"])
+    assert both.exit_code == 2
+    assert "--rings and --compliance" in both.stderr

@@ -1,0 +1,120 @@
+"""Plastic collapse of single rings against closed forms and a linear program of plastic hinges."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from rve.common.errors import InputError, NotConverged
+from rve.ring.collapse import BENDING, TORSION, checked_sections, largest_factors, plastic_collapse
+from rve.ring.kernels import internal_forces, self_stress
+from rve.ring.section import Ring
+
+from .frame import balanced
+
+RING = Ring(5.0, 0.5, 200e3, 0.3)
+YIELD = 400.0
+PLASTIC = 4.0 / 3.0 * 0.5**3 * YIELD
+
+
+def pulls(count):
+    return 2.0 * np.pi * np.arange(count)[None] / count, np.tile([1.0, 0.0, 0.0], (1, count, 1))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 6])
+def test_radial_pulls_make_a_hinge_at_each_load_and_between_each_two(count):
+    """Two pulls: F = 4 M_p/R. In general N R (1 - cos h) = 2 M_p, N = F/(2 sin h), h = pi/count."""
+    h = np.pi / count
+    found = plastic_collapse(*pulls(count), RING, YIELD)
+    exact = 4.0 * PLASTIC / 5.0 * np.sin(h) / (1.0 - np.cos(h))
+    assert found.factor[0] == pytest.approx(exact, rel=1e-6)
+    assert found.upper[0] >= exact * (1.0 - 1e-9)
+    if count == 2:
+        assert exact == pytest.approx(4.0 * PLASTIC / 5.0, rel=1e-12)
+
+
+def test_four_alternating_axial_forces_bend_at_the_loads():
+    """M_r = F R/2 at the loads, M_t = F R (sqrt 2 - 1)/2 between them: F = 2 M_p/R."""
+    forces = np.array([1.0, -1.0, 1.0, -1.0])[None, :, None] * np.array([0.0, 0.0, 1.0])
+    found = plastic_collapse(0.5 * np.pi * np.arange(4)[None], forces, RING, YIELD)
+    assert found.factor[0] == pytest.approx(2.0 * PLASTIC / 5.0, rel=1e-6)
+
+
+def test_a_butted_ring_collapses_as_a_hook():
+    found = plastic_collapse(*pulls(2), RING, YIELD, joint=np.array([0.5 * np.pi]))
+    assert found.factor[0] == pytest.approx(PLASTIC / 5.0, rel=1e-6)
+
+
+def program(base, free, planes):
+    """The largest factor with the yield surface replaced by planes n.m <= 1, by a linear program."""
+    columns = np.concatenate([base[..., None], free], axis=2)
+    rows = np.einsum("ac,kcv->kav", planes, columns).reshape(-1, columns.shape[2])
+    cost = np.zeros(columns.shape[2])
+    cost[0] = -1.0
+    found = linprog(cost, A_ub=rows, b_ub=np.ones(len(rows)), bounds=(None, None), method="highs")
+    assert found.status == 0
+    return found.x[0]
+
+
+def sphere(count):
+    """Directions spread over a sphere (Fibonacci), with the six axes."""
+    i = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
+    around = np.sqrt(1.0 - z**2)
+    points = np.stack([around * np.cos(angle), z, around * np.sin(angle)], axis=1)
+    return np.vstack([points, np.eye(3), -np.eye(3)])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_linear_program_of_plastic_hinges_agrees(seed):
+    """Tangent planes around the yield surface: an upper bound that is wrong by 1 - cos of their spacing, here 2 %."""
+    rng = np.random.default_rng(seed)
+    phi = rng.uniform(0.0, 2.0 * np.pi, 6)
+    forces = balanced(phi, rng.normal(size=(6, 3)), 5.0)
+    found = plastic_collapse(phi[None], forces[None], RING, 1.0)
+    at = checked_sections(phi)
+    plastic = 0.5**3 * np.array([BENDING, TORSION, BENDING])
+    base = internal_forces(phi, forces, at, RING.thin())[:, 3:] / plastic
+    free = self_stress(at, 5.0)[:, 3:] / plastic[:, None]
+    scale = np.abs(free).max(axis=(0, 1))
+    upper = program(base * 1e-2, free / scale, sphere(150)) * 1e-2
+    assert found.factor[0] <= upper * (1.0 + 1e-9)
+    assert found.factor[0] == pytest.approx(upper, rel=0.02)
+    assert found.upper[0] == pytest.approx(found.factor[0], rel=1e-6)
+
+
+def test_collapse_grows_with_yield_and_lies_above_first_yield():
+    from rve.ring.stress import peak_stress
+
+    phi, forces = pulls(2)
+    one, two = (plastic_collapse(phi, forces, RING, s).factor[0] for s in (200.0, 500.0))
+    assert two / one == pytest.approx(2.5, rel=1e-9)
+    # thin wire: first yield at M = F R/pi = pi r2^3/4 yield, so that the ratio is 4 M_p/R over that: 64/(3 pi^2)
+    thin = Ring(1000.0, 1.0, 2e5, 0.3)
+    ratio = plastic_collapse(phi, forces, thin, 1.0).factor[0] * peak_stress(phi, forces, thin).stress[0]
+    assert ratio == pytest.approx(64.0 / (3.0 * np.pi**2), rel=2e-3)
+
+
+def test_choosing_among_contact_forces_helps():
+    """A section of moment mu (1 + z) with mu + z >= 0 and mu - z >= 0: z = -mu carries any load, so bound it by 1/2."""
+    base = np.array([[[1.0, 0.0, 0.0], [0.0, 0.5, 0.0]]])
+    free = np.array([[[[1.0], [0.0], [0.0]], [[0.0], [0.0], [0.0]]]])
+    assert largest_factors(base, 0.0 * free).factor[0] == pytest.approx(1.0, rel=1e-4)
+    signs = np.array([[[1.0, 1.0], [1.0, -1.0]]])
+    assert largest_factors(base, free, signs).factor[0] == pytest.approx(2.0, rel=1e-4)
+    half = np.array([[[0.5, 1.0], [1.0, -1.0]]])  # z >= -mu/2
+    assert largest_factors(base, free, half).factor[0] == pytest.approx(2.0, rel=1e-4)
+    tight = np.array([[[0.25, 1.0], [1.0, -1.0]]])  # z >= -mu/4: (1 - 1/4) mu <= 1
+    assert largest_factors(base, free, tight).factor[0] == pytest.approx(4.0 / 3.0, rel=1e-4)
+
+
+def test_too_few_steps_are_not_an_answer():
+    phi, forces = pulls(3)
+    at = checked_sections(phi)
+    base = internal_forces(phi, forces, at, RING.thin())[..., 3:]
+    free = self_stress(at, 5.0)[..., 3:, :]
+    assert np.isnan(largest_factors(base, free, steps=2).factor[0])
+    assert largest_factors(base, free).factor[0] > 0.0
+    with pytest.raises(NotConverged, match="1 of 1 rings"):
+        plastic_collapse(phi, forces, RING, YIELD, steps=2)
+    with pytest.raises(InputError, match="tolerance"):
+        plastic_collapse(phi, forces, RING, YIELD, tolerance=0.0)

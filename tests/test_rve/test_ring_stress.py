@@ -1,0 +1,87 @@
+"""First yield of single rings: the stress in the skin against the section forces it stands for, and its peak."""
+
+import numpy as np
+import pytest
+
+from rve.ring.kernels import internal_forces, opened_forces
+from rve.ring.section import Ring, skin_stress
+from rve.ring.stress import peak_stress, worst_joint
+
+from .frame import balanced
+
+RING = Ring(5.0, 0.8, 200e3, 0.3)
+
+
+def random_load(seed, count=6):
+    rng = np.random.default_rng(seed)
+    phi = rng.uniform(0.0, 2.0 * np.pi, count)
+    return phi, balanced(phi, rng.normal(size=(count, 3)), 5.0)
+
+
+def test_stresses_of_all_fibres_add_up_to_the_section_forces():
+    """Plane sections of a ring: 1 and 1/r in the plane, z/r out of it, in amounts that make N, M_z or M_r two."""
+    r1, r2 = 5.0, 0.8
+    rho, w = np.polynomial.legendre.leggauss(30)
+    rho, w = 0.5 * r2 * (rho + 1.0), 0.5 * r2 * w
+    psi = 2.0 * np.pi * np.arange(64) / 64
+    dA = (w * rho)[:, None] * 2.0 * np.pi / 64
+
+    def shapes(rho):
+        x, z = rho * np.cos(psi), rho * np.sin(psi)
+        return np.stack([np.ones_like(x), r1 / (r1 + x), z / (r1 + x)]), x, z
+
+    inside, x, z = shapes(rho[:, None])
+    resultants = np.array([np.sum(dA * inside * arm, axis=(1, 2)) for arm in (1.0, -z, x)])
+    skin, _, _ = shapes(r2)
+    for row, name in enumerate((1, 3, 5)):
+        amounts = np.linalg.solve(resultants, 2.0 * np.eye(3)[row])
+        q = 2.0 * np.eye(6)[name]
+        assert skin_stress(q, psi, r1, r2) == pytest.approx(np.abs(amounts @ skin), rel=1e-9, abs=1e-12)
+
+
+def test_the_inside_of_thick_wire_is_stressed_more():
+    q = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    inside, outside = skin_stress(q, np.array([np.pi, 0.0]), 5.0, 0.8)
+    straight = 4.0 / (np.pi * 0.8**3)
+    assert inside > 1.1 * straight > straight > outside
+    # Timoshenko's correction for a round section at R/r2 = 6.25: 1 + 3/4 (r2/R) + ... inside
+    assert inside / straight == pytest.approx(1.0 + 0.75 * 0.16 + 0.625 * 0.16**2, rel=5e-3)
+
+
+def test_torsion_and_bending_combine_by_von_mises():
+    thin = (1e5, 1.0)
+    both = skin_stress(np.array([0, 0, 0, 0.0, 2.0, 3.0]), np.array(0.0), *thin)
+    sigma, tau = 3.0 * 4.0 / np.pi, 2.0 * 2.0 / np.pi
+    assert both == pytest.approx(np.sqrt(sigma**2 + 3.0 * tau**2), rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_the_peak_is_that_of_a_much_finer_search(seed):
+    phi, forces = random_load(seed)
+    found = peak_stress(phi, forces, RING)
+    at = np.concatenate([np.linspace(0.0, 2.0 * np.pi, 3000), phi, phi - 1e-9])
+    q = internal_forces(phi, forces, at, RING.curved())
+    fibre = np.linspace(0.0, 2.0 * np.pi, 720)
+    stress = skin_stress(q[:, None], fibre, 5.0, 0.8)
+    assert found.stress >= stress.max() * (1.0 - 1e-6)
+    assert found.stress == pytest.approx(stress.max(), rel=1e-4)
+    there = internal_forces(phi, forces, found.angle[None], RING.curved())
+    assert skin_stress(there[0], found.fibre, 5.0, 0.8) == pytest.approx(found.stress, rel=1e-12)
+
+
+def test_the_worst_joint_is_worse_than_any_other():
+    phi, forces = random_load(5)
+    angle, worst = worst_joint(phi, forces, RING)
+    welded = peak_stress(phi, forces, RING).stress
+    others = [peak_stress(phi, forces, RING, joint=np.array(a)).stress for a in (0.0, 1.0, 2.0, 4.0)]
+    assert worst.stress > welded
+    assert all(worst.stress >= 0.98 * other for other in others)
+    q = opened_forces(phi, forces, worst.angle[None], angle, RING.curved())
+    assert skin_stress(q[0], worst.fibre, 5.0, 0.8) == pytest.approx(worst.stress, rel=1e-12)
+
+
+def test_stress_follows_force_and_size():
+    phi, forces = random_load(6)
+    one = peak_stress(phi, forces, RING).stress
+    assert peak_stress(phi, 3.0 * forces, RING).stress == pytest.approx(3.0 * one, rel=1e-12)
+    assert peak_stress(phi, forces, Ring(10.0, 1.6, 70e3, 0.3)).stress == pytest.approx(one / 4.0, rel=1e-9)
