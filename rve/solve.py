@@ -22,12 +22,12 @@ from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.states import LockedStates
-from rve.equilibrium.support import DeadLoad, solve_dead
+from rve.equilibrium.support import DeadLoad, solve_dead, strain_of
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import Work
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.pose import Pose
 from rve.table import StrainTable
@@ -199,9 +199,11 @@ def largest_table(
         states.unique[where] = rows.unique[where]
     status = np.where(left, "below", states.found.status).astype("<U16")
     states = replace(states, found=replace(states.found, status=status))
+    states = under_own_load(states, rows, mesh)
     table = table_rows(alpha, beta, cell, states.found, states.unique, sides_mm)
-    table.S[mixed] = np.where(left[mixed, None], np.nan, rows.S[mixed][:, weave_axes(cell)])
-    table = replace(table, states=under_own_load(states, rows, mesh), branch=rows.branch)
+    S = second_pk(deformation_gradient(strain_of(states.pose.take(mixed), mesh.sides)), states.s[mixed])
+    table.S[mixed] = np.where(left[mixed, None], np.nan, S[:, weave_axes(cell)])
+    table = replace(table, states=states, branch=rows.branch)
     return table, branch_record(table, first, rows, left, time.perf_counter() - began)
 
 

@@ -7,6 +7,7 @@ from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
 from rve.directions import graded_grid, grid
 from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
@@ -41,6 +42,12 @@ def test_two_states_in_balance(tmp_path):
     found = support(cell, S)
     assert found.h[0] == pytest.approx(double_dot(S, E), abs=1e-8)
     assert double_dot(S, first.E[0]) < found.h[0] - 5e-6
+    # Its state is locked under the Cauchy load that it carries in its own pose.
+    states = best.states
+    equations = Equations.of(states.cell.weave, cell.wire)
+    system = equations.assemble(states.pose, states.contacts, states.lam, states.s)
+    assert system.weighted_residual.max() < 1e-8
+    assert double_dot(states.s, states.s)[0] == pytest.approx(1.0, abs=1e-12)
     # S is what the Cauchy load gives on a mixture of two strains of equal work.
     angle = np.arctan2(S[1], S[0]) + np.array([-5e-3, 5e-3])
     other = support(cell, dyad(np.stack([np.cos(angle), np.sin(angle)], axis=1))).E
