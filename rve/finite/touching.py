@@ -1,0 +1,190 @@
+"""Contacts of a finite mesh: every local minimum of the distance of the centre circles of every near pair of rings.
+
+Lengths are in units of r1. Pairs are told by the key a n + b with a < b, so that what belongs to a pair is found again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rve.common.types import Array
+from rve.geometry.circles import Minima, are_linked, cross, dot, foot_on_circle, local_minima, tangent_frame
+
+Index = NDArray[np.intp]
+
+_CHUNK = 4096
+"""Pairs sampled together: their samples stay in the cache of a processor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Rings in space in units of r1: centres x (n, 3) and unit normals (n, 3)."""
+
+    x: Array
+    normal: Array
+
+    def moved(self, dx: Array, tilt: Array) -> Placed:
+        """Centres moved by dx (n, 3), normals turned by the exponential map of tilt (n, 2) in their tangent frames."""
+        e1, e2 = tangent_frame(self.normal)
+        omega = tilt[:, :1] * e1 + tilt[:, 1:] * e2
+        angle = np.sqrt(dot(omega, omega))[:, None]
+        normal = np.cos(angle) * self.normal + np.sinc(angle / np.pi) * cross(omega, self.normal)
+        return Placed(self.x + dx, normal / np.sqrt(dot(normal, normal))[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """Contacts of a placement.
+
+    a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
+    and b; gap (m,); deepest (p,): smallest gap of each pair, inf where it has none within reach.
+    """
+
+    a: Index
+    b: Index
+    key: Index
+    minima: Minima
+    fixed: NDArray[np.bool_]
+    gap: Array
+    deepest: Array
+
+    @property
+    def count(self) -> Index:
+        """Minima of each pair (p,)."""
+        return np.bincount(self.minima.pair, minlength=len(self.a))
+
+
+def near_pairs(x: Array, limit: float, linked: Index) -> tuple[Index, Index, Index]:
+    """a, b, key (p,) of all pairs of rings with centres nearer than 2 + limit, and of the linked pairs (m, 2)."""
+    n = len(x)
+    pairs = cKDTree(x).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
+    key = np.unique(np.concatenate([pairs.min(axis=1) * n + pairs.max(axis=1), linked[:, 0] * n + linked[:, 1]]))
+    return key // n, key % n, key
+
+
+def find_touching(placed: Placed, linked: Index, wire: float, reach: float) -> Touching:
+    """All contacts whose gap is below `reach` (r1); wire = r2/r1."""
+    limit = 2.0 * wire + reach
+    a, b, key = near_pairs(placed.x, limit, linked)
+    d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
+    parts = []
+    for first in range(0, len(a), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
+        parts.append(replace(found, pair=found.pair + first))
+    real = parts[0].joined(*parts[1:])
+    minima, fixed = with_neighbours(real, d, na, nb, limit)
+    gap = minima.distance - 2.0 * wire
+    deepest = np.full(len(a), np.inf)
+    np.minimum.at(deepest, minima.pair, gap)
+    return Touching(a, b, key, minima, fixed, gap, deepest)
+
+
+SOFT = -1
+ASIDE = (0.15, 0.4)
+
+
+def with_neighbours(minima: Minima, d: Array, na: Array, nb: Array, limit: float) -> tuple[Minima, NDArray[np.bool_]]:
+    """The minima and, beside each soft one, points of ring a at fixed angles to both sides; which are such points.
+
+    A soft minimum is about to split or has just merged; what is beside it will be the next one.
+    """
+    soft = minima.take(minima.curvature < SOFT)
+    tau = cross(na[soft.pair], soft.rho_a)
+    parts = [minima]
+    for angle in (*ASIDE, *(-a for a in ASIDE)):
+        rho_a = np.cos(angle) * soft.rho_a + np.sin(angle) * tau
+        rho_b = foot_on_circle(rho_a - d[soft.pair], nb[soft.pair], 1.0)
+        w = d[soft.pair] + rho_b - rho_a
+        distance = np.sqrt(dot(w, w))
+        parts.append(Minima(soft.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance))))
+    both = parts[0].joined(*parts[1:])
+    fixed = np.arange(len(both.pair)) >= len(minima.pair)
+    near = both.distance <= limit
+    both, fixed = both.take(near), fixed[near]
+    order = np.argsort(both.pair, kind="stable")
+    return both.take(order), fixed[order]
+
+
+def links_intact(placed: Placed, touching: Touching, linked_keys: Index) -> bool:
+    """Whether exactly the linked pairs interlink among all near pairs; far pairs cannot."""
+    a, b = touching.a, touching.b
+    found = are_linked(placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b], 1.0)
+    return bool((found == np.isin(touching.key, linked_keys)).all())
+
+
+def safe_parts(
+    touching: Touching, dx: Array, tilt: Array, wire: float, reach: float, share: float = 0.9
+) -> Array:
+    """The part of a step within which no wire can pass through another.
+
+    Two circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the largest way of a point
+    of one relative to the other. Outside of each other D >= 2 wire, so L < 4 wire is safe; `share` of it is allowed.
+    """
+    way = ways(touching, dx, tilt)
+    distance = np.minimum(touching.deepest + 2.0 * wire, 2.0 * wire + reach)
+    safe = share * (distance + np.minimum(distance, 2.0 * wire))
+    return np.minimum(1.0, safe / np.maximum(way, 1e-300))
+
+
+def ways(touching: Touching, dx: Array, tilt: Array) -> Array:
+    """The longest way (p,) of any point of ring b as seen from ring a, for every near pair."""
+    turn = np.sqrt((tilt**2).sum(axis=1))
+    between = dx[touching.b] - dx[touching.a]
+    return np.asarray(np.sqrt(dot(between, between)) + turn[touching.a] + turn[touching.b])
+
+
+def passes_through(before: Placed, after: Placed, near: Index, now: Index) -> bool:
+    """Whether rings that were not near could have passed through each other on the straight way.
+
+    near, now: sorted keys of the pairs that were near before and are near after. Circles that cross on the way have
+    centres that come within 2, so that the way relative to each other is at least what both ends are beyond 2.
+    """
+    n = len(before.x)
+    step = after.x - before.x
+    step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
+    longest = float(np.sqrt(dot(step, step)).max())
+    middle = 0.5 * (before.x + after.x)
+    pairs = cKDTree(middle).query_pairs(2.0 + longest, output_type="ndarray").astype(np.int64)
+    a, b = pairs.min(axis=1), pairs.max(axis=1)
+    rest = ~np.isin(a * n + b, near)
+    a, b = a[rest], b[rest]
+    way, d0, d1 = (u[b] - u[a] for u in (step, before.x, after.x))
+    beyond = np.maximum(np.sqrt(dot(d0, d0)) - 2.0, 0.0) + np.maximum(np.sqrt(dot(d1, d1)) - 2.0, 0.0)
+    return bool((dot(way, way) >= beyond**2).any())
+
+
+def handed_on(old: Touching, force: Array, new: Touching, fresh: Array) -> Array:
+    """Forces (m,) for new contacts: a pair's contacts keep theirs where their number stays.
+
+    Where it does not, the pair's total is shared out like `fresh` (m,), the forces of the central path; pairs that are
+    new take these.
+    """
+    place = np.minimum(np.searchsorted(old.key, new.key), len(old.key) - 1)
+    known = old.key[place] == new.key
+    total = np.where(known, np.bincount(old.minima.pair, force, minlength=len(old.key))[place], 0.0)
+    weight = np.bincount(new.minima.pair, fresh, minlength=len(new.key))
+    pair = new.minima.pair
+    shared = np.where(total[pair] > 0.0, total[pair] * fresh / np.maximum(weight[pair], 1e-300), fresh)
+    same = known & (np.where(known, old.count[place], 0) == new.count)
+    first_old = np.concatenate([[0], np.cumsum(old.count)])[place]
+    # every old contact of the pair against every new one; the nearest gives its force
+    rows = np.flatnonzero(same[pair])
+    count = new.count[pair[rows]]
+    mine = np.repeat(rows, count)
+    rank = np.arange(len(mine)) - np.repeat(np.cumsum(count) - count, count)
+    other = first_old[pair[mine]] + rank
+    between = new.minima.rho_a[mine] - old.minima.rho_a[other]
+    distance = dot(between, between)
+    order = np.lexsort((distance, mine))
+    heir = other[order][np.concatenate([[True], np.diff(mine[order]) > 0])] if len(order) else rows
+    used = np.bincount(heir, minlength=len(force))
+    once = np.bincount(pair[rows], used[heir] == 1, minlength=len(new.key)) == new.count
+    good = once[pair[rows]]
+    out = np.where(known[pair], shared, fresh)
+    out[rows[good]] = force[heir[good]]
+    return np.asarray(out)
