@@ -25,6 +25,7 @@ from rve.finite.touching import (
     handed_on,
     safe_parts,
     links_intact,
+    nearest,
     passes_through,
     ways,
 )
@@ -46,13 +47,13 @@ class FiniteOptions:
     tolerance: float = 1e-8
     mu_start: float = 0.1
     mu_end: float = 1e-10
-    shrink: float = 0.2
-    power: float = 1.4
+    shrink: float = 0.3
+    power: float = 1.15
     reach: float = 0.6
     step: float = 0.3
     max_iterations: int = 1000
     method: str = "auto"
-    patience: int = 60
+    patience: int = 25
     calm: float = 0.02
 
 
@@ -115,7 +116,7 @@ def solve_rings(
     """Placement, contacts, forces, why it stopped, history."""
     factorize = Factorizer(options.method)
     touching = find_touching(start, task.linked, task.wire, options.reach)
-    lift = np.maximum(0.0, 0.1 * task.wire - np.minimum(touching.deepest, 1.0))
+    lift = np.where(touching.deepest > 0.0, 0.0, 0.1 * task.wire - np.minimum(touching.deepest, 0.0))
     mu = options.mu_start
     state = _State(start, touching, lift, np.zeros(len(touching.gap)), mu, 1e-3, np.zeros(len(touching.key)))
     state = replace(state, force=central(state.gap, mu * state.share, options.reach))
@@ -223,10 +224,23 @@ def _advanced(
         dlam = (mus * (1.0 - gap / reach) - lam * gap) / gap - stiff * dgap
         slope = -float((np.where(task.free, rhs, 0.0) * q).sum())
         safe = safe_parts(con, dx, tilt, task.wire, reach)
-        length = float(safe.min())
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reachable = np.where(dgap < 0.0, -0.995 * gap / dgap, 1.0)
+        length = min(float(safe.min()), float(reachable.min(initial=1.0)))
         while length > 1e-9:
             trials += 1
-            new, why, bad = _tried(state, task, length * q, length, lowered, options)
+            step = length * q
+            new, why, bad = _tried(state, task, step, length, lowered, options)
+            for _ in range(2):
+                if why != "gap":
+                    break
+                miss = _missed(state, bad, length * (dgap + lowered[pair]))
+                back = spread(con, G, -stiff * miss, n)
+                step = step + solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
+                trials += 1
+                new, why, bad = _tried(state, task, step, length, lowered, options)
+            if why == "gap":
+                bad = bad.key[(bad.deepest <= 0.0)]
             if new is not None:
                 if moving or _fell(state, new, now, length * slope, task, options):
                     break
@@ -269,10 +283,10 @@ def _advanced(
 
 
 def _tried(
-    state: _State, task: Task, q: Array, length: float, lowered: Array, options: FiniteOptions
+    state: _State, task: Task, step: Array, length: float, lowered: Array, options: FiniteOptions
 ):
     """The state after a part of the step, or None if rings overlap, unlink or may have passed through each other."""
-    dx, tilt = length * q[:, :3], length * q[:, 3:]
+    dx, tilt = step[:, :3], step[:, 3:]
     placed = state.placed.moved(dx, tilt)
     con = find_touching(placed, task.linked, task.wire, options.reach)
     old = state.touching
@@ -282,7 +296,7 @@ def _tried(
     kept = state.lift - length * lowered
     lift[known] = kept[place[known]]
     # pairs that are near at both ends: no wire has passed through another
-    way = length * ways(old, q[:, :3], q[:, 3:])
+    way = ways(old, dx, tilt)
     back = np.minimum(np.searchsorted(con.key, old.key), len(con.key) - 1)
     both = con.key[back] == old.key
     limit = 2.0 * task.wire + options.reach
@@ -292,9 +306,8 @@ def _tried(
         return None, 'way', con.key[:0]
     before = np.where(known, np.minimum((old.deepest + state.lift)[place], 1.0), 1.0)
     slack = con.deepest + lift
-    if (slack < 0.01 * np.minimum(before, options.reach)).any():
-        w = np.flatnonzero(slack < 0.01 * np.minimum(before, options.reach))
-        return None, 'gap', con.key[w]
+    if (slack < 0.002 * np.minimum(before, options.reach)).any():
+        return None, 'gap', con
     if not links_intact(placed, con, task.keys):
         return None, 'link', con.key[:0]
     if passes_through(state.placed, placed, old.key, con.key):
@@ -326,3 +339,11 @@ def _correction(old: _State, new: _State, options: FiniteOptions) -> float:
     changed = (a.key[place] == b.key) & (a.count[place] != b.count) & (a.count[place] > 0) & (b.count > 0)
     i = place[changed]
     return float(new.mu * ((s1[changed] - s0[i]) - (t1[changed] - t0[i])).sum())
+
+
+def _missed(state, new, linear):
+    """By how much the gaps (m,) at a trial differ from their linear forecast; 0 where a pair's minima changed."""
+    heir, far = nearest(state.touching, new)
+    good = (heir >= 0) & (far < 0.1)
+    miss = new.gap[heir] - state.touching.gap - linear
+    return np.where(good, np.minimum(miss, 0.0), 0.0)

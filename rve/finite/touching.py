@@ -77,37 +77,65 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float) -> T
         found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
         parts.append(replace(found, pair=found.pair + first))
     real = parts[0].joined(*parts[1:])
-    minima, fixed = with_neighbours(real, d, na, nb, limit)
+    minima, fixed = with_neighbours(real, d, na, nb, wire, limit)
     gap = minima.distance - 2.0 * wire
     deepest = np.full(len(a), np.inf)
     np.minimum.at(deepest, minima.pair, gap)
     return Touching(a, b, key, minima, fixed, gap, deepest)
 
 
-SOFT = -1
-ASIDE = (0.15, 0.4)
+SOFT = 0.3
+FLAT = 100.0
+NEXT = 3.0
 
 
-def with_neighbours(minima: Minima, d: Array, na: Array, nb: Array, limit: float) -> tuple[Minima, NDArray[np.bool_]]:
+def with_neighbours(
+    minima: Minima, d: Array, na: Array, nb: Array, wire: float, limit: float
+) -> tuple[Minima, NDArray[np.bool_]]:
     """The minima and, beside each soft one, points of ring a at fixed angles to both sides; which are such points.
 
     A soft minimum is about to split or has just merged; what is beside it will be the next one.
     """
-    soft = minima.take(minima.curvature < SOFT)
-    tau = cross(na[soft.pair], soft.rho_a)
+    gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
+    stiff = np.maximum(minima.curvature, 0.0) / minima.distance
+    soft = (minima.curvature < SOFT) & (stiff**2 < FLAT * gap)
+    rows = minima.take(soft)
+    t, g = stiff[soft], gap[soft]
+    aside = np.minimum(np.sqrt(np.sqrt(t * t + 4.0 * NEXT * g) - t), 0.4)
+    tau = cross(na[rows.pair], rows.rho_a)
     parts = [minima]
-    for angle in (*ASIDE, *(-a for a in ASIDE)):
-        rho_a = np.cos(angle) * soft.rho_a + np.sin(angle) * tau
-        rho_b = foot_on_circle(rho_a - d[soft.pair], nb[soft.pair], 1.0)
-        w = d[soft.pair] + rho_b - rho_a
+    for sign in (1.0, -1.0):
+        c, s = np.cos(aside)[:, None], sign * np.sin(aside)[:, None]
+        rho_a = c * rows.rho_a + s * tau
+        rho_b = foot_on_circle(rho_a - d[rows.pair], nb[rows.pair], 1.0)
+        w = d[rows.pair] + rho_b - rho_a
         distance = np.sqrt(dot(w, w))
-        parts.append(Minima(soft.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance))))
+        parts.append(Minima(rows.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance))))
     both = parts[0].joined(*parts[1:])
     fixed = np.arange(len(both.pair)) >= len(minima.pair)
     near = both.distance <= limit
     both, fixed = both.take(near), fixed[near]
     order = np.argsort(both.pair, kind="stable")
     return both.take(order), fixed[order]
+
+
+def nearest(old: Touching, new: Touching) -> tuple[Index, Array]:
+    """For each contact of `old` (m,) the nearest one of the same pair in `new`, -1 where there is none; how far."""
+    place = np.minimum(np.searchsorted(new.key, old.key), len(new.key) - 1)
+    count = np.where(new.key[place] == old.key, new.count[place], 0)
+    first = np.concatenate([[0], np.cumsum(new.count)])[place]
+    pair = old.minima.pair
+    repeat = count[pair]
+    mine = np.repeat(np.arange(len(pair)), repeat)
+    rank = np.arange(len(mine)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
+    other = first[pair[mine]] + rank
+    between = new.minima.rho_a[other] - old.minima.rho_a[mine]
+    distance = dot(between, between)
+    order = np.lexsort((distance, mine))
+    best = order[np.concatenate([[True], np.diff(mine[order]) > 0])] if len(order) else order
+    out, far = np.full(len(pair), -1), np.full(len(pair), np.inf)
+    out[mine[best]], far[mine[best]] = other[best], distance[best]
+    return out, far
 
 
 def links_intact(placed: Placed, touching: Touching, linked_keys: Index) -> bool:
@@ -171,17 +199,9 @@ def handed_on(old: Touching, force: Array, new: Touching, fresh: Array) -> Array
     pair = new.minima.pair
     shared = np.where(total[pair] > 0.0, total[pair] * fresh / np.maximum(weight[pair], 1e-300), fresh)
     same = known & (np.where(known, old.count[place], 0) == new.count)
-    first_old = np.concatenate([[0], np.cumsum(old.count)])[place]
-    # every old contact of the pair against every new one; the nearest gives its force
+    found, _ = nearest(new, old)
     rows = np.flatnonzero(same[pair])
-    count = new.count[pair[rows]]
-    mine = np.repeat(rows, count)
-    rank = np.arange(len(mine)) - np.repeat(np.cumsum(count) - count, count)
-    other = first_old[pair[mine]] + rank
-    between = new.minima.rho_a[mine] - old.minima.rho_a[other]
-    distance = dot(between, between)
-    order = np.lexsort((distance, mine))
-    heir = other[order][np.concatenate([[True], np.diff(mine[order]) > 0])] if len(order) else rows
+    heir = found[rows]
     used = np.bincount(heir, minlength=len(force))
     once = np.bincount(pair[rows], used[heir] == 1, minlength=len(new.key)) == new.count
     good = once[pair[rows]]
