@@ -320,7 +320,7 @@ def _tried(
 def _fell(old: _State, new: _State, before: float, slope: float, task: Task, options: FiniteOptions) -> bool:
     """Whether the barrier function fell enough; pairs whose number of minima changed count by their deepest alone."""
     after = potential(new, task, options) + _correction(old, new, options)
-    return after <= before + 1e-4 * slope + 1e-13 * abs(before)
+    return after <= before + 1e-4 * slope + 1e-11 * (1.0 + abs(before))
 
 
 def _correction(old: _State, new: _State, options: FiniteOptions) -> float:
