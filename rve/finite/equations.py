@@ -67,15 +67,28 @@ def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Ar
     return out
 
 
-def metric(touching: Touching, weight: Array) -> Array:
-    """Blocks (p, 10, 10) that measure how far linked rings move relative to each other, and how far they turn."""
-    one = np.zeros((10, 10))
+def metric(weight: Array) -> Array:
+    """Blocks (p, 10, 10) that measure, by pair, how far two rings move relative to each other and how far they turn."""
+    one = np.zeros((2 * BLOCK, 2 * BLOCK))
     for k in range(3):
-        one[k, k] = one[5 + k, 5 + k] = 1.0
-        one[k, 5 + k] = one[5 + k, k] = -1.0
-    for k in (3, 4, 8, 9):
-        one[k, k] = 0.5
+        one[k, k] = one[BLOCK + k, BLOCK + k] = 1.0
+        one[k, BLOCK + k] = one[BLOCK + k, k] = -1.0
+    for k in (3, 4):
+        one[k, k] = one[BLOCK + k, BLOCK + k] = 0.5
     return weight[:, None, None] * one
+
+
+def pair_vectors(touching: Touching, q: Array) -> Array:
+    """The unknowns (p, 10) of both rings of each pair, of q (n, 5)."""
+    return np.concatenate([q[touching.a], q[touching.b]], axis=1)
+
+
+def times(touching: Touching, pairs: Array, q: Array, n: int) -> Array:
+    """The product (n, 5) of the matrix of blocks (p, 10, 10) with q (n, 5)."""
+    w = np.matmul(pairs, pair_vectors(touching, q)[:, :, None])[:, :, 0]
+    columns = [np.bincount(touching.a, w[:, k], minlength=n) for k in range(BLOCK)]
+    others = [np.bincount(touching.b, w[:, BLOCK + k], minlength=n) for k in range(BLOCK)]
+    return np.asarray(np.stack(columns, axis=1) + np.stack(others, axis=1))
 
 
 def matrix(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.bool_]) -> sparse.csc_matrix:

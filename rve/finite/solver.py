@@ -3,63 +3,85 @@
 Minimise -f.x subject to gap >= 0 at every local minimum of every near pair. Contacts follow force gap = mu (1 - gap/R)
 as mu -> 0, so that a contact at the reach R has no force and enters smoothly. Lengths are in units of r1, forces in
 units of the load's mean force on a link, so that mu is relative.
+
+Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel to
+their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected once for what was
+missed; where that is not enough, the two rings of the pair are damped against each other, and only they.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, blocks, gradients, matrix, metric, spread
-from rve.finite.factor import Factorizer
+from rve.finite.equations import BLOCK, blocks, gradients, matrix, metric, pair_vectors, spread, times
+from rve.finite.factor import Factorizer, Solve
 from rve.finite.touching import (
     Index,
     Placed,
     Touching,
     find_touching,
     handed_on,
-    safe_parts,
+    is_passage_safe,
     links_intact,
     nearest,
-    passes_through,
-    ways,
+    of_pairs,
+    safe_parts,
 )
 
+SENTENCES = {
+    "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
+    "out-of-reach": "held rings did not reach their places: the mesh locks before; move the supports closer together",
+    "stalled": "no step leads further down; start from another disturbance, or allow a larger residual",
+    "iterations": "the limit of iterations was reached before the residual; allow more iterations",
+}
+
 _SOFT = 1e-10
-WHY=[]
+"""Stiffness of every coordinate: rings that nothing touches stay where they are."""
+_IDLE = 1e-6
+"""Contacts with less force than this part of mu do without curvature."""
+_TRIES = 7
+"""Times a step is damped pair by pair before it is shortened."""
+_FARTHEST = 0.995
+"""Part of a gap that the linear forecast of a step may close."""
+_LEAST = 0.002
+"""Part of a pair's gap that must be left after a step."""
 
 
 @dataclass(frozen=True)
 class FiniteOptions:
     """Options of `FiniteMesh.solve`; lengths in units of r1, forces in units of the mean force on a link.
 
-    mu_start, mu_end: first and last product of force and gap; shrink, power: mu falls to the lesser of shrink mu and
-    mu^power. tolerance: of the Karush-Kuhn-Tucker residual. reach: gap beyond which a contact is not looked at.
-    step: largest way of held rings in one iteration. method: "cholmod", "superlu" or "auto". patience: iterations
-    without progress after which mu falls all the same.
+    tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
+    power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
+    ring, or after `patience` iterations without progress. reach: gap beyond which a contact has no force. step: largest
+    way of a held ring in one iteration. method: "cholmod", "superlu", or "auto" for the first that is installed.
+    disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
 
     tolerance: float = 1e-8
     mu_start: float = 0.1
-    mu_end: float = 1e-10
+    mu_end: float = 1e-9
     shrink: float = 0.3
     power: float = 1.15
+    calm: float = 0.2
+    patience: int = 12
     reach: float = 0.6
     step: float = 0.3
     max_iterations: int = 1000
     method: str = "auto"
-    patience: int = 25
-    calm: float = 0.02
+    disturbance: float = 0.01
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is solved: linked pairs (m, 2), wire, dead forces (n, 3), held coordinates (n, 3) and where, free (n, 5)."""
+    """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
+    free coordinates (n, 5)."""
 
     linked: Index
     wire: float
@@ -75,275 +97,338 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
-    placed: Placed
-    touching: Touching
-    lift: Array
-    force: Array
-    mu: float
-    damping: float
-    local: Array
-
-    @property
-    def share(self) -> Array:
-        return shares_of(self.touching)
-
-    @property
-    def gap(self) -> Array:
-        """Gaps with what overlapping pairs are still allowed."""
-        return self.touching.gap + self.lift[self.touching.minima.pair]
-
-
-@dataclass(frozen=True, eq=False)
 class Record:
-    """One iteration: mu, residual of the forces, part of the step taken, damping, contacts, trials, factors."""
+    """One iteration: mu, unbalanced force over load, Newton decrement, part of the step taken, damping, and how many
+    contacts, trials and factors it had."""
 
     mu: float
     residual: float
-    off: float
+    decrement: float
     length: float
     damping: float
     contacts: int
     trials: int
     factors: int
-    lifted: float
-    decrement: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where the rings are, their contacts and forces (m,), status, whether the matrix there is positive definite."""
+
+    placed: Placed
+    touching: Touching
+    force: Array
+    status: str
+    is_minimum: bool
+    residual: float
+    history: tuple[Record, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it."""
+
+    placed: Placed
+    touching: Touching
+    force: Array
+    mu: float
+    damping: float
+    local: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A Newton step q (n, 5), forecast of the gaps and forces, slope of the barrier function along it."""
+
+    q: Array
+    dgap: Array
+    dforce: Array
+    slope: float
+    solve: Solve
+
+
+@dataclass
+class _Work:
+    """Counts of one iteration, and the damping as it is raised."""
+
+    damping: float
+    local: Array
+    trials: int = 0
+    factors: int = 0
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """The equations of an iterate: gap gradients, stiffness of contacts, blocks, right-hand side, held step (n, 5)."""
+
+    G: Array
+    stiff: Array
+    blocks: Array
+    rhs: Array
+    held: Array
+    heavy: Array
+    barrier: float
+    is_moving: bool = field(default=False)
 
 
 def solve_rings(
     task: Task, start: Placed, options: FiniteOptions, say: Callable[[Record], None] | None = None
-) -> tuple[Placed, Touching, Array, str, list[Record]]:
-    """Placement, contacts, forces, why it stopped, history."""
+) -> Found:
+    """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
     factorize = Factorizer(options.method)
     touching = find_touching(start, task.linked, task.wire, options.reach)
-    lift = np.where(touching.deepest > 0.0, 0.0, 0.1 * task.wire - np.minimum(touching.deepest, 0.0))
-    mu = options.mu_start
-    state = _State(start, touching, lift, np.zeros(len(touching.gap)), mu, 1e-3, np.zeros(len(touching.key)))
-    state = replace(state, force=central(state.gap, mu * state.share, options.reach))
+    force = central(touching.gap, options.mu_start, options.reach)
+    state = _State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
     history: list[Record] = []
-    idle, best = 0, np.inf
+    idle, best, status, is_minimum = 0, np.inf, "iterations", False
     for _ in range(options.max_iterations):
         G = gradients(state.placed, state.touching)
-        residual, off = _measure(state, task, G, options)
-        there = bool(np.abs(np.where(task.held, task.at - state.placed.x, 0.0)).max(initial=0.0) < 1e-13)
-        there = there and not state.lift.any()
-        if there and state.mu <= options.mu_end and residual < 1e-9 and off < options.mu_end * 10:
-            return state.placed, state.touching, state.force, "converged", history
-        merit = max(residual, off)
-        idle = 0 if merit < 0.9 * best else idle + 1
-        best = min(best, merit)
-        calm = history and 0 < history[-1].decrement < options.calm * state.mu * len(state.force) and history[-1].mu == state.mu
-        if there and (merit < 10.0 * state.mu or calm or idle >= options.patience):
-            mu = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
-            state, idle, best = replace(state, mu=mu), 0, np.inf
-        state, record = _advanced(state, task, G, options, factorize)
-        history.append(replace(record, residual=residual, off=off))
+        residual, product = kkt(state.touching, G, state.force, task)
+        has_arrived = _way_to_go(state, task) < 1e-12
+        if has_arrived and is_minimum and max(residual, product) < options.tolerance and state.mu <= options.mu_end:
+            status = "converged"
+            break
+        merit = max(residual, product)
+        idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
+        if has_arrived and (_is_calm(history, state, options) or idle >= options.patience):
+            lower = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
+            state, idle, best = replace(state, mu=lower), 0, np.inf
+        state, record, is_minimum = _advanced(state, task, G, options, factorize)
+        history.append(replace(record, residual=residual))
         if say is not None:
             say(history[-1])
-        if len(history) > 40 and all(one.length < 1e-6 for one in history[-25:]):
-            return state.placed, state.touching, state.force, "stalled", history
-    return state.placed, state.touching, state.force, "iterations", history
+        if _is_stuck(history):
+            status = "stalled" if has_arrived else "out-of-reach"
+            break
+    G = gradients(state.placed, state.touching)
+    residual = max(kkt(state.touching, G, state.force, task))
+    return Found(state.placed, state.touching, state.force, status, is_minimum, residual, tuple(history))
 
 
-SOFT_FROM = 0.3
-
-
-def shares_of(con: Touching) -> Array:
-    """Parts (m,) of mu: two minima of a pair that are about to merge count half each."""
-    double = con.count[con.minima.pair] >= 2
-    t = np.clip(con.minima.curvature / SOFT_FROM, 0.0, 1.0)
-    return np.where(double, 1.0 + 0 * t, 1.0)
-
-
-def central(gap: Array, mu: Array | float, reach: float) -> Array:
-    """Forces on the central path."""
+def central(gap: Array, mu: float, reach: float) -> Array:
+    """Forces (m,) on the central path, a little more than none where a gap is at the reach."""
     return np.asarray(mu * np.maximum(1.0 / gap - 1.0 / reach, 1e-8))
 
 
-def _measure(state: _State, task: Task, G: Array, options: FiniteOptions) -> tuple[float, float]:
-    """Largest unbalanced force on a free coordinate, and largest distance of force gap from the central path."""
-    out = spread(state.touching, G, state.force, len(task.force))
+def kkt(touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, float]:
+    """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
+    out = spread(touching, G, force, len(task.force))
     out[:, :3] += task.force
-    gap = state.gap
-    off = np.abs(state.force * gap - state.mu * state.share * np.maximum(1.0 - gap / options.reach, 0.0)).max(initial=0.0)
-    return float(np.abs(np.where(task.free, out, 0.0)).max()), float(off)
+    unbalanced = np.abs(np.where(task.free, out, 0.0)).sum()
+    return float(unbalanced / np.abs(task.force).sum()), float((force * touching.gap).sum() / len(task.linked))
 
 
-def potential(state: _State, task: Task, options: FiniteOptions) -> float:
-    gap = np.minimum(state.gap / options.reach, 1.0)
-    return float(-(task.force * state.placed.x).sum() + state.mu * (state.share * (gap - 1.0 - np.log(gap))).sum())
+def _way_to_go(state: _State, task: Task) -> float:
+    return float(np.abs(np.where(task.held, task.at - state.placed.x, 0.0)).max(initial=0.0))
+
+
+def _is_calm(history: list[Record], state: _State, options: FiniteOptions) -> bool:
+    """Whether the last step of Newton's method at this mu could have gained next to nothing."""
+    if not history or history[-1].mu != state.mu:
+        return False
+    return 0.0 <= history[-1].decrement < options.calm * state.mu * len(state.placed.x)
+
+
+def _is_stuck(history: list[Record]) -> bool:
+    return len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:])
+
+
+def _barrier(placed: Placed, touching: Touching, task: Task, mu: float, reach: float) -> float:
+    gap = np.minimum(touching.gap / reach, 1.0)
+    return float(-(task.force * placed.x).sum() + mu * (gap - 1.0 - np.log(gap)).sum())
+
+
+def _linearized(state: _State, task: Task, G: Array, options: FiniteOptions) -> _Linear:
+    con, gap, mu, reach = state.touching, state.touching.gap, state.mu, options.reach
+    stiff = (state.force + mu / reach) / gap
+    rhs = spread(con, G, mu * (1.0 / gap - 1.0 / reach), len(task.force))
+    rhs[:, :3] += task.force
+    K = blocks(state.placed, con, G, stiff, state.force, _IDLE * mu)
+    way = np.where(task.held, task.at - state.placed.x, 0.0)
+    far = float(np.sqrt((way**2).sum(axis=1)).max(initial=0.0))
+    held = np.zeros((len(way), BLOCK))
+    held[:, :3] = way * min(1.0, options.step / max(far, 1e-300))
+    # Damping is measured in the force that a pair carries: pairs near supports need more of it.
+    carried = np.bincount(con.minima.pair, state.force, minlength=len(con.key))
+    heavy = np.maximum(carried, 0.1 * mu * np.isin(con.key, task.keys))
+    barrier = _barrier(state.placed, con, task, mu, reach)
+    return _Linear(G, stiff, K, rhs, held, heavy, barrier, far > 0.0)
+
+
+def _newton(
+    state: _State, task: Task, line: _Linear, options: FiniteOptions, factorize: Factorizer, work: _Work
+) -> _Step | None:
+    """The step of the damped equations, with more damping where their matrix is not positive definite."""
+    con, n = state.touching, len(task.force)
+    while True:
+        K = line.blocks + metric(line.heavy * (work.damping + work.local))
+        push = line.rhs - times(con, K, line.held, n) if line.is_moving else line.rhs
+        solve = factorize(matrix(con, K, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
+        work.factors += 1
+        if solve is not None:
+            break
+        if work.damping > 1e8:
+            return None
+        work.damping = max(1e-3, 5.0 * work.damping)
+    q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)
+    q = np.where(task.free, q, 0.0) + line.held
+    gap = con.gap
+    dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
+    dforce = (state.mu * (1.0 - gap / options.reach) - state.force * gap) / gap - line.stiff * dgap
+    slope = -float((np.where(task.free, line.rhs, 0.0) * q).sum())
+    return _Step(q, dgap, dforce, slope, solve)
 
 
 def _advanced(
     state: _State, task: Task, G: Array, options: FiniteOptions, factorize: Factorizer
-) -> tuple[_State, Record]:
-    mu, reach = state.mu, options.reach
-    con, gap, lam = state.touching, state.gap, state.force
-    pair = con.minima.pair
-    n = len(task.force)
-    mus = mu * state.share
-    stiff = (lam + mus / reach) / gap
-    lowered = 0.9 * state.lift
-    pull = mus * (1.0 / gap - 1.0 / reach) + stiff * lowered[pair]
-    rhs = spread(con, G, pull, n)
-    rhs[:, :3] += task.force
-    K = blocks(state.placed, con, G, stiff, lam, 1e-6 * mu)
-    held = np.where(task.held, task.at - state.placed.x, 0.0)
-    far = np.sqrt((held**2).sum(axis=1)).max(initial=0.0)
-    held = held * min(1.0, options.step / max(far, 1e-300))
-    full = np.zeros((n, BLOCK))
-    full[:, :3] = held
-    weight = np.bincount(pair, lam, minlength=len(con.key))
-    heavy = np.maximum(weight, 0.1 * mu * np.isin(con.key, task.keys))
-    damping, local, factors, trials, new, length = state.damping, state.local.copy(), 0, 0, None, 1.0
-    now = potential(state, task, options)
-    moving = far > 0.0 or bool(state.lift.any())
-    for attempt in range(8):
-        while True:
-            shifted = K + metric(con, heavy * (damping + local))
-            if far > 0.0:
-                v = np.concatenate([full[con.a], full[con.b]], axis=1)
-                w = np.matmul(shifted, v[:, :, None])[:, :, 0]
-                push = rhs.copy()
-                for k in range(BLOCK):
-                    push[:, k] -= np.bincount(con.a, w[:, k], minlength=n) + np.bincount(con.b, w[:, 5 + k], minlength=n)
-            else:
-                push = rhs
-            A = matrix(con, shifted, np.full((n, BLOCK), _SOFT + 1e-6 * damping), task.free)
-            solve = factorize(A)
-            factors += 1
-            if solve is not None or damping > 1e8:
-                break
-            damping = max(1e-3, 5.0 * damping)
-        if solve is None:
-            return state, Record(mu, 0.0, 0.0, 0.0, damping, len(lam), 0, factors, 0.0)
-        q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)
-        q = np.where(task.free, q, 0.0) + full
-        dx, tilt = q[:, :3], q[:, 3:]
-        dgap = (G * np.concatenate([q[con.a], q[con.b]], axis=1)[pair]).sum(axis=1) - lowered[pair]
-        dlam = (mus * (1.0 - gap / reach) - lam * gap) / gap - stiff * dgap
-        slope = -float((np.where(task.free, rhs, 0.0) * q).sum())
-        safe = safe_parts(con, dx, tilt, task.wire, reach)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reachable = np.where(dgap < 0.0, -0.995 * gap / dgap, 1.0)
-        length = min(float(safe.min()), float(reachable.min(initial=1.0)))
-        while length > 1e-9:
-            trials += 1
-            step = length * q
-            new, why, bad = _tried(state, task, step, length, lowered, options)
-            for _ in range(2):
-                if why != "gap":
-                    break
-                miss = _missed(state, bad, length * (dgap + lowered[pair]))
-                back = spread(con, G, -stiff * miss, n)
-                step = step + solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
-                trials += 1
-                new, why, bad = _tried(state, task, step, length, lowered, options)
-            if why == "gap":
-                bad = bad.key[(bad.deepest <= 0.0)]
-            if new is not None:
-                if moving or _fell(state, new, now, length * slope, task, options):
-                    break
-                new, why = None, "rise"
-            WHY.append(why)
-            if why == "gap" and attempt < 7:
-                break
-            if why == "rise" and attempt < 7 and length < 0.3:
-                damping = max(4 * damping, 1e-3)
-                break
-            length *= 0.5
+) -> tuple[_State, Record, bool]:
+    """The next iterate, its record, and whether the matrix was positive definite without damping."""
+    line = _linearized(state, task, G, options)
+    work = _Work(state.damping, state.local.copy())
+    new, step, length = None, None, 0.0
+    for attempt in range(_TRIES + 1):
+        step = _newton(state, task, line, options, factorize, work)
+        if step is None:
+            break
+        new, length = _searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
         if new is not None:
             break
-        if why == "gap":
-            place = np.minimum(np.searchsorted(con.key, bad), len(con.key) - 1)
-            rows = place[con.key[place] == bad]
-            local[rows] = np.maximum(8.0 * local[rows], 1.0)
-            if len(rows) < len(bad) or not len(rows):
-                damping = max(4 * damping, 1e-2)
-    tight = safe < 0.5
-    local[tight] = np.maximum(2.0 * local[tight], 0.1)
-    local[~tight] *= 0.4
-    local[local < 1e-3] = 0.0
-    if new is None:
-        return replace(state, damping=max(10.0 * damping, 1e-6)), Record(
-            mu, 0.0, 0.0, 0.0, damping, len(lam), trials, factors, 0.0
-        )
+    is_minimum = work.factors == 1 and state.damping < 1e-6 and state.local.max(initial=0.0) < 1e-2
+    if step is None or new is None:
+        damping = max(10.0 * work.damping, 1e-6)
+        record = Record(state.mu, 0.0, -1.0, 0.0, damping, len(state.force), work.trials, work.factors)
+        return replace(state, damping=min(damping, 1e9)), record, False
+    record = Record(
+        state.mu, 0.0, -step.slope, length, work.damping, len(state.force), work.trials, work.factors
+    )
+    return _accepted(state, new, step, length, options, work), record, is_minimum
+
+
+def _searched(
+    state: _State,
+    task: Task,
+    line: _Linear,
+    step: _Step,
+    options: FiniteOptions,
+    work: _Work,
+    *,
+    is_last: bool,
+) -> tuple[_State | None, float]:
+    """The iterate after the longest good part of the step; None where more damping was asked for instead."""
+    con, gap = state.touching, state.touching.gap
+    safe = safe_parts(con, step.q, task.wire, options.reach)
     with np.errstate(divide="ignore", invalid="ignore"):
-        longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(initial=1.0)
-    lam = lam + min(longest, length) * dlam
-    fresh = central(new.gap, mu * new.share, reach)
-    lam = handed_on(con, lam, new.touching, fresh)
-    lam = np.clip(lam, 1e-6 * fresh, 1e6 * mu / new.gap)
-    damping = 0.3 * damping if length > 0.3 else damping
-    damping = damping if damping > 1e-9 else 0.0
-    place = np.minimum(np.searchsorted(con.key, new.touching.key), len(con.key) - 1)
-    local = np.where(con.key[place] == new.touching.key, local[place], 0.0)
-    new = replace(new, force=lam, damping=damping, local=local)
-    return new, Record(mu, 0.0, 0.0, length, damping, len(lam), trials, factors, float(new.lift.max(initial=0.0)), -slope)
+        open_ = np.where(step.dgap < 0.0, -_FARTHEST * gap / step.dgap, 1.0)
+    length = min(1.0, float(safe.min()), float(open_.min(initial=1.0)))
+    new = None
+    while length > 1e-9:
+        new, bad = _corrected(state, task, line, step, length, options, work)
+        if new is not None and not line.is_moving and not _fell(state, new, line, length * step.slope, task, options):
+            new, work.why = None, "rise"
+        if new is not None:
+            break
+        if work.why == "gap" and not is_last:
+            _damp_pairs(con, bad, work)
+            return None, 0.0
+        if work.why == "rise" and not is_last and length < 0.3:
+            work.damping = max(4.0 * work.damping, 1e-3)
+            return None, 0.0
+        length *= 0.5
+    tight = safe < 0.5
+    work.local = np.where(tight, np.maximum(2.0 * work.local, 0.1), 0.4 * work.local)
+    work.local[work.local < 1e-3] = 0.0
+    return new, length
 
 
-def _tried(
-    state: _State, task: Task, step: Array, length: float, lowered: Array, options: FiniteOptions
-):
-    """The state after a part of the step, or None if rings overlap, unlink or may have passed through each other."""
-    dx, tilt = step[:, :3], step[:, 3:]
-    placed = state.placed.moved(dx, tilt)
-    con = find_touching(placed, task.linked, task.wire, options.reach)
+def _damp_pairs(con: Touching, bad: Index, work: _Work) -> None:
+    """More damping for the pairs whose gaps would close; for all where one of them was not near before."""
+    rows = of_pairs(con.key, bad)
+    known = rows >= 0
+    work.local[rows[known]] = np.maximum(8.0 * work.local[rows[known]], 1.0)
+    if not known.all() or not len(bad):
+        work.damping = max(4.0 * work.damping, 1e-2)
+
+
+def _corrected(
+    state: _State, task: Task, line: _Linear, step: _Step, length: float, options: FiniteOptions, work: _Work
+) -> tuple[_State | None, Index]:
+    """The iterate after a part of the step, corrected up to twice for gaps that fell short of the forecast.
+
+    None where it is no good; then the keys of the pairs whose gaps would close.
+    """
+    con, n = state.touching, len(task.force)
+    q = length * step.q
+    for turn in range(3):
+        work.trials += 1
+        placed = state.placed.moved(q)
+        found = find_touching(placed, task.linked, task.wire, options.reach)
+        work.why = _fault(state, task, placed, found, q, options)
+        if not work.why:
+            return replace(state, placed=placed, touching=found), found.key[:0]
+        if work.why != "gap" or turn == 2:
+            break
+        missed = _missed(con, found, length * step.dgap)
+        back = spread(con, line.G, -line.stiff * missed, n)
+        q = q + step.solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
+    return None, found.key[found.deepest <= 0.0]
+
+
+def _fault(
+    state: _State, task: Task, placed: Placed, found: Touching, q: Array, options: FiniteOptions
+) -> str:
+    """What is wrong with a trial: "way", "gap", "link", or nothing."""
     old = state.touching
-    lift = np.zeros(len(con.key))
-    place = np.minimum(np.searchsorted(old.key, con.key), len(old.key) - 1)
-    known = old.key[place] == con.key
-    kept = state.lift - length * lowered
-    lift[known] = kept[place[known]]
-    # pairs that are near at both ends: no wire has passed through another
-    way = ways(old, dx, tilt)
-    back = np.minimum(np.searchsorted(con.key, old.key), len(con.key) - 1)
-    both = con.key[back] == old.key
-    limit = 2.0 * task.wire + options.reach
-    d0 = np.minimum(old.deepest + 2.0 * task.wire, limit)
-    d1 = np.where(both, np.minimum(con.deepest[back] + 2.0 * task.wire, limit), limit)
-    if (way >= d0 + d1).any():
-        return None, 'way', con.key[:0]
-    before = np.where(known, np.minimum((old.deepest + state.lift)[place], 1.0), 1.0)
-    slack = con.deepest + lift
-    if (slack < 0.002 * np.minimum(before, options.reach)).any():
-        return None, 'gap', con
-    if not links_intact(placed, con, task.keys):
-        return None, 'link', con.key[:0]
-    if passes_through(state.placed, placed, old.key, con.key):
-        return None, 'pass', con.key[:0]
-    lift = np.clip(0.5 * np.minimum(slack, 1.0) - np.minimum(con.deepest, 1.0), 0.0, lift)
-    lift[lift < 1e-14] = 0.0
-    return _State(placed, con, lift, np.zeros(0), state.mu, state.damping, np.zeros(len(con.key))), "", con
+    if not is_passage_safe(state.placed, old, placed, found, q, task.wire, options.reach):
+        return "way"
+    rows = of_pairs(old.key, found.key)
+    before = np.where(rows >= 0, np.minimum(old.deepest[rows], options.reach), options.reach)
+    if (found.deepest < _LEAST * before).any():
+        return "gap"
+    return "" if links_intact(placed, found, task.keys) else "link"
 
 
-def _fell(old: _State, new: _State, before: float, slope: float, task: Task, options: FiniteOptions) -> bool:
-    """Whether the barrier function fell enough; pairs whose number of minima changed count by their deepest alone."""
-    after = potential(new, task, options) + _correction(old, new, options)
-    return after <= before + 1e-4 * slope + 1e-11 * (1.0 + abs(before))
+def _missed(old: Touching, found: Touching, forecast: Array) -> Array:
+    """By how much gaps (m,) fall short of their linear forecast, <= 0; 0 where a contact has gone."""
+    heir, far = nearest(old, found)
+    short = np.minimum(found.gap[heir] - old.gap - forecast, 0.0)
+    return np.where((heir >= 0) & (far < 0.1), short, 0.0)
 
 
-def _correction(old: _State, new: _State, options: FiniteOptions) -> float:
-    """What the barrier rose by because minima split, merged, appeared or vanished, to be left out."""
+def _fell(old: _State, new: _State, line: _Linear, slope: float, task: Task, options: FiniteOptions) -> bool:
+    """Whether the barrier function fell enough, to rounding."""
+    after = _barrier(new.placed, new.touching, task, old.mu, options.reach)
+    after += old.mu * _split(old.touching, new.touching, options.reach)
+    return after <= line.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(line.barrier))
 
-    def per_pair(state: _State) -> tuple[Array, Array]:
-        g = np.minimum(state.gap / options.reach, 1.0)
-        value = g - 1.0 - np.log(g)
-        total = np.bincount(state.touching.minima.pair, value, minlength=len(state.touching.key))
-        d = np.minimum((state.touching.deepest + state.lift) / options.reach, 1.0)
+
+def _split(old: Touching, new: Touching, reach: float) -> float:
+    """What the barrier rose by where the number of a pair's contacts changed, its deepest one left out, negative."""
+
+    def parts(con: Touching) -> tuple[Array, Array]:
+        g, d = (np.minimum(x / reach, 1.0) for x in (con.gap, con.deepest))
+        total = np.bincount(con.minima.pair, g - 1.0 - np.log(g), minlength=len(con.key))
         return total, d - 1.0 - np.log(d)
 
-    (t0, s0), (t1, s1) = per_pair(old), per_pair(new)
-    a, b = old.touching, new.touching
-    place = np.minimum(np.searchsorted(a.key, b.key), len(a.key) - 1)
-    changed = (a.key[place] == b.key) & (a.count[place] != b.count) & (a.count[place] > 0) & (b.count > 0)
-    i = place[changed]
-    return float(new.mu * ((s1[changed] - s0[i]) - (t1[changed] - t0[i])).sum())
+    (all_old, one_old), (all_new, one_new) = parts(old), parts(new)
+    i = of_pairs(old.key, new.key)
+    changed = (i >= 0) & (old.count[i] != new.count) & (old.count[i] > 0) & (new.count > 0)
+    i = i[changed]
+    return float(((one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])).sum())
 
 
-def _missed(state, new, linear):
-    """By how much the gaps (m,) at a trial differ from their linear forecast; 0 where a pair's minima changed."""
-    heir, far = nearest(state.touching, new)
-    good = (heir >= 0) & (far < 0.1)
-    miss = new.gap[heir] - state.touching.gap - linear
-    return np.where(good, np.minimum(miss, 0.0), 0.0)
+def _accepted(
+    state: _State, new: _State, step: _Step, length: float, options: FiniteOptions, work: _Work
+) -> _State:
+    """The new iterate with its forces and the damping for the next step."""
+    force = state.force
+    with np.errstate(divide="ignore", invalid="ignore"):
+        longest = np.where(step.dforce < 0.0, -0.99 * force / step.dforce, np.inf).min(initial=1.0)
+    force = force + min(float(longest), length) * step.dforce
+    fresh = central(new.touching.gap, state.mu, options.reach)
+    force = handed_on(state.touching, force, new.touching, fresh)
+    force = np.clip(force, 1e-6 * fresh, 1e6 * state.mu / new.touching.gap)
+    damping = 0.3 * work.damping if length > 0.3 else work.damping
+    rows = of_pairs(state.touching.key, new.touching.key)
+    local = np.where(rows >= 0, work.local[rows], 0.0)
+    return replace(new, force=force, damping=damping if damping > 1e-9 else 0.0, local=local)

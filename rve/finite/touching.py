@@ -27,13 +27,14 @@ class Placed:
     x: Array
     normal: Array
 
-    def moved(self, dx: Array, tilt: Array) -> Placed:
-        """Centres moved by dx (n, 3), normals turned by the exponential map of tilt (n, 2) in their tangent frames."""
+    def moved(self, q: Array) -> Placed:
+        """Rings after the step q (n, 5): centres move by the first three, normals turn by the exponential map of the
+        last two in their tangent frames."""
         e1, e2 = tangent_frame(self.normal)
-        omega = tilt[:, :1] * e1 + tilt[:, 1:] * e2
+        omega = q[:, 3:4] * e1 + q[:, 4:] * e2
         angle = np.sqrt(dot(omega, omega))[:, None]
         normal = np.cos(angle) * self.normal + np.sinc(angle / np.pi) * cross(omega, self.normal)
-        return Placed(self.x + dx, normal / np.sqrt(dot(normal, normal))[:, None])
+        return Placed(self.x + q[:, :3], normal / np.sqrt(dot(normal, normal))[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,45 +146,58 @@ def links_intact(placed: Placed, touching: Touching, linked_keys: Index) -> bool
     return bool((found == np.isin(touching.key, linked_keys)).all())
 
 
-def safe_parts(
-    touching: Touching, dx: Array, tilt: Array, wire: float, reach: float, share: float = 0.9
-) -> Array:
-    """The part of a step within which no wire can pass through another.
-
-    Two circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the largest way of a point
-    of one relative to the other. Outside of each other D >= 2 wire, so L < 4 wire is safe; `share` of it is allowed.
-    """
-    way = ways(touching, dx, tilt)
-    distance = np.minimum(touching.deepest + 2.0 * wire, 2.0 * wire + reach)
-    safe = share * (distance + np.minimum(distance, 2.0 * wire))
-    return np.minimum(1.0, safe / np.maximum(way, 1e-300))
-
-
-def ways(touching: Touching, dx: Array, tilt: Array) -> Array:
-    """The longest way (p,) of any point of ring b as seen from ring a, for every near pair."""
-    turn = np.sqrt((tilt**2).sum(axis=1))
-    between = dx[touching.b] - dx[touching.a]
+def ways(touching: Touching, q: Array) -> Array:
+    """The longest way (p,) of any point of ring b as seen from ring a in the step q (n, 5), for every near pair."""
+    turn = np.sqrt((q[:, 3:] ** 2).sum(axis=1))
+    between = q[touching.b, :3] - q[touching.a, :3]
     return np.asarray(np.sqrt(dot(between, between)) + turn[touching.a] + turn[touching.b])
 
 
-def passes_through(before: Placed, after: Placed, near: Index, now: Index) -> bool:
-    """Whether rings that were not near could have passed through each other on the straight way.
+def safe_parts(touching: Touching, q: Array, wire: float, reach: float, share: float = 0.9) -> Array:
+    """The part (p,) of a step within which no wire of a pair can pass through the other.
 
-    near, now: sorted keys of the pairs that were near before and are near after. Circles that cross on the way have
-    centres that come within 2, so that the way relative to each other is at least what both ends are beyond 2.
+    Circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the longest way of a point of
+    one as seen from the other. D(1) >= 2 wire, so less than D(0) + 2 wire is safe; `share` of it is allowed.
     """
+    distance = np.minimum(touching.deepest, reach) + 2.0 * wire
+    return np.asarray(np.minimum(1.0, share * (distance + 2.0 * wire) / np.maximum(ways(touching, q), 1e-300)))
+
+
+def is_passage_safe(
+    before: Placed, old: Touching, after: Placed, new: Touching, q: Array, wire: float, reach: float
+) -> bool:
+    """Whether no ring can have passed through another on the straight way of the step q (n, 5); see `safe_parts`.
+
+    Pairs that were not near: circles that cross on the way have centres that come within 2, so that their way relative
+    to each other is at least what both ends are beyond 2.
+    """
+    limit = 2.0 * wire + reach
+    start = np.minimum(old.deepest + 2.0 * wire, limit)
+    rows = of_pairs(new.key, old.key)
+    end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * wire, limit), limit)
+    if (ways(old, q) >= start + np.maximum(end, 2.0 * wire)).any():
+        return False
+    return not _far_pairs_meet(before, after, old.key)
+
+
+def _far_pairs_meet(before: Placed, after: Placed, near: Index) -> bool:
     n = len(before.x)
     step = after.x - before.x
     step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
     longest = float(np.sqrt(dot(step, step)).max())
-    middle = 0.5 * (before.x + after.x)
-    pairs = cKDTree(middle).query_pairs(2.0 + longest, output_type="ndarray").astype(np.int64)
+    pairs = cKDTree(0.5 * (before.x + after.x)).query_pairs(2.0 + longest, output_type="ndarray").astype(np.int64)
     a, b = pairs.min(axis=1), pairs.max(axis=1)
-    rest = ~np.isin(a * n + b, near)
-    a, b = a[rest], b[rest]
+    far = of_pairs(near, a * n + b) < 0
+    a, b = a[far], b[far]
     way, d0, d1 = (u[b] - u[a] for u in (step, before.x, after.x))
     beyond = np.maximum(np.sqrt(dot(d0, d0)) - 2.0, 0.0) + np.maximum(np.sqrt(dot(d1, d1)) - 2.0, 0.0)
     return bool((dot(way, way) >= beyond**2).any())
+
+
+def of_pairs(keys: Index, asked: Index) -> Index:
+    """Rows (k,) of the pairs `asked` (k,) among sorted keys, -1 where a pair is not among them."""
+    place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
+    return np.where(keys[place] == asked, place, -1)
 
 
 def handed_on(old: Touching, force: Array, new: Touching, fresh: Array) -> Array:
