@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from rve.directions import grid as grid
     from rve.directions import read_loads as read_loads
     from rve.equilibrium.interior_point import DirectOptions as DirectOptions
+    from rve.finite.layout import FiniteMesh as FiniteMesh
+    from rve.finite.layout import cell_of_sides as cell_of_sides
+    from rve.finite.solution import FiniteSolution as FiniteSolution
+    from rve.finite.solver import FiniteOptions as FiniteOptions
     from rve.geometry.cell import Cell as Cell
     from rve.geometry.kinematics import cauchy_line_load as cauchy_line_load
     from rve.geometry.kinematics import deformation_gradient as deformation_gradient
@@ -29,6 +33,9 @@ if TYPE_CHECKING:
 _MODULES = {
     "Cell": "rve.geometry.cell",
     "DirectOptions": "rve.equilibrium.interior_point",
+    "FiniteMesh": "rve.finite.layout",
+    "FiniteOptions": "rve.finite.solver",
+    "FiniteSolution": "rve.finite.solution",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
     "NotConverged": "rve.common.errors",
@@ -36,6 +43,7 @@ _MODULES = {
     "WEAVES": "rve.geometry.weave",
     "Weave": "rve.geometry.weave",
     "cauchy_line_load": "rve.geometry.kinematics",
+    "cell_of_sides": "rve.finite.layout",
     "deformation_gradient": "rve.geometry.kinematics",
     "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
@@ -52,12 +60,16 @@ __all__ = [
     "WEAVES",
     "Cell",
     "DirectOptions",
+    "FiniteMesh",
+    "FiniteOptions",
+    "FiniteSolution",
     "InputError",
     "LoadDirections",
     "NotConverged",
     "StrainTable",
     "Weave",
     "cauchy_line_load",
+    "cell_of_sides",
     "deformation_gradient",
     "graded_grid",
     "green_lagrange",

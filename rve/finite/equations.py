@@ -52,7 +52,9 @@ def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Ar
     curved = np.flatnonzero(force > idle)
     minima = touching.minima.take(curved)
     rows = pair[curved]
-    H = distance_hessian(minima, placed.normal[touching.a[rows]], placed.normal[touching.b[rows]], 1.0, touching.fixed[curved])
+    H = distance_hessian(
+        minima, placed.normal[touching.a[rows]], placed.normal[touching.b[rows]], 1.0, touching.fixed[curved]
+    )
     frame = np.stack(tangent_frame(placed.normal), axis=2)
     B = np.zeros((len(curved), 9, 10))
     for k in range(3):

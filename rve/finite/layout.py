@@ -1,14 +1,15 @@
 """A finite piece of mesh: which rings it has, which of them interlink, what area each one stands for.
 
-Rings sit at the lattice points of the reference cell that lie inside an outline. A rectangle of whole cells has rings of
-class 0 on its corners and along its edges. A ring stands for the part of its brick that lies inside the outline: bricks
+Rings sit at the lattice points of the reference cell that lie inside an outline. A rectangle of whole cells has rings
+of class 0 on its corners and along its edges. A ring stands for the part of its brick that lies inside the outline: bricks
 of b_x by b_y / (rings per cell), centred on the rings, tile the plane. So weight and outline are those of the membrane.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,18 @@ from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import Pose, start_pose
+from rve.geometry.weave import WEAVES
 from rve.localization.poses import shares, weave_sides
 from rve.localization.rings import axes_of_weave
+
+if TYPE_CHECKING:
+    from rve.finite.solution import FiniteSolution
+    from rve.finite.solver import FiniteOptions, Record
 
 Index = NDArray[np.intp]
 
 MOST_RINGS = 1_000_000
 _SAMPLES = 8
-_TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +53,6 @@ class FiniteMesh:
     linked: Index
     sides: tuple[float, float]
     hang_deg: float = 0.0
-    offset: Array = field(default_factory=lambda: np.zeros(2), repr=False)
 
     @classmethod
     def rectangle(cls, cell: Cell, columns: int, rows: int) -> FiniteMesh:
@@ -85,7 +89,7 @@ class FiniteMesh:
         linked = _linked(cell, index)
         _check_rings(index, linked)
         area = _areas(X, cell, border, gaps, np.array(sides), axes)
-        return cls(cell, X, index, area, linked, (sides[0], sides[1]), hang_deg, origin)
+        return cls(cell, X, index, area, linked, (sides[0], sides[1]), hang_deg)
 
     @property
     def mass(self) -> Array:
@@ -102,6 +106,53 @@ class FiniteMesh:
         normal = pose.normals[0, self.index[:, 0]]
         zero = np.zeros(len(flat))
         return np.column_stack([flat, zero]), np.column_stack([normal[:, :2] @ axes.T, normal[:, 2]])
+
+    def solve(
+        self,
+        force: Array,
+        held: NDArray[np.bool_],
+        at: Array,
+        *,
+        space: bool = True,
+        options: FiniteOptions | None = None,
+        say: Callable[[Record], None] | None = None,
+    ) -> FiniteSolution:
+        """The rings under dead forces (n, 3) in N, coordinates `held` (n, 3) kept at the places `at` (n, 3) in mm.
+
+        In space, or with all centres in the plane z = 0. Starts from the slack weave; a local minimum of the potential
+        is found, which need not be the lowest. An answer that has not converged is returned with its status; `say` is
+        told of every iteration. InputError for other shapes, no load, and pieces that nothing holds.
+
+        >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+        >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
+        >>> force[:, 1] = -9.81 * mesh.mass
+        >>> mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False).status
+        'converged'
+        """
+        from rve.finite.solution import solve_mesh
+
+        return solve_mesh(self, force, held, at, space=space, options=options, say=say)
+
+
+def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:
+    """The cell of rings with these radii whose reference cell has the sides b_x, b_y, all in mm: weave and grain.
+
+    InputError if no weave has.
+
+    >>> cell = cell_of_sides(5.0, 0.5, (11.0, 12.646069623526))
+    >>> cell.weave.name, cell.grain
+    ('4-in-1', 'y')
+    """
+    for weave in WEAVES.values():
+        for grain in ("y", "x"):
+            if r1 / r2 > weave.jamming_ratio:
+                cell = Cell(r1, r2, weave, grain)
+                own = _user_sides(cell, weave_sides(cell, DirectOptions()))
+                if np.allclose([r1 * side for side in own], sides, rtol=1e-4):
+                    return cell
+    raise InputError(
+        f"a reference cell of {sides[0]:g} x {sides[1]:g} mm is that of no known weave with r1 = {r1:g}, r2 = {r2:g} mm"
+    )
 
 
 def _user_sides(cell: Cell, sides: tuple[float, float]) -> tuple[float, float]:

@@ -4,8 +4,8 @@ Minimise -f.x subject to gap >= 0 at every local minimum of every near pair. Con
 as mu -> 0, so that a contact at the reach R has no force and enters smoothly. Lengths are in units of r1, forces in
 units of the load's mean force on a link, so that mu is relative.
 
-Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel to
-their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected once for what was
+Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel
+to their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected once for what was
 missed; where that is not enough, the two rings of the pair are damped against each other, and only they.
 """
 
@@ -299,9 +299,7 @@ def _advanced(
         damping = max(10.0 * work.damping, 1e-6)
         record = Record(state.mu, 0.0, -1.0, 0.0, damping, len(state.force), work.trials, work.factors)
         return replace(state, damping=min(damping, 1e9)), record, False
-    record = Record(
-        state.mu, 0.0, -step.slope, length, work.damping, len(state.force), work.trials, work.factors
-    )
+    record = Record(state.mu, 0.0, -step.slope, length, work.damping, len(state.force), work.trials, work.factors)
     return _accepted(state, new, step, length, options, work), record, is_minimum
 
 
@@ -374,9 +372,7 @@ def _corrected(
     return None, found.key[found.deepest <= 0.0]
 
 
-def _fault(
-    state: _State, task: Task, placed: Placed, found: Touching, q: Array, options: FiniteOptions
-) -> str:
+def _fault(state: _State, task: Task, placed: Placed, found: Touching, q: Array, options: FiniteOptions) -> str:
     """What is wrong with a trial: "way", "gap", "link", or nothing."""
     old = state.touching
     if not is_passage_safe(state.placed, old, placed, found, q, task.wire, options.reach):
@@ -408,7 +404,7 @@ def _split(old: Touching, new: Touching, reach: float) -> float:
     def parts(con: Touching) -> tuple[Array, Array]:
         g, d = (np.minimum(x / reach, 1.0) for x in (con.gap, con.deepest))
         total = np.bincount(con.minima.pair, g - 1.0 - np.log(g), minlength=len(con.key))
-        return total, d - 1.0 - np.log(d)
+        return np.asarray(total), d - 1.0 - np.log(d)
 
     (all_old, one_old), (all_new, one_new) = parts(old), parts(new)
     i = of_pairs(old.key, new.key)
@@ -417,9 +413,7 @@ def _split(old: Touching, new: Touching, reach: float) -> float:
     return float(((one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])).sum())
 
 
-def _accepted(
-    state: _State, new: _State, step: _Step, length: float, options: FiniteOptions, work: _Work
-) -> _State:
+def _accepted(state: _State, new: _State, step: _Step, length: float, options: FiniteOptions, work: _Work) -> _State:
     """The new iterate with its forces and the damping for the next step."""
     force = state.force
     with np.errstate(divide="ignore", invalid="ignore"):
