@@ -1,8 +1,9 @@
 """A finite piece of mesh: which rings it has, which of them interlink, what area each one stands for.
 
 Rings sit at the lattice points of the reference cell that lie inside an outline. A rectangle of whole cells has rings
-of class 0 on its corners and along its edges. A ring stands for the part of its brick that lies inside the outline: bricks
-of b_x by b_y / (rings per cell), centred on the rings, tile the plane. So weight and outline are those of the membrane.
+of class 0 on its corners and along its edges. A ring stands for the part of its brick that lies inside the outline:
+bricks of b_x by b_y / (rings per cell), centred on the rings, tile the plane. So weight and outline are those of the
+membrane.
 """
 
 from __future__ import annotations

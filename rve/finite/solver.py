@@ -5,7 +5,7 @@ as mu -> 0, so that a contact at the reach R has no force and enters smoothly. L
 units of the load's mean force on a link, so that mu is relative.
 
 Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel
-to their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected once for what was
+to their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected for what was
 missed; where that is not enough, the two rings of the pair are damped against each other, and only they.
 """
 
