@@ -36,8 +36,8 @@ class Comparison:
         """Numbers side by side: lengths in mm, forces in N, line loads in N/mm of reference length.
 
         shape_distance_mm: root mean square, over the reference area, of the distance of the rings' centres from the
-        points of the membrane that belong to them. line_load_distance: of P averaged over `ACROSS` x `ACROSS` cells, relative to
-        the root mean square of the membrane's.
+        points of the membrane that belong to them. line_load_distance: of P averaged over `ACROSS` x `ACROSS` cells,
+        relative to the root mean square of the membrane's.
         """
         disk, solution = self.disk, self.solution
         height = float(np.ptp(self.rings.mesh.X[:, 1]))
@@ -114,8 +114,8 @@ class Comparison:
         weight = disk.problem.disc.weight.reshape(disk.problem.disc.n_quad, -1).sum(axis=0)
         P = cell_mean(disk.problem.disc, disk.P).reshape(len(weight), -1)
         total = np.bincount(cells, weight, minlength=n)
-        theirs = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.T], axis=1)
-        theirs /= np.maximum(total, 1e-300)[:, None]
+        sums = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.T], axis=1)
+        theirs = sums / np.maximum(total, 1e-300)[:, None]
         there = (area > 0.0) & (total > 0.0)
         away = ours[:, :2].reshape(n, 4) - theirs[:, :4]
         own = area[there] @ (away[there] ** 2).sum(axis=1) + area[there] @ (ours[there, 2] ** 2).sum(axis=1)

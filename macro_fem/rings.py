@@ -1,4 +1,4 @@
-"""A scene solved ring by ring: the finite mesh of its outline under its loads and supports, and the files of the answer.
+"""A scene solved ring by ring: the finite mesh of its outline, its loads and supports, and the files of the answer.
 
 Supports and live loads are those of a finite-element mesh with one cell per reference cell of the weave: what it holds
 or loads at a node goes to the nearest ring. A rectangle of whole cells has a ring at every such node. The weight of a

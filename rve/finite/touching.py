@@ -73,7 +73,7 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float) -> T
     a, b, key = near_pairs(placed.x, limit, linked)
     d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
     parts = []
-    for first in range(0, len(a), _CHUNK):
+    for first in range(0, max(len(a), 1), _CHUNK):
         rows = slice(first, first + _CHUNK)
         found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
         parts.append(replace(found, pair=found.pair + first))
@@ -196,6 +196,8 @@ def _far_pairs_meet(before: Placed, after: Placed, near: Index) -> bool:
 
 def of_pairs(keys: Index, asked: Index) -> Index:
     """Rows (k,) of the pairs `asked` (k,) among sorted keys, -1 where a pair is not among them."""
+    if not len(keys):
+        return np.full(len(asked), -1)
     place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
     return np.where(keys[place] == asked, place, -1)
 
