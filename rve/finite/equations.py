@@ -96,7 +96,8 @@ def times(touching: Touching, pairs: Array, q: Array, n: int) -> Array:
 def matrix(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.bool_]) -> sparse.csc_matrix:
     """The symmetric matrix (5 n, 5 n) of blocks of pairs (p, 10, 10) and a diagonal (n, 5); free (n, 5)."""
     n = len(free)
-    a, b = touching.a, touching.b
+    felt = np.flatnonzero(pairs.any(axis=(1, 2)))  # pairs without contact stay out of the pattern
+    a, b, pairs = touching.a[felt], touching.b[felt], pairs[felt]
     own = np.zeros((n, BLOCK, BLOCK))
     for rings, part in ((a, pairs[:, :BLOCK, :BLOCK]), (b, pairs[:, BLOCK:, BLOCK:])):
         flat = part.reshape(len(part), -1)

@@ -51,6 +51,9 @@ _FARTHEST = 0.995
 _LEAST = 0.002
 """Part of a pair's gap that must be left after a step."""
 
+_NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
+"""Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
+
 
 @dataclass(frozen=True)
 class FiniteOptions:
@@ -194,6 +197,8 @@ def solve_rings(
         if has_arrived and (_is_calm(history, state, options) or idle >= options.patience):
             lower = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
             state, idle, best = replace(state, mu=lower), 0, np.inf
+            state, options = _nearer(state, task, options)
+            G = gradients(state.placed, state.touching)
         state, record, is_minimum = _advanced(state, task, G, options, factorize)
         history.append(replace(record, residual=residual))
         if say is not None:
@@ -204,6 +209,19 @@ def solve_rings(
     G = gradients(state.placed, state.touching)
     residual = max(kkt(state.touching, G, state.force, task))
     return Found(state.placed, state.touching, state.force, status, is_minimum, residual, tuple(history))
+
+
+def _nearer(state: _State, task: Task, options: FiniteOptions) -> tuple[_State, FiniteOptions]:
+    """The state with the contacts that count at its mu: the smaller mu, the nearer they are."""
+    part = next(part for least, part in _NEARER if state.mu >= least)
+    reach = min(options.reach, part)
+    if reach == options.reach:
+        return state, options
+    con = find_touching(state.placed, task.linked, task.wire, reach)
+    force = handed_on(state.touching, state.force, con, central(con.gap, state.mu, reach))
+    rows = of_pairs(state.touching.key, con.key)
+    local = np.where(rows >= 0, state.local[rows], 0.0)
+    return replace(state, touching=con, force=force, local=local), replace(options, reach=reach)
 
 
 def central(gap: Array, mu: float, reach: float) -> Array:
