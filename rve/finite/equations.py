@@ -100,7 +100,7 @@ def matrix(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.b
     a, b, pairs = touching.a[felt], touching.b[felt], pairs[felt]
     own = np.zeros((n, BLOCK, BLOCK))
     for rings, part in ((a, pairs[:, :BLOCK, :BLOCK]), (b, pairs[:, BLOCK:, BLOCK:])):
-        flat = part.reshape(len(part), -1)
+        flat = part.reshape(len(part), BLOCK * BLOCK)
         for k in range(BLOCK * BLOCK):
             own.reshape(n, -1)[:, k] += np.bincount(rings, flat[:, k], minlength=n)
     own[:, np.arange(BLOCK), np.arange(BLOCK)] += diagonal
