@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from rve import Cell, FiniteMesh, FiniteOptions, InputError, cell_of_sides
+from rve import Cell, FiniteMesh, FiniteOptions, InputError, cell_of_sides, solve_table
 from rve.finite.equations import blocks, gradients, matrix, spread, times
 from rve.finite.factor import Factorizer
 from rve.finite.touching import Placed, find_touching, is_passage_safe, links_intact
@@ -304,3 +304,45 @@ def test_bad_outlines_are_refused():
     ):
         with pytest.raises(InputError, match=says):
             call()
+
+
+def edge_loads(mesh, P):
+    """Forces (n, 3) of the line load P = diag(P1, P2) in N/mm on the four edges of a rectangle of whole cells."""
+    force = np.zeros((len(mesh.X), 3))
+    low, high = mesh.X.min(axis=0), mesh.X.max(axis=0)
+    for axis, load in enumerate(P):
+        other = 1 - axis
+        side = mesh.sides[other]
+        for end, sign in ((low, -1.0), (high, 1.0)):
+            edge = np.isclose(mesh.X[:, axis], end[axis])
+            at_corner = np.isclose(mesh.X[:, other], low[other]) | np.isclose(mesh.X[:, other], high[other])
+            force[edge, axis] += sign * load * side * np.where(at_corner[edge], 0.5, 1.0)
+    return force
+
+
+@pytest.mark.slow
+def test_far_from_its_edges_a_mesh_has_the_strain_of_the_cell():
+    mesh = FiniteMesh.rectangle(Cell(), 8, 8)
+    locked = solve_table(Cell(), ([0.0], [45.0]))
+    F = np.array([locked.x2_mm[0, 0] / mesh.sides[0], locked.x3_mm[0, 1] / mesh.sides[1]])
+    force = edge_loads(mesh, F[::-1] * np.sqrt(0.5))
+    middle = 0.5 * (mesh.X.min(axis=0) + mesh.X.max(axis=0))
+    row = np.flatnonzero(np.isclose(mesh.X[:, 1], middle[1]))
+    held = np.zeros((len(mesh.X), 3), dtype=bool)
+    held[row[len(row) // 2], :2] = held[row[0], 1] = True
+    solution = mesh.solve(force, held, np.column_stack([mesh.X, np.zeros(len(mesh.X))]), space=False)
+    check(solution)
+    inner = (np.abs(mesh.X - middle) < 2.1 * np.array(mesh.sides)).all(axis=1) & (mesh.index[:, 0] == 0)
+    assert inner.sum() == 25
+    X, x = mesh.X[inner] - mesh.X[inner].mean(axis=0), solution.centre[inner, :2]
+    found = np.linalg.lstsq(X, x - x.mean(axis=0), rcond=None)[0].T
+    E = 0.5 * (found.T @ found - np.eye(2))
+    assert np.abs(E - np.diag(0.5 * (F**2 - 1.0))).max() < 1e-3
+
+
+def test_hung_along_the_grain_the_inner_columns_keep_their_height():
+    mesh = FiniteMesh.rectangle(Cell(), 10, 2)
+    solution = mesh.solve(*hung(mesh, top_of(mesh)), space=False)
+    check(solution)
+    inner = np.abs(mesh.X[:, 0] - mesh.X[:, 0].mean()) < 1.1 * mesh.sides[0]
+    assert solution.centre[inner, 1] == pytest.approx(mesh.X[inner, 1], abs=2.5e-3)
