@@ -84,7 +84,7 @@ class FiniteOptions:
 @dataclass(frozen=True, eq=False)
 class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
-    free coordinates (n, 5)."""
+    free coordinates (n, 5); beside: whether points beside soft minima are constraints too."""
 
     linked: Index
     wire: float
@@ -92,6 +92,7 @@ class Task:
     held: NDArray[np.bool_]
     at: Array
     free: NDArray[np.bool_]
+    beside: bool = True
 
     @property
     def keys(self) -> Index:
@@ -180,7 +181,7 @@ def solve_rings(
 ) -> Found:
     """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
     factorize = Factorizer(options.method)
-    touching = find_touching(start, task.linked, task.wire, options.reach)
+    touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
     force = central(touching.gap, options.mu_start, options.reach)
     state = _State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
     history: list[Record] = []
@@ -195,6 +196,10 @@ def solve_rings(
         merit = max(residual, product)
         idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
         if has_arrived and (_is_calm(history, state, options) or idle >= options.patience):
+            if state.mu <= options.mu_end and idle >= options.patience:
+                # Points beside a minimum move with it and may keep a last residual: the end goes without them.
+                task = replace(task, beside=not task.beside)
+                state = _found_again(state, task, options.reach)
             lower = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
             state, idle, best = replace(state, mu=lower), 0, np.inf
             state, options = _nearer(state, task, options)
@@ -217,11 +222,15 @@ def _nearer(state: _State, task: Task, options: FiniteOptions) -> tuple[_State, 
     reach = min(options.reach, part)
     if reach == options.reach:
         return state, options
-    con = find_touching(state.placed, task.linked, task.wire, reach)
+    return _found_again(state, task, reach), replace(options, reach=reach)
+
+
+def _found_again(state: _State, task: Task, reach: float) -> _State:
+    """The state with its contacts looked for again, forces handed on."""
+    con = find_touching(state.placed, task.linked, task.wire, reach, beside=task.beside)
     force = handed_on(state.touching, state.force, con, central(con.gap, state.mu, reach))
     rows = of_pairs(state.touching.key, con.key)
-    local = np.where(rows >= 0, state.local[rows], 0.0)
-    return replace(state, touching=con, force=force, local=local), replace(options, reach=reach)
+    return replace(state, touching=con, force=force, local=np.where(rows >= 0, state.local[rows], 0.0))
 
 
 def central(gap: Array, mu: float, reach: float) -> Array:
@@ -378,7 +387,7 @@ def _corrected(
     for turn in range(3):
         work.trials += 1
         placed = state.placed.moved(q)
-        found = find_touching(placed, task.linked, task.wire, options.reach)
+        found = find_touching(placed, task.linked, task.wire, options.reach, beside=task.beside)
         work.why = _fault(state, task, placed, found, q, options)
         if not work.why:
             return replace(state, placed=placed, touching=found), found.key[:0]

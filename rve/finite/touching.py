@@ -67,8 +67,8 @@ def near_pairs(x: Array, limit: float, linked: Index) -> tuple[Index, Index, Ind
     return key // n, key % n, key
 
 
-def find_touching(placed: Placed, linked: Index, wire: float, reach: float) -> Touching:
-    """All contacts whose gap is below `reach` (r1); wire = r2/r1."""
+def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, beside: bool = True) -> Touching:
+    """All contacts whose gap is below `reach` (r1), and points beside soft ones; wire = r2/r1."""
     limit = 2.0 * wire + reach
     a, b, key = near_pairs(placed.x, limit, linked)
     d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
@@ -78,7 +78,9 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float) -> T
         found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
         parts.append(replace(found, pair=found.pair + first))
     real = parts[0].joined(*parts[1:])
-    minima, fixed = with_neighbours(real, d, na, nb, wire, limit)
+    minima, fixed = real, np.zeros(len(real.pair), dtype=bool)
+    if beside:
+        minima, fixed = with_neighbours(real, d, na, nb, wire, limit)
     gap = minima.distance - 2.0 * wire
     deepest = np.full(len(a), np.inf)
     np.minimum.at(deepest, minima.pair, gap)
