@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rve.equilibrium.interior_point import DirectOptions as DirectOptions
     from rve.finite.layout import FiniteMesh as FiniteMesh
     from rve.finite.layout import cell_of_sides as cell_of_sides
+    from rve.finite.records import FiniteOptions as FiniteOptions
     from rve.finite.solution import FiniteSolution as FiniteSolution
-    from rve.finite.solver import FiniteOptions as FiniteOptions
     from rve.geometry.cell import Cell as Cell
     from rve.geometry.kinematics import cauchy_line_load as cauchy_line_load
     from rve.geometry.kinematics import deformation_gradient as deformation_gradient
@@ -34,7 +34,7 @@ _MODULES = {
     "Cell": "rve.geometry.cell",
     "DirectOptions": "rve.equilibrium.interior_point",
     "FiniteMesh": "rve.finite.layout",
-    "FiniteOptions": "rve.finite.solver",
+    "FiniteOptions": "rve.finite.records",
     "FiniteSolution": "rve.finite.solution",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",

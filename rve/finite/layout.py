@@ -25,8 +25,8 @@ from rve.localization.poses import shares, weave_sides
 from rve.localization.rings import axes_of_weave
 
 if TYPE_CHECKING:
+    from rve.finite.records import FiniteOptions, Record
     from rve.finite.solution import FiniteSolution
-    from rve.finite.solver import FiniteOptions, Record
 
 Index = NDArray[np.intp]
 

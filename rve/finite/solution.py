@@ -17,7 +17,8 @@ from rve.common.errors import InputError, require
 from rve.common.types import Array
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
-from rve.finite.solver import SENTENCES, FiniteOptions, Found, Record, Task, solve_rings
+from rve.finite.records import SENTENCES, FiniteOptions, Found, Record, Task
+from rve.finite.solver import solve_rings
 from rve.finite.touching import Placed, find_touching, links_intact
 from rve.geometry.circles import tangent_frame
 from rve.localization.files import LINE, write_ring_vtu
