@@ -115,7 +115,8 @@ def solve_rings(
             break
         merit = max(residual, product)
         idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
-        if has_arrived and (_is_calm(history, state, options) or idle >= options.patience):
+        is_calm = state.mu > options.mu_end and _is_calm(history, state, options)
+        if has_arrived and (is_calm or idle >= options.patience):
             if state.mu <= options.mu_end and idle >= options.patience:
                 # Points beside a minimum move with it and may keep a last residual: the end goes without them.
                 task = replace(task, beside=not task.beside)
