@@ -10,7 +10,6 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from homogenize import MembraneLaw, default_law, load_law
-from macro_fem.fem.assembly import cell_mean
 from macro_fem.job import solve
 from macro_fem.progress import Say, silent
 from macro_fem.rings import RingScene, ring_scene
@@ -112,7 +111,7 @@ class Comparison:
         t = disk.problem.mesh.mesh.t
         cells = part(disk.problem.mesh.mesh.p[:, t].mean(axis=1).T)
         weight = disk.problem.disc.weight.reshape(disk.problem.disc.n_quad, -1).sum(axis=0)
-        P = cell_mean(disk.problem.disc, disk.P).reshape(len(weight), -1)
+        P = disk.problem.disc.cell_mean(disk.P).reshape(len(weight), -1)
         total = np.bincount(cells, weight, minlength=n)
         sums = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.T], axis=1)
         theirs = sums / np.maximum(total, 1e-300)[:, None]

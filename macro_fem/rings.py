@@ -17,7 +17,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo, MembraneLaw, default_law, load_law
-from macro_fem.fem.assembly import discretize, load_vector
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import discretize
 from macro_fem.progress import Say, silent
 from macro_fem.scene.loads import nodal_forces, weight_per_area
 from macro_fem.scene.mesh import build_mesh
@@ -98,7 +99,7 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
         )
     cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
     try:
-        return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.hang)
+        return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.weave_angle)
     except InputError as error:
         raise InputError(f"{source}: [curtain]: {error}") from error
 
@@ -115,7 +116,7 @@ def _outline(scene: Scene) -> Array:
 
 def _by_cells(scene: Scene, info: CellInfo) -> Scene:
     """The scene with one column of finite elements per reference cell of the weave."""
-    side = info.b_y_mm if scene.curtain.hang % 180.0 == 90.0 else info.b_x_mm
+    side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
     width = float(np.ptp(_outline(scene)[:, 0]))
     mesh = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")
     return replace(scene, mesh=mesh)

@@ -77,7 +77,7 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
         rows = slice(first, first + _CHUNK)
         found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
         parts.append(replace(found, pair=found.pair + first))
-    real = parts[0].joined(*parts[1:])
+    real = parts[0].join(parts[1:])
     minima, fixed = real, np.zeros(len(real.pair), dtype=bool)
     if beside:
         minima, fixed = with_neighbours(real, d, na, nb, wire, limit)
@@ -114,7 +114,7 @@ def with_neighbours(
         w = d[rows.pair] + rho_b - rho_a
         distance = np.sqrt(dot(w, w))
         parts.append(Minima(rows.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance))))
-    both = parts[0].joined(*parts[1:])
+    both = parts[0].join(parts[1:])
     fixed = np.arange(len(both.pair)) >= len(minima.pair)
     near = both.distance <= limit
     both, fixed = both.take(near), fixed[near]

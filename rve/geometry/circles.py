@@ -296,7 +296,7 @@ def _minus_cross_matrix(a: Array) -> Array:
     return out
 
 
-def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: NDArray[np.bool_] | None = None) -> Array:
+def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 
     n_a, n_b (m, 3) are the normals of the two rings of each minimum. With q = (d, theta) and the two angles phi that
