@@ -20,6 +20,8 @@ from click.testing import CliRunner
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
+from macro_fem import job as job_module
+from macro_fem.bounds import adapt as adapt_module
 from macro_fem.bounds.adapt import levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
@@ -305,6 +307,30 @@ def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp
     assert ask(Cell(), cache, x, NOTHING).solves == 1
     file.write_text(json.dumps(record | {"question": record["question"] | {"grain": "x"}}))
     assert ask(Cell(), cache, x, NOTHING).solves == 1
+
+
+@pytest.mark.parametrize("max_iterations", [3, 300], ids=["fails", "ends"])
+def test_bounds_solve_every_curtain_once(monkeypatch, max_iterations):
+    """The curtain at full load is the first of the bounded ones; load steps before it obey the law in the same way."""
+    solved = []
+
+    def counted(problem, *rest):
+        solved.append(problem)
+        return solve_problem(problem, *rest)
+
+    monkeypatch.setattr(job_module, "solve_problem", counted)
+    monkeypatch.setattr(adapt_module, "solve_problem", counted)
+    load = {"steps": 2, "point": {"at": [50.0, 0.0], "force": [0.0, -0.1]}}
+    scene = square(cells=4, load=load, solver={"bounds": True, "max_iterations": max_iterations})
+    if max_iterations == 3:
+        with pytest.raises(InputError, match="need a converged curtain"):
+            solve(scene)
+    else:
+        steps = solve(scene).steps
+        assert [one.problem.disc.element for one in steps] == ["P2", "P2"]
+        assert [one.status for one in steps] == ["converged"] * 2
+        assert steps[1].problem.fem.pattern is steps[0].problem.fem.pattern
+    assert len(solved) == 2
 
 
 def test_answers_are_those_of_any_size_and_metal_but_of_one_grain(known_rings, tmp_path):
