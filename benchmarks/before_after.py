@@ -42,8 +42,8 @@ FLOOR = 1e-6
 """Numbers below this part of the largest of their kind (column, field) are compared with that part."""
 ZERO = 1e-3
 """Numbers below this, in mm, N, N/mm or as strains, are compared with it: round-off of what is zero."""
-KEPT = 5
-"""Differences that are printed."""
+KEPT = 30
+"""Kinds of numbers that are printed."""
 
 TABLES = {
     "table 5": "--r1 5 --r2 1 --alpha 0:45:5 --beta 0:90:5",
@@ -145,6 +145,15 @@ def differences(first: dict[str, float], second: dict[str, float]) -> list[tuple
     return sorted(((abs(first[name] - second[name]) / scale[name], name) for name in both), reverse=True)
 
 
+def largest_of_kinds(found: list[tuple[float, str]]) -> dict[str, tuple[float, str, int]]:
+    """The largest difference of each kind of number, its name, and how many there are; the first `KEPT` kinds."""
+    kinds: dict[str, tuple[float, str, int]] = {}
+    for difference, name in found:
+        largest, where, count = kinds.get(kind_of(name), (difference, name, 0))
+        kinds[kind_of(name)] = (largest, where, count + 1)
+    return dict(list(kinds.items())[:KEPT])
+
+
 @click.command()
 @click.argument("before", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--tolerance", default=1e-9, show_default=True, help="Largest relative difference.")
@@ -178,9 +187,10 @@ def main(before: Path, tolerance: float, gap: float, cells: int, quick: bool) ->
         shutil.rmtree(home, ignore_errors=True)
     found = differences(first, second)
     is_same &= bool(found) and found[0][0] <= tolerance
-    click.echo(f"{len(found)} numbers in both, largest relative differences:")
-    for difference, name in found[:KEPT]:
-        click.echo(f"  {difference:.1e} {name}: {first[name]!r} and {second[name]!r}")
+    click.echo(f"{len(found)} numbers in both; kinds that differ by more than {tolerance:g}:")
+    beyond = [(difference, name) for difference, name in found if not difference <= tolerance]
+    for kind, (difference, name, count) in largest_of_kinds(beyond).items():
+        click.echo(f"  {difference:.1e} {kind} ({count}), {name}: {first[name]!r} and {second[name]!r}")
     for told, these, others in (("before", first, second), ("now", second, first)):
         kinds = sorted({kind_of(name) for name in these if name not in others})
         click.echo(f"{len(kinds)} kinds of numbers only {told}: {', '.join(kinds[:KEPT]) or 'none'}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -53,4 +55,68 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: b
         for feature in summary["features"]:
             click.echo(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
     if summary["status"] != "converged":
+        raise click.exceptions.Exit(1)
+
+
+_ring_options = (
+    click.argument("scene", type=click.Path(path_type=Path)),
+    click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10."),
+    click.option("--space/--plane", default=True, show_default=True, help="Centres free in space, or in the plane."),
+)
+
+
+def _with_ring_options(command: Callable[..., None]) -> Callable[..., None]:
+    for decorate in reversed(_ring_options):
+        command = decorate(command)
+    return command
+
+
+@main.command()
+@_with_ring_options
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
+@click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
+def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: bool) -> None:
+    """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png.
+
+    Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
+    """
+    from macro_fem.progress import progress_line
+    from macro_fem.rings import run_rings
+
+    with progress_line() as say:
+        summary = run_rings(scene, law_path, out, space=space, picture=picture, say=say)
+    click.echo(f"{summary['status']}: {summary['message']}")
+    click.echo(
+        f"{summary['rings']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
+        f"{summary['lowest_point_mm']:.3f} mm, largest contact force {summary['largest_contact_force_N']:.4g} N"
+    )
+    click.echo(
+        f"smallest gap {summary['min_gap_mm']:.1e} mm, residual {summary['kkt_residual']:.1e}, "
+        f"{summary['iterations']} iterations, {summary['wall_s']:.2f} s; written to {out}"
+    )
+    if summary["status"] != "converged":
+        raise click.exceptions.Exit(1)
+
+
+@main.command()
+@_with_ring_options
+@click.option("--out", type=click.Path(path_type=Path), help="File for the numbers, JSON.")
+def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -> None:
+    """Solve SCENE as a membrane and ring by ring, and print both side by side.
+
+    Exit code 0: both converged; 1: one of them did not; 2: bad input.
+    """
+    from macro_fem.compare import compare_files, side_by_side
+    from macro_fem.progress import progress_line
+    from rve.common.files import check_out_file, write_text
+
+    if out is not None:
+        check_out_file(out, inputs=[scene, law_path])
+    with progress_line() as say:
+        summary = compare_files(scene, law_path, space=space, say=say).summary
+    for line in side_by_side(summary):
+        click.echo(line)
+    if out is not None:
+        write_text(out, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    if {summary["disk"]["status"], summary["rings"]["status"]} != {"converged"}:
         raise click.exceptions.Exit(1)

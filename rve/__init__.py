@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from rve.directions import grid as grid
     from rve.directions import read_loads as read_loads
     from rve.equilibrium.interior_point import DirectOptions as DirectOptions
+    from rve.finite.layout import FiniteMesh as FiniteMesh
+    from rve.finite.layout import cell_of_sides as cell_of_sides
+    from rve.finite.records import FiniteOptions as FiniteOptions
+    from rve.finite.solution import FiniteSolution as FiniteSolution
     from rve.geometry.cell import Cell as Cell
     from rve.geometry.kinematics import cauchy_line_load as cauchy_line_load
     from rve.geometry.kinematics import deformation_gradient as deformation_gradient
@@ -40,6 +44,9 @@ _MODULES = {
     "Cell": "rve.geometry.cell",
     "Curtain": "rve.localization.curtain",
     "DirectOptions": "rve.equilibrium.interior_point",
+    "FiniteMesh": "rve.finite.layout",
+    "FiniteOptions": "rve.finite.records",
+    "FiniteSolution": "rve.finite.solution",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
     "LocalizeOptions": "rve.localization.job",
@@ -52,6 +59,7 @@ _MODULES = {
     "WEAVES": "rve.geometry.weave",
     "Weave": "rve.geometry.weave",
     "cauchy_line_load": "rve.geometry.kinematics",
+    "cell_of_sides": "rve.finite.layout",
     "deformation_gradient": "rve.geometry.kinematics",
     "graded_grid": "rve.directions",
     "green_lagrange": "rve.geometry.kinematics",
@@ -74,6 +82,9 @@ __all__ = [
     "Cell",
     "Curtain",
     "DirectOptions",
+    "FiniteMesh",
+    "FiniteOptions",
+    "FiniteSolution",
     "InputError",
     "LoadDirections",
     "LocalizeOptions",
@@ -84,6 +95,7 @@ __all__ = [
     "Support",
     "Weave",
     "cauchy_line_load",
+    "cell_of_sides",
     "deformation_gradient",
     "graded_grid",
     "green_lagrange",

@@ -296,12 +296,13 @@ def _minus_cross_matrix(a: Array) -> Array:
     return out
 
 
-def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float) -> Array:
+def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 
     n_a, n_b (m, 3) are the normals of the two rings of each minimum. With q = (d, theta) and the two angles phi that
     place the points, the implicit function theorem gives H = D_qq - D_qphi D_phiphi^-1 D_phiq. A minimum that is about
-    to vanish (det D_phiphi -> 0) has an unbounded H; its determinant is kept above 1e-10 of its scale.
+    to vanish (det D_phiphi -> 0) has an unbounded H; its determinant is kept above 1e-10 of its scale. Where `fixed`
+    (m,) the point of ring a stays where it is on its ring and only that of ring b slides.
     """
     u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
     eye = np.eye(3)
@@ -325,4 +326,7 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float) -> Array:
     scale = (r1**2 / dist) ** 2
     det = np.maximum(aa * bb - ab**2, 1e-10 * scale)
     inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
+    if fixed is not None:
+        inverse[fixed] = 0.0
+        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 * r1**2 / dist[fixed])
     return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))

@@ -1,0 +1,152 @@
+"""A scene twice: as the homogenized membrane and ring by ring, side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+from homogenize import MembraneLaw, default_law, load_law
+from macro_fem.job import solve
+from macro_fem.progress import Say, silent
+from macro_fem.rings import RingScene, ring_scene
+from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.solution import CurtainSolution
+from rve import FiniteSolution
+from rve.common.types import Array
+
+ACROSS = 3
+"""Line loads are averaged over squares of this many reference cells along each side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The membrane and the rings of one scene."""
+
+    disk: CurtainSolution
+    rings: RingScene
+    solution: FiniteSolution
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Numbers side by side: lengths in mm, forces in N, line loads in N/mm of reference length.
+
+        shape_distance_mm: root mean square, over the reference area, of the distance of the rings' centres from the
+        points of the membrane that belong to them. line_load_distance: of P averaged over `ACROSS` x `ACROSS` cells,
+        relative to the root mean square of the membrane's.
+        """
+        disk, solution = self.disk, self.solution
+        height = float(np.ptp(self.rings.mesh.X[:, 1]))
+        difference = solution.mean_height - disk.mean_height()
+        return {
+            "disk": self._disk(),
+            "rings": self._rings(),
+            "mean_height_difference_mm": difference,
+            "mean_height_difference_over_height": difference / height,
+            "shape_distance_mm": self.shape_distance(),
+            "line_load_distance": self.line_load_distance(),
+            "line_load_averaged_over_cells": ACROSS**2,
+        }
+
+    def _disk(self) -> dict[str, Any]:
+        disk = self.disk
+        held = disk.problem.supports.held
+        return {
+            "status": disk.status,
+            "unknowns": int(disk.problem.fem.d * disk.problem.disc.n_nodes),
+            "potential_N_mm": disk.primal,
+            "mean_height_mm": disk.mean_height(),
+            "lowest_point_mm": float(disk.x[:, 1].min()),
+            "support_forces_N": [disk.reactions[one.nodes].sum(axis=0).tolist() for one in held],
+            "wall_s": disk.wall_s,
+        }
+
+    def _rings(self) -> dict[str, Any]:
+        solution = self.solution
+        return {
+            "status": solution.status,
+            "unknowns": int(5 * len(solution.centre)),
+            "rings": len(solution.centre),
+            "centres": "space" if solution.is_space else "plane",
+            "potential_N_mm": solution.potential,
+            "mean_height_mm": solution.mean_height,
+            "lowest_point_mm": float(solution.centre[:, 1].min()),
+            "support_forces_N": [solution.reaction[held].sum(axis=0).tolist() for _, held in self.rings.groups],
+            "min_gap_mm": solution.min_gap_mm,
+            "links_intact": solution.links_intact,
+            "kkt_residual": solution.kkt_residual,
+            "wall_s": solution.wall_s,
+        }
+
+    def shape_distance(self) -> float:
+        """See `summary`."""
+        nodes = self.disk.problem.disc.nodes
+        X = self.rings.mesh.X
+        x = LinearNDInterpolator(nodes, self.disk.x[:, :2])(X)
+        lost = ~np.isfinite(x).all(axis=1)
+        x[lost] = NearestNDInterpolator(nodes, self.disk.x[:, :2])(X[lost])
+        away = self.solution.centre - np.column_stack([x, np.zeros(len(x))])
+        area = self.rings.mesh.area
+        return float(np.sqrt((area * (away**2).sum(axis=1)).sum() / area.sum()))
+
+    def line_load_distance(self) -> float:
+        """See `summary`."""
+        disk, mesh = self.disk, self.rings.mesh
+        side = ACROSS * np.array(mesh.sides)
+        low = mesh.X.min(axis=0)
+        count = np.maximum(np.round(np.ptp(mesh.X, axis=0) / side), 1).astype(int)
+        step = np.ptp(mesh.X, axis=0) / count
+
+        def part(X: Array) -> np.ndarray:
+            ij = np.clip(np.floor((X - low) / step), 0, count - 1).astype(int)
+            return np.asarray(ij[:, 0] * count[1] + ij[:, 1])
+
+        n = int(count.prod())
+        group = part(mesh.X)
+        area = np.bincount(group, mesh.area, minlength=n)
+        ours = self.solution.line_load(group, np.maximum(area, 1e-300))
+        t = disk.problem.mesh.mesh.t
+        cells = part(disk.problem.mesh.mesh.p[:, t].mean(axis=1).T)
+        weight = disk.problem.disc.weight.reshape(disk.problem.disc.n_quad, -1).sum(axis=0)
+        P = disk.problem.disc.cell_mean(disk.P).reshape(len(weight), -1)
+        total = np.bincount(cells, weight, minlength=n)
+        sums = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.T], axis=1)
+        theirs = sums / np.maximum(total, 1e-300)[:, None]
+        there = (area > 0.0) & (total > 0.0)
+        away = ours[:, :2].reshape(n, 4) - theirs[:, :4]
+        own = area[there] @ (away[there] ** 2).sum(axis=1) + area[there] @ (ours[there, 2] ** 2).sum(axis=1)
+        return float(np.sqrt(own / (area[there] @ (theirs[there] ** 2).sum(axis=1))))
+
+
+def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, say: Say = silent) -> Comparison:
+    """The membrane on the mesh of the scene, and its rings.
+
+    InputError for scenes that one of both cannot be.
+    """
+    law = default_law() if law is None else law
+    rings = ring_scene(scene, law)
+    disk = solve(scene, law, say=say).solution
+    return Comparison(disk, rings, rings.solve(space=space, say=say))
+
+
+def compare_files(scene: Path, law: Path | None, *, space: bool = True, say: Say = silent) -> Comparison:
+    """`compare` for files."""
+    return compare(load_scene(scene), None if law is None else load_law(law), space=space, say=say)
+
+
+def side_by_side(summary: dict[str, Any]) -> list[str]:
+    """Lines of text: a table of both, and the distances."""
+    keys = ("status", "unknowns", "potential_N_mm", "mean_height_mm", "lowest_point_mm", "support_forces_N", "wall_s")
+    lines = [f"{'':<20}{'disk':>28}{'rings':>28}"]
+    lines += [f"{key:<20}{_text(summary['disk'][key]):>28}{_text(summary['rings'][key]):>28}" for key in keys]
+    lines += [f"{key}: {value:.6g}" for key, value in summary.items() if isinstance(value, float)]
+    return lines
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "; ".join(" ".join(f"{x:.3g}" for x in force[:2]) for force in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,233 @@
+"""A scene solved ring by ring: the finite mesh of its outline, its loads and supports, and the files of the answer.
+
+Supports and live loads are those of a finite-element mesh with one cell per reference cell of the weave: what it holds
+or loads at a node goes to the nearest ring. A rectangle of whole cells has a ring at every such node. The weight of a
+ring is that of its share of the reference area.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from homogenize import CellInfo, MembraneLaw, default_law, load_law
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import discretize
+from macro_fem.progress import Say, silent
+from macro_fem.scene.loads import nodal_forces, weight_per_area
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.outline import regular_polygon
+from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.scene.supports import Held, build_supports, pin_sliding
+from rve import FiniteMesh, FiniteOptions, FiniteSolution, cell_of_sides
+from rve.common.errors import InputError, require
+from rve.common.files import write_text, write_whole
+from rve.common.jobs import check_out_job, job
+from rve.common.types import Array
+from rve.common.versions import versions
+
+RECORD = "summary.json"
+MOST_CELLS = 400_000
+"""Reference cells of a scene; more are refused, two rings each."""
+
+
+@dataclass(frozen=True, eq=False)
+class RingScene:
+    """A scene as a finite mesh: rings, dead forces (n, 3) in N, held coordinates (n, 3), their places (n, 3) in mm.
+
+    groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
+    """
+
+    scene: Scene
+    mesh: FiniteMesh
+    force: Array
+    held: np.ndarray
+    at: Array
+    groups: tuple[tuple[str, np.ndarray], ...]
+
+    def solve(self, *, space: bool, options: FiniteOptions | None = None, say: Say = silent) -> FiniteSolution:
+        """The rings in equilibrium; InputError that names the scene where they cannot be."""
+        count = 0
+
+        def tell(record: Any) -> None:
+            nonlocal count
+            count += 1
+            say(f"{len(self.mesh.X)} rings, iteration {count}, force x gap {record.mu:.0e}")
+
+        try:
+            return self.mesh.solve(self.force, self.held, self.at, space=space, options=options, say=tell)
+        except InputError as error:
+            raise InputError(f"{self.scene.source}: {error}") from error
+
+
+def ring_scene(scene: Scene, law: MembraneLaw | None = None) -> RingScene:
+    """The rings of a scene with the rings of a law; InputError for what a mesh of rings cannot be or hold.
+
+    >>> scene = Scene.rectangle(22.0, 12.646069623526).hung_by("top")
+    >>> rings = ring_scene(scene)
+    >>> len(rings.mesh.X), [len(held) for _, held in rings.groups]
+    (8, [3])
+    """
+    law = default_law() if law is None else law
+    info = law.cell
+    if info is None:
+        raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
+    if any(bar.straight for bar in scene.load.bar):
+        raise InputError(
+            f"{scene.source}: [load.bar] straight = true: rings are not tied to a bar, use straight = false"
+        )
+    mesh = _finite_mesh(scene, info)
+    return _with_loads(_by_cells(scene, info), info, mesh)
+
+
+def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
+    curtain, source = scene.curtain, scene.source
+    if curtain.shape == "file":
+        raise InputError(f'{source}: [curtain] shape = "file": has no outline of its own, use shape = "outline"')
+    outline = _outline(scene)
+    spans = np.ptp(outline, axis=0)
+    count = float(spans.prod()) / (info.b_x_mm * info.b_y_mm)
+    if count > MOST_CELLS:
+        raise InputError(
+            f"{source}: [curtain]: {count:.3g} cells of the weave are more than {MOST_CELLS}; make it smaller"
+        )
+    cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
+    try:
+        return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.weave_angle)
+    except InputError as error:
+        raise InputError(f"{source}: [curtain]: {error}") from error
+
+
+def _outline(scene: Scene) -> Array:
+    curtain = scene.curtain
+    if curtain.shape == "rectangle":
+        W, H = curtain.width or 0.0, curtain.height or 0.0
+        return np.array([[0.0, 0.0], [W, 0.0], [W, H], [0.0, H]])
+    if curtain.shape == "disk":
+        return regular_polygon(curtain.radius or 0.0, max(8, math.ceil(math.pi * scene.mesh.cells)))
+    return np.array(curtain.outline)
+
+
+def _by_cells(scene: Scene, info: CellInfo) -> Scene:
+    """The scene with one column of finite elements per reference cell of the weave."""
+    side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
+    width = float(np.ptp(_outline(scene)[:, 0]))
+    mesh = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")
+    return replace(scene, mesh=mesh)
+
+
+def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
+    fem = build_mesh(scene, info)
+    disc = discretize(fem.mesh, "P1")
+    weight = weight_per_area(scene, info)
+    everything = nodal_forces(scene, fem, disc, info)
+    supports = pin_sliding(build_supports(scene, fem, disc), fem, disc, everything, scene.source)
+    live = everything - load_vector(disc, np.array([0.0, -weight]))
+    ring = cKDTree(mesh.X).query(disc.nodes)[1]
+    n = len(mesh.X)
+    force = np.zeros((n, 3))
+    force[:, 1] = -weight * mesh.area
+    np.add.at(force[:, :2], ring, live)
+    held, way = np.zeros((n, 3), bool), np.zeros((n, 3))
+    mask = supports.mask | supports.pinned
+    for axis in range(2):
+        nodes = np.flatnonzero(mask[:, axis])
+        held[ring[nodes], axis] = True
+        way[ring[nodes], axis] = (supports.positions - disc.nodes)[nodes, axis]
+    held[:, 2] = held[:, 0] | held[:, 1]
+    at = np.column_stack([mesh.X, np.zeros(n)]) + way
+    return RingScene(scene, mesh, force, held, at, _groups(supports.held, ring))
+
+
+def _groups(supports: tuple[Held, ...], ring: np.ndarray) -> tuple[tuple[str, np.ndarray], ...]:
+    """The rings of each support, each ring once."""
+    groups: list[tuple[str, np.ndarray]] = []
+    taken = np.zeros(0, int)
+    for one in supports:
+        mine = np.setdiff1d(np.unique(ring[one.nodes]), taken)
+        taken = np.concatenate([taken, mine])
+        groups.append((one.name, mine))
+    return tuple(groups)
+
+
+def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any]:
+    """The numbers of summary.json: lengths in mm, forces in N."""
+    return {
+        "status": solution.status,
+        "message": solution.message,
+        "rings": len(rings.mesh.X),
+        "centres": "space" if solution.is_space else "plane",
+        "mean_height_mm": solution.mean_height,
+        "lowest_point_mm": float(solution.centre[:, 1].min()),
+        "depth_mm": float(np.ptp(solution.centre[:, 2])),
+        "potential_N_mm": solution.potential,
+        "min_gap_mm": solution.min_gap_mm,
+        "links": len(rings.mesh.linked),
+        "links_intact": solution.links_intact,
+        "kkt_residual": solution.kkt_residual,
+        "contacts": int((solution.force > 1e-6 * solution.force.max(initial=0.0)).sum()),
+        "largest_contact_force_N": float(solution.force.max(initial=0.0)),
+        "total_load_N": solution.load.sum(axis=0).tolist(),
+        "support_forces": [
+            {
+                "support": name,
+                "sum_N": solution.reaction[held].sum(axis=0).tolist(),
+                "points": [
+                    {"at_mm": X.tolist(), "force_N": f.tolist()}
+                    for X, f in zip(rings.mesh.X[held], solution.reaction[held], strict=True)
+                ],
+            }
+            for name, held in rings.groups
+        ],
+        "r1_mm": rings.mesh.cell.r1,
+        "r2_mm": rings.mesh.cell.r2,
+        "weave": rings.mesh.cell.weave.name,
+        "iterations": solution.iterations,
+        "wall_s": round(solution.wall_s, 3),
+        "versions": versions(),
+    }
+
+
+def run_rings(
+    scene_path: Path,
+    law_path: Path | None,
+    out: Path,
+    *,
+    space: bool = True,
+    picture: bool = True,
+    say: Say = silent,
+) -> dict[str, Any]:
+    """Solve the scene in a file ring by ring, write summary.json, rings.vtu and rings.png into `out`; the summary.
+
+    InputError in one sentence for what cannot be read, or makes no sense for rings; nothing is written then.
+    """
+    if picture:
+        require("matplotlib", "plots", "rings.png", "ask for --no-picture")
+    scene = load_scene(scene_path)
+    inputs = [scene_path, law_path]
+    check_out_job(out, RECORD, inputs=inputs)
+    rings = ring_scene(scene, default_law() if law_path is None else load_law(law_path))
+    solution = rings.solve(space=space, say=say)
+    summary = summarize_rings(rings, solution)
+    with job(out, RECORD, inputs) as folder:
+        solution.write_vtu(folder / "rings.vtu")
+        if picture:
+            _save_picture(folder / "rings.png", solution)
+        write_text(folder / RECORD, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    return summary
+
+
+def _save_picture(path: Path, solution: FiniteSolution) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 8.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    solution.plot(figure.subplots())
+    write_whole(path, lambda temporary: figure.savefig(temporary, dpi=200))

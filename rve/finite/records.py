@@ -1,0 +1,91 @@
+"""Options, task, answer and statuses of the solver of finite meshes. Lengths are in units of r1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+from rve.finite.touching import Index, Placed, Touching
+
+SENTENCES = {
+    "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
+    "out-of-reach": "held rings did not reach their places: the mesh locks before; move the supports closer together",
+    "stalled": "no step leads further down; start from another disturbance, or allow a larger residual",
+    "iterations": "the limit of iterations was reached before the residual; allow more iterations",
+}
+
+
+@dataclass(frozen=True)
+class FiniteOptions:
+    """Options of `FiniteMesh.solve`; lengths in units of r1, forces in units of the mean force on a link.
+
+    tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
+    power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
+    ring, or after `patience` iterations without progress. reach: gap beyond which a contact has no force. step: largest
+    way of a held ring in one iteration. method: "cholmod", "superlu", or "auto" for the first that is installed.
+    disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
+    """
+
+    tolerance: float = 1e-8
+    mu_start: float = 0.1
+    mu_end: float = 1e-9
+    shrink: float = 0.3
+    power: float = 1.15
+    calm: float = 0.2
+    patience: int = 12
+    reach: float = 0.6
+    step: float = 0.3
+    max_iterations: int = 1000
+    method: str = "auto"
+    disturbance: float = 0.01
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
+    free coordinates (n, 5); beside: whether points beside soft minima are constraints too."""
+
+    linked: Index
+    wire: float
+    force: Array
+    held: NDArray[np.bool_]
+    at: Array
+    free: NDArray[np.bool_]
+    beside: bool = True
+
+    @property
+    def keys(self) -> Index:
+        """Keys of the linked pairs."""
+        return np.asarray(self.linked[:, 0] * len(self.force) + self.linked[:, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One iteration: mu, unbalanced force over load, Newton decrement, part of the step taken, damping, and how many
+    contacts, trials and factors it had."""
+
+    mu: float
+    residual: float
+    decrement: float
+    length: float
+    damping: float
+    contacts: int
+    trials: int
+    factors: int
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where the rings are, their contacts and forces (m,), status, whether the matrix there is positive definite."""
+
+    placed: Placed
+    touching: Touching
+    force: Array
+    status: str
+    is_minimum: bool
+    residual: float
+    history: tuple[Record, ...]

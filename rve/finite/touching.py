@@ -1,0 +1,228 @@
+"""Contacts of a finite mesh: every local minimum of the distance of the centre circles of every near pair of rings.
+
+Lengths are in units of r1. Pairs are told by the key a n + b with a < b, so that what belongs to a pair is found again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from rve.common.types import Array
+from rve.geometry.circles import Minima, are_linked, cross, dot, foot_on_circle, local_minima, tangent_frame
+
+Index = NDArray[np.intp]
+
+_CHUNK = 4096
+"""Pairs sampled together: their samples stay in the cache of a processor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Rings in space in units of r1: centres x (n, 3) and unit normals (n, 3)."""
+
+    x: Array
+    normal: Array
+
+    def moved(self, q: Array) -> Placed:
+        """Rings after the step q (n, 5): centres move by the first three, normals turn by the exponential map of the
+        last two in their tangent frames."""
+        e1, e2 = tangent_frame(self.normal)
+        omega = q[:, 3:4] * e1 + q[:, 4:] * e2
+        angle = np.sqrt(dot(omega, omega))[:, None]
+        normal = np.cos(angle) * self.normal + np.sinc(angle / np.pi) * cross(omega, self.normal)
+        return Placed(self.x + q[:, :3], normal / np.sqrt(dot(normal, normal))[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Touching:
+    """Contacts of a placement.
+
+    a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
+    and b; gap (m,); deepest (p,): smallest gap of each pair, inf where it has none within reach.
+    """
+
+    a: Index
+    b: Index
+    key: Index
+    minima: Minima
+    fixed: NDArray[np.bool_]
+    gap: Array
+    deepest: Array
+
+    @property
+    def count(self) -> Index:
+        """Minima of each pair (p,)."""
+        return np.bincount(self.minima.pair, minlength=len(self.a))
+
+
+def near_pairs(x: Array, limit: float, linked: Index) -> tuple[Index, Index, Index]:
+    """a, b, key (p,) of all pairs of rings with centres nearer than 2 + limit, and of the linked pairs (m, 2)."""
+    n = len(x)
+    pairs = cKDTree(x).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
+    key = np.unique(np.concatenate([pairs.min(axis=1) * n + pairs.max(axis=1), linked[:, 0] * n + linked[:, 1]]))
+    return key // n, key % n, key
+
+
+def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, beside: bool = True) -> Touching:
+    """All contacts whose gap is below `reach` (r1), and points beside soft ones; wire = r2/r1."""
+    limit = 2.0 * wire + reach
+    a, b, key = near_pairs(placed.x, limit, linked)
+    d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
+    parts = []
+    for first in range(0, max(len(a), 1), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        found = local_minima(d[rows], na[rows], nb[rows], 1.0, reach=limit)
+        parts.append(replace(found, pair=found.pair + first))
+    real = parts[0].join(parts[1:])
+    minima, fixed = real, np.zeros(len(real.pair), dtype=bool)
+    if beside:
+        minima, fixed = with_neighbours(real, d, na, nb, wire, limit)
+    gap = minima.distance - 2.0 * wire
+    deepest = np.full(len(a), np.inf)
+    np.minimum.at(deepest, minima.pair, gap)
+    return Touching(a, b, key, minima, fixed, gap, deepest)
+
+
+SOFT = 0.3
+FLAT = 100.0
+NEXT = 3.0
+
+
+def with_neighbours(
+    minima: Minima, d: Array, na: Array, nb: Array, wire: float, limit: float
+) -> tuple[Minima, NDArray[np.bool_]]:
+    """The minima and, beside each soft one, points of ring a at fixed angles to both sides; which are such points.
+
+    A soft minimum is about to split or has just merged; what is beside it will be the next one.
+    """
+    gap = np.maximum(minima.distance - 2.0 * wire, 1e-13)
+    stiff = np.maximum(minima.curvature, 0.0) / minima.distance
+    soft = (minima.curvature < SOFT) & (stiff**2 < FLAT * gap)
+    rows = minima.take(soft)
+    t, g = stiff[soft], gap[soft]
+    aside = np.minimum(np.sqrt(np.sqrt(t * t + 4.0 * NEXT * g) - t), 0.4)
+    tau = cross(na[rows.pair], rows.rho_a)
+    parts = [minima]
+    for sign in (1.0, -1.0):
+        c, s = np.cos(aside)[:, None], sign * np.sin(aside)[:, None]
+        rho_a = c * rows.rho_a + s * tau
+        rho_b = foot_on_circle(rho_a - d[rows.pair], nb[rows.pair], 1.0)
+        w = d[rows.pair] + rho_b - rho_a
+        distance = np.sqrt(dot(w, w))
+        parts.append(Minima(rows.pair, w / distance[:, None], rho_a, rho_b, distance, np.ones(len(distance))))
+    both = parts[0].join(parts[1:])
+    fixed = np.arange(len(both.pair)) >= len(minima.pair)
+    near = both.distance <= limit
+    both, fixed = both.take(near), fixed[near]
+    order = np.argsort(both.pair, kind="stable")
+    return both.take(order), fixed[order]
+
+
+def nearest(old: Touching, new: Touching) -> tuple[Index, Array]:
+    """For each contact of `old` (m,) the nearest one of the same pair in `new`, -1 where there is none; how far."""
+    place = np.minimum(np.searchsorted(new.key, old.key), len(new.key) - 1)
+    count = np.where(new.key[place] == old.key, new.count[place], 0)
+    first = np.concatenate([[0], np.cumsum(new.count)])[place]
+    pair = old.minima.pair
+    repeat = count[pair]
+    mine = np.repeat(np.arange(len(pair)), repeat)
+    rank = np.arange(len(mine)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
+    other = first[pair[mine]] + rank
+    between = new.minima.rho_a[other] - old.minima.rho_a[mine]
+    distance = dot(between, between)
+    order = np.lexsort((distance, mine))
+    best = order[np.concatenate([[True], np.diff(mine[order]) > 0])] if len(order) else order
+    out, far = np.full(len(pair), -1), np.full(len(pair), np.inf)
+    out[mine[best]], far[mine[best]] = other[best], distance[best]
+    return out, far
+
+
+def links_intact(placed: Placed, touching: Touching, linked_keys: Index) -> bool:
+    """Whether exactly the linked pairs interlink among all near pairs; far pairs cannot."""
+    a, b = touching.a, touching.b
+    found = are_linked(placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b], 1.0)
+    return bool((found == np.isin(touching.key, linked_keys)).all())
+
+
+def ways(touching: Touching, q: Array) -> Array:
+    """The longest way (p,) of any point of ring b as seen from ring a in the step q (n, 5), for every near pair."""
+    turn = np.sqrt((q[:, 3:] ** 2).sum(axis=1))
+    between = q[touching.b, :3] - q[touching.a, :3]
+    return np.asarray(np.sqrt(dot(between, between)) + turn[touching.a] + turn[touching.b])
+
+
+def safe_parts(touching: Touching, q: Array, wire: float, reach: float, share: float = 0.9) -> Array:
+    """The part (p,) of a step within which no wire of a pair can pass through the other.
+
+    Circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the longest way of a point of
+    one as seen from the other. D(1) >= 2 wire, so less than D(0) + 2 wire is safe; `share` of it is allowed.
+    """
+    distance = np.minimum(touching.deepest, reach) + 2.0 * wire
+    return np.asarray(np.minimum(1.0, share * (distance + 2.0 * wire) / np.maximum(ways(touching, q), 1e-300)))
+
+
+def is_passage_safe(
+    before: Placed, old: Touching, after: Placed, new: Touching, q: Array, wire: float, reach: float
+) -> bool:
+    """Whether no ring can have passed through another on the straight way of the step q (n, 5); see `safe_parts`.
+
+    Pairs that were not near: circles that cross on the way have centres that come within 2, so that their way relative
+    to each other is at least what both ends are beyond 2.
+    """
+    limit = 2.0 * wire + reach
+    start = np.minimum(old.deepest + 2.0 * wire, limit)
+    rows = of_pairs(new.key, old.key)
+    end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * wire, limit), limit)
+    if (ways(old, q) >= start + np.maximum(end, 2.0 * wire)).any():
+        return False
+    return not _far_pairs_meet(before, after, old.key)
+
+
+def _far_pairs_meet(before: Placed, after: Placed, near: Index) -> bool:
+    n = len(before.x)
+    step = after.x - before.x
+    step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
+    longest = float(np.sqrt(dot(step, step)).max())
+    pairs = cKDTree(0.5 * (before.x + after.x)).query_pairs(2.0 + longest, output_type="ndarray").astype(np.int64)
+    a, b = pairs.min(axis=1), pairs.max(axis=1)
+    far = of_pairs(near, a * n + b) < 0
+    a, b = a[far], b[far]
+    way, d0, d1 = (u[b] - u[a] for u in (step, before.x, after.x))
+    beyond = np.maximum(np.sqrt(dot(d0, d0)) - 2.0, 0.0) + np.maximum(np.sqrt(dot(d1, d1)) - 2.0, 0.0)
+    return bool((dot(way, way) >= beyond**2).any())
+
+
+def of_pairs(keys: Index, asked: Index) -> Index:
+    """Rows (k,) of the pairs `asked` (k,) among sorted keys, -1 where a pair is not among them."""
+    if not len(keys):
+        return np.full(len(asked), -1)
+    place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
+    return np.where(keys[place] == asked, place, -1)
+
+
+def handed_on(old: Touching, force: Array, new: Touching, fresh: Array) -> Array:
+    """Forces (m,) for new contacts: a pair's contacts keep theirs where their number stays.
+
+    Where it does not, the pair's total is shared out like `fresh` (m,), the forces of the central path; pairs that are
+    new take these.
+    """
+    place = np.minimum(np.searchsorted(old.key, new.key), len(old.key) - 1)
+    known = old.key[place] == new.key
+    total = np.where(known, np.bincount(old.minima.pair, force, minlength=len(old.key))[place], 0.0)
+    weight = np.bincount(new.minima.pair, fresh, minlength=len(new.key))
+    pair = new.minima.pair
+    shared = np.where(total[pair] > 0.0, total[pair] * fresh / np.maximum(weight[pair], 1e-300), fresh)
+    same = known & (np.where(known, old.count[place], 0) == new.count)
+    found, _ = nearest(new, old)
+    rows = np.flatnonzero(same[pair])
+    heir = found[rows]
+    used = np.bincount(heir, minlength=len(force))
+    once = np.bincount(pair[rows], used[heir] == 1, minlength=len(new.key)) == new.count
+    good = once[pair[rows]]
+    out = np.where(known[pair], shared, fresh)
+    out[rows[good]] = force[heir[good]]
+    return np.asarray(out)

@@ -1,0 +1,348 @@
+"""Finite meshes: layout, contacts, derivatives, equilibria with known answers."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from rve import Cell, FiniteMesh, FiniteOptions, InputError, cell_of_sides, solve_table
+from rve.finite.equations import blocks, gradients, matrix, spread, times
+from rve.finite.factor import Factorizer
+from rve.finite.touching import Placed, find_touching, is_passage_safe, links_intact
+
+G = 9.81
+
+
+def hung(mesh, top):
+    """Weight, held coordinates and places of a mesh whose rings `top` are held where they are."""
+    n = len(mesh.X)
+    force = np.zeros((n, 3))
+    force[:, 1] = -G * mesh.mass
+    held = np.zeros((n, 3), dtype=bool)
+    held[top] = True
+    return force, held, np.column_stack([mesh.X, np.zeros(n)])
+
+
+def top_of(mesh):
+    return np.isclose(mesh.X[:, 1], mesh.X[:, 1].max())
+
+
+def check(solution):
+    assert solution.status == "converged"
+    assert solution.links_intact
+    assert solution.min_gap_mm >= -1e-9
+    assert solution.kkt_residual <= 1e-8
+
+
+def test_a_rectangle_of_whole_cells_has_rings_on_its_corners_and_the_weight_of_its_area():
+    cell = Cell()
+    mesh = FiniteMesh.rectangle(cell, 3, 2)
+    b_x, b_y = mesh.sides
+    assert len(mesh.X) == 4 * 3 + 3 * 2
+    for corner in ((0.0, 0.0), (3 * b_x, 0.0), (3 * b_x, 2 * b_y), (0.0, 2 * b_y)):
+        ring = np.linalg.norm(mesh.X - corner, axis=1).argmin()
+        assert np.allclose(mesh.X[ring], corner, atol=1e-9)
+        assert mesh.area[ring] == pytest.approx(0.25 * b_x * b_y / 2)
+    assert mesh.mass.sum() == pytest.approx(cell.ring_mass * 2 * 3 * 2)
+    assert len(mesh.linked) == 4 * 3 * 2
+
+
+def test_a_weave_across_swaps_the_sides():
+    along, across = FiniteMesh.rectangle(Cell(), 2, 1), FiniteMesh.rectangle(Cell(grain="x"), 1, 2)
+    assert np.ptp(across.X, axis=0) == pytest.approx(np.ptp(along.X, axis=0)[::-1])
+    assert len(across.linked) == len(along.linked)
+
+
+def test_any_outline_keeps_its_area_and_leaves_out_holes():
+    outline = [(0.0, 0.0), (120.0, 10.0), (90.0, 100.0), (5.0, 80.0)]
+    hole = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
+    whole, holed = FiniteMesh.inside(Cell(), outline), FiniteMesh.inside(Cell(), outline, [hole], 30.0)
+    x, y = np.array(outline).T
+    area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    assert whole.area.sum() == pytest.approx(area)
+    assert holed.area.sum() == pytest.approx(area - 400.0)
+    assert not ((np.abs(holed.X - 50.0) < 9.9).all(axis=1)).any()
+
+
+def test_the_slack_start_has_gaps_and_the_links_of_the_weave():
+    mesh = FiniteMesh.rectangle(Cell(), 4, 3)
+    centre, normal = mesh.slack()
+    placed = Placed(centre / 5.0, normal)
+    con = find_touching(placed, mesh.linked, 0.1, 0.6)
+    assert con.deepest.min() > 0.25
+    assert links_intact(placed, con, mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1])
+    assert not links_intact(placed, con, mesh.linked[1:, 0] * len(mesh.X) + mesh.linked[1:, 1])
+
+
+def disturbed(seed, size=0.05):
+    """A small mesh near its slack pose in space."""
+    mesh = FiniteMesh.rectangle(Cell(), 2, 2)
+    centre, normal = mesh.slack()
+    rng = np.random.default_rng(seed)
+    q = size * rng.uniform(-1.0, 1.0, (len(mesh.X), 5))
+    return mesh, Placed(centre / 5.0, normal).moved(q), rng
+
+
+def test_gradients_and_newton_matrix_are_those_of_differences():
+    mesh, placed, rng = disturbed(1)
+    n = len(mesh.X)
+    q = rng.standard_normal((n, 5))
+    step = 1e-5
+
+    def at(t):
+        con = find_touching(placed.moved(t * q), mesh.linked, 0.1, 0.6)
+        return con, con.gap
+
+    con, gap = at(0.0)
+    (fore, g1), (aft, g2) = at(step), at(-step)
+    # near a merge of two minima the third derivative has no bound
+    same = ~con.fixed & (con.minima.curvature > 0.2)
+    assert same.sum() > 30
+    assert (fore.key == con.key).all()
+    assert (fore.count == con.count).all()
+    jac = gradients(placed, con)
+    moved = np.concatenate([q[con.a], q[con.b]], axis=1)[con.minima.pair]
+    rate = (jac * moved).sum(axis=1)
+    assert np.abs(rate - (g1 - g2) / (2 * step))[same].max() < 1e-6
+    assert (fore.count == aft.count).all()
+    for row in np.flatnonzero(same)[::7]:
+        force = np.zeros(len(gap))
+        force[row] = 1.0
+        K = blocks(placed, con, jac, np.zeros(len(gap)), force, 0.0)
+        v = moved[row]
+        second = (g1[row] - 2 * gap[row] + g2[row]) / step**2
+        assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
+
+
+def test_matrix_and_products_are_sums_over_pairs():
+    mesh, placed, rng = disturbed(2)
+    con = find_touching(placed, mesh.linked, 0.1, 0.6)
+    n, m = len(mesh.X), len(con.gap)
+    jac, stiff = gradients(placed, con), rng.uniform(1.0, 2.0, m)
+    K = blocks(placed, con, jac, stiff, np.zeros(m), 0.0)
+    free = rng.uniform(size=(n, 5)) > 0.2
+    diagonal = rng.uniform(0.5, 1.0, (n, 5))
+    dense = np.zeros((5 * n, 5 * n))
+    columns = np.arange(5)
+    for row, pair in enumerate(con.minima.pair):
+        places = np.concatenate([5 * con.a[pair] + columns, 5 * con.b[pair] + columns])
+        dense[np.ix_(places, places)] += stiff[row] * np.outer(jac[row], jac[row])
+    q = rng.standard_normal((n, 5))
+    assert np.allclose(times(con, K, q, n).ravel(), dense @ q.ravel())
+    dense += np.diag(diagonal.ravel())
+    dense[~free.ravel()] = dense[:, ~free.ravel()] = 0.0
+    dense += np.diag(~free.ravel())
+    found = matrix(con, K, diagonal, free)
+    assert np.allclose(found.toarray(), dense)
+    solve = Factorizer("superlu")(found)
+    assert np.allclose(dense @ solve(q.ravel()), q.ravel())
+    assert Factorizer("superlu")(found - 3.0 * matrix(con, 0.0 * K, np.ones((n, 5)), free)) is None
+    force = rng.uniform(size=m)
+    whole = np.zeros((n, 5))
+    for row, pair in enumerate(con.minima.pair):
+        whole[con.a[pair]] += force[row] * jac[row, :5]
+        whole[con.b[pair]] += force[row] * jac[row, 5:]
+    assert np.allclose(spread(con, jac, force, n), whole)
+
+
+def test_no_step_carries_a_ring_through_another():
+    def passes(x0, normals, way):
+        before = Placed(np.array(x0), np.array(normals))
+        linked = np.zeros((0, 2), dtype=int)
+        q = np.zeros((2, 5))
+        q[1, :3] = way
+        after = before.moved(q)
+        old, new = (find_touching(placed, linked, 0.1, 0.6) for placed in (before, after))
+        return is_passage_safe(before, old, after, new, q, 0.1, 0.6)
+
+    flat = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
+    # parallel rings pass through two wires at once, which no linking number tells
+    assert not passes([[0, 0, 0], [1.0, 0, 0.3]], flat, [0, 0, -0.6])
+    assert passes([[0, 0, 0], [1.0, 0, 0.3]], flat, [0, 0, 0.3])
+    # far from each other before and after
+    assert not passes([[0, 0, 0], [0, 0, 4.0]], flat, [0, 0, -8.0])
+    assert passes([[0, 0, 0], [0, 6.0, 4.0]], flat, [0, 0, -8.0])
+
+
+def test_a_straight_chain_has_its_known_length():
+    b_x, b_y = FiniteMesh.rectangle(Cell(), 1, 1).sides
+    along = np.array([2.0 * b_x, 2.0 * b_y])
+    aside = np.array([-1.0, 1.0])
+    mesh = FiniteMesh.inside(Cell(), [-aside, along - aside, along + aside, aside])
+    n = len(mesh.X)
+    assert n == 5
+    assert len(mesh.linked) == 4
+    force, held, at = np.zeros((n, 3)), np.zeros((n, 3), dtype=bool), np.column_stack([mesh.X, np.zeros(n)])
+    held[0] = True
+    force[-1] = [0.3, 0.4, 0.0]
+    held[-1, 2] = True
+    for space in (False, True):
+        solution = mesh.solve(force, held, at, space=space)
+        check(solution)
+        way = solution.centre[-1] - solution.centre[0]
+        assert np.linalg.norm(way) == pytest.approx(2 * (n - 1) * (5.0 - 0.5), abs=1e-5)
+        assert way[:2] / np.linalg.norm(way) == pytest.approx([0.6, 0.8], abs=1e-5)
+        assert solution.force[solution.force > 1e-6] == pytest.approx(0.5, rel=1e-5)
+        assert solution.reaction[0] == pytest.approx([-0.3, -0.4, 0.0], abs=1e-7)
+
+
+def test_supports_carry_the_load_and_the_virial_is_that_of_the_load():
+    mesh = FiniteMesh.rectangle(Cell(), 3, 2)
+    force, held, at = hung(mesh, top_of(mesh))
+    solution = mesh.solve(force, held, at, space=False)
+    check(solution)
+    assert solution.reaction.sum(axis=0) + solution.load.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+    assert solution.mean_height == pytest.approx(mesh.area @ solution.centre[:, 1] / mesh.area.sum())
+    area = mesh.area.sum()
+    P = solution.line_load(np.zeros(len(mesh.X), dtype=int), np.array([area]))[0]
+    # the virial theorem: sum of external force times reference position over the area
+    outer = (solution.load + solution.reaction)[:, :, None] * mesh.X[:, None, :]
+    assert pytest.approx(outer.sum(axis=0) / area, abs=1e-9) == P
+
+
+def slsqp(mesh, force, held, at):
+    """The potential in N mm that scipy finds from the slack start under the two lowest gaps of each pair."""
+    n, r1 = len(mesh.X), mesh.cell.r1
+    centre, normal = mesh.slack()
+    top = held[:, 0]
+    centre += np.where(held, at, centre)[top].mean(axis=0) - centre[top].mean(axis=0)
+    start = Placed(centre / r1, normal)
+    pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
+    linked = np.array(pairs)
+    free = np.ones((n, 5), dtype=bool)
+    free[:, 2] = False
+    free[:, :3] &= ~held
+    base = np.zeros((n, 5))
+    base[:, :3] = np.where(held, at / r1 - start.x, 0.0)
+
+    def of(v):
+        q = base.copy()
+        q[free] = v
+        placed = start.moved(q)
+        return placed, find_touching(placed, linked, mesh.cell.wire, 10.0)
+
+    def gaps(v):
+        _, con = of(v)
+        rank = np.arange(len(con.gap)) - np.searchsorted(con.minima.pair, con.minima.pair)
+        out = np.repeat(con.deepest[:, None], 2, axis=1)
+        real = ~con.fixed & (rank < 2)
+        out[con.minima.pair[real], rank[real]] = con.gap[real]
+        return np.minimum(out, 5.0).ravel()
+
+    scale = np.abs(force).sum()
+    v = np.zeros(int(free.sum()))
+    for _ in range(60):  # in boxes smaller than the wire, so that no ring passes through another
+        found = minimize(
+            lambda v: -(force * of(v)[0].x).sum() / scale,
+            v,
+            bounds=[(x - 0.08, x + 0.08) for x in v],
+            constraints={"type": "ineq", "fun": gaps},
+            method="SLSQP",
+            options={"maxiter": 40, "ftol": 1e-12},
+        )
+        moved, v = np.abs(found.x - v).max(), found.x
+        if moved < 1e-6:
+            break
+    placed, con = of(found.x)
+    X = np.column_stack([mesh.X, np.zeros(n)])
+    assert con.deepest.min() > -1e-6
+    return float(-(force * (r1 * placed.x - X)).sum())
+
+
+@pytest.mark.slow
+def test_a_generic_solver_finds_the_same_potential():
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    force, held, at = hung(mesh, top_of(mesh))
+    solution = mesh.solve(force, held, at, space=False)
+    check(solution)
+    scale = np.abs(force).sum() * 5.0
+    assert abs(solution.potential - slsqp(mesh, force, held, at)) < 1e-5 * scale
+
+
+def test_moved_supports_and_their_limit():
+    mesh = FiniteMesh.rectangle(Cell(), 2, 1)
+    corners = top_of(mesh) & (np.isclose(mesh.X[:, 0], 0.0) | np.isclose(mesh.X[:, 0], mesh.X[:, 0].max()))
+    force, held, at = hung(mesh, corners)
+    at[corners, 0] *= 1.2
+    solution = mesh.solve(force, held, at, space=False)
+    check(solution)
+    assert solution.centre[corners] == pytest.approx(at[corners], abs=1e-9)
+    at[corners, 0] *= 3.0
+    assert mesh.solve(force, held, at, space=False, options=FiniteOptions(max_iterations=60)).status != "converged"
+
+
+def test_too_few_iterations_have_a_name():
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    found = mesh.solve(*hung(mesh, top_of(mesh)), options=FiniteOptions(max_iterations=3))
+    assert found.status == "iterations"
+    assert found.iterations == 3
+    assert "more iterations" in found.message
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda f, h, at: (f[:-1], h, at), "force: has shape"),
+        (lambda f, h, at: (0.0 * f, h, at), "carries no load"),
+        (lambda f, h, at: (f, h & False, at), "nothing carries the force"),
+        (lambda f, h, at: (f + np.nan, h, at), "finite"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_sentence(change, says):
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    with pytest.raises(InputError, match=says) as error:
+        mesh.solve(*change(*hung(mesh, top_of(mesh))))
+    assert "\n" not in str(error.value)
+
+
+def test_bad_outlines_are_refused():
+    for call, says in (
+        (lambda: FiniteMesh.rectangle(Cell(), 0, 1), "one cell or more"),
+        (lambda: FiniteMesh.inside(Cell(), [(0, 0), (1, 1)]), "three or more points"),
+        (lambda: FiniteMesh.inside(Cell(), [(0, 0), (4, 0), (0, 4)]), "rings"),
+        (lambda: FiniteMesh.inside(Cell(), [(0, 0), (1e6, 0), (0, 1e6)]), "at most"),
+        (lambda: cell_of_sides(5.0, 0.5, (11.0, 13.0)), "no known weave"),
+    ):
+        with pytest.raises(InputError, match=says):
+            call()
+
+
+def edge_loads(mesh, P):
+    """Forces (n, 3) of the line load P = diag(P1, P2) in N/mm on the four edges of a rectangle of whole cells."""
+    force = np.zeros((len(mesh.X), 3))
+    low, high = mesh.X.min(axis=0), mesh.X.max(axis=0)
+    for axis, load in enumerate(P):
+        other = 1 - axis
+        side = mesh.sides[other]
+        for end, sign in ((low, -1.0), (high, 1.0)):
+            edge = np.isclose(mesh.X[:, axis], end[axis])
+            at_corner = np.isclose(mesh.X[:, other], low[other]) | np.isclose(mesh.X[:, other], high[other])
+            force[edge, axis] += sign * load * side * np.where(at_corner[edge], 0.5, 1.0)
+    return force
+
+
+@pytest.mark.slow
+def test_far_from_its_edges_a_mesh_has_the_strain_of_the_cell():
+    mesh = FiniteMesh.rectangle(Cell(), 8, 8)
+    locked = solve_table(Cell(), ([0.0], [45.0]))
+    F = np.array([locked.x2_mm[0, 0] / mesh.sides[0], locked.x3_mm[0, 1] / mesh.sides[1]])
+    force = edge_loads(mesh, F[::-1] * np.sqrt(0.5))
+    middle = 0.5 * (mesh.X.min(axis=0) + mesh.X.max(axis=0))
+    row = np.flatnonzero(np.isclose(mesh.X[:, 1], middle[1]))
+    held = np.zeros((len(mesh.X), 3), dtype=bool)
+    held[row[len(row) // 2], :2] = held[row[0], 1] = True
+    solution = mesh.solve(force, held, np.column_stack([mesh.X, np.zeros(len(mesh.X))]), space=False)
+    check(solution)
+    inner = (np.abs(mesh.X - middle) < 2.1 * np.array(mesh.sides)).all(axis=1) & (mesh.index[:, 0] == 0)
+    assert inner.sum() == 25
+    X, x = mesh.X[inner] - mesh.X[inner].mean(axis=0), solution.centre[inner, :2]
+    found = np.linalg.lstsq(X, x - x.mean(axis=0), rcond=None)[0].T
+    E = 0.5 * (found.T @ found - np.eye(2))
+    assert np.abs(E - np.diag(0.5 * (F**2 - 1.0))).max() < 1e-3
+
+
+def test_hung_along_the_grain_the_inner_columns_keep_their_height():
+    mesh = FiniteMesh.rectangle(Cell(), 10, 2)
+    solution = mesh.solve(*hung(mesh, top_of(mesh)), space=False)
+    check(solution)
+    inner = np.abs(mesh.X[:, 0] - mesh.X[:, 0].mean()) < 1.1 * mesh.sides[0]
+    assert solution.centre[inner, 1] == pytest.approx(mesh.X[inner, 1], abs=2.5e-3)
