@@ -10,8 +10,15 @@ if TYPE_CHECKING:
     from homogenize.export.umat import write_umat as write_umat
     from homogenize.fitting.fit import FitOptions as FitOptions
     from homogenize.fitting.fit import FitResult as FitResult
+    from homogenize.fitting.fit import cell_of as cell_of
     from homogenize.fitting.fit import fit as fit
     from homogenize.fitting.fit import fit_table as fit_table
+    from homogenize.fitting.rows import Rows as Rows
+    from homogenize.interval import LawInterval as LawInterval
+    from homogenize.interval import interval_of_table as interval_of_table
+    from homogenize.interval import interval_or_law as interval_or_law
+    from homogenize.interval import law_interval as law_interval
+    from homogenize.interval import read_law_interval as read_law_interval
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
     from homogenize.laws.net import NetLaw as NetLaw
@@ -34,16 +41,23 @@ _MODULES = {
     "FitOptions": "homogenize.fitting.fit",
     "FitResult": "homogenize.fitting.fit",
     "HalfSpaces": "homogenize.laws.protocol",
+    "LawInterval": "homogenize.interval",
     "LockedStrain": "homogenize.query.strain",
     "MembraneLaw": "homogenize.laws.protocol",
     "NetLaw": "homogenize.laws.net",
     "Response": "homogenize.laws.protocol",
+    "Rows": "homogenize.fitting.rows",
+    "cell_of": "homogenize.fitting.fit",
     "default_law": "homogenize.io",
     "diagonal_net": "homogenize.laws.net",
     "fit": "homogenize.fitting.fit",
     "fit_table": "homogenize.fitting.fit",
+    "interval_of_table": "homogenize.interval",
+    "interval_or_law": "homogenize.interval",
+    "law_interval": "homogenize.interval",
     "load_law": "homogenize.io",
     "locked_strain": "homogenize.query.strain",
+    "read_law_interval": "homogenize.interval",
     "ring_net": "homogenize.laws.net",
     "save_law": "homogenize.laws.stored",
     "write_umat": "homogenize.export.umat",
@@ -57,16 +71,23 @@ __all__ = [
     "FitOptions",
     "FitResult",
     "HalfSpaces",
+    "LawInterval",
     "LockedStrain",
     "MembraneLaw",
     "NetLaw",
     "Response",
+    "Rows",
+    "cell_of",
     "default_law",
     "diagonal_net",
     "fit",
     "fit_table",
+    "interval_of_table",
+    "interval_or_law",
+    "law_interval",
     "load_law",
     "locked_strain",
+    "read_law_interval",
     "ring_net",
     "save_law",
     "write_umat",

@@ -36,13 +36,17 @@ REMOVED = {
 """Kinds of files of older versions that are not read any more, and what to do."""
 
 
+DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
+"""The file of `default_law`."""
+
+
 def default_law() -> Law:
     """The law for r1/r2 = 10 that ships inside the package, made by `homogenize.fitting.shipped`.
 
     >>> default_law().name
     'polyhedral'
     """
-    return load_law(Path(__file__).parent / "data" / "rings_10.json")
+    return load_law(DEFAULT_LAW)
 
 
 def load_law(path: str | Path) -> Law:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -29,19 +30,36 @@ def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str,
 @click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib).")
+@click.option("--table", type=click.Path(path_type=Path), help="Table to begin with instead of a law; with --rings.")
+@click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
+@click.option("--weave", help="Weave of --rings, by default 4-in-1.")
+@click.option("--grain", help="Interlacing direction of --rings, y (default) or x.")
+@click.option("--accuracy", type=float, help="With --rings: width of the interval over the height, by default 5e-3.")
+@click.option("--cache", type=click.Path(path_type=Path), help="Folder where answers of the rings are kept.")
+@click.option("--no-cache", is_flag=True, help="Keep no answers of the rings, and read none.")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force)
-def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: bool) -> None:
+def run(
+    scene: Path,
+    law_path: Path | None,
+    out: Path,
+    picture: bool,
+    explain: bool,
+    table: Path | None,
+    **rings: Any,
+) -> None:
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
 
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
     supports at the largest stretch of the mesh); 2: bad input.
     """
+    from macro_fem.demand.options import ring_options
     from macro_fem.job import run_scene
     from macro_fem.progress import progress_line
 
+    asked = ring_options(**rings)
     with progress_line() as say:
-        summary = run_scene(scene, law_path, out, picture=picture, say=say)
+        summary = run_scene(scene, law_path, out, picture=picture, table=table, say=say, **asked)
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
@@ -51,11 +69,25 @@ def run(scene: Path, law_path: Path | None, out: Path, picture: bool, explain: b
         f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
+    if "ring_solves" in summary:
+        click.echo(_interval_line(summary))
     if explain:
         for feature in summary["features"]:
             click.echo(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
+
+
+def _interval_line(summary: dict[str, Any]) -> str:
+    """Interval of the answer, its parts, and what the rings were asked."""
+    what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
+    low, high = summary[f"{what}_interval_{unit}"]
+    law, mesh = summary[f"law_part_{unit}"], summary[f"mesh_part_{unit}"]
+    name, shown = what.replace("_", " "), unit.replace("_", " ")
+    return (
+        f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; "
+        f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
+    )
 
 
 _ring_options = (

@@ -188,6 +188,11 @@ def _first_cones(
 
     if by_clarabel(scene):
         return told("clarabel takes no start")
+    if problem.cones is not None:
+        return problem.cones, (
+            Decision("last-mesh", True, "half-spaces begin with those of the mesh or law before"),
+            Decision("coarse-start", False, "the mesh or law before is nearer"),
+        )
     if start is not None and start.cones is not None and len(start.cones.first) == points:
         return start.cones, (
             Decision("last-step", True, "half-spaces and positions begin with those of the last load step"),

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from homogenize import MembraneLaw, default_law, load_law
+from homogenize import LawInterval, MembraneLaw, default_law, interval_of_table, interval_or_law, read_law_interval
 from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.adapt import levels as refined_levels
+from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
 from macro_fem.output.explain import decisions
-from macro_fem.output.files import bounds_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
 from macro_fem.output.rings import to_curtain
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.scene.schema import Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, Problem, make_problem
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete, job
@@ -28,7 +29,8 @@ from rve.common.types import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rve import Curtain
+    from macro_fem.demand.loop import Demand
+    from rve import Cell, Curtain
 
 RECORD = "summary.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -37,12 +39,13 @@ RECORD = "summary.json"
 @dataclass(frozen=True, eq=False)
 class CurtainResult:
     """A solved scene: `steps`, the curtain at each load step, the last one at full load; `levels` of a scene that asks
-    for bounds, each a finer mesh than the one before.
+    for bounds, each a finer mesh than the one before; `demand` of one whose law was asked of the rings.
     """
 
     scene: Scene
     steps: tuple[CurtainSolution, ...]
     levels: tuple[Level, ...] = ()
+    demand: Demand | None = None
 
     @property
     def solution(self) -> CurtainSolution:
@@ -51,8 +54,8 @@ class CurtainResult:
 
     @property
     def status(self) -> str:
-        """How the solve at full load ended, "converged" if it is accurate."""
-        return self.solution.status
+        """How the solve at full load ended, "converged" if it is accurate, and as narrow as asked of the rings."""
+        return self.solution.status if self.demand is None else self.demand.status
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -90,7 +93,9 @@ class CurtainResult:
         summary = summarize(self.solution)
         if self.levels:
             lines = [bounds_summary(level) for level in self.levels]
-            summary |= {"bounds": lines[-1], "levels": lines}
+            summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
+        if self.demand is not None:
+            summary |= self.demand.to_dict()
         features = decisions(self.solution, bounds=bool(self.levels), picture=picture)
         summary["features"] = [decision.to_dict() for decision in features]
         if len(self.steps) > 1:
@@ -100,7 +105,7 @@ class CurtainResult:
 
     def __str__(self) -> str:
         one = self.solution
-        return f"CurtainResult: {one.status}, mean height {one.mean_height():.3f} mm, {one.problem.disc.n_cells} cells"
+        return f"CurtainResult: {self.status}, mean height {one.mean_height():.3f} mm, {one.problem.disc.n_cells} cells"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: status, and the numbers of the summary that are single values."""
@@ -109,8 +114,21 @@ class CurtainResult:
         return f"<p>{escape(str(self))}</p><table>{body}</table>"
 
 
-def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) -> CurtainResult:
+def solve(
+    scene: Scene,
+    law: MembraneLaw | LawInterval | None = None,
+    *,
+    rings: Cell | None = None,
+    accuracy: float | None = None,
+    cache: str | Path | None = None,
+    say: Say = silent,
+) -> CurtainResult:
     """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
+
+    Bounds of a scene that asks for them hold for the law, or for its rings if it is an interval; the curtain is then
+    that of the upper bound, by the inner law. With `rings` the law is asked of them until the interval is no wider than
+    `accuracy` (default 5e-3) times the height; `law`, an interval, is what is known to begin with, and `cache` the
+    folder where answers of the rings are kept.
 
     An answer that has not converged has a status that says why. InputError if the scene is contradictory or its
     supports are out of reach.
@@ -120,17 +138,52 @@ def solve(scene: Scene, law: MembraneLaw | None = None, *, say: Say = silent) ->
     >>> solve(scene).status
     'converged'
     """
-    law = default_law() if law is None else law
+    if rings is not None:
+        return _on_demand(scene, law, rings, accuracy, cache, say)
+    if accuracy is not None or cache is not None:
+        raise InputError("accuracy and cache belong to rings: give their radii as well")
+    if law is None:
+        law = read_law_interval() if asks_bounds(scene) else default_law()
+    count = scene.load.steps
+    if not asks_bounds(scene):
+        return CurtainResult(scene, tuple(_steps(scene, law.law if isinstance(law, LawInterval) else law, count, say)))
+    steps = _steps(scene, law.inner if isinstance(law, LawInterval) else law, count, say)
+    say("solving with bounds")
+    levels = tuple(_with_bounds(scene, law, steps[-1]))
+    return CurtainResult(scene, (*steps[:-1], levels[-1].solution), levels)
+
+
+def _on_demand(
+    scene: Scene,
+    law: MembraneLaw | LawInterval | None,
+    rings: Cell,
+    accuracy: float | None,
+    cache: str | Path | None,
+    say: Say,
+) -> CurtainResult:
+    """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
+    from macro_fem.demand.cache import open_cache
+    from macro_fem.demand.loop import DemandOptions, solve_on_demand
+
+    bounded = replace(scene, solver=replace(scene.solver, bounds=True))
+    check_solver(bounded, scene.source)
+    options = DemandOptions() if accuracy is None else DemandOptions(accuracy)
+    if law is not None and not isinstance(law, LawInterval):
+        raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
+    found = solve_on_demand(bounded, rings, options, known=law, cache=open_cache(cache), say=say)
+    early = _steps(bounded, found.law.inner, scene.load.steps - 1, say)
+    return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
+
+
+def _steps(scene: Scene, law: MembraneLaw, last: int, say: Say) -> list[CurtainSolution]:
+    """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds."""
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
+    pose = admissible_problem if asks_bounds(scene) else make_problem
     steps: list[CurtainSolution] = []
-    for step in range(1, count + 1):
+    for step in range(1, last + 1):
         say(f"solving {mesh.mesh.t.shape[1]} cells, load step {step} of {count}")
-        steps.append(_solved(make_problem(scene, law, mesh, step / count), steps[-1] if steps else None))
-    if asks_bounds(scene):
-        say("solving with bounds")
-        levels = tuple(_with_bounds(scene, law, steps[-1]))
-        return CurtainResult(scene, (*steps[:-1], levels[-1].solution), levels)
-    return CurtainResult(scene, tuple(steps))
+        steps.append(_solved(pose(scene, law, mesh, step / count), steps[-1] if steps else None))
+    return steps
 
 
 def run_scene(
@@ -139,9 +192,15 @@ def run_scene(
     out: Path,
     *,
     picture: bool = True,
+    table: Path | None = None,
+    rings: Cell | None = None,
+    accuracy: float | None = None,
+    cache: Path | None = None,
     say: Say = silent,
 ) -> dict[str, Any]:
     """Solve the scene in a file, write its files into `out` and return the summary.
+
+    `rings`, `accuracy` and `cache`: see `solve`; `table`: a strain-load table to begin with instead of a law.
 
     InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
@@ -154,10 +213,14 @@ def run_scene(
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
     if mesh_file is not None:
         complete(mesh_file.parent, RECORD)
-    inputs = [scene_path, law_path, mesh_file]
+    inputs = [scene_path, law_path, table, mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
-    law = default_law() if law_path is None else load_law(law_path)
-    return solve(scene, law, say=say).save(out, picture=picture, inputs=inputs)
+    if table is not None and (law_path is not None or rings is None):
+        raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
+    law = None if law_path is None else interval_or_law(law_path)
+    law = law if table is None else interval_of_table(table)
+    found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache, say=say)
+    return found.save(out, picture=picture, inputs=inputs)
 
 
 def asks_bounds(scene: Scene) -> bool:
@@ -175,7 +238,7 @@ def _solved(problem: Problem, start: CurtainSolution | None) -> CurtainSolution:
     return solution
 
 
-def _with_bounds(scene: Scene, law: MembraneLaw, first: CurtainSolution) -> list[Level]:
+def _with_bounds(scene: Scene, law: MembraneLaw | LawInterval, first: CurtainSolution) -> list[Level]:
     """All levels of refinement; InputError if not even the curtain on the first mesh has converged."""
     if first.status != "converged":
         raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {first.message}")

@@ -42,6 +42,7 @@ class Problem:
     fem: SupportedFem
     force: Array  # (n_nodes, d), N
     factor: float = 1.0  # share of live loads and moves
+    cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
 
 
 @dataclass(frozen=True)
@@ -147,8 +148,7 @@ class CurtainSolution(Judged):
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""
-        disc = self.problem.disc
-        ones = load_vector(disc, np.array([1.0]))[:, 0]
+        ones = load_vector(discretize(self.problem.mesh.mesh, self.problem.disc.element), np.array([1.0]))[:, 0]
         return float(ones @ self.x[:, 1] / ones.sum())
 
     def principal(self) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 from benchmarks.report.files import command
 from benchmarks.report.records import Report
-from benchmarks.work_precision import chain, contact, curtain, law, rve
+from benchmarks.work_precision import chain, contact, curtain, law, nested, rve
 
 REPORT = Report(
     "work_precision",
@@ -12,7 +12,7 @@ REPORT = Report(
     "stay in the tables. Times are processor times on one thread.",
     "OMP_NUM_THREADS=1 python -m benchmarks.work_precision",
 )
-SECTIONS = (rve, contact, law, curtain, chain)
+SECTIONS = (rve, contact, law, curtain, nested, chain)
 
 main = command(REPORT, {module.__name__.split(".")[-1]: module.measure for module in SECTIONS})
 

@@ -234,5 +234,5 @@ def _conclusion(corners: Table) -> str:
         f"With as many unknowns P2 is {abs(finest['P1 aligned'] / finest['P2 aligned']):.0f} times as accurate as P1. "
         'For one number, use `element = "P2"` with half the cells, as `examples/curtain.py` does. The default '
         "is P1 with edges along both families (`aligned`): it alone is admissible in every point, so that its answer "
-        "is an upper bound, and `bounds` and `adapt` work with it."
+        "is an upper bound; `bounds` and `adapt` take P2 on its triangles, with the law at their corners."
     )

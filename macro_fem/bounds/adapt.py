@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from homogenize import MembraneLaw
+from homogenize import LawInterval, MembraneLaw
+from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds, bound
 from macro_fem.curtain import solve_problem
 from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
-from macro_fem.solution import CurtainSolution, make_problem
+from macro_fem.solution import CurtainSolution, Problem
+from macro_fem.solvers.cones import supported, taken_from
 from rve.common.types import Array
 
 BULK = 0.6
@@ -29,26 +32,46 @@ class Level:
 
 def levels(
     scene: Scene,
-    law: MembraneLaw,
+    law: MembraneLaw | LawInterval,
     factor: float = 1.0,
     mesh: CurtainMesh | None = None,
     first: CurtainSolution | None = None,
 ) -> Iterator[Level]:
     """The curtain on the scene's mesh and on `scene.solver.adapt` refinements of it, each with its bounds.
 
-    `first` is the curtain on the first mesh where it is solved already. Ends early if a solver did not converge.
+    Of an interval of laws the curtain is that of the inner law, and the lower bound that of the outer one. `first` is
+    the curtain of the admissible problem on the first mesh where it is solved already. Ends early if a solver did not
+    converge.
     """
-    mesh = build_mesh(scene, law.cell) if mesh is None else mesh
+    own, outer = (law.inner, law.outer) if isinstance(law, LawInterval) else (law, None)
+    mesh = build_mesh(scene, own.cell) if mesh is None else mesh
+    solution = first
     for number in range(scene.solver.adapt + 1):
-        solution = first if first and not number else solve_problem(make_problem(scene, law, mesh, factor))
+        if solution is None or number:
+            solution = solve_problem(with_cones_of(admissible_problem(scene, own, mesh, factor), solution))
         if solution.status != "converged":
             return
-        level = Level(solution, bound(solution, factor))
+        level = Level(solution, bound(solution, factor, outer))
         yield level
         if level.bounds.status != "converged":
             return
         if number < scene.solver.adapt:
             mesh = refine(mesh, marked(level.bounds.error), scene)
+
+
+def with_cones_of(problem: Problem, before: CurtainSolution | None) -> Problem:
+    """The problem, to begin with the half-spaces of an earlier solution at the nearest points, under its own law."""
+    if before is None or before.cones is None:
+        return problem
+    _, nearest = cKDTree(_moved_in(before.problem)).query(_moved_in(problem))
+    return replace(problem, cones=supported(taken_from(before.cones, nearest), problem.law))
+
+
+def _moved_in(problem: Problem) -> Array:
+    """Points of the discretisation, drawn to the middle of their triangles so that each has its own, (n_points, 2)."""
+    disc = problem.disc
+    middle = disc.cell_mean(disc.points)
+    return 0.5 * (disc.points + np.tile(middle, (disc.n_quad, 1)))
 
 
 def marked(error: Array, bulk: float = BULK) -> np.ndarray:

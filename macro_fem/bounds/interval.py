@@ -1,11 +1,12 @@
 """A certified interval for the potential of the continuous curtain, and where its width comes from.
 
-Upper bound: the conforming P1 curtain, admissible in every triangle. Lower bound: the equilibrated stress of
-`macro_fem.bounds.equilibrated`, with every half-space an outer one, so that it holds for the law and not for a few
-planes. Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the
-true position x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the
-edge, so that the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa
-|r| s: this is subtracted.
+Upper bound: a conforming curtain, admissible in every triangle (`macro_fem.bounds.admissible`). Lower bound: the
+equilibrated stress of `macro_fem.bounds.equilibrated`, with every half-space an outer one, so that it holds for the law
+and not for a few planes. With an outer law below and an inner one above, the interval holds for every law between.
+Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the true
+position x(s) at a distance s from a held point stays within kappa s of it, kappa the largest stretch along the edge, so
+that the work of the spread reaction r differs from that of the point reaction by at most the integral of kappa |r| s:
+this is subtracted.
 
 The width of the interval is the sum over the triangles of  integral of psi*(P) - P:F >= 0  plus what points cost.
 """
@@ -13,7 +14,7 @@ The width of the interval is the sum over the triangles of  integral of psi*(P) 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -29,12 +30,13 @@ from macro_fem.bounds.equilibrated import (
     largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Corners, Edge, Hooks, Point, Support
-from macro_fem.solution import CurtainSolution, gathered_start
+from macro_fem.solution import CurtainSolution, gathered_start, make_problem
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import PathResult, solve_path
-from macro_fem.solvers.cones import repeated
+from macro_fem.solvers.cones import repeated, supported
 from macro_fem.solvers.options import PathOptions
 from rve.common.types import Array
 from rve.common.values import Options, number
@@ -62,7 +64,8 @@ class Bounds:
     """upper and lower: bounds of the potential of the continuous curtain, N mm; `status` of the dual solver.
 
     error (n_cells,): share of every triangle in upper - lower, N mm, which it sums to; `points`: the part of it that is
-    due to supports and loads at points and to the solvers' own gaps.
+    due to supports and loads at points and to the solvers' own gaps. law_part: how much of upper - lower the distance
+    between inner and outer law may make, N mm; None where both bounds are those of one law. loads: where it comes from.
     """
 
     upper: float
@@ -72,6 +75,8 @@ class Bounds:
     status: str
     iterations: int
     wall_s: float
+    law_part: float | None = None
+    loads: Loads | None = None
 
     @property
     def gap(self) -> float:
@@ -79,12 +84,51 @@ class Bounds:
         return self.upper - self.lower
 
 
-def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions = BOUND) -> Bounds:
-    """Bounds of the potential around a P1 solution on a mesh of triangles, at the same load step `factor`.
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Stresses of a curtain as directions S (n, 3) of unit trace, in the curtain's frame, and what they weigh.
 
+    weight (n,): reference area times trace, N mm; width (n,): h of the outer law minus h of the inner one.
+    """
+
+    S: Array
+    weight: Array
+    width: Array
+
+    @property
+    def law_part(self) -> float:
+        """The sum of weight times width, N mm: the potentials under both laws differ by no more."""
+        return float((self.weight * self.width).sum())
+
+
+def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) -> Loads:
+    """The stresses S (n, 3) at points of these reference areas (n,) under two laws; points without stress are left out.
+
+    With multipliers S of the inner law, potential(inner) - potential(outer) <= sum of weight width (weak duality).
+    """
+    size = S[:, 0] + S[:, 2]
+    there = size > 0.0
+    direction = S[there] / size[there, None]
+    width = np.maximum(outer.support(direction) - inner.support(direction), 0.0)
+    return Loads(direction, weight[there] * size[there], width)
+
+
+def bound(
+    solution: CurtainSolution,
+    factor: float = 1.0,
+    outer: MembraneLaw | None = None,
+    options: BoundOptions = BOUND,
+) -> Bounds:
+    """Bounds of the potential around an admissible solution on a mesh of triangles, at the same load step `factor`.
+
+    The solution is one in P1, or in P2 with the law at the corners of triangles. `outer`: a law, in the frame of the
+    weave, that contains the solution's; the lower bound is then for it.
     InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
     """
     begin = time.perf_counter()
+    upper, inner, area = solution.primal, solution.problem.law, solution.problem.disc.weight
+    gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
+    solution = linear_part(solution, factor, outer)
     problem = solution.problem
     dual = dual_problem(solution, factor, options)
     fem = dual.fem
@@ -93,7 +137,7 @@ def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions 
         gap=options.gap,
         violation=options.violation,
         max_iterations=problem.scene.solver.max_iterations,
-        cones=None if solution.cones is None else repeated(solution.cones, 3),
+        cones=solution.cones,
         drawn=False,
     )
     result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, path)
@@ -101,17 +145,37 @@ def bound(solution: CurtainSolution, factor: float = 1.0, options: BoundOptions 
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
     lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.disc.nodes).sum())
-    error = error_map(solution, dual, result)
-    points = solution.primal - lower - float(error.sum())
+    error = error_map(gradients, dual, result)
+    points = upper - lower - float(error.sum())
+    loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return Bounds(
-        upper=solution.primal,
+        upper=upper,
         lower=lower if result.converged else float("nan"),
         error=error + _near_points(dual, moment, points),
         points=points,
         status=result.status,
         iterations=result.iterations,
         wall_s=time.perf_counter() - begin,
+        law_part=None if loads is None else min(loads.law_part, upper - lower),
+        loads=loads,
     )
+
+
+def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | None) -> CurtainSolution:
+    """The solution at the corners of its triangles, as one in P1, under `outer` where given, with its half-spaces.
+
+    They are those of the three corners of every triangle, in the order of `macro_fem.bounds.equilibrated`.
+    """
+    problem, cones = solution.problem, solution.cones
+    if cones is not None and problem.disc.n_quad == 1:
+        cones = repeated(cones, 3)
+    flat = replace(problem.scene, mesh=replace(problem.scene.mesh, element="P1"))
+    own = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
+    if outer is not None or problem.disc.element != "P1":
+        problem = make_problem(flat, own if outer is None else outer, problem.mesh, factor)
+    if outer is not None and cones is not None:
+        cones = supported(cones, problem.law)
+    return replace(solution, problem=problem, x=solution.x[: problem.disc.n_nodes], cones=cones)
 
 
 def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BOUND) -> DualProblem:
@@ -215,10 +279,16 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     return float(moved + moment.sum()), moment
 
 
-def error_map(solution: CurtainSolution, dual: DualProblem, result: PathResult) -> Array:
-    """Integral of psi*(P) - P:F over every triangle (n_cells,), F of the P1 curtain, psi* from above by sum c |y1|."""
+def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
+    """Integral of psi*(P) - P:F over every triangle (n_cells,), psi* from above by sum c |y1|.
+
+    F (3 n_cells, 2, 2) is that of the admissible curtain at the corners of triangles. P and F are linear, so that the
+    integral of P:F is A/12 (sum P_i:F_i + sum P_i : sum F_i) over the corners i of a triangle of area A.
+    """
     radius = np.sqrt(2.0 * result.cones.size)
     psi = result.cones.sum(radius * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
     n = dual.dual.disc.n_cells
-    work = (result.P * np.tile(solution.F, (3, 1, 1))).sum(axis=(1, 2))
-    return (dual.dual.disc.weight * (psi - work)).reshape(3, n).sum(axis=0)
+    weight = dual.dual.disc.weight.reshape(3, n)
+    P, F = result.P.reshape(3, n, 4), F.reshape(3, n, 4)
+    work = 0.25 * ((P * F).sum(axis=(0, 2)) + (P.sum(axis=0) * F.sum(axis=0)).sum(axis=1))
+    return np.asarray((weight * psi.reshape(3, n)).sum(axis=0) - weight[0] * work)

@@ -182,7 +182,6 @@ def bounds_summary(level: Level) -> dict[str, Any]:
     solution, bounds = level.solution, level.bounds
     problem = solution.problem
     total = float(np.abs(problem.force).sum())
-    load = problem.scene.load
     summary = {
         "status": bounds.status,
         "cells": problem.disc.n_cells,
@@ -193,10 +192,41 @@ def bounds_summary(level: Level) -> dict[str, Any]:
         "part_of_gap_due_to_points_N_mm": bounds.points,
         "wall_s": solution.wall_s + bounds.wall_s,
     }
-    if total > 0.0 and load.gravity > 0.0 and not (load.edge or load.point or load.patch or load.bar):
+    if is_mean_height(problem):
         mean = solution.mean_height()
         summary["mean_height_mm"] = [mean - bounds.gap / total, mean]
     return summary
+
+
+def is_mean_height(problem: Problem) -> bool:
+    """Whether the potential tells the mean height: the curtain's own weight is the only load."""
+    load = problem.scene.load
+    others = load.edge or load.point or load.patch or load.bar
+    return load.gravity > 0.0 and not others and bool(np.abs(problem.force).sum() > 0.0)
+
+
+def interval_summary(level: Level) -> dict[str, Any]:
+    """The interval of the answer and its parts: of the mean height in mm, or of the potential in N mm.
+
+    The law's part is null where the law has no rows: then the interval is that of the law, not of the rings.
+    """
+    bounds, problem = level.bounds, level.solution.problem
+    is_height = is_mean_height(problem)
+    unit = "mm" if is_height else "N_mm"
+    per = float(np.abs(problem.force).sum()) if is_height else 1.0
+    low, high = bounds.lower, bounds.upper
+    if is_height:
+        high = level.solution.mean_height()
+        low = high - bounds.gap / per
+    law = bounds.law_part
+    of = "mean height" if is_height else "potential, since other loads than the curtain's weight act"
+    for_what = "this law: its rows are not known" if law is None else "the rings, between the laws inside and outside"
+    return {
+        f"{'mean_height' if is_height else 'potential'}_interval_{unit}": [low, high],
+        f"law_part_{unit}": None if law is None else law / per,
+        f"mesh_part_{unit}": (bounds.gap - (law or 0.0)) / per,
+        "interval": f"of the {of}; holds for the continuous curtain and {for_what}",
+    }
 
 
 def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:

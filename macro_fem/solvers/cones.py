@@ -9,7 +9,7 @@ is concave in F with gradient -F S. Points carry different numbers of half-space
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -183,6 +183,11 @@ def taken_from(cones: Cones, source: np.ndarray) -> Cones:
     point = np.repeat(np.arange(len(source)), count)
     old = np.repeat(cones.first[source], count) + np.arange(len(point)) - first[point]
     return Cones(point, cones.S[old], cones.h[old], first)
+
+
+def supported(cones: Cones, law: MembraneLaw) -> Cones:
+    """The half-spaces of `law` with the same S as those of `cones`."""
+    return replace(cones, h=law.support(cones.S))
 
 
 def steadied(cones: Cones, keep: np.ndarray) -> np.ndarray:

@@ -1,0 +1,115 @@
+"""A law with what its rows prove of it: the rings' own law lies between an inner and an outer polyhedron.
+
+The hull of the rows' strains is inside the rings' law, the polyhedron of their half-spaces contains it
+(`homogenize.fitting.bounds`). Two assumptions remain, see docs/theory.md: every row holds the largest work of its
+load, which the outer one needs, and strains between locked ones are admissible, which the inner one needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from homogenize.fitting.bounds import inner_law, outer_law
+from homogenize.fitting.fit import cell_of
+from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, with_mirror
+from homogenize.io import DEFAULT_LAW, Law, load_law
+from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.vertices import highest
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class LawInterval:
+    """`inner` contains nothing that the rings cannot do, `outer` all that they can; `law` is to be used between them.
+
+    rows: what all three are made of. raised: largest work by which the strain of one row exceeds that of another under
+    the other's load; h of that row is raised by it, so that `outer` contains `inner`.
+    """
+
+    inner: MembraneLaw
+    law: MembraneLaw
+    outer: MembraneLaw
+    rows: Rows
+    raised: float = 0.0
+
+    def width(self, S: Array) -> Array:
+        """How far apart the support functions of `outer` and `inner` are at loads S (n, 3), (n,)."""
+        return np.maximum(self.outer.support(S) - self.inner.support(S), 0.0)
+
+
+def law_interval(
+    rows: Rows, law: MembraneLaw | None = None, stiffness: Array | None = None, cell: CellInfo | None = None
+) -> LawInterval:
+    """Inner and outer law of rows (n >= 4), and between them `law`, by default the inner one.
+
+    InputError if the rows do not bound the strain under tension.
+
+    >>> found = read_law_interval()
+    >>> bool(found.width(np.array([[0.5, 0.0, 0.5]]))[0] < 1e-3)
+    True
+    """
+    found = rows_with_largest_work(rows)
+    inner, outer = inner_law(found, stiffness, cell), outer_law(found, stiffness, cell)
+    return LawInterval(inner, inner if law is None else law, outer, found, float((found.h - rows.h).max()))
+
+
+def rows_with_largest_work(rows: Rows) -> Rows:
+    """Rows whose h is at least the work S:E that any other row's strain does under their load.
+
+    >>> S = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]])
+    >>> E = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
+    >>> rows_with_largest_work(Rows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2))).h
+    array([0.1, 0.1])
+    """
+    return replace(rows, h=np.maximum(rows.h, highest(rows.S, with_mirror(rows).E)))
+
+
+def read_law_interval(path: str | Path = DEFAULT_LAW) -> LawInterval:
+    """The law in a file, by default the one for r1/r2 = 10, with its rows; InputError if it cannot be read or has none.
+
+    A net is no fit to rows, and has none either.
+    """
+    found = interval_of_law(load_law(path), str(path))
+    if found is None:
+        raise InputError(f"{path}: provenance table_rows: are missing; make the law again with homogenize fit")
+    return found
+
+
+def interval_or_law(path: str | Path) -> MembraneLaw | LawInterval:
+    """The law in a file with what its rows prove; the law alone if the file holds no rows or a net.
+
+    InputError if the file cannot be read.
+    """
+    law = load_law(path)
+    return interval_of_law(law, str(path)) or law
+
+
+def interval_of_table(path: str | Path) -> LawInterval:
+    """What the rows of a strain-load table prove; InputError if it cannot be read or its rows do not bound the strain.
+
+    Its law is the inner one.
+    """
+    from rve import read_table
+
+    table = read_table(path)
+    return law_interval(rows_from_table(table), cell=cell_of(table))
+
+
+def interval_of_law(law: Law, source: str) -> LawInterval | None:
+    """The interval of a law fitted to the rows in its provenance; None for a law without rows or not between them.
+
+    InputError names `source` if the rows are none.
+    """
+    data = law.provenance.get("table_rows")
+    if data is None or law.name != "polyhedral":
+        return None
+    try:
+        rows = rows_from_dict(data)
+    except InputError as error:
+        raise InputError(f"{source}: provenance table_rows: {error}") from error
+    stiffness = np.asarray(np.linalg.inv(law.compliance))
+    return law_interval(rows, law, stiffness, law.cell)

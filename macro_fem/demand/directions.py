@@ -1,0 +1,89 @@
+"""Which load directions to ask the rings for: those whose stresses widen the interval most, apart from each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rve.common.types import Array
+
+BIN = 0.02
+"""Width in the disc within which stresses count as one direction."""
+RIM = 0.02
+"""Directions nearer to the rim than this are asked on it first: wrinkled meshes carry loads of rank one."""
+APART = 0.5
+"""A question keeps this part of its distance to the nearest known direction free of other questions of its round."""
+SAME = 1e-4
+"""Directions nearer to each other than this are one."""
+
+
+def widest(x: Array, part: Array, known: Array, most: int, is_mirrored: bool) -> Array:
+    """At most `most` directions (n, 2) to ask for, given stresses at x (m, 2) with their parts (m,) of the interval.
+
+    known (k, 2): directions asked before. Of a mesh that is its own mirror image those with x2 >= 0 stand for all.
+
+    >>> x = np.array([[0.5, 0.0], [0.5, 0.001], [-0.5, 0.0]])
+    >>> widest(x, np.array([1.0, 1.0, 3.0]), np.array([[0.0, 0.0]]), 1, True).tolist()
+    [[-0.5, 0.0]]
+    """
+    there = part > 0.0
+    x, part = x[there], part[there]
+    if is_mirrored:
+        x, known = _folded(x), _folded(known)
+    centre, weight = _binned(x, part)
+    chosen: list[Array] = []
+    free = np.zeros(0)
+    for i in np.argsort(-weight, kind="stable"):
+        if len(chosen) == most:
+            break
+        point = _placed(centre[i], known)
+        distance = _least_distance(point, known)
+        if distance < SAME:
+            continue
+        taken = np.array(chosen).reshape(-1, 2)
+        if (np.hypot(*(taken - point).T) < np.maximum(free, APART * distance)).any():
+            continue
+        chosen.append(point)
+        free = np.append(free, APART * distance)
+    return np.array(chosen).reshape(-1, 2)
+
+
+def between(known: Array, most: int, is_mirrored: bool) -> Array:
+    """At most `most` directions (n, 2) that are farthest from all known ones, for want of stresses."""
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 33), np.linspace(-1, 1, 33)), axis=-1).reshape(-1, 2)
+    angle = np.pi * np.arange(96) / 48.0
+    grid = np.vstack([np.column_stack([np.cos(angle), np.sin(angle)]), grid[np.hypot(*grid.T) < 1.0]])
+    grid = grid[grid[:, 1] >= 0.0] if is_mirrored else grid
+    known = _folded(known) if is_mirrored else known
+    chosen: list[Array] = []
+    for _ in range(most):
+        distance = cKDTree(np.vstack([known, *chosen])).query(grid)[0]
+        chosen.append(grid[distance.argmax()][None])
+    return np.vstack(chosen)
+
+
+def _folded(x: Array) -> Array:
+    return np.column_stack([x[:, 0], np.abs(x[:, 1])])
+
+
+def _binned(x: Array, part: Array) -> tuple[Array, Array]:
+    """Mean direction (k, 2) and sum of parts (k,) of the stresses in every square of the disc that holds some."""
+    key = np.floor(x / BIN).astype(np.int64)
+    _, group = np.unique(key, axis=0, return_inverse=True)
+    group = group.ravel()
+    total = np.asarray(np.bincount(group, part), float)
+    mean = np.column_stack([np.bincount(group, part * x[:, k]) / total for k in range(2)])
+    return mean, total
+
+
+def _placed(x: Array, known: Array) -> Array:
+    """The direction itself, or the nearest one on the rim if that is near and was not asked before."""
+    size = float(np.hypot(*x))
+    if size < 1.0 - RIM:
+        return x
+    rim = x / size
+    return rim if _least_distance(rim, known) > max(SAME, 1.0 - size) else x
+
+
+def _least_distance(x: Array, known: Array) -> float:
+    return float(np.hypot(*(known - x).T).min()) if len(known) else np.inf

@@ -1,0 +1,37 @@
+"""The nested scheme of the report: its answer is that of the rings on its mesh, between the laws of any table."""
+
+import numpy as np
+import pytest
+
+from benchmarks.work_precision.nested import ERROR, HEIGHT, SOLVES, _end, answered, curtain, nested, on_demand
+from homogenize import read_law_interval
+from rve import Cell
+
+
+def test_rows_are_joined_with_the_largest_work_that_is_known():
+    first = answered(Cell(), np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]), None)
+    both = answered(Cell(), np.array([[0.5, 0.5]]), first)
+    assert len(both) == 5
+    np.testing.assert_array_equal(both.E[:4], first.E)
+    known = read_law_interval()
+    assert (both.h <= known.outer.support(both.S) + 1e-9).all()
+    assert (both.h >= known.inner.support(both.S) - 2e-5).all()
+
+
+def test_the_conclusion_is_made_of_the_rows():
+    rows = [{"method": "nested", SOLVES: 1000, ERROR: 1e-7}, {"method": "on demand", SOLVES: 30, ERROR: 2e-4}]
+    assert "33 times fewer" in _end(rows)
+    assert "no run on demand" in _end(rows[:1])
+
+
+@pytest.mark.slow
+def test_nested_and_on_demand_give_one_answer_between_the_laws_of_a_table():
+    cell, cells = Cell(), 3
+    found = nested(cell, cells)
+    known = read_law_interval()
+    low, high = (curtain(law, cells).mean_height() for law in (known.outer, known.inner))
+    assert found.left < 1e-6
+    assert low - 1e-3 < found.height < high + 1e-3
+    height, solves, width = on_demand(cell, cells, 0.02)
+    assert solves < 0.1 * found.solves
+    assert abs(height - found.height) < width * HEIGHT

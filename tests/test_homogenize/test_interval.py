@@ -1,0 +1,79 @@
+"""A law with what its rows prove: the three laws contain each other, and files without rows are told apart."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from homogenize.interval import interval_or_law, law_interval, read_law_interval, rows_with_largest_work
+from homogenize.io import DEFAULT_LAW, save_law
+from homogenize.laws.net import diagonal_net
+from rve.common.errors import InputError
+from rve.common.tensor import double_dot, from_disc
+
+
+def directions(count: int = 300) -> np.ndarray:
+    """Loads (n, 3) of unit trace, spread over the disc and its rim."""
+    rng = np.random.default_rng(5)
+    angle, radius = rng.uniform(0.0, 2.0 * np.pi, count), np.sqrt(rng.uniform(0.0, 1.0, count))
+    radius[:50] = 1.0
+    return from_disc(radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():
+    found, S = read_law_interval(), directions()
+    inner, law, outer = (one.support(S) for one in (found.inner, found.law, found.outer))
+    # Between two of its 720 loads of rank one the inner law is passed by less than 1e-5.
+    assert (law >= inner - 2e-5).all()
+    assert (outer >= law - 1e-9).all()
+    assert found.width(S).max() < 0.02
+    assert found.raised < 1e-8
+    rows = found.rows
+    assert np.abs(found.width(rows.S)).max() < 2e-5
+
+
+def test_fewer_rows_make_a_wider_interval():
+    full = read_law_interval()
+    few = law_interval(full.rows.take(np.arange(0, len(full.rows), 7)))
+    S = directions()
+    assert (few.inner.support(S) <= full.inner.support(S) + 2e-5).all()
+    assert (few.outer.support(S) >= full.outer.support(S) - 1e-9).all()
+    assert few.width(S).sum() > 3.0 * full.width(S).sum()
+
+
+def test_rows_that_missed_the_largest_work_are_raised_to_what_others_do():
+    rows = read_law_interval().rows
+    i, j = 40, 41
+    low = rows.E.copy()
+    low[i] -= 0.01 * np.array([1.0, 0.0, 1.0])
+    wrong = replace(rows, E=low, h=double_dot(rows.S, low))
+    found = law_interval(wrong)
+    best = double_dot(rows.S[i], low[np.arange(len(low)) != i]).max()
+    assert found.raised == pytest.approx(best - wrong.h[i], abs=1e-12)
+    assert found.raised > 1e-3
+    assert rows_with_largest_work(wrong).h[i] == pytest.approx(best, abs=1e-12)
+    assert rows_with_largest_work(wrong).h[j] == wrong.h[j]
+    assert (found.outer.support(directions()) >= found.inner.support(directions()) - 2e-5).all()
+
+
+def test_files_without_rows_hold_a_law_and_no_interval(tmp_path: Path):
+    record = json.loads(DEFAULT_LAW.read_text())
+    del record["provenance"]["table_rows"]
+    bare, net = tmp_path / "bare.json", tmp_path / "net.json"
+    bare.write_text(json.dumps(record))
+    save_law(diagonal_net(), net)
+    for path in (bare, net):
+        assert not hasattr(interval_or_law(path), "inner")
+        with pytest.raises(InputError, match="table_rows"):
+            read_law_interval(path)
+
+
+def test_damaged_rows_of_a_file_are_refused_by_name(tmp_path: Path):
+    record = json.loads(DEFAULT_LAW.read_text())
+    record["provenance"]["table_rows"]["S"][3] = [1.0, 0.9, 0.0]
+    path = tmp_path / "law.json"
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"law\.json: provenance table_rows: row 3"):
+        interval_or_law(path)

@@ -1,0 +1,503 @@
+"""The law on demand: rings are asked where it matters, answers are kept, and the interval holds the answer.
+
+Most tests ask rings that are known exactly: locked states of a shipped law, whose support function is the largest work
+over them. What the real rings answer is tested in tests/test_rve; scenes of real rings are the slow tests.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize import default_law, law_interval, read_law_interval
+from homogenize.fitting.rows import with_mirror
+from macro_fem.bounds.adapt import levels
+from macro_fem.bounds.admissible import admissible_problem
+from macro_fem.bounds.interval import bound, loads_of
+from macro_fem.cli import main
+from macro_fem.curtain import solve_problem
+from macro_fem.demand import rings as rings_module
+from macro_fem.demand.cache import NO_CACHE, RingAnswer, RingCache, default_folder, open_cache
+from macro_fem.demand.directions import between, widest
+from macro_fem.demand.loop import DemandOptions, solve_on_demand
+from macro_fem.demand.options import ring_options
+from macro_fem.demand.rings import Asked, ask, contradictions, first_directions, rounded, settled
+from macro_fem.job import solve
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
+from macro_fem.solution import make_problem
+from macro_fem.solvers.cones import least_slack
+from rve import WEAVES, Cell
+from rve.common.errors import InputError
+from rve.common.materials import named_material
+from rve.common.tensor import WEIGHT, disc, from_disc
+
+KNOWN = read_law_interval()
+STATES = with_mirror(KNOWN.rows).E
+NOTHING = Asked(np.zeros((0, 2)))
+
+
+@pytest.fixture
+def known_rings(monkeypatch):
+    """Rings whose locked states are those of the shipped law; the list of loads that they were asked for."""
+    loads = []
+
+    def support(cell, S):
+        loads.append(S[0])
+        work = (S * WEIGHT) @ STATES.T
+        best = work.argmax(axis=1)
+        return SimpleNamespace(
+            h=work.max(axis=1), E=STATES[best], status=np.array(["converged"]), unique=np.array([True])
+        )
+
+    monkeypatch.setattr(rings_module, "support", support)
+    return loads
+
+
+def square(support="corners", cells=4, **tables):
+    kind = {"kind": support} if isinstance(support, str) else support
+    return read_scene(
+        {"curtain": {"width": 100.0, "height": 100.0}, "mesh": {"cells": cells}, "support": kind} | tables
+    )
+
+
+def interval(found):
+    """Lower and upper bound of the potential of the last turn."""
+    return found.level.bounds.lower, found.level.bounds.upper
+
+
+def test_a_quadratic_curtain_with_the_law_at_corners_is_admissible_everywhere_and_not_above_a_linear_one():
+    scene, law = square(cells=4), default_law()
+    mesh = build_mesh(scene, law.cell)
+    quadratic = solve_problem(admissible_problem(scene, law, mesh))
+    linear = solve_problem(make_problem(scene, law, mesh))
+    assert quadratic.status == linear.status == "converged"
+    scale = np.abs(linear.problem.force).sum() * 100.0
+    assert linear.primal - quadratic.primal > 2e-3 * scale
+    F = quadratic.F.reshape(3, -1, 2, 2)
+    shares = np.random.default_rng(2).dirichlet(np.ones(3), 50)
+    inside = np.einsum("kv,vcij->kcij", shares, F).reshape(-1, 2, 2)
+    E = 0.5 * (np.einsum("nki,nkj->nij", inside, inside) - np.eye(2))
+    assert least_slack(law, np.stack([E[:, 0, 0], E[:, 0, 1], E[:, 1, 1]], axis=1)) > -1e-8
+    # At quadrature points alone the law is violated elsewhere, so that corners are what makes the bound.
+    usual = replace(scene, mesh=replace(scene.mesh, element="P2"))
+    loose = solve_problem(make_problem(usual, law, mesh))
+    assert loose.primal < quadratic.primal - 1e-3 * scale
+
+
+def test_the_mean_height_of_a_quadratic_curtain_is_that_of_its_potential():
+    scene, law = square(cells=4), default_law()
+    found = solve_problem(admissible_problem(scene, law, build_mesh(scene, law.cell)))
+    weight = -found.problem.force[:, 1].sum()
+    assert found.mean_height() == pytest.approx(50.0 + found.primal / weight, abs=1e-9)
+
+
+def test_the_distance_of_two_potentials_is_within_the_part_of_the_law():
+    scene = square(cells=4)
+    few = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 9)), cell=KNOWN.law.cell)
+    mesh = build_mesh(scene, KNOWN.law.cell)
+    inner, outer = (solve_problem(admissible_problem(scene, law, mesh)) for law in (few.inner, few.outer))
+    part = loads_of(inner.problem.disc.weight, inner.S, few.inner, few.outer).law_part
+    scale = np.abs(inner.problem.force).sum() * 100.0
+    assert 1e-3 * scale < inner.primal - outer.primal <= part + 1e-6 * scale
+    assert part < 5.0 * (inner.primal - outer.primal)
+
+
+def test_more_rows_narrow_the_interval_from_both_sides():
+    scene = square(cells=4)
+    mesh = build_mesh(scene, KNOWN.law.cell)
+    lowers, uppers, parts = [], [], []
+    for step in (12, 4, 1):
+        rows = KNOWN.rows.take(np.arange(0, len(KNOWN.rows), step))
+        law = law_interval(rows, cell=KNOWN.law.cell)
+        solution = solve_problem(admissible_problem(scene, law.inner, mesh))
+        bounds = bound(solution, outer=law.outer)
+        lowers.append(bounds.lower)
+        uppers.append(bounds.upper)
+        parts.append(bounds.law_part)
+    scale = np.abs(solution.problem.force).sum() * 100.0
+    assert lowers[0] < lowers[1] - 1e-3 * scale
+    assert lowers[1] < lowers[2] + 1e-5 * scale
+    assert uppers[0] > uppers[1] + 1e-4 * scale
+    assert uppers[1] > uppers[2] - 1e-6 * scale
+    assert parts[0] > 2.0 * parts[1] > 4.0 * parts[2]
+
+
+def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
+    scene = square(cells=4)
+    found = solve_on_demand(scene, Cell(), DemandOptions(0.02))
+    low, high = interval(found)
+    scale = np.abs(found.level.solution.problem.force).sum() * 100.0
+    assert found.status == "converged"
+    assert high - low <= 0.02 * scale
+    finer = square(cells=8, solver={"adapt": 1})
+    *_, best = levels(finer, law_interval(KNOWN.rows, cell=KNOWN.law.cell))
+    assert low < best.bounds.upper
+    assert best.bounds.lower < high
+    assert best.bounds.lower < high
+    assert low < best.bounds.lower + 1e-3 * scale
+    assert found.asked.solves == len(known_rings) < 60
+    assert [turn.ring_solves for turn in found.turns] == sorted(turn.ring_solves for turn in found.turns)
+
+
+def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
+    scene = square("top", cells=3, curtain={"width": 100.0, "height": 100.0, "weave_angle": "y"})
+    found = solve_on_demand(scene, Cell(), DemandOptions(1e-3))
+    first = len(first_directions(True))
+    x = disc(np.array(known_rings))
+    assert found.status == "converged"
+    # hung along y every load is a pull along y, which the first directions hold: nothing else is worth asking
+    assert len(x) == first
+
+
+def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
+    found = solve_on_demand(square(cells=4), Cell(), DemandOptions(0.05), known=KNOWN)
+    assert found.status == "converged"
+    assert found.asked.solves == 0
+    assert found.asked.count == len(KNOWN.rows)
+    with pytest.raises(InputError, match="r2, b_x and b_y"):
+        solve_on_demand(square(), Cell(5.0, 0.4), DemandOptions(0.05), known=KNOWN)
+
+
+def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
+    cache, options = RingCache(tmp_path / "rings"), DemandOptions(0.05)
+    first = solve_on_demand(square(), Cell(), options, cache=cache)
+    asked = len(known_rings)
+    second = solve_on_demand(square(), Cell(), options, cache=cache)
+    assert asked == len(known_rings) == first.asked.solves
+    assert first.asked.hits == 0
+    assert second.asked.solves == 0
+    assert second.asked.hits == asked
+    assert interval(first) == interval(second)
+    assert np.array_equal(first.level.solution.x, second.level.solution.x)
+
+
+def test_answers_that_others_contradict_are_asked_again_beside_them(known_rings, monkeypatch):
+    """Rings that find the state of largest work under one load only together with another load."""
+    whole, x = rings_module.support, first_directions(True)
+    hidden = from_disc(x)[[8]]
+
+    def support(cell, S):
+        if len(S) > 1 or not np.allclose(S[0], hidden):
+            return whole(cell, S)
+        E = whole(cell, S).E - 0.02 * np.array([1.0, 0.0, 1.0])
+        return SimpleNamespace(h=(S * WEIGHT * E).sum(1), E=E, status=np.array(["converged"]), unique=np.array([True]))
+
+    right = ask(Cell(), NO_CACHE, x, NOTHING)
+    monkeypatch.setattr(rings_module, "support", support)
+    wrong = ask(Cell(), NO_CACHE, x, NOTHING)
+    assert [i for i, *_ in contradictions(wrong.rows)] == [8]
+    assert wrong.rows.h[8] < right.rows.h[8] - 1e-3
+    assert not contradictions(right.rows)
+    found = settled(Cell(), NO_CACHE, wrong)
+    assert np.array_equal(found.rows.h, right.rows.h)
+    assert found.solves == len(x) + 2
+    assert len(found.beside[8]) == 1
+
+
+def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_rings, monkeypatch):
+    whole = rings_module.support
+
+    def support(cell, S):
+        found = whole(cell, S)
+        low = found.E - 0.02 * np.array([1.0, 0.0, 1.0]) * (np.abs(S[:1, 1]) > 0.45)
+        found.h, found.E = (S * WEIGHT * low).sum(axis=1), low
+        return found
+
+    monkeypatch.setattr(rings_module, "support", support)
+    found = solve_on_demand(square(), Cell(), DemandOptions(0.2))
+    assert found.status == "contradiction"
+    assert "largest work" in found.message
+
+
+def test_limits_are_named(known_rings):
+    scale = DemandOptions(1e-3)
+    mesh = solve_on_demand(square(), Cell(), replace(scale, most_cells=100))
+    assert mesh.status == "mesh_limit"
+    assert "100 triangles" in mesh.message
+    law = solve_on_demand(square(), Cell(), replace(scale, most_solves=12))
+    assert law.status in ("law_limit", "mesh_limit")
+    assert law.asked.solves == 12
+    turns = solve_on_demand(square(), Cell(), replace(scale, most_turns=2))
+    assert turns.status == "turn_limit"
+    assert len(turns.turns) == 2
+
+
+def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_more_widely(known_rings):
+    far = square(
+        {"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}
+    )
+    with pytest.raises(InputError, match="support"):
+        solve_on_demand(far, Cell(), DemandOptions(0.1))
+    assert len(known_rings) > len(first_directions(True)) + 16
+
+
+def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
+    def support(cell, S):
+        nan = np.full(3, np.nan)
+        return SimpleNamespace(h=nan[:1], E=nan[None], status=np.array(["stalled"]), unique=np.array([False]))
+
+    monkeypatch.setattr(rings_module, "support", support)
+    with pytest.raises(InputError, match="12 of 12 load directions"):
+        solve_on_demand(square(), Cell())
+
+
+def test_a_run_that_is_stopped_keeps_all_answers_but_the_one_in_flight(known_rings, tmp_path, monkeypatch):
+    cache, x = RingCache(tmp_path / "rings"), first_directions(True)
+    whole = rings_module.support
+
+    def stopped(cell, S):
+        if len(known_rings) == 5:
+            raise KeyboardInterrupt
+        return whole(cell, S)
+
+    monkeypatch.setattr(rings_module, "support", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        ask(Cell(), cache, x, NOTHING)
+    assert len(list(cache.folder.glob("*.json"))) == 5
+    assert not list(cache.folder.glob(".part*"))
+    monkeypatch.setattr(rings_module, "support", whole)
+    found = ask(Cell(), cache, x, NOTHING)
+    assert (found.hits, found.solves) == (5, len(x) - 5)
+    assert np.array_equal(found.rows.E, ask(Cell(), NO_CACHE, x, NOTHING).rows.E)
+
+
+def test_answers_of_the_cache_are_bit_for_bit_those_of_the_rings(known_rings, tmp_path):
+    cache, cell = RingCache(tmp_path / "new" / "rings"), Cell()
+    S = from_disc(np.array([[0.1, 1.0 / 3.0]]))[0]
+    answer = RingAnswer(0.1 + 0.2, (1.0 / 3.0, -1e-17, 2.0 / 7.0), "converged", True)
+    assert cache.get(cell, S) is None
+    cache.put(cell, S, answer)
+    assert cache.get(cell, S) == answer
+    for other in (Cell(5.0, 0.49), Cell(grain="x")):
+        assert cache.get(other, S) is None
+    assert cache.get(Cell(10.0, 1.0), S) == answer  # only r1/r2 counts
+    failed = RingAnswer(np.nan, (np.nan,) * 3, "stalled", False)
+    cache.put(Cell(grain="x"), S, failed)
+    assert cache.get(Cell(grain="x"), S).status == "stalled"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", '{"question": 1}', "\xff", '{"h": 1e400}'],
+    ids=["empty", "cut", "list", "null", "foreign", "binary", "infinite"],
+)
+def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp_path, text):
+    cache, x = RingCache(tmp_path), np.array([[0.5, 0.0]])
+    ask(Cell(), cache, x, NOTHING)
+    (file,) = tmp_path.glob("*.json")
+    good = file.read_bytes()
+    file.write_bytes(text.encode("latin-1"))
+    found = ask(Cell(), cache, x, NOTHING)
+    assert (found.solves, found.hits) == (1, 0)
+    assert file.read_bytes() == good
+    record = json.loads(good)
+    file.write_text(json.dumps(record | {"E11_E12_E22": [1.0, 2.0]}))
+    assert ask(Cell(), cache, x, NOTHING).solves == 1
+    file.write_text(json.dumps(record | {"question": record["question"] | {"grain": "x"}}))
+    assert ask(Cell(), cache, x, NOTHING).solves == 1
+
+
+def test_answers_are_those_of_any_size_and_metal_but_of_one_grain(known_rings, tmp_path):
+    cache, x = RingCache(tmp_path), np.array([[0.5, 0.0]])
+    ask(Cell(), cache, x, NOTHING)
+    assert ask(Cell(10.0, 1.0, material=named_material("steel 1.4404")), cache, x, NOTHING).hits == 1
+    assert ask(Cell(grain="x"), cache, x, NOTHING).solves == 1
+
+
+def test_where_answers_are_kept(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert default_folder() == tmp_path / "ring-mesh"
+    monkeypatch.setenv("XDG_CACHE_HOME", "not/absolute")
+    assert default_folder() == Path.home() / ".cache" / "ring-mesh"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="--cache"):
+        open_cache(tmp_path / "file")
+    assert open_cache(None) == NO_CACHE
+
+
+def test_directions_are_asked_where_they_widen_most_and_apart():
+    rng = np.random.default_rng(3)
+    heavy, light = np.array([0.5, -0.4]), np.array([-0.6, 0.2])
+    x = np.vstack([heavy + 0.005 * rng.normal(size=(50, 2)), light + 0.005 * rng.normal(size=(50, 2))])
+    part = np.repeat([2.0, 1.0], 50)
+    known = first_directions(True)
+    both = widest(x, part, known, 8, True)
+    assert np.abs(both[0] - heavy * [1.0, -1.0]).max() < 0.02
+    assert np.abs(both[1] - light).max() < 0.02
+    assert len(both) == 2  # the spread around each is less than half-way to what is known
+    assert len(widest(x, part, np.vstack([known, x * [1.0, -1.0], x]), 8, True)) > 0
+    assert len(widest(x, 0.0 * part, known, 8, True)) == 0
+    assert widest(x, part, known, 1, False)[0, 1] == pytest.approx(heavy[1], abs=0.02)
+
+
+def test_loads_near_the_rim_are_asked_on_it_first():
+    x, known = np.array([[0.99, 0.0]]), np.array([[0.0, 0.0]])
+    assert widest(x, np.ones(1), known, 1, True).tolist() == [[1.0, 0.0]]
+    known = np.vstack([known, [1.0, 0.0]])
+    assert widest(x, np.ones(1), known, 1, True).tolist() == [[0.99, 0.0]]
+
+
+def test_directions_far_from_all_known_ones():
+    known = first_directions(True)
+    x = between(known, 3, True)
+    folded = known * [1.0, 1.0]
+    assert (x[:, 1] >= 0.0).all()
+    assert np.hypot(*x.T).max() <= 1.0 + 1e-12
+    assert np.linalg.norm(folded[:, None] - x[None], axis=2).min() > 0.15
+
+
+def test_directions_are_rounded_into_the_disc():
+    angle = np.linspace(0.0, 6.0, 200)
+    x = rounded(np.column_stack([np.cos(angle), np.sin(angle)]))
+    assert np.hypot(*x.T).max() <= 1.0 + 3e-16
+    S = from_disc(x)
+    assert (0.25 * (S[:, 0] + S[:, 2]) ** 2 - 0.25 * (S[:, 0] - S[:, 2]) ** 2 - S[:, 1] ** 2).min() > -1e-15
+    assert np.array_equal(rounded(x), rounded(rounded(x)))
+
+
+def test_the_summary_tells_interval_parts_and_questions(known_rings, tmp_path):
+    result = solve(square(), rings=Cell(), accuracy=0.05, cache=tmp_path / "rings")
+    summary = result.summary
+    low, high = summary["mean_height_interval_mm"]
+    assert summary["status"] == result.status == "converged"
+    assert high == pytest.approx(summary["mean_height_mm"])
+    assert high - low <= 5.0
+    assert summary["law_part_mm"] + summary["mesh_part_mm"] == pytest.approx(high - low)
+    assert summary["ring_solves"] == len(known_rings)
+    assert summary["cache_hits"] == 0
+    assert summary["turns"][-1]["lower_N_mm"] == result.levels[-1].bounds.lower
+    assert "rings" in summary["interval"]
+
+
+def test_other_loads_than_the_weight_give_an_interval_of_the_potential(known_rings):
+    load = {"point": [{"at": [50.0, 0.0], "force": [0.01, -0.01]}], "steps": 2}
+    result = solve(square("top", load=load), rings=Cell(), accuracy=0.1)
+    summary = result.summary
+    low, high = summary["potential_interval_N_mm"]
+    assert low < high
+    assert "mean_height_interval_mm" not in summary
+    assert "potential" in summary["interval"]
+    assert len(result.steps) == 2
+    assert result.steps[0].status == "converged"
+
+
+def test_bounds_by_a_law_alone_say_so():
+    scene = square(cells=3, solver={"bounds": True})
+    alone, rings = solve(scene, default_law()).summary, solve(scene).summary
+    assert alone["law_part_mm"] is None
+    assert "this law" in alone["interval"]
+    assert rings["law_part_mm"] > 0.0
+    assert "rings" in rings["interval"]
+    (low, high), (inside, outside) = rings["mean_height_interval_mm"], alone["mean_height_interval_mm"]
+    assert low < inside + 1e-3
+    assert high > outside - 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--rings=-5,0.5"], "r1 = -5.0: must be a positive number"),
+        (["--rings", "5,2"], "jams at r1/r2"),
+        (["--rings", "5"], "write the radii"),
+        (["--rings", "5,0.5", "--accuracy", "0"], "accuracy = 0: must lie between"),
+        (["--rings", "5,0.5", "--accuracy", "nan"], "accuracy = nan"),
+        (["--rings", "5,0.5", "--weave", "7-in-1"], "--weave = '7-in-1': known are 4-in-1"),
+        (["--rings", "5,0.5", "--grain", "z"], "grain = 'z'"),
+        (["--rings", "5,0.5", "--cache", "c", "--no-cache"], "contradict"),
+        (["--accuracy", "1e-3"], "belongs to --rings"),
+        (["--no-cache"], "belongs to --rings"),
+        (["--table", "table.csv"], "--table = table.csv"),
+    ],
+)
+def test_options_that_make_no_sense_end_in_a_sentence(tmp_path, monkeypatch, options, sentence):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text('[curtain]\nwidth = 9.0\nheight = 9.0\n[support]\nkind = "top"\n')
+    run = CliRunner().invoke(main, ["run", "scene.toml", "--out", "out", *options])
+    assert run.exit_code == 2
+    assert run.stderr.count("\n") == 1
+    assert sentence in run.stderr
+    assert not Path("out").exists()
+    assert not Path("c").exists()
+
+
+def test_elements_without_bounds_are_refused():
+    for tables in ({"mesh": {"cells": 3, "element": "Q1"}}, {"solver": {"kind": "elastic"}}):
+        with pytest.raises(InputError, match="bounds"):
+            solve(square(**tables), rings=Cell())
+
+
+def test_options_of_the_command_line(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    found = ring_options("8, 0.4", "6-in-1", "x", None, None, False)
+    assert (found["rings"].r1, found["rings"].grain, found["rings"].weave.name) == (8.0, "x", "6-in-1")
+    assert found["cache"] == tmp_path / "ring-mesh"
+    assert ring_options(None, None, None, None, None, False) == {}
+
+
+SCENES = {
+    "corners": square("corners", 4),
+    "gathered": square({"kind": "top", "gather": 0.7}, 4),
+    "rail along x": square("rail", 4, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}),
+    "turned": square("corners", 4, curtain={"width": 100.0, "height": 100.0, "weave_angle": 30.0}),
+    "pulled": square("top", 4, load={"point": [{"at": [50.0, 0.0], "force": [0.02, -0.02]}]}),
+    "round": square("top", 6, curtain={"shape": "disk", "radius": 60.0}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_the_interval_of_real_rings_holds_the_answer_of_the_finest_law_and_mesh(name, tmp_path_factory):
+    scene = SCENES[name]
+    found = solve_on_demand(scene, Cell(), DemandOptions(0.03), cache=RingCache(tmp_path_factory.getbasetemp() / "c"))
+    assert found.status == "converged"
+    assert found.law.raised < 1e-8
+    low, high = interval(found)
+    fine = replace(scene, mesh=replace(scene.mesh, cells=3 * scene.mesh.cells))
+    law = default_law()
+    best = solve_problem(admissible_problem(fine, law, build_mesh(fine, law.cell)))
+    scale = np.abs(best.problem.force).sum() * best.problem.mesh.height
+    assert best.status == "converged"
+    assert low < best.primal < high + 2e-4 * scale
+
+
+@pytest.mark.slow
+def test_a_killed_process_leaves_answers_that_the_next_one_reads(tmp_path):
+    scene, folder = tmp_path / "scene.toml", tmp_path / "rings"
+    scene.write_text('[curtain]\nwidth = 90.0\nheight = 90.0\n[mesh]\ncells = 3\n[support]\nkind = "corners"\n')
+    command = [sys.executable, "-m", "macro_fem", "run", str(scene), "--out", str(tmp_path / "out"), "--no-picture"]
+    command += ["--rings", "5,0.5", "--accuracy", "0.05", "--cache", str(folder)]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    process = subprocess.Popen(command, env=environment)
+    give_up = time.monotonic() + 120.0
+    while len(list(folder.glob("[!.]*.json"))) < 4 and time.monotonic() < give_up:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = len(list(folder.glob("[!.]*.json")))
+    assert kept >= 4
+    assert not (tmp_path / "out" / "summary.json").exists()
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["cache_hits"] >= kept - 1
+    assert summary["status"] == "converged"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", [Cell(5.0, 0.5, WEAVES["6-in-1"]), Cell(5.0, 0.2, grain="x")], ids=["6-in-1", "thin"])
+def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
+    found = solve_on_demand(square(cells=3), cell, DemandOptions(0.06))
+    assert found.status == "converged"
+    assert found.law.raised < 1e-8
+    low, high = interval(found)
+    assert low < high
+    assert found.law.rows.is_mirrored == cell.weave.is_mirrored
