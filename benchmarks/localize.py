@@ -1,4 +1,5 @@
-"""Rings of a solved curtain, measured: `python -m benchmarks.localize` writes its table into docs/localize.md.
+"""Rings of a solved curtain, measured: `python -m benchmarks.localize` writes the table of
+docs/explanation/localize.md.
 
 Each scene of `examples` is solved and localized in one run on one core.
 """
@@ -50,7 +51,7 @@ def main() -> None:
             rows.append(row_of(scene, Path(folder)))
         print(rows[-1], flush=True)
     forms = {"strain short": ".1e", "rings.vtu, MB": ".1f", "s": ".1f timed"}
-    write_between_marks(ROOT / "docs" / "localize.md", "benchmarks.localize", table("", rows, forms))
+    write_between_marks(ROOT / "docs" / "explanation" / "localize.md", "benchmarks.localize", table("", rows, forms))
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from benchmarks.report.records import table
 from homogenize.fitting.fit import fit_table
 from homogenize.query.answers import strain_answer
 from macro_fem.job import run_scene
+from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import write_table
@@ -32,12 +33,14 @@ def rings() -> Said:
     """Rows about `rve`."""
     rows = []
     for ratio in (5.0, 10.0, 20.0, 50.0):
-        found, seconds = least_seconds(partial(solve_table, Cell(5.0, 5.0 / ratio), loads()), long=np.inf)
-        numbers = (
-            f"{found.converged.sum()} converged in {seconds:.2f} s; R <= {np.nanmax(found.R):.0e}, gap >= "
-            f"{np.nanmin(found.min_gap_mm):.0e} mm, normality >= {normality(found).min():.0e}"
-        )
-        rows.append((f"190 load cases, r1/r2 = {ratio:g}", numbers))
+        for branches, told in (("first", "the state next to the slack pose"), ("largest", "the state of largest work")):
+            solve = partial(solve_table, Cell(5.0, 5.0 / ratio), loads(), DirectOptions(branches=branches))
+            found, seconds = least_seconds(solve, long=np.inf if branches == "first" else 0.0)
+            numbers = (
+                f"{found.converged.sum()} converged in {seconds:.2f} s; R <= {np.nanmax(found.R):.0e}, gap >= "
+                f"{np.nanmin(found.min_gap_mm):.0e} mm, normality >= {normality(found).min():.0e}"
+            )
+            rows.append((f"190 load cases, r1/r2 = {ratio:g}, {told}", numbers))
     return rows
 
 

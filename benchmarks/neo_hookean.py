@@ -78,7 +78,7 @@ def row(entry: Entry, found: dict[str, Any], ours: float) -> Row:
 @click.command(help=__doc__)
 @click.option("--n", default=200, show_default=True, help="cells along an edge")
 @click.option("--repeats", default=2, show_default=True, help="runs of each code; the best counts")
-@click.option("--out", default="docs/benchmark_neo_hookean.md", show_default=True, help="Markdown file to write")
+@click.option("--out", default="docs/measured/neo_hookean.md", show_default=True, help="Markdown file to write")
 def main(n: int, repeats: int, out: str) -> None:
     """Run all codes and write the table."""
 

@@ -1,4 +1,4 @@
-"""Time of the direct solver by stages: `python -m benchmarks.profile_rve` writes docs/profile_rve.md.
+"""Time of the direct solver by stages: `python -m benchmarks.profile_rve` writes docs/measured/profile_rve.md.
 
 The paper's 190 load cases on one core, under the profiler of the standard library, which slows small calls.
 """
@@ -48,4 +48,4 @@ def measure() -> Section:
 
 
 if __name__ == "__main__":
-    write_page(ROOT / "docs" / "profile_rve.md", TITLE, TEXT, COMMAND, measure)
+    write_page(ROOT / "docs" / "measured" / "profile_rve.md", TITLE, TEXT, COMMAND, measure)

@@ -106,7 +106,9 @@ def measure(largest: float, patience: float) -> Section:
 @click.option(
     "--patience", default=60.0, show_default=True, help="seconds of a run after which no larger size is tried"
 )
-@click.option("--out", default="docs/scaling.md", show_default=True, help="Markdown file; the pictures lie beside it")
+@click.option(
+    "--out", default="docs/measured/scaling.md", show_default=True, help="Markdown file; the pictures lie beside it"
+)
 @click.option("--one", nargs=2, default=None, help="internal: run one size with one method and print it")
 def main(largest: float, patience: float, out: str, one: tuple[str, str] | None) -> None:
     """Run the ladders and write tables and pictures."""

@@ -27,10 +27,9 @@ from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.scene.supports import Held, build_supports, pin_sliding
 from rve import FiniteMesh, FiniteOptions, FiniteSolution, cell_of_sides
 from rve.common.errors import InputError, require
-from rve.common.files import write_text, write_whole
+from rve.common.files import versions, write_text, write_whole
 from rve.common.jobs import check_out_job, job
 from rve.common.types import Array
-from rve.common.versions import versions
 
 RECORD = "summary.json"
 MOST_CELLS = 400_000

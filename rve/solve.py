@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import TABLE_FORMAT
+from rve.common.files import TABLE_FORMAT, versions
 from rve.common.records import Flags
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.common.types import Array
-from rve.common.versions import versions
 from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import with_limits

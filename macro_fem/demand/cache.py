@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from rve import Cell
-from rve.common.files import check_out_folder, write_text
+from rve.common.files import check_out_folder, versions, write_text
 from rve.common.types import Array
-from rve.common.versions import versions
 
 Beside = tuple[tuple[float, float], ...]
 """Directions as points of the unit disc."""

@@ -1,7 +1,8 @@
 """Newton's method on the energy of an elastic sheet, from a displacement that is nearly the answer.
 
 Regularised semi-smooth Newton with a line search on the total potential of `macro_fem.fem.membrane`. For a tensile,
-convex law the potential is convex (docs/elastic.md), so that every step that lowers it leads to the one minimum.
+convex law the potential is convex (docs/explanation/elastic.md), so that every step that lowers it leads to the one
+minimum.
 
 Slack. Where the law is slack its tangent is zero. The matrix that is factorized is K + eps L. L is the stiffness of a
 unit spring in every displacement gradient, and eps is proportional to the residual (Li, Fukushima, Qi and Yamashita,

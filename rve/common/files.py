@@ -1,4 +1,4 @@
-"""Single files: atomic writes, checksums, and what an output may not overwrite.
+"""Single files: atomic writes, checksums, what an output may not overwrite, and versions of what has written it.
 
 Jobs of several files are in `rve.common.jobs`.
 """
@@ -8,10 +8,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
 import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from importlib import metadata
 from pathlib import Path
 
 from rve.common.errors import InputError
@@ -159,3 +161,14 @@ def _is_same(one: Path, other: Path) -> bool:
         return one.samefile(other)
     except (OSError, ValueError):  # a name that no file can have
         return False
+
+
+def versions() -> dict[str, str]:
+    """Versions of what has computed a result."""
+    out = {"python": platform.python_version()}
+    for name in ("ring-mesh", "numpy", "scipy"):
+        try:
+            out[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            out[name] = "not installed"
+    return out

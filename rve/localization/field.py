@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged, require
-from rve.common.files import write_text
+from rve.common.files import versions, write_text
 from rve.common.jobs import check_out_job, job
 from rve.common.types import Array
-from rve.common.versions import versions
 from rve.geometry.cell import Cell
 from rve.localization.curtain import Curtain, WeaveOfCurtain
 from rve.localization.files import LINE, TUBE, write_forces_csv, write_ring_vtu

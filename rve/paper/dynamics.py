@@ -22,8 +22,8 @@ from rve.geometry.weave import Weave
 class StewartTrinkleOptions(Options):
     """Parameters of the paper's section 3.1, in mm, kg, s; InputError for senseless values.
 
-    Two are calibrated, see docs/stewart_trinkle.md: `rotational_damping` (the paper prints 0.1 kgm/s) and `load` (the
-    paper states none).
+    Two are calibrated, see docs/explanation/paper_scheme.md: `rotational_damping` (the paper prints 0.1 kgm/s) and
+    `load` (the paper states none).
 
     r1_mm: centre-circle radius; density in kg/mm3; damping in kg/s and rotational_damping in kg mm2/s: on each ring.
     stiffness: of one contact in kg/s2; load: size of the Cauchy line load s_hat in kg/s2, 1 kg/s2 = 1 N/m.

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rve.common.errors import require
-from rve.common.files import write_text
+from rve.common.files import versions, write_text
 from rve.common.jobs import check_out_job, job
 from rve.common.types import Array
-from rve.common.versions import versions
 from rve.directions import grid
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.study.cases import Study, history_strain, side_contact_times, solve_study
@@ -50,7 +49,9 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
         return f"first side contact {first:.0f} s, last {last:.0f} s"
 
     quarter, half, most = np.percentile(sums, [25, 50, 75])
-    clock = "the paper states neither s_hat nor the start pose; s_hat is calibrated, see docs/stewart_trinkle.md"
+    clock = (
+        "the paper states neither s_hat nor the start pose; s_hat is calibrated, see docs/explanation/paper_scheme.md"
+    )
     return [
         ("converged cases", "190 of 190", f"{(rest.status == 'converged').sum()} of {len(sums)}", ""),
         (

@@ -57,7 +57,7 @@ def test_the_shipped_law_is_what_the_script_makes(table):
 
 
 def test_support_off_the_grid(table, directions):
-    """The figures of docs/homogenize.md; the aim was 5e-4 and 1e-4 (missed by 1 direction in 1000, met)."""
+    """The figures of docs/explanation/laws.md; the aim was 5e-4 and 1e-4 (missed by 1 direction in 1000, met)."""
     _, _, S, E = directions
     error = np.abs(default_law().support(S) - double_dot(S, E))
     assert error.mean() < 3e-5
