@@ -20,7 +20,7 @@ def main() -> None:
 
 def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
     if value:
-        from macro_fem.scene.renamed import FORCE_IS_IDLE
+        from macro_fem.scene.old_names import FORCE_IS_IDLE
 
         click.echo(f"Warning: --force {FORCE_IS_IDLE}", err=True)
 
@@ -112,8 +112,8 @@ def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: b
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
+    from macro_fem.every_ring import run_rings
     from macro_fem.progress import progress_line
-    from macro_fem.rings import run_rings
 
     with progress_line() as say:
         summary = run_rings(scene, law_path, out, space=space, picture=picture, say=say)

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from homogenize import MembraneLaw, default_law, load_law
+from macro_fem.every_ring import RingScene, ring_scene
 from macro_fem.job import solve
 from macro_fem.progress import Say, silent
-from macro_fem.rings import RingScene, ring_scene
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
 from rve import FiniteSolution

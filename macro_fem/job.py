@@ -15,9 +15,9 @@ from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
+from macro_fem.output.curtain_record import to_curtain
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
-from macro_fem.output.rings import to_curtain
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene, check_solver, load_scene

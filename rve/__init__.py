@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from rve.common.lazy import lazily
 
 if TYPE_CHECKING:
-    from rve.additions import with_rings as with_rings
     from rve.common.errors import InputError as InputError
     from rve.common.errors import NotConverged as NotConverged
     from rve.common.materials import MATERIALS as MATERIALS
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from rve.localization.field import RingField as RingField
     from rve.localization.job import LocalizeOptions as LocalizeOptions
     from rve.localization.job import localize as localize
+    from rve.more_columns import with_rings as with_rings
     from rve.solve import solve_table as solve_table
     from rve.support_function import Support as Support
     from rve.support_function import support as support
@@ -71,7 +71,7 @@ _MODULES = {
     "second_pk": "rve.geometry.kinematics",
     "solve_table": "rve.solve",
     "support": "rve.support_function",
-    "with_rings": "rve.additions",
+    "with_rings": "rve.more_columns",
     "write_table": "rve.table",
 }
 """Public names and the modules that hold them: imported when they are first used."""

@@ -172,8 +172,8 @@ def table(
     **rest: Any,
 ) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
-    from rve.additions import with_compliance, with_span
     from rve.equilibrium.interior_point import DirectOptions
+    from rve.more_columns import with_compliance, with_span
     from rve.table import write_table
 
     if rings and compliance is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
 from rve.common.files import atomic_path
 from rve.common.types import Array
-from rve.equilibrium.states import LockedStates
+from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import lattice_load
 from rve.geometry.circles import tangent_frame
 from rve.table import StrainTable

@@ -18,10 +18,10 @@ from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
+from rve.equilibrium.dead_load import DeadLoad, solve_dead, strain_of
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import with_limits
-from rve.equilibrium.states import LockedStates
-from rve.equilibrium.support import DeadLoad, solve_dead, strain_of
+from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import Work

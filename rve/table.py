@@ -30,7 +30,7 @@ from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, gree
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from rve.equilibrium.states import LockedStates
+    from rve.equilibrium.locked_states import LockedStates
 
 __all__ = [
     "COLUMNS",

@@ -14,8 +14,8 @@ from benchmarks.problems import loads, scene_file, square
 from benchmarks.report.measure import Row, least_seconds
 from benchmarks.report.records import Section
 from macro_fem.job import run_scene
-from rve.additions import with_compliance, with_span
 from rve.geometry.cell import Cell
+from rve.more_columns import with_compliance, with_span
 from rve.plots import draw_case, save
 from rve.solve import solve_table
 from rve.table import StrainTable

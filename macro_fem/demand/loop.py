@@ -24,7 +24,7 @@ from macro_fem.bounds.interval import Loads, bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.cache import NO_CACHE, RingCache
 from macro_fem.demand.directions import between, widest
-from macro_fem.demand.rings import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
+from macro_fem.demand.ring_answers import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from macro_fem.scene.renamed import with_new_names
+from macro_fem.scene.old_names import with_new_names
 from macro_fem.scene.tables import (
     LIVE_LOADS,
     MAX_CORNERS,

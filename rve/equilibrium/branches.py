@@ -19,10 +19,10 @@ from rve.common.records import Flags, Index
 from rve.common.records import Rows as Records
 from rve.common.tensor import WEIGHT, double_dot, trace
 from rve.common.types import Array
+from rve.equilibrium.dead_load import GAIN, MARGINS, DeadLoad, States, largest, restarted, solve_dead, strain_of
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
 from rve.equilibrium.limits import strain_is_unique
-from rve.equilibrium.states import LockedStates
-from rve.equilibrium.support import GAIN, MARGINS, DeadLoad, States, largest, restarted, solve_dead, strain_of
+from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose

@@ -27,12 +27,12 @@ from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
 from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
-from macro_fem.demand import rings as rings_module
+from macro_fem.demand import ring_answers as rings_module
 from macro_fem.demand.cache import NO_CACHE, RingAnswer, RingCache, default_folder, open_cache
 from macro_fem.demand.directions import between, widest
 from macro_fem.demand.loop import DemandOptions, solve_on_demand
 from macro_fem.demand.options import ring_options
-from macro_fem.demand.rings import Asked, ask, contradictions, first_directions, rounded, settled
+from macro_fem.demand.ring_answers import Asked, ask, contradictions, first_directions, rounded, settled
 from macro_fem.job import solve
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from macro_fem import read_scene
 from macro_fem.cli import main
-from macro_fem.rings import ring_scene
+from macro_fem.every_ring import ring_scene
 from rve import InputError
 
 B_X, B_Y = 11.0, 12.646069623526

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rve.additions import strain_span, with_span
 from rve.equilibrium.interior_point import DirectOptions, _accepted_step, _started, solve_equilibrium
 from rve.equilibrium.limits import contact_forces, polish, touching
 from rve.equilibrium.system import Equations
@@ -17,6 +16,7 @@ from rve.geometry.contacts import find_contacts, parallel_clearance
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import Pose, moved, start_pose, tangent_frame
 from rve.geometry.weave import FOUR_IN_ONE
+from rve.more_columns import strain_span, with_span
 from rve.solve import locked, reference_sides, solve_table
 
 OPTIONS = DirectOptions()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rve import DirectOptions, InputError, StrainTable, solve_table
-from rve.additions import with_compliance
 from rve.common.records import Rows
 from rve.equilibrium.compliance import CompliantOptions
 from rve.equilibrium.interior_point import solve_equilibrium
@@ -15,6 +14,7 @@ from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import FOUR_IN_ONE
+from rve.more_columns import with_compliance
 from rve.paper.checkpoints import SweepOptions
 from rve.paper.dynamics import StewartTrinkleOptions
 

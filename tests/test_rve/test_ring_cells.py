@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.additions import with_rings
 from rve.common.materials import Material, named_material
 from rve.equilibrium.compliance import deformation, soften
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
-from rve.equilibrium.limits import with_limits
-from rve.equilibrium.ring_states import (
+from rve.equilibrium.elastic_rings import (
     DeadLoad,
     contact_ends,
     contact_flexibility,
@@ -18,11 +15,14 @@ from rve.equilibrium.ring_states import (
     ring_states,
     strain_gradient,
 )
+from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.limits import with_limits
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose, moved, reduction
 from rve.geometry.weave import FOUR_IN_ONE
+from rve.more_columns import with_rings
 from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
 from rve.solve import locked, reference_sides, solve_table
 
@@ -232,7 +232,7 @@ def test_rows_without_a_locked_state_have_no_strength():
 def test_blocks_and_company_change_nothing(paper, monkeypatch):
     found, s, _, states = paper
     rows = np.array([3, 18, 60, 77, 189])
-    monkeypatch.setattr("rve.equilibrium.ring_states._BLOCK", 2)
+    monkeypatch.setattr("rve.equilibrium.elastic_rings._BLOCK", 2)
     again = ring_states(EQUATIONS, found.take(rows), s[rows], SIDES, POISSON)
     assert again.elastic == pytest.approx(states.elastic[rows], rel=1e-9, abs=1e-9 * np.nanmax(states.elastic))
     assert again.first_yield == pytest.approx(states.first_yield[rows], rel=1e-9)

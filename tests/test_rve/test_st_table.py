@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rve.additions import with_compliance
 from rve.common.errors import InputError
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
+from rve.more_columns import with_compliance
 from rve.paper.checkpoints import SweepOptions
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.paper.table import solve_table_stewart_trinkle

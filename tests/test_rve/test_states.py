@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rve.additions import with_compliance, with_rings
 from rve.cli import main
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.weave import FOUR_IN_ONE
+from rve.more_columns import with_compliance, with_rings
 from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.table import read_table

@@ -11,8 +11,8 @@ from rve.cli import main
 from rve.common.errors import InputError, NotConverged
 from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
 from rve.directions import grid
+from rve.equilibrium.dead_load import DeadLoad, largest, opened, solve_dead, strain_of
 from rve.equilibrium.interior_point import DirectOptions
-from rve.equilibrium.support import DeadLoad, largest, opened, solve_dead, strain_of
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.equilibrium.compliance import soften
+from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
-from rve.equilibrium.ring_states import ring_states
-from rve.equilibrium.states import LockedStates
+from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange
