@@ -61,7 +61,7 @@ def row_of(exact: float, height: float, seconds: float) -> Row:
 def contact_ladder() -> list[Row]:
     """Gap times force (in units of s r1) at which contacts count as closed; residual likewise."""
     exact = base_height(law_of(BASE_SPACING))
-    options = {gap: DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap) for gap in GAPS}
+    options = {gap: DirectOptions(tolerance=max(gap, 1e-11), mu_end=gap, branches="first") for gap in GAPS}
 
     def judge(found: StrainTable, seconds: float) -> Row:
         try:
