@@ -143,26 +143,38 @@ def holds_line(summary: dict[str, Any]) -> str:
     >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
     >>> known = {"first_yield_near": "support 1 (hooks)", "ring_material": "steel", "ring_yield_N_per_mm2": 235.0}
     >>> place = {"safety_factor": 2.25, "utilisation_max_at_mm": [0.0, 80.0], "strength_note": None}
-    >>> print(holds_line({"support_forces": [hooks], **known, **place}))
-    holds with a factor 2.25; rings near support 1 (hooks), at (0, 80) mm, yield at 2.25 times the load \
-(steel, 235 N/mm2); hooks of support 1 bear up to 10 N of 50 N
+    >>> print(holds_line({"support_forces": [hooks], **known, **place}).replace("; ", ";\\n"))
+    holds with a factor 2.25;
+    rings near support 1 (hooks), at (0, 80) mm, would yield first (steel, 235 N/mm2);
+    hooks of support 1 bear up to 10 N of 50 N
     """
-    parts: list[tuple[float, str]] = []
-    factor, unknown = summary["safety_factor"], None
-    if factor is not None:
-        x, y = summary["utilisation_max_at_mm"]
-        material = f"{summary['ring_material']}, {summary['ring_yield_N_per_mm2']:g} N/mm2"
-        where = f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm,"
-        parts.append((factor, f"{where} yield at {factor:.3g} times the load ({material})"))
-    elif summary["utilisation_max_at_mm"] is None:
-        unknown = f"strength of the rings not known: {summary['strength_note']}"
+    hooks = list(_hooks(summary))
+    factor, place = summary["safety_factor"], summary["utilisation_max_at_mm"]
+    parts = hooks if factor is None else [(factor, _rings(summary, min([factor, *(f for f, _ in hooks)]))), *hooks]
+    parts.sort(key=lambda part: part[0])
+    least = parts[0][0] if parts else np.inf
+    if least < 1.0:
+        head = f"does not hold, factor {least:.3g}"
+    elif place is None:
+        head = f"strength of the rings not known: {summary['strength_note']}"
+    else:
+        head = "no load" if np.isinf(least) else f"holds with a factor {least:.3g}"
+    return "; ".join([head, *(text for _, text in parts)])
+
+
+def _rings(summary: dict[str, Any], least: float) -> str:
+    """Where rings yield first, and at how many times the load if something else with factor `least` gives before."""
+    x, y = summary["utilisation_max_at_mm"]
+    factor = summary["safety_factor"]
+    what = "would yield first" if factor <= least else f"yield at {factor:.3g} times the load"
+    material = f"{summary['ring_material']}, {summary['ring_yield_N_per_mm2']:g} N/mm2"
+    return f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm, {what} ({material})"
+
+
+def _hooks(summary: dict[str, Any]) -> Iterator[tuple[float, str]]:
+    """Capacity over largest force of each support by hooks that states one, and a sentence that says so."""
     for number, support in enumerate(summary["support_forces"], 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
         if capacity is not None:
             share = capacity / force if force > 0.0 else np.inf
-            parts.append((share, f"hooks of support {number} bear up to {force:.4g} N of {capacity:g} N"))
-    parts.sort(key=lambda part: part[0])
-    least = parts[0][0] if parts else np.inf
-    head = unknown or ("no load on the rings" if np.isinf(least) else f"holds with a factor {least:.3g}")
-    head = f"does not hold, factor {least:.3g}" if least < 1.0 else head
-    return "; ".join([head, *(text for _, text in parts)])
+            yield share, f"hooks of support {number} bear up to {force:.4g} N of {capacity:g} N"

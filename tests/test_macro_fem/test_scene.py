@@ -173,7 +173,11 @@ BAD = [
     ('kind = "corners"', 'kind = "hooks"\npitch = 50.0\ncapacity = -3.0', ["[support] (hooks)", "capacity", "-3.0"]),
     ('kind = "corners"', 'kind = "hooks"\npitch = 50.0\ncapacity = true', ["[support] (hooks)", "capacity", "True"]),
     ('kind = "corners"', 'kind = "hooks"\npitch = 50.0\ncapacity = nan', ["[support] (hooks)", "capacity", "nan"]),
-    ('kind = "corners"', 'kind = "hooks"\npitch = 50.0\ncapacity = 1e13', ["[support] (hooks)", "capacity", "1e+13"]),
+    (
+        'kind = "corners"',
+        'kind = "hooks"\npitch = 50.0\ncapacity = 1e13',
+        ["[support] (hooks)", "capacity", "10000000000000.0"],
+    ),
     (
         'kind = "corners"',
         "kind = \"hooks\"\npitch = 50.0\ncapacity = 'strong'",
