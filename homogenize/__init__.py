@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from homogenize.interval import read_law_interval as read_law_interval
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
+    from homogenize.io import strength_of_law as strength_of_law
     from homogenize.laws.net import NetLaw as NetLaw
     from homogenize.laws.net import diagonal_net as diagonal_net
     from homogenize.laws.net import ring_net as ring_net
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from homogenize.laws.stored import save_law as save_law
     from homogenize.query.strain import LockedStrain as LockedStrain
     from homogenize.query.strain import locked_strain as locked_strain
+    from homogenize.strength import Strength as Strength
 
 _MODULES = {
     "CellInfo": "homogenize.laws.protocol",
@@ -47,6 +49,7 @@ _MODULES = {
     "NetLaw": "homogenize.laws.net",
     "Response": "homogenize.laws.protocol",
     "Rows": "homogenize.fitting.rows",
+    "Strength": "homogenize.strength",
     "cell_of": "homogenize.fitting.fit",
     "default_law": "homogenize.io",
     "diagonal_net": "homogenize.laws.net",
@@ -60,6 +63,7 @@ _MODULES = {
     "read_law_interval": "homogenize.interval",
     "ring_net": "homogenize.laws.net",
     "save_law": "homogenize.laws.stored",
+    "strength_of_law": "homogenize.io",
     "write_umat": "homogenize.export.umat",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -77,6 +81,7 @@ __all__ = [
     "NetLaw",
     "Response",
     "Rows",
+    "Strength",
     "cell_of",
     "default_law",
     "diagonal_net",
@@ -90,6 +95,7 @@ __all__ = [
     "read_law_interval",
     "ring_net",
     "save_law",
+    "strength_of_law",
     "write_umat",
 ]
 

@@ -18,6 +18,7 @@ from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, with_
 from homogenize.io import DEFAULT_LAW, Law, load_law
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.vertices import highest
+from homogenize.strength import Strength, strength_of_table
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -42,9 +43,15 @@ class LawInterval:
 
 
 def law_interval(
-    rows: Rows, law: MembraneLaw | None = None, stiffness: Array | None = None, cell: CellInfo | None = None
+    rows: Rows,
+    law: MembraneLaw | None = None,
+    stiffness: Array | None = None,
+    cell: CellInfo | None = None,
+    strength: Strength | None = None,
 ) -> LawInterval:
     """Inner and outer law of rows (n >= 4), and between them `law`, by default the inner one.
+
+    `strength` is that of the rings, which the inner law holds.
 
     InputError if the rows do not bound the strain under tension.
 
@@ -53,7 +60,8 @@ def law_interval(
     True
     """
     found = rows_with_largest_work(rows)
-    inner, outer = inner_law(found, stiffness, cell), outer_law(found, stiffness, cell)
+    inner = replace(inner_law(found, stiffness, cell), strength=strength)
+    outer = outer_law(found, stiffness, cell)
     return LawInterval(inner, inner if law is None else law, outer, found, float((found.h - rows.h).max()))
 
 
@@ -96,7 +104,7 @@ def interval_of_table(path: str | Path) -> LawInterval:
     from rve import read_table
 
     table = read_table(path)
-    return law_interval(rows_from_table(table), cell=cell_of(table))
+    return law_interval(rows_from_table(table), cell=cell_of(table), strength=strength_of_table(table))
 
 
 def interval_of_law(law: Law, source: str) -> LawInterval | None:
@@ -112,4 +120,4 @@ def interval_of_law(law: Law, source: str) -> LawInterval | None:
     except InputError as error:
         raise InputError(f"{source}: provenance table_rows: {error}") from error
     stiffness = np.asarray(np.linalg.inv(law.compliance))
-    return law_interval(rows, law, stiffness, law.cell)
+    return law_interval(rows, law, stiffness, law.cell, law.strength)

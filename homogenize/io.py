@@ -12,15 +12,15 @@ from typing import Any
 
 from homogenize.laws.net import NetLaw, net_from_dict
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict
-from homogenize.laws.protocol import CellInfo
+from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, save_law
-from homogenize.strength import read_strength
+from homogenize.strength import Strength, read_strength
 from rve.common.errors import InputError
 from rve.common.reading import read_json
 from rve.common.rings import check_rings
 from rve.common.values import checked, mapping, numbers, optional, read_record, shown
 
-__all__ = ["Law", "default_law", "load_law", "save_law"]
+__all__ = ["Law", "default_law", "load_law", "save_law", "strength_of_law"]
 
 Law = PolyhedralLaw | NetLaw
 """The laws that have a file."""
@@ -47,6 +47,15 @@ def default_law() -> Law:
     'polyhedral'
     """
     return load_law(DEFAULT_LAW)
+
+
+def strength_of_law(law: MembraneLaw) -> Strength | None:
+    """The strength of the rings behind `law`; None if it has none, as laws that are no files and those of old tables.
+
+    >>> strength_of_law(default_law()).material.name
+    'steel'
+    """
+    return law.strength if isinstance(law, Law) else None
 
 
 def load_law(path: str | Path) -> Law:

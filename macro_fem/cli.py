@@ -55,6 +55,7 @@ def run(
     """
     from macro_fem.demand.options import ring_options
     from macro_fem.job import run_scene
+    from macro_fem.output.strength import holds_line
     from macro_fem.progress import progress_line
 
     asked = ring_options(**rings)
@@ -69,6 +70,8 @@ def run(
         f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
+    if summary["status"] == "converged":
+        click.echo(holds_line(summary))
     if "ring_solves" in summary:
         click.echo(_interval_line(summary))
     if explain:

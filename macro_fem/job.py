@@ -85,6 +85,16 @@ class CurtainResult:
 
         return plot_line_loads(self.solution, ax)
 
+    def plot_utilisation(self, ax: Axes | None = None) -> Axes:
+        """Utilisation of the rings of each cell, on `ax` or axes of their own; InputError if the law does not tell it.
+
+        Beside held and loaded points that of a cell grows with every refinement: judge by `utilisation_max`.
+        """
+        require("matplotlib", "plots", "plot_utilisation()", "read curtain.vtu in another program")
+        from macro_fem.output.plots import plot_utilisation
+
+        return plot_utilisation(self.solution, ax)
+
     def to_curtain(self) -> Curtain:
         """The curtain at full load as `rve.localize` takes it: `rve.localize(result)`."""
         return to_curtain(self.solution)

@@ -70,29 +70,35 @@ class FitResult:
         self.law.save(path)
 
 
-def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
-    """Fits a law to the table file `path`; InputError (or the reader's TableError) says what is wrong with it."""
+def fit_table(path: str | Path, options: FitOptions | None = None, *, stated_stiffness: bool = False) -> FitResult:
+    """Fits a law to the table file `path`; InputError (or the reader's TableError) says what is wrong with it.
+
+    `stated_stiffness`: see `fit`.
+    """
     from rve import read_table
 
     path = Path(path)
     table = read_table(path)
     try:
-        result = fit(table, options)
+        result = fit(table, options, stated_stiffness=stated_stiffness)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     source = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     return replace(result, law=replace(result.law, provenance=result.provenance | {"table": source}))
 
 
-def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
-    """Fits a law to a table in memory; InputError if the rows contradict each other or do not bound the strain."""
+def fit(table: StrainTable, options: FitOptions | None = None, *, stated_stiffness: bool = False) -> FitResult:
+    """Fits a law to a table in memory; InputError if the rows contradict each other or do not bound the strain.
+
+    The stiffness is that of the table's compliance if it has one and not `stated_stiffness`, else 1000 N/mm.
+    """
     options = options or FitOptions()
     rows = rows_from_table(table)
     found = normality(rows, options.normality)
     if not found.holds:
         raise InputError(found.sentence())
     cell = cell_of(table)
-    stiffness, origin = stiffness_of(table, STATED_STIFFNESS)
+    stiffness, origin = stiffness_of(replace(table, compliance=None) if stated_stiffness else table, STATED_STIFFNESS)
     build = builder(options.kind, cell, stiffness, options.resolution)
     law = replace(build(rows), strength=strength_of_table(table))
     refit = None if options.kind == "net" else build  # the net does not depend on the rows

@@ -43,7 +43,7 @@ def compliance_fit(S: Array, D: Array) -> Array:
 def stiffness_of(table: StrainTable, stated: float) -> tuple[Array, str]:
     """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or `stated`."""
     if table.compliance is None:
-        return stated * np.eye(3), f"stated: {stated:g} N/mm for every strain, the table has no compliance"
+        return stated * np.eye(3), f"stated: {stated:g} N/mm for every strain, not from the table"
     rows = table.converged & table.unique
     S, D = table.S[rows], table.compliance[rows]
     A = compliance_fit(S, D)

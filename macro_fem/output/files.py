@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
 from macro_fem.fem.space import padded
-from macro_fem.output import line_load
+from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
+from macro_fem.scene.tables import Hooks
 from macro_fem.solution import CurtainSolution, Problem
 from rve.common.cells import mean_at_corners
 from rve.common.files import write_text, write_whole
@@ -81,6 +82,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "lowest_point_mm": float(solution.x[:, 1].min()),
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
         **line_load.summary(solution),
+        **strength.summary(solution),
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": support_forces(solution),
         "nodes_held": int(problem.supports.mask.any(axis=1).sum()),
@@ -125,12 +127,13 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads.
-    `at_mm` is the reference position. `nodes_held` and `length_held_mm` also count what an earlier support holds.
+    `at_mm` is the reference position. `capacity_N` is that of each hook of a support by hooks, None if none is stated.
+    `nodes_held` and `length_held_mm` also count what an earlier support holds.
     """
     problem, reactions = solution.problem, solution.reactions
     taken = np.zeros(reactions.shape, bool)
     forces = []
-    for held in problem.supports.held:
+    for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         own = np.zeros_like(taken)
         own[held.nodes] = held.mask
         own &= ~taken
@@ -143,6 +146,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
                 "support": held.name,
                 "force_N": part.sum(axis=0).tolist(),
                 "largest_nodal_force_N": float(np.linalg.norm(part, axis=1).max()),
+                **({"capacity_N": item.capacity} if isinstance(item, Hooks) else {}),
                 "nodes_held": len(held.nodes),
                 "length_held_mm": held_length(problem, [held.facets]),
                 "points": [
@@ -257,7 +261,8 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
     """The curtain as VTU: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
     Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
-    deformed state. `extra` holds more cell data (n_cells, ...), such as an error map.
+    deformed state. `utilisation` is there where the strength of the rings is known. `extra` holds more cell
+    data (n_cells, ...), such as an error map.
     """
     import meshio
 
@@ -265,6 +270,7 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
     values, direction = solution.principal()
     F = disc.cell_mean(solution.F)
     in_space = np.einsum("cij,cj->ci", F, direction)
+    used = strength.utilisation(solution)
     cell_data: dict[str, Sequence[Array]] = {
         STRAIN: [disc.cell_mean(solution.E)],
         STRESS: [disc.cell_mean(solution.S)],
@@ -272,6 +278,7 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         LINE_LOAD_2: [values[:, 1]],
         DIRECTION_1: [padded(in_space)],
         STATE: [solution.state().astype(float)],
+        **({} if used is None else {"utilisation": [used]}),
         **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
     }
     document = meshio.Mesh(

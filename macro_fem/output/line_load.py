@@ -107,23 +107,27 @@ def largest_mean(solution: CurtainSolution, area: float) -> LineLoad:
 
 
 class Nearby:
-    """Averages of P (n, 2, 2), constant in each triangle `corners` (n, 3, 2), over the `area` nearest to a point."""
+    """Averages of P (n, 2, 2), constant in each triangle `corners` (n, 3, 2), over the `area` nearest to a point.
 
-    def __init__(self, corners: Array, P: Array, area: float) -> None:
+    `size` (n,) is what `bound` takes the largest of, by default the largest singular value of P. With another size P
+    may be any values (n, ...).
+    """
+
+    def __init__(self, corners: Array, P: Array, area: float, size: Array | None = None) -> None:
         self.corners, self.P, self.area = corners, P, area
         self.middle = corners.mean(axis=1)
-        self.size = np.linalg.svd(P, compute_uv=False)[:, 0]
+        self.size = np.linalg.svd(P, compute_uv=False)[:, 0] if size is None else size
         self.reach = float(np.linalg.norm(corners - self.middle[:, None], axis=-1).max())
         self.radius = float(np.sqrt(area / np.pi))
         self.tree = cKDTree(self.middle)
 
     def bound(self, X: Array) -> Array:
-        """The largest singular value of any triangle that an average at each of X (n, 2) may take in (n,)."""
+        """The largest size of any triangle that an average at each of X (n, 2) may take in (n,)."""
         around = self.tree.query_ball_point(X, WIDEST * self.radius + self.reach)
         return np.array([self.size[cells].max() for cells in around])
 
     def mean(self, x: Array) -> Array:
-        """P (2, 2) averaged over the area nearest to x (2,); over all triangles if they have less."""
+        """P averaged over the area nearest to x (2,); over all triangles if they have less."""
         radius = 1.1 * self.radius
         while True:
             cells = np.array(self.tree.query_ball_point(x, radius + self.reach, return_sorted=True), dtype=int)
@@ -152,11 +156,15 @@ def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
 
 
 def _triangles(solution: CurtainSolution) -> tuple[Array, Array]:
-    """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the recovered P (n, 2, 2) of their cells."""
+    """Corners (n, 3, 2) of triangles and the recovered P (n, 2, 2) of their cells."""
+    return on_triangles(solution, solution.recovered(solution.problem.disc.cell_mean(solution.P)))
+
+
+def on_triangles(solution: CurtainSolution, values: Array) -> tuple[Array, Array]:
+    """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the `values` (n_cells, ...) of their cells."""
     mesh = solution.problem.mesh.mesh
-    P = solution.recovered(solution.problem.disc.cell_mean(solution.P))
     triangles, cell = as_triangles(mesh.t.T)
-    return mesh.p.T[triangles], P[cell]
+    return mesh.p.T[triangles], values[cell]
 
 
 def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:

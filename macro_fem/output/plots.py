@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
+from rve.common.errors import InputError
 from rve.common.files import write_whole
 from rve.common.types import Array
 
@@ -52,6 +54,17 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     _directions(solution, values, direction, ax)
     _supports(solution, ax)
     ax.set_title(_title(solution), fontsize=10)
+    return ax
+
+
+def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+    """The deformed curtain coloured by the utilisation of its rings, 1 where they yield; InputError if not known."""
+    used = strength.utilisation(solution)
+    if used is None:
+        raise InputError(f"utilisation: {strength.reason(solution.problem.law)}")
+    top = max(float(np.quantile(used, 0.995)), 1e-300)
+    ax = plot_field(solution, used, "utilisation of the rings (1: first yield)", ax, cmap="YlOrRd", vmin=0.0, vmax=top)
+    _supports(solution, ax)
     return ax
 
 

@@ -111,11 +111,15 @@ class Rail:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm."""
+    """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm.
+
+    `capacity`: the force in N that a hook bears; results are compared with it.
+    """
 
     pitch: float = length()
     gather: float = number(1.0, above=0.0, most=1e6)
     sliding: bool = flag(False)
+    capacity: float | None = number(None, above=0.0, most=MOST_FORCE)
 
 
 @dataclass(frozen=True)

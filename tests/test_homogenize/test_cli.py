@@ -102,7 +102,7 @@ def test_support_is_homogeneous():
 
 
 def test_loads_outside_the_sampled_cone_are_marked(tmp_path):
-    lines = TABLE.read_text().splitlines()
+    lines = [line.rsplit(",", 11)[0] for line in TABLE.read_text().splitlines()]  # too few loads for a strength
     kept = [line for line in lines[1:] if 15.0 <= float(line.split(",")[1]) <= 75.0]
     (tmp_path / "part.csv").write_text("\n".join([lines[0], *kept]) + "\n")
     (tmp_path / "part.json").write_text(TABLE.with_suffix(".json").read_text())

@@ -1,0 +1,180 @@
+"""Whether a curtain holds: the utilisation of its rings, averaged over one cell of the weave, and the load of hooks.
+
+The strength of a law is a function of S, the second Piola line load, at the strain at which the rings lock under S; so
+it holds for cells far from their reference. S and not P is averaged: S is symmetric, does not change when a cell turns,
+and needs no inverse of F, which does not exist where the mesh is drawn to a line. An even load is its own average. At a
+held or loaded point S grows as P does and so does the pointwise utilisation; the utilisation of the average converges
+(`macro_fem.output.line_load`). Both are in proportion to the load as long as the shape stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from homogenize import MembraneLaw, Strength, strength_of_law
+from macro_fem.fem.rotated import RotatedLaw
+from macro_fem.output.line_load import LineLoad, Nearby, on_triangles
+from macro_fem.scene.supports import edge_nodes
+from macro_fem.solution import CurtainSolution
+from rve.common.tensor import eigenvalues
+from rve.common.types import Array
+
+_TOGETHER = 32
+"""Averages whose utilisation is found at once. Larger: fewer calls, and more averages made for nothing."""
+
+
+def summary(solution: CurtainSolution) -> dict[str, Any]:
+    """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
+    law = solution.problem.law
+    known, why, cell = strength(law), reason(law), law.cell
+    found: dict[str, Any] = dict.fromkeys(
+        ("utilisation_max", "utilisation_max_at_mm", "safety_factor", "collapse_factor", "first_yield_near")
+    )
+    used = utilisation(solution)
+    if used is not None and known is not None and cell is not None:
+        first, last = _largest_means(solution, known, cell.b_x_mm * cell.b_y_mm)
+        found = {
+            "utilisation_max": first.value,
+            "utilisation_max_at_mm": first.at.tolist(),
+            "safety_factor": 1.0 / first.value if first.value > 0.0 else None,
+            "collapse_factor": 1.0 / last.value if last.value > 0.0 else None,
+            "first_yield_near": nearest(solution, first.at) if first.value > 0.0 else None,
+        }
+        why = (
+            "utilisation_max is that of the line load averaged over one cell of the weave; utilisation_pointwise_max "
+            "grows with every refinement of the mesh at held and loaded points; line_load_warning says when the mesh "
+            "is too coarse for the average"
+        )
+    return found | {
+        "utilisation_pointwise_max": None if used is None else float(used.max()),
+        "ring_material": None if known is None else known.material.name,
+        "ring_yield_N_per_mm2": None if known is None else known.material.yield_N_per_mm2,
+        "strength_note": why,
+    }
+
+
+def strength(law: MembraneLaw) -> Strength | None:
+    """The strength of the rings behind the law of a problem, in the frame of the weave; None if it has none."""
+    return strength_of_law(law.law if isinstance(law, RotatedLaw) else law)
+
+
+def reason(law: MembraneLaw) -> str | None:
+    """Why the utilisation under a law is not known; None if it is."""
+    known = strength(law)
+    if known is None:
+        return "the law does not know the strength of its rings: make its table with rve table --rings and fit it again"
+    if known.material.yield_N_per_mm2 is None:
+        return f"{known.material.name} has no yield stress: make the table with rve table --rings --yield"
+    return None if law.cell is not None else "the law has no cell to average the line load over"
+
+
+def utilisation(solution: CurtainSolution) -> Array | None:
+    """Utilisation of the rings of each cell (n_cells,), averaged over neighbours as S is; None if it is not known."""
+    law = solution.problem.law
+    known = strength(law)
+    return None if known is None or reason(law) is not None else known.utilisation(_loads(solution))
+
+
+def _loads(solution: CurtainSolution) -> Array:
+    """S (n_cells, 3) in the frame of the weave, averaged over neighbours."""
+    law = solution.problem.law
+    S = solution.recovered(solution.problem.disc.cell_mean(solution.S))
+    return S @ law.to_weave.T if isinstance(law, RotatedLaw) else S
+
+
+def _largest_means(solution: CurtainSolution, known: Strength, area: float) -> tuple[LineLoad, LineLoad]:
+    """Largest utilisation, and largest share of the collapse load, of S averaged over `area` mm2 at mesh corners."""
+    corners, S = on_triangles(solution, _loads(solution))
+    low, high = eigenvalues(S)
+    near = Nearby(corners, S, area, np.maximum(low, 0.0) + np.maximum(high, 0.0))
+    mesh = solution.problem.mesh.mesh
+    X = mesh.p.T[np.unique(mesh.t)]
+    # The tensile trace is convex, so that of an average is at most the largest; times the largest strength it bounds
+    # the utilisation, whose values are weighted means of those strengths.
+    bound, stress = near.bound(X) / known.yield_stress(), known.yield_stress()
+    first = _largest(near, X, bound * known.first_yield.max(), lambda S: known.utilisation(S, stress))
+    last = _largest(near, X, bound * known.collapse.max(), lambda S: known.collapse_utilisation(S, stress))
+    return first, last
+
+
+def _largest(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> LineLoad:
+    """The largest value of the averages at X (n, 2), of which `bound` (n,) are upper bounds."""
+    order = np.argsort(-bound, kind="stable")
+    best = LineLoad(0.0, X[order[0]])
+    for start in range(0, len(order), _TOGETHER):
+        some = order[start : start + _TOGETHER]
+        some = some[bound[some] > best.value]
+        if not len(some):
+            break
+        values = value(np.array([near.mean(X[i]) for i in some]))
+        top = int(values.argmax())
+        best = LineLoad(float(values[top]), X[some[top]]) if values[top] > best.value else best
+    return best
+
+
+def nearest(solution: CurtainSolution, at: Array) -> str:
+    """The name of the support or load next to a place `at` (2,) of the reference state: "support 1 (corners)"."""
+    return min(_places(solution), key=lambda item: float(np.linalg.norm(item[1] - at, axis=1).min()))[0]
+
+
+def _places(solution: CurtainSolution) -> Iterator[tuple[str, Array]]:
+    """Names and places (k, 2) of supports and live loads."""
+    problem = solution.problem
+    nodes, load, source = problem.disc.nodes, problem.scene.load, problem.scene.source
+    for number, held in enumerate(problem.supports.held, 1):
+        yield f"support {number} ({held.name})", nodes[held.nodes]
+    at = [("point", number, one.at) for number, one in enumerate(load.point, 1)]
+    at += [("patch", number, one.at) for number, one in enumerate(load.patch, 1)]
+    for kind, number, place in at:
+        yield f"load.{kind} {number}", np.array([place])
+    edges = [("edge", number, one.edge) for number, one in enumerate(load.edge, 1)]
+    edges += [("bar", number, one.edge) for number, one in enumerate(load.bar, 1)]
+    for kind, number, name in edges:
+        on_edge = edge_nodes(problem.mesh, problem.disc, name, f"{source}: [load.{kind}] edge")
+        yield f"load.{kind} {number} ({name})", nodes[on_edge]
+
+
+def holds_line(summary: dict[str, Any]) -> str:
+    """Whether the curtain holds, in one line: the factor, what gives first, and the load of hooks with a capacity.
+
+    >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
+    >>> known = {"first_yield_near": "support 1 (hooks)", "ring_material": "steel", "ring_yield_N_per_mm2": 235.0}
+    >>> place = {"safety_factor": 2.25, "utilisation_max_at_mm": [0.0, 80.0], "strength_note": None}
+    >>> print(holds_line({"support_forces": [hooks], **known, **place}).replace("; ", ";\\n"))
+    holds with a factor 2.25;
+    rings near support 1 (hooks), at (0, 80) mm, would yield first (steel, 235 N/mm2);
+    hooks of support 1 bear up to 10 N of 50 N
+    """
+    hooks = list(_hooks(summary))
+    factor, place = summary["safety_factor"], summary["utilisation_max_at_mm"]
+    parts = hooks if factor is None else [(factor, _rings(summary, min([factor, *(f for f, _ in hooks)]))), *hooks]
+    parts.sort(key=lambda part: part[0])
+    least = parts[0][0] if parts else np.inf
+    if least < 1.0:
+        head = f"does not hold, factor {least:.3g}"
+    elif place is None:
+        head = f"strength of the rings not known: {summary['strength_note']}"
+    else:
+        head = "no load" if np.isinf(least) else f"holds with a factor {least:.3g}"
+    return "; ".join([head, *(text for _, text in parts)])
+
+
+def _rings(summary: dict[str, Any], least: float) -> str:
+    """Where rings yield first, and at how many times the load if something else with factor `least` gives before."""
+    x, y = summary["utilisation_max_at_mm"]
+    factor = summary["safety_factor"]
+    what = "would yield first" if factor <= least else f"yield at {factor:.3g} times the load"
+    material = f"{summary['ring_material']}, {summary['ring_yield_N_per_mm2']:g} N/mm2"
+    return f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm, {what} ({material})"
+
+
+def _hooks(summary: dict[str, Any]) -> Iterator[tuple[float, str]]:
+    """Capacity over largest force of each support by hooks that states one, and a sentence that says so."""
+    for number, support in enumerate(summary["support_forces"], 1):
+        capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
+        if capacity is not None:
+            share = capacity / force if force > 0.0 else np.inf
+            yield share, f"hooks of support {number} bear up to {force:.4g} N of {capacity:g} N"

@@ -1,0 +1,178 @@
+"""Does the curtain hold: utilisation in closed form, units, rotation, hooks, and laws that do not know."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from homogenize import default_law, ring_net, save_law
+from homogenize.io import load_law
+from macro_fem.cli import main
+from macro_fem.curtain import solve_scene
+from macro_fem.job import solve
+from macro_fem.output.files import summarize, support_forces, write_vtu
+from macro_fem.output.strength import holds_line, summary, utilisation
+from macro_fem.scene.schema import read_scene
+from rve.common.errors import InputError
+from rve.common.vtu import read_vtu
+from rve.table import read_table
+
+TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"
+MASS, GRAVITY, WIDTH = 2.0, 9.81, 100.0
+
+
+def hung(law=None, weave="y", mass=MASS, **support):
+    """A weightless strip with a bar of `mass` below, free to narrow: every cell bears the same load, upright.
+
+    Locked columns may share the load in many ways; without stabilising tension the solver's central one is even.
+    """
+    tables = {
+        "curtain": {"width": WIDTH, "height": 150.0, "areal_mass": 0.0, "weave_angle": weave},
+        "mesh": {"cells": 4},
+        "support": {"kind": "rail"} | support,
+        "load": {"bar": {"mass": mass}},
+        "solver": {"stabilising_tension": 0.0},
+    }
+    return solve_scene(read_scene(tables), law or default_law())
+
+
+def with_yield(stress):
+    """The shipped law, its wire of another yield stress, N/mm2."""
+    law = default_law()
+    material = replace(law.strength.material, yield_N_per_mm2=stress, ultimate_N_per_mm2=None)
+    return replace(law, strength=replace(law.strength, material=material))
+
+
+@pytest.fixture(scope="module")
+def strip():
+    return hung()
+
+
+@pytest.mark.parametrize(("weave", "beta"), [("y", 90.0), ("x", 0.0)])
+def test_a_strip_yields_at_the_line_load_of_its_table_row(weave, beta):
+    """S along the strip is the weight below per reference width over the stretch at which the rings lock."""
+    table = read_table(TABLE)
+    row = int(np.flatnonzero((table.alpha_deg == 0.0) & (table.beta_deg == beta))[0])
+    stretch = np.sqrt(1.0 + 2.0 * table.E[row, 2 if beta else 0])
+    S = MASS * GRAVITY / WIDTH / stretch
+    solution = hung(weave=weave)
+    told = summary(solution)
+    assert solution.status == "converged"
+    assert told["utilisation_max"] == pytest.approx(S * table.strength[row, 0] / 235.0, rel=1e-5)
+    assert told["collapse_factor"] == pytest.approx(235.0 / (S * table.strength[row, 1]), rel=1e-5)
+    assert told["safety_factor"] == pytest.approx(1.0 / told["utilisation_max"], rel=1e-12)
+    assert told["utilisation_pointwise_max"] == pytest.approx(told["utilisation_max"], rel=1e-5)
+    assert told["first_yield_near"] in ("support 1 (rail)", "load.bar 1 (bottom)")
+
+
+def test_units_and_yield(strip):
+    """Twice the yield stress halves the utilisation; twice the load doubles it."""
+    first = summary(strip)
+    strong, heavy = summary(hung(with_yield(470.0))), summary(hung(mass=2.0 * MASS))
+    for key in ("utilisation_max", "utilisation_pointwise_max"):
+        assert strong[key] == pytest.approx(0.5 * first[key], rel=1e-9)
+        assert heavy[key] == pytest.approx(2.0 * first[key], rel=1e-5)
+    assert strong["collapse_factor"] == pytest.approx(2.0 * first["collapse_factor"], rel=1e-9)
+    assert strong["ring_yield_N_per_mm2"] == 470.0
+
+
+def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_grows():
+    tables = {"curtain": {"width": 40.0, "height": 40.0}, "support": {"kind": "corners"}}
+    coarse, fine = (
+        summary(solve_scene(read_scene(tables | {"mesh": {"cells": cells}}), default_law())) for cells in (6, 12)
+    )
+    assert fine["utilisation_pointwise_max"] > 1.5 * coarse["utilisation_pointwise_max"]
+    assert fine["utilisation_max"] == pytest.approx(coarse["utilisation_max"], rel=0.25)
+    assert fine["utilisation_max"] < 0.7 * fine["utilisation_pointwise_max"]
+    assert fine["first_yield_near"] == "support 1 (corners)"
+    assert "grows with every refinement" in fine["strength_note"]
+
+
+def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
+    """The search stops early; here every corner is visited."""
+    from macro_fem.output.line_load import Nearby, on_triangles
+
+    tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 8}}
+    solution = solve_scene(read_scene(tables), default_law())
+    law = solution.problem.law
+    corners, S = on_triangles(solution, solution.recovered(solution.problem.disc.cell_mean(solution.S)))
+    near = Nearby(corners, S, law.cell.b_x_mm * law.cell.b_y_mm, np.ones(len(S)))
+    means = np.array([near.mean(x) for x in solution.problem.mesh.mesh.p.T])
+    told = summary(solution)
+    assert told["utilisation_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
+    collapse = law.strength.collapse_utilisation(means).max()
+    assert told["collapse_factor"] == pytest.approx(1.0 / collapse, rel=1e-12)
+
+
+def test_the_vtu_has_the_utilisation_of_every_cell(strip, tmp_path):
+    write_vtu(tmp_path / "curtain.vtu", strip)
+    field = read_vtu(tmp_path / "curtain.vtu").cell_data["utilisation"]
+    np.testing.assert_allclose(field, utilisation(strip), rtol=1e-12)
+    assert field.max() == pytest.approx(summary(strip)["utilisation_pointwise_max"], rel=1e-12)
+
+
+def test_a_picture_of_it():
+    scene = read_scene(
+        {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 4}}
+    )
+    result = solve(scene)
+    ax = result.plot_utilisation()
+    drawn = ax.collections[0].get_array()
+    assert drawn.max() == pytest.approx(result.summary["utilisation_pointwise_max"], rel=1e-12)
+    with pytest.raises(InputError, match="rve table --rings"):
+        solve(scene, ring_net(default_law().cell)).plot_utilisation()
+
+
+def test_laws_that_do_not_know_say_so(tmp_path):
+    for law, words in (
+        (ring_net(default_law().cell), "make its table with rve table --rings"),
+        (replace(default_law(), strength=None), "make its table with rve table --rings"),
+        (with_yield(None), "steel has no yield stress"),
+    ):
+        told = summarize(hung(law))
+        assert told["utilisation_max"] is told["safety_factor"] is told["collapse_factor"] is None
+        assert words in told["strength_note"]
+        assert holds_line(told).startswith("strength of the rings not known: ")
+    write_vtu(tmp_path / "curtain.vtu", hung(replace(default_law(), strength=None)))
+    assert "utilisation" not in read_vtu(tmp_path / "curtain.vtu").cell_data
+
+
+def test_bounds_keep_the_strength():
+    """The curtain is then that of the inner law."""
+    tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 4}}
+    plain = solve(read_scene(tables)).summary
+    bounded = solve(read_scene(tables | {"solver": {"bounds": True}})).summary
+    assert bounded["utilisation_max"] == pytest.approx(plain["utilisation_max"], rel=0.2)
+
+
+def test_hooks_are_compared_with_their_capacity():
+    """Two sliding hooks carry half of the bar each, and no force along their rail."""
+    half = 0.5 * MASS * GRAVITY
+    for share, words in ((1.25, "holds with a factor 1.25; hooks of support 1"), (0.5, "does not hold, factor 0.5; ")):
+        solution = hung(kind="hooks", pitch=WIDTH, sliding=True, capacity=share * half)
+        (held,) = support_forces(solution)
+        assert held["capacity_N"] == share * half
+        assert held["largest_nodal_force_N"] == pytest.approx(half, rel=1e-6)
+        line = holds_line(summarize(solution))
+        assert line.startswith(words)
+        assert f"bear up to {half:.4g} N of {share * half:g} N" in line
+    assert support_forces(hung(kind="hooks", pitch=WIDTH, sliding=True))[0]["capacity_N"] is None
+
+
+def test_the_command_line_says_whether_it_holds(tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[curtain]\nwidth = 100\nheight = 150\nareal_mass = 0\n[mesh]\ncells = 4\n[support]\nkind = 'rail'\n"
+        "[load.bar]\nmass = 2\n"
+    )
+    save_law(with_yield(10.0), tmp_path / "weak.json")
+    assert load_law(tmp_path / "weak.json").strength.yield_stress() == 10.0
+    for law, words in (([], "holds with a factor "), (["--law", tmp_path / "weak.json"], "does not hold, factor 0.")):
+        arguments = ["run", str(scene), *map(str, law), "--out", str(tmp_path / "out"), "--no-picture"]
+        found = CliRunner().invoke(main, arguments)
+        assert found.exit_code == 0, found.output
+        (line,) = (line for line in found.output.splitlines() if line.startswith(words))
+        assert "rings near support 1 (rail)" in line or "rings near load.bar 1 (bottom)" in line
+        assert "(steel, " in line
