@@ -70,7 +70,7 @@ def test_two_states_in_balance(tmp_path):
     ("ratio", "weave", "short"), [(22.0, FOUR_IN_ONE, 1e-4), (50.0, FOUR_IN_ONE, 2e-3), (20.0, SIX_IN_ONE, 1e-4)]
 )
 def test_tables_of_thin_wire_are_normal(ratio, weave, short):
-    """And no row is shorter of what its load does alone than stated: one by 1.0e-3 at r1/r2 = 50 (docs/theory.md, 4)."""
+    """And no row falls short of its load alone by more than stated: one by 1.0e-3 at r1/r2 = 50 (docs/theory.md, 4)."""
     cell, loads = Cell(5.0, 5.0 / ratio, weave), grid(15.0, weave)
     table = solve_table(cell, loads)
     assert (table.status == "converged").mean() > 0.9
