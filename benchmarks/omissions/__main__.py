@@ -7,9 +7,9 @@ from benchmarks.report.records import Report
 REPORT = Report(
     "omissions",
     "What a scene leaves out",
-    "Features that cost time run only in scenes that need them. `--explain` says which ones a run used, and why; "
-    "`--force FEATURE` switches one on. Here each is switched on: the time without and with it, and the change of the "
-    "result.",
+    "Features that cost time run only in scenes that need them. `--explain` says which ones a run used, and why. "
+    "Here each is switched on by the functions behind the commands: the time without and with it, and the change of "
+    "the result.",
     "OMP_NUM_THREADS=1 python -m benchmarks.omissions",
 )
 SECTIONS = (motion, rings, curtains, outputs, imports)
