@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from macro_fem.fem.assembly import deformation_gradient
+from macro_fem.fem.membrane import first_piola
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers import newton
 from macro_fem.solvers.cone_program import REACH
-from macro_fem.solvers.cones import green_strain, times_triple
+from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import Accuracy
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
@@ -48,7 +49,7 @@ def polished(found: CurtainSolution, most: int, options: PolishOptions = POLISH)
         asked=Accuracy(REACH * options.balanced, options.balanced, options.balanced),
         x=nodes + answer.u,
         F=F,
-        P=times_triple(F, S),
+        P=first_piola(F, S),
         S=S,
         primal=answer.potential,
         dual=answer.potential - answer.energy_bound,

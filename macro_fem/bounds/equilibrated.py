@@ -12,7 +12,7 @@ u_e at the ends of each edge (for the tractions). The gradient that P sees at th
 
     G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
 
-so the arrays of `macro_fem.fem.assembly.Discretization` describe it: seven nodes, three points, constant coefficients.
+so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant coefficients.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from macro_fem.scene.loads import disk_areas, weight_per_area
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from rve.common.errors import InputError
+from rve.common.tensor import dyad
 from rve.common.types import Array
 
 NAME = "equilibrium"
@@ -138,8 +139,7 @@ def edges_at_corner(dual: DualMesh, corner: int) -> tuple[np.ndarray, np.ndarray
 def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
     """How far the law lets a line along each direction (n, 2) stretch: sqrt(1 + 2 h(e e^T)) (n,)."""
     e = directions / np.linalg.norm(directions, axis=1)[:, None]
-    S = np.stack([e[:, 0] ** 2, e[:, 0] * e[:, 1], e[:, 1] ** 2], axis=-1)
-    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(S), 0.0))
+    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(dyad(e)), 0.0))
 
 
 def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:

@@ -1,7 +1,7 @@
 """One cone program for rigid and elastic curtains, and the interior-point step that solves it.
 
 The elastic law is ideal locking with a compliance D behind it: Psi(E) = min over e of e:D^-1:e / 2 with E - e inside.
-With D = R R^T W (W weights the shear component by two) and e = R eps the curtain is
+With D = R R^T W (W, `rve.common.tensor.WEIGHT`, weights the shear component by two) and e = R eps the curtain is
 
     minimise  -l.z + sum w eps.eps / 2   subject to   S_i:(E(F_q(z)) - R eps_q) <= h_i   at every point q,
 
@@ -34,10 +34,9 @@ from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
 from macro_fem.solvers.options import STEPS, StepOptions
 from macro_fem.solvers.soc import Vectors
+from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 
-SHEAR_TWICE = np.array([1.0, 2.0, 1.0])
-"""W: products of triples (xx, xy, yy) count the shear twice."""
 REACH = 4.0
 """No point of an admissible state is farther than this many sizes from its place in another one: twice the stretch."""
 
@@ -118,7 +117,7 @@ class Program:
     @cached_property
     def N(self) -> Array:
         """R^T W S / c (nc, k)."""
-        return np.asarray((self.cones.S * SHEAR_TWICE) @ self.R / self.c[:, None])
+        return np.asarray((self.cones.S * WEIGHT) @ self.R / self.c[:, None])
 
     @cached_property
     def w(self) -> Array:
@@ -164,7 +163,7 @@ class Program:
 
 def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float, compliance: Array) -> Program:
     """The program of a list of half-spaces; compliance (3, 3) in tensor components, zero for a rigid curtain."""
-    values, vectors = np.linalg.eigh(compliance / SHEAR_TWICE)
+    values, vectors = np.linalg.eigh(compliance / WEIGHT)
     is_soft = values > 1e-15 * max(values.max(), 1e-300)
     return Program(fem, load, cones, vectors[:, is_soft] * np.sqrt(values[is_soft]), scale, total)
 

@@ -81,14 +81,6 @@ def green_strain(F: Array) -> Array:
     return 0.5 * (right_cauchy_green(F) - np.array([1.0, 0.0, 1.0]))
 
 
-def times_triple(F: Array, S: Array) -> Array:
-    """F S (n, d, 2) for F (n, d, 2) and triples S (n, 3)."""
-    out = np.empty_like(F)
-    out[:, :, 0] = F[:, :, 0] * S[:, :1] + F[:, :, 1] * S[:, 1:2]
-    out[:, :, 1] = F[:, :, 0] * S[:, 1:2] + F[:, :, 1] * S[:, 2:]
-    return out
-
-
 def times_root(F: Array, L: Array) -> Array:
     """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
     out = np.empty((2 * F.shape[1], len(F)))
