@@ -126,7 +126,7 @@ def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
     disc = discretize(fem.mesh, "P1")
     weight = weight_per_area(scene, info)
     everything = nodal_forces(scene, fem, disc, info)
-    supports = pin_sliding(build_supports(scene, fem, disc), fem, disc, everything, scene.source)
+    supports = pin_sliding(build_supports(scene, fem, disc), disc, everything, scene.source)
     live = everything - load_vector(disc, np.array([0.0, -weight]))
     ring = cKDTree(mesh.X).query(disc.nodes)[1]
     n = len(mesh.X)

@@ -178,7 +178,7 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
     except ValueError as error:
         raise InputError(f"{scene.source}: [mesh] {error}") from error
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
-    supports = pin_sliding(build_supports(scene, mesh, disc, factor), mesh, disc, force, scene.source)
+    supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 

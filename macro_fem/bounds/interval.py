@@ -200,7 +200,7 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
         if not isinstance(item, Corners | Hooks | Point):
             _hold_edge(dual, item, held, mask, positions)
     supports = Supports(problem.supports.held, mask, positions, np.zeros_like(mask), _bars(solution, dual, mask))
-    supports = pin_sliding(supports, mesh, dual.disc, force, scene.source)
+    supports = pin_sliding(supports, dual.disc, force, scene.source)
     parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
     empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
     return DualProblem(dual, supports.fem(dual.disc), force, Tethers(*parts) if parts else empty, cost)

@@ -82,11 +82,11 @@ class RingCache:
 NO_CACHE = RingCache(None)
 
 
-def open_cache(folder: str | Path | None, option: str = "--cache") -> RingCache:
+def open_cache(folder: str | Path | None) -> RingCache:
     """The cache in a folder; InputError if it is a file or cannot be written. None: nothing is kept."""
     if folder is None:
-        return RingCache(None)
-    check_out_folder(folder, option)
+        return NO_CACHE
+    check_out_folder(folder, "--cache")
     return RingCache(Path(folder))
 
 

@@ -128,14 +128,13 @@ class Demand:
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """What does not change: scene, rings, their reference cell, cache, options, load step, who is told."""
+    """What does not change: scene, rings, their reference cell, cache, options, who is told."""
 
     scene: Scene
     cell: Cell
     info: CellInfo
     cache: RingCache
     options: DemandOptions
-    factor: float
     say: Say
     began: float = field(default_factory=time.perf_counter)
 
@@ -159,15 +158,14 @@ def solve_on_demand(
     *,
     known: LawInterval | None = None,
     cache: RingCache = NO_CACHE,
-    factor: float = 1.0,
     say: Say = silent,
 ) -> Demand:
-    """The curtain of a scene of these rings, its interval narrowed to `options.accuracy`.
+    """The curtain of a scene of these rings at its full load, its interval narrowed to `options.accuracy`.
 
     known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
     upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
     """
-    rings = _Rings(scene, cell, ring_info(cell), cache, options, factor, say)
+    rings = _Rings(scene, cell, ring_info(cell), cache, options, say)
     asked = _first(rings, known)
     mesh = build_mesh(scene, rings.info)
     turns: list[Turn] = []
@@ -186,7 +184,7 @@ def solve_on_demand(
             turns.append(_turn(rings, solution, asked, part))
             last = solution
             continue
-        new = Level(solution, bound(solution, factor, law.outer))
+        new = Level(solution, bound(solution, outer=law.outer))
         turns.append(_turn(rings, solution, asked, part, new))
         ended = _ended(rings, new, turns, target, asked)
         level = new if level is None or new.bounds.status == "converged" else level
@@ -248,7 +246,7 @@ def _hung(
 ) -> tuple[CurtainSolution, LawInterval, Asked]:
     """The curtain by the inner law; where none hangs on it, the rings are asked more widely, at most `tries` times."""
     while True:
-        problem = admissible_problem(rings.scene, law.inner, mesh, rings.factor)
+        problem = admissible_problem(rings.scene, law.inner, mesh)
         solution = solve_problem(with_cones_of(problem, last))
         if solution.status == "converged" or tries == 0:
             return solution, law, asked

@@ -215,7 +215,7 @@ def straight_ties(lines: list[np.ndarray], X: Array, mask: np.ndarray) -> sparse
     return both[:, free.ravel()]
 
 
-def pin_sliding(supports: Supports, mesh: CurtainMesh, disc: Discretization, force: Array, source: object) -> Supports:
+def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: object) -> Supports:
     """Pins one component of every piece of the curtain that can slide along x or y as a whole.
 
     InputError for a piece that nothing holds, and for a load `force` (n_nodes, 2) along a free sliding.

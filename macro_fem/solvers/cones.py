@@ -16,6 +16,7 @@ import numpy as np
 
 from homogenize import HalfSpaces, MembraneLaw
 from macro_fem.fem.rotated import RotatedLaw
+from rve.common.tensor import IDENTITY
 from rve.common.types import Array
 
 LAW_CHUNK = 20_000
@@ -45,12 +46,6 @@ class Cones:
         """c^2 / 2 = h + tr S / 2 (nc,): the slack at F = 0, the natural unit of a slack."""
         return self.h + 0.5 * (self.S[:, 0] + self.S[:, 2])
 
-    def slack(self, F: Array) -> Array:
-        """g = c^2/2 - (F S):F/2 (nc,) for F (nq, d, 2)."""
-        C = right_cauchy_green(F)[self.point]
-        S = self.S
-        return self.size - 0.5 * (S[:, 0] * C[:, 0] + 2.0 * S[:, 1] * C[:, 1] + S[:, 2] * C[:, 2])
-
     def sum(self, values: Array) -> Array:
         """Sums over the half-spaces of each point: (nc, ...) to (nq, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
@@ -70,15 +65,10 @@ class Cones:
         return np.stack([self.sum(lam * self.S[:, k]) for k in range(3)], axis=-1)
 
 
-def right_cauchy_green(F: Array) -> Array:
-    """C = F^T F as triples (n, 3) for F (n, d, 2)."""
-    a, b = F[:, :, 0], F[:, :, 1]
-    return np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1)
-
-
 def green_strain(F: Array) -> Array:
     """E = (F^T F - I)/2 as triples (n, 3) for F (n, d, 2)."""
-    return 0.5 * (right_cauchy_green(F) - np.array([1.0, 0.0, 1.0]))
+    a, b = F[:, :, 0], F[:, :, 1]
+    return 0.5 * (np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1) - IDENTITY)
 
 
 def times_root(F: Array, L: Array) -> Array:
