@@ -12,7 +12,8 @@ u_e at the ends of each edge (for the tractions). The gradient that P sees at th
 
     G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
 
-so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant coefficients.
+so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant
+coefficients.
 """
 
 from __future__ import annotations
