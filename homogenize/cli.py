@@ -100,7 +100,7 @@ def report(law: Path, table: Path) -> None:
 
 @main.command()
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source to write, *.f")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source (.f) to write")
 def export(law: Path, out: Path) -> None:
     """Writes LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
     from homogenize.export.umat import write_umat

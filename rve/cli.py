@@ -136,7 +136,7 @@ def _directions(weave: Any, loads: Path | None, graded: bool, alpha: str | None,
     return product(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
 
 
-@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group)
 def main() -> None:
     """Where a periodic cell of rigid interlinked rings locks under each line load."""
 

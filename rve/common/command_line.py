@@ -69,11 +69,12 @@ class Command(click.Command):
 
 
 class Group(click.Group):
-    """A click group whose commands are all `Command`s, with `--version`."""
+    """A click group whose commands are all `Command`s, with `--version` and `-h`."""
 
     command_class = Command
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
+        kwargs.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
 
