@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import click
 
 from rve.common.command_line import Group
+from rve.common.sweeps import run_sweep, sweep_options
 
 
 @click.group(cls=Group)
@@ -78,6 +80,21 @@ def run(
             click.echo(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
+
+
+@main.command(context_settings={"ignore_unknown_options": True})
+@sweep_options
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED, required=True, metavar="SCENE... [OPTIONS OF run]")
+def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None) -> None:
+    """Solve every SCENE into a folder of its name, and write sweep.csv beside them.
+
+    The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
+    """
+    from macro_fem.sweep import scene_columns, scene_items
+
+    scenes = list(takewhile(lambda one: not one.startswith("-"), arguments))
+    items = scene_items([Path(one) for one in scenes], out, arguments[len(scenes) :])
+    run_sweep(items, out, scene_columns, jobs=jobs, cluster=cluster)
 
 
 def _interval_line(summary: dict[str, Any]) -> str:

@@ -16,6 +16,7 @@ import click
 from rve.common.command_line import Group
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
 from rve.common.files import check_out_file, check_out_folder, check_out_table
+from rve.common.sweeps import numbers_of, run_sweep, sweep_options
 
 METHODS = ("direct", "stewart-trinkle")
 
@@ -255,6 +256,26 @@ def support_command(load: str, branches: str, reference: str, **cell: Any) -> No
     if status != "converged":
         raise NotConverged(f"S = {load}: {status}: {SENTENCES[status]}")
     click.echo(json.dumps(found.row(0), indent=2))
+
+
+@main.command(context_settings={"ignore_unknown_options": True})
+@sweep_options
+@click.option("--r1", required=True, help="Radii of rings' centre circles in mm, with commas.")
+@click.option("--r2", required=True, help="Radii of wires in mm, with commas.")
+@click.option("--weave", default="4-in-1", show_default=True, help="Weaves, with commas.")
+@click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y.")
+@click.argument("further", nargs=-1, type=click.UNPROCESSED)
+def sweep(
+    out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[str, ...], jobs: int, cluster: str | None
+) -> None:
+    """Write one table for each weave, r1 and r2, and sweep.csv beside them. FURTHER: options of `rve table`.
+
+    The same command again runs only what is not finished. Exit code 1 if a table failed: sweep.csv says why.
+    """
+    from rve.sweep import table_columns, table_items
+
+    items = table_items(out, numbers_of(r1, "--r1"), numbers_of(r2, "--r2"), weave.split(","), grain, further)
+    run_sweep(items, out, table_columns, jobs=jobs, cluster=cluster)
 
 
 @main.command()

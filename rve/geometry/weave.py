@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rve.common.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Weave:
     """A periodic pattern of interlinked rings.
 
@@ -36,6 +36,9 @@ class Weave:
     is_mirrored: bool
     jamming_ratio: float
     repeat: tuple[int, int] = (1, 1)
+
+    def __repr__(self) -> str:
+        return f"<Weave {self.name}, repeat {self.repeat}>"
 
     @property
     def classes(self) -> int:

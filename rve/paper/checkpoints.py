@@ -9,16 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import signal
-import threading
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -30,6 +23,7 @@ from rve.common.files import AnyPath, check_out_folder, write_text
 from rve.common.reading import read_json_object
 from rve.common.types import Array
 from rve.common.values import Check, Options, checked, list_of, numbers, one_of, whole
+from rve.common.workers import worker_pool
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import SLOTS
 from rve.geometry.pose import Pose
@@ -138,7 +132,7 @@ def sweep(
         jobs = [(block, weave, wire, options, path) for block, path in zip(blocks, paths, strict=True)]
         try:
             if how.workers > 1:
-                with _pool(how.workers) as pool:
+                with worker_pool(how.workers) as pool:
                     list(pool.map(_keep_block, jobs))
             parts = [_solved_block(*job) for job in jobs]  # read, if workers have solved them
         except BrokenProcessPool as error:
@@ -154,35 +148,3 @@ def sweep(
 def _keep_block(job: tuple[Any, ...]) -> None:
     """Solve a block into its file. Nothing is sent back: a worker that ends while it sends would block the parent."""
     _solved_block(*job)
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes that end when an error leaves the block, and when this process ends, however it does.
-
-    They wait for the end of a pipe whose other end only this process holds.
-    """
-    context = get_context("spawn")
-    watched, held = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with, initargs=(watched,))
-    try:
-        yield pool
-    except BaseException:
-        held.close()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        held.close()
-        watched.close()
-
-
-def _end_with(watched: Connection) -> None:
-    """Let this worker end at once when the pipe does; Ctrl-C is handled by the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def wait() -> None:
-        with suppress(EOFError, OSError):
-            watched.recv_bytes()
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
