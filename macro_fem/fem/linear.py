@@ -3,8 +3,9 @@
 Three stages, each paid only as often as needed: `analyze` (once per pattern: ordering, symbolic factor),
 `LinearSolver.factorize` (once per matrix), and the function it returns (once per right-hand side).
 
-Methods: "cholmod" (supernodal Cholesky; needs scikit-sparse) and "superlu" (comes with scipy). "auto" takes the first
-that is installed.
+Methods: "cholmod" (supernodal Cholesky; needs scikit-sparse) and "superlu" (comes with scipy); "mumps" and "multigrid"
+over the processes of an MPI run (need petsc4py, see `macro_fem.fem.petsc`). "auto" takes MUMPS where several processes
+run and petsc4py is installed, else the first of the others that is installed.
 
 Example:
     >>> import skfem
@@ -32,10 +33,11 @@ from importlib.util import find_spec
 import numpy as np
 from scipy import sparse
 
+from macro_fem.fem import petsc
 from macro_fem.fem.sparsity import Pattern
 from rve.common.types import Array
 
-METHODS = ("auto", "cholmod", "superlu")
+METHODS = ("auto", "cholmod", "superlu", "mumps", "multigrid")
 METIS_FROM = 300_000
 """Unknowns from which CHOLMOD orders by METIS, which takes longer to find and fills in less."""
 
@@ -67,12 +69,16 @@ def analyze(pattern: Pattern, method: str = "auto") -> LinearSolver:
     if method not in METHODS:
         raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
     if method == "auto":
-        method = "cholmod" if has_cholmod() else "superlu"
+        is_spread = petsc.processes()[1] > 1 and find_spec("petsc4py") is not None
+        method = "mumps" if is_spread else "cholmod" if has_cholmod() else "superlu"
     if method == "cholmod" and not has_cholmod():
         raise ValueError("method = 'cholmod' needs scikit-sparse, which is not installed; take 'auto' or 'superlu'")
+    if method in ("mumps", "multigrid") and find_spec("petsc4py") is None:
+        raise ValueError(f"method = {method!r} needs petsc4py, which is not installed; take 'auto' or 'superlu'")
     if pattern.n == 0:
         return LinearSolver(method, lambda data: lambda b: np.zeros(0))
-    return LinearSolver(method, _cholmod(pattern) if method == "cholmod" else _superlu(pattern))
+    made = {"cholmod": _cholmod, "superlu": _superlu, "mumps": petsc.mumps, "multigrid": petsc.multigrid}
+    return LinearSolver(method, made[method](pattern))
 
 
 def _cholmod(pattern: Pattern) -> Callable[[Array], Solve]:
