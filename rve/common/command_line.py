@@ -2,7 +2,8 @@
 
 A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 128 plus
 the number of the signal that stopped it, 130 for SIGINT (Ctrl-C), 143 for SIGTERM. Each failure is one sentence on
-standard error; with `--traceback` the place in the code is printed before it.
+standard error; with `--traceback` the place in the code is printed before it. What takes long is shown live in a
+terminal; `--quiet` shows and prints none of it, `--json` prints the record of the run.
 
     @click.group(cls=Group)
     def main() -> None: ...
@@ -11,21 +12,25 @@ standard error; with `--traceback` the place in the code is printed before it.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import threading
 import traceback
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any
 
 import click
 
 from rve.common.errors import InputError, NotConverged, OldName
+from rve.common.progress import shown
 
 _TRACE = "rve.common.command_line.traceback"
+_QUIET = "rve.common.command_line.quiet"
+_JSON = "rve.common.command_line.json"
 _STOPS = ("SIGTERM", "SIGHUP")
 
 
@@ -38,22 +43,15 @@ class Stopped(BaseException):
 
 
 class Command(click.Command):
-    """A click command that ends in one sentence, and has the option `--traceback`."""
+    """A click command that ends in one sentence, shows live progress in a terminal, and has the options of all commands."""
 
     def __init__(self, name: str | None, **kwargs: Any) -> None:
-        option = click.Option(
-            ["--traceback"],
-            is_flag=True,
-            expose_value=False,
-            callback=_remember,
-            help="Show where in the code an error arose.",
-        )
-        super().__init__(name, params=[*(kwargs.pop("params", None) or []), option], **kwargs)
+        super().__init__(name, params=[*(kwargs.pop("params", None) or []), *map(_common, _OPTIONS)], **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes a sentence and an exit code."""
         try:
-            with _stops_raised(), _old_names_told():
+            with _stops_raised(), _old_names_told(), nullcontext() if ctx.meta.get(_QUIET) else shown():
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
@@ -77,6 +75,19 @@ class Group(click.Group):
         kwargs.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
+
+
+def say(*lines: str) -> None:
+    """Prints what a command has done, unless --quiet or --json asks for none of it."""
+    meta = click.get_current_context().meta
+    if not meta.get(_QUIET) and not meta.get(_JSON):
+        click.echo("\n".join(lines))
+
+
+def answer(record: dict[str, Any]) -> None:
+    """Prints the record of what a command has done as JSON, if --json asks for it."""
+    if click.get_current_context().meta.get(_JSON):
+        click.echo(json.dumps(record, indent=2, allow_nan=False))
 
 
 def ending(error: BaseException) -> tuple[int, str]:
@@ -119,8 +130,21 @@ def _one_line(text: object) -> str:
     return " ".join(str(text).split())
 
 
-def _remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
-    ctx.meta[_TRACE] = value
+_OPTIONS = {
+    "--quiet": (_QUIET, "Show no progress and print no sentences; errors and asked-for JSON stay."),
+    "--json": (_JSON, "Print the record of the run as JSON instead of sentences."),
+    "--traceback": (_TRACE, "Show where in the code an error arose."),
+}
+
+
+def _common(name: str) -> click.Option:
+    """An option that all commands have; what it says is kept in the context."""
+    key, text = _OPTIONS[name]
+
+    def remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+        ctx.meta[key] = value
+
+    return click.Option([name], is_flag=True, expose_value=False, callback=remember, help=text)
 
 
 def _raise_stopped(number: int, frame: FrameType | None) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.progress import tell
 from rve.common.records import Flags, Index
 from rve.common.records import Rows as Records
 from rve.common.tensor import WEIGHT, double_dot, trace
@@ -102,10 +103,11 @@ def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | 
     if not np.isfinite(rows.E).any():
         return rows, found, where, left
     known = dead_states(rows, mesh)
-    for _ in range(ROUNDS):
+    for count in range(ROUNDS):
         bad, states = contradicted(rows, known, mesh)
         if not len(bad):
             break
+        tell(f"{len(bad)} loads for which other states do more work, round {count + 1}")
         best = largest(rows.S[bad], mesh.dead, mesh.sides, mesh.options, states)
         rivals = best.states(mesh.sides)
         known = known.plus(rivals.with_images(mesh.has_images))

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.progress import tell
 from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
 from rve.common.values import Options, choice, number, whole
@@ -248,7 +249,7 @@ def _advanced(state: _State, equations: Equations, options: DirectOptions, syste
 def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[list[_State], _State]:
     """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
     finished: list[_State] = []
-    anchor, anchor_system = state, None
+    anchor, anchor_system, cases = state, None, len(state.row)
     for _ in range(options.max_iterations + 1):
         curved = state.mu <= options.curvature_below
         system = equations.assemble(state.pose, state.contacts, state.lam, state.s, curved)
@@ -266,6 +267,7 @@ def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[l
         done = (options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end)
         if done.any():
             finished.append(state.take(done))
+            tell(f"{cases} loads of rings", 1.0 - (~done).sum() / cases)
             go = ~done
             state, system, off, merit = state.take(go), system.take(go), off[go], merit[go]
         if not len(state.row):

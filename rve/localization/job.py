@@ -11,6 +11,7 @@ import numpy as np
 
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete
+from rve.common.progress import tell
 from rve.common.types import Array
 from rve.common.values import Options, choice, whole
 from rve.geometry.cell import Cell
@@ -71,11 +72,14 @@ def localize(curtain: SolvedCurtain | str | Path, options: LocalizeOptions | Non
     locked = locked_arrangements(cell, options.poses)
     _check_sides(cell, locked, weave)
     axes = axes_of_weave(cell, weave.hang_deg)
+    tell("rings in their cells")
     sites = find_sites(fields, cell, locked.sides, axes, options.window)
     _check_count(source, sites, options)
     used, row = np.unique(sites.cell, return_inverse=True)
     states = nearest_poses(_in_weave(fields.E[used], axes), cell, options.poses, locked)
+    tell(f"{len(sites.X)} rings in their places")
     rings = place_rings(fields, sites, states, row, cell, axes)
+    tell(f"contact forces of {len(used)} cells")
     loads = cauchy_of(_in_weave(fields.S[used], axes), states.E)
     force = largest_forces(loads, cell, options.poses.direct)[row, sites.index[:, 0]]
     worst = _worst(fields, cell, options.poses, locked, axes)
