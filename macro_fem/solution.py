@@ -54,8 +54,9 @@ class Problem:
             return np.eye(2)
         X, mask = self.disc.nodes, self.supports.mask
         here = mask.any(axis=1)
-        load = self.force.T @ (X - X[here].mean(axis=0)) / (float(np.abs(self.force).sum()) * self.mesh.size or 1.0)
-        way = supported_map(self)[1] + load
+        total = float(np.linalg.norm(self.force, axis=1).sum())
+        load = self.force.T @ (X - X[here].mean(axis=0))
+        way = supported_map(self)[1] + load / (total * self.mesh.size or 1.0)
         U, size, Vt = np.linalg.svd(way, full_matrices=False)
         if size[1] < 1e-6 * size[0]:
             U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
