@@ -76,9 +76,7 @@ class PathResult(Judged):
     @cached_property
     def verdict(self) -> Verdict:
         """Status and message, from the numbers."""
-        return judged(
-            self.stop, self.evidence, self.asked, self.iterations, self.reach, has_obstacles=len(self.wall_forces) > 0
-        )
+        return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
 
     @property
     def residual(self) -> float:
@@ -241,7 +239,7 @@ def _stop(place: _Place, law: MembraneLaw, inner: _Place, load: Array, options: 
     An answer whose own numbers are not yet as good as asked is no end: smaller residuals make it so.
     """
     if is_certificate(place.program, place.now):
-        return "infeasible"
+        return "blocked" if len(place.state.u) else "infeasible"
     is_free = place.program.load is load
     is_close = is_free and place.now.error < options.gap and place.violation(law) < options.violation
     if is_close and options.accuracy.is_met(_answer(place, law, inner, options).evidence(law)):
@@ -272,7 +270,7 @@ def _result(
     place: _Place, law: MembraneLaw, stop: str, inner: _Place, history: list[Iteration], options: PathOptions
 ) -> PathResult:
     """The record, its numbers those of the answer it holds."""
-    answer = place if stop == "infeasible" else _answer(place, law, inner, options)
+    answer = place if stop in ("infeasible", "blocked") else _answer(place, law, inner, options)
     program, y = place.program, place.state.y
     lam = program.carried(y) / program.c
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())

@@ -135,8 +135,8 @@ INFEASIBLE = (
     "beyond locking; move the supports together or use a smaller gather"
 )
 BLOCKED = (
-    "the curtain cannot clear its obstacles while it hangs from its supports: its rings would have to give at least "
-    "{excess:.3g} % beyond locking; move the obstacles away or the supports together"
+    "the curtain cannot clear its obstacles while it hangs from its supports, however it is draped: the cone program "
+    "has a certificate; move the obstacles away, in smaller load steps, or the supports together"
 )
 CONVERGED = "the gap between upper and lower bound is closed"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
@@ -159,19 +159,12 @@ NUMBERS = (
 
 
 def judged(
-    stop: str,
-    evidence: Evidence,
-    asked: Accuracy,
-    n: int,
-    reach: Reach = FREE,
-    give: float | None = None,
-    *,
-    has_obstacles: bool = False,
+    stop: str, evidence: Evidence, asked: Accuracy, n: int, reach: Reach = FREE, give: float | None = None
 ) -> Verdict:
     """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
 
-    stop: why the solver stopped, "infeasible" or a key of `WHY`; give: by how much rings gave in a problem that was
-    relaxed, None where they are elastic; has_obstacles: whether half-spaces on nodes are part of the problem.
+    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; give: by how much rings gave in a problem that was
+    relaxed, None where they are elastic.
 
     >>> asked = Accuracy(1e-9, 1e-9, 1e-8)
     >>> judged("closed", Evidence(1e-10, 0.0, 0.0), asked, 9).status
@@ -180,8 +173,9 @@ def judged(
     'stalled'
     """
     if stop == "infeasible" or reach.is_out:
-        why = BLOCKED if has_obstacles and stop == "infeasible" else INFEASIBLE
-        return Verdict("infeasible", why.format(excess=100.0 * reach.excess))
+        return Verdict("infeasible", INFEASIBLE.format(excess=100.0 * reach.excess))
+    if stop == "blocked":
+        return Verdict("infeasible", BLOCKED)
     numbers = NUMBERS.format(evidence)
     if not evidence.is_finite:
         return Verdict("not_finite", WHY["not_finite"])
