@@ -243,10 +243,14 @@ class Bar:
 
 @dataclass(frozen=True)
 class Wind:
-    """A dead load of `pressure` N/m2 of reference area along `direction`, whose length does not matter."""
+    """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
+
+    With `follows` it is N/m2 of present area, normal to the present surface, on the side where it first blows.
+    """
 
     direction: tuple[float, ...] = entry(_direction)
     pressure: float = number(least=-1e9, most=1e9)
+    follows: bool = flag(False)
 
 
 @dataclass(frozen=True)
