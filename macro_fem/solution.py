@@ -214,6 +214,10 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         disc = discretize(mesh.mesh, scene.mesh.element)
     except ValueError as error:
         raise InputError(f"{scene.source}: [mesh] {error}") from error
+    if scene.solver.kind == "elastic" and not law.compliance.any():
+        raise InputError(
+            f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
+        )
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)

@@ -26,7 +26,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.loads import disk_areas, weight_per_area
+from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from rve.common.errors import InputError
@@ -160,6 +160,8 @@ def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float)
         cost += extra
     for patch in scene.load.patch:
         force += _patch(dual, np.array(patch.at), patch.radius, factor * np.array(patch.force))
+    for wind in scene.load.wind:
+        force += load_vector(disc, factor * wind_per_area(wind)[: scene.d])
     return force, cost
 
 
