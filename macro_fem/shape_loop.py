@@ -38,7 +38,9 @@ class ShapeOptions(Options):
     settled: float = number(1e-6, above=0.0, most=1.0)
     """Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
     damping: float = number(1.0, above=0.0, most=1.0)
-    """Part of the change of following pressure that a round takes over at first; halved when forces turn more."""
+    """Part of the change of following pressure that a round takes over at first; halved when it grows."""
+    memory: int = whole(6, least=0, most=50)
+    """Rounds before, of whose pressures the next one is mixed so that the changes cancel. 0 mixes none."""
     strides: int = whole(40, least=1, most=10_000)
     """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
     shortest: float = number(1.0 / 32, above=0.0, most=1.0)
@@ -63,7 +65,8 @@ def solve_shape(
     begin = time.perf_counter()
     first = start if start is not None else _first(problem, solve)
     sense = _sense(problem, first)
-    force, share, last = following(problem, first.F, sense), options.damping, np.inf
+    force = following(problem, first.F, sense)
+    mixer = _Mixer(options)
     normals, found = _approached(problem, first, force, start, solve, options)
     record = None
     for rounds in range(1, options.rounds + 1):
@@ -74,8 +77,8 @@ def solve_shape(
         record = _record(problem, found, turned, change, rounds, options)
         if record.is_settled:
             break
-        share = 0.5 * share if problem.follows and record.misfit > last else share
-        normals, last, force = turned, record.misfit, force + share * change
+        normals = turned
+        force = mixer.next(force, change) if problem.follows else force
         if rounds < options.rounds:
             found = solve(_posed(problem, normals, force), found)
     own = replace(found.problem, bodies=problem.bodies, follows=problem.follows)
@@ -112,6 +115,33 @@ def _approached(
             return normals, found
         else:
             done, x, last = part, found.x, found
+
+
+class _Mixer:
+    """Anderson's mixing of the forces of a fixed point f = G(f), from forces and their changes G(f) - f.
+
+    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved.
+    """
+
+    def __init__(self, options: ShapeOptions) -> None:
+        self.share, self.memory = options.damping, options.memory
+        self.forces: list[Array] = []
+        self.changes: list[Array] = []
+
+    def next(self, force: Array, change: Array) -> Array:
+        """The force (n_nodes, d) to try after one that the present shape would change by `change`."""
+        if self.changes and np.linalg.norm(change) > np.linalg.norm(self.changes[-1]):
+            self.share *= 0.5
+            self.forces, self.changes = [], []
+        self.forces = [*self.forces, force][-self.memory - 1 :]
+        self.changes = [*self.changes, change][-self.memory - 1 :]
+        mixed = force + self.share * change
+        if len(self.changes) > 1:
+            dg = np.stack([(change - old).ravel() for old in self.changes[:-1]], axis=1)
+            df = np.stack([(force - old).ravel() for old in self.forces[:-1]], axis=1)
+            weights = np.linalg.lstsq(dg, change.ravel(), rcond=1e-8)[0]
+            mixed = mixed - ((df + self.share * dg) @ weights).reshape(force.shape)
+        return np.asarray(mixed)
 
 
 def _posed(problem: Problem, normals: list[Array], force: Array) -> Problem:
