@@ -63,8 +63,8 @@ def solve_shape(
     "unsettled"; one that is impossible in some round has the status of that round.
     """
     begin = time.perf_counter()
+    sense = _sense(problem)
     first = start if start is not None else _first(problem, solve)
-    sense = _sense(problem, first)
     force = following(problem, first.F, sense)
     mixer = _Mixer(options)
     normals, found = _approached(problem, first, force, start, solve, options)
@@ -201,19 +201,20 @@ def _turned(body: Placed, x: Array, old: Array) -> Array:
     return np.where(holds[:, None] & (body.obstacle.__class__ is Box), old, body.normal(x))
 
 
-def _sense(problem: Problem, first: CurtainSolution) -> list[float]:
-    """1 for each following pressure that first blows along F_1 x F_2, -1 for one against it.
+def _sense(problem: Problem) -> list[float]:
+    """1 for each following pressure that blows along F_1 x F_2 of the flat sheet where it starts, -1 against it.
 
-    InputError for one that blows along the surface.
+    InputError for one that blows along the flat sheet.
     """
-    normal = problem.disc.weight @ np.cross(first.F[:, :, 0], first.F[:, :, 1]) if problem.follows else np.zeros(3)
+    start = problem.scene.start
+    normal = np.array([0.0, 0.0, 1.0]) if start is None else np.cross(unit(start.x_axis), unit(start.y_axis))
     signs = []
     for wind in problem.follows:
         along = float(normal @ unit(wind.direction))
-        if abs(along) < 1e-3 * float(np.linalg.norm(normal)):
+        if abs(along) < 1e-3:
             raise InputError(
-                f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the surface, so that "
-                "it tells no side for follows = true"
+                f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so "
+                "that it tells no side for follows = true; lay the sheet across it by [start]"
             )
         signs.append(float(np.sign(along)))
     return signs

@@ -179,9 +179,13 @@ class CurtainSolution(Judged):
     @property
     def reactions(self) -> Array:
         """Forces of the supports on the curtain (n_nodes, d), N."""
+        return np.where(self.problem.supports.mask, self.unbalanced, 0.0)
+
+    @property
+    def unbalanced(self) -> Array:
+        """Inner forces less loads and pushes of obstacles at all nodes (n_nodes, d), N."""
         own = self.P - self.tension * unit_tensors(self.problem)
-        balance = internal_force(self.problem.disc, own) - self.problem.force - self.pushes
-        return np.where(self.problem.supports.mask, balance, 0.0)
+        return internal_force(self.problem.disc, own) - self.problem.force - self.pushes
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""

@@ -167,8 +167,8 @@ INFEASIBLE = (
     "beyond locking; move the supports together or use a smaller gather"
 )
 BLOCKED = (
-    "the curtain cannot clear its obstacles while it hangs from its supports, however it is draped: the cone program "
-    "has a certificate; move the obstacles away, in smaller load steps, or the supports together"
+    "the curtain cannot clear its obstacles: no state that hangs from its supports is in their half-spaces, of which "
+    "the cone program has a certificate; move the obstacles away or in smaller load steps, or the supports together"
 )
 CONVERGED = "the gap between upper and lower bound is closed"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
