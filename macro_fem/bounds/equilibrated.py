@@ -101,7 +101,7 @@ def _reference_gradients(corner_gradients: Array) -> Array:
 class Tethers:
     """Edges that stand for a point: reaction or load is spread over them instead of acting at corner `corner`.
 
-    facet (k,), near (k,): which end of the facet the point is at; centre (k, 2): where the point is held (nan for
+    facet (k,), near (k,): which end of the facet the point is at; centre (k, d): where the point is held (nan for
     loads).
     """
 
@@ -122,8 +122,8 @@ class DualProblem:
 
 
 def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
-    """Nodal forces (n_nodes, 2) of an even traction (2,) in N/mm on edges: half of each edge's force at each end."""
-    force = np.zeros((dual.disc.n_nodes, 2))
+    """Nodal forces (n_nodes, d) of an even traction (d,) in N/mm on edges: half of each edge's force at each end."""
+    force = np.zeros((dual.disc.n_nodes, len(traction)))
     half = 0.5 * dual.edge_lengths()[facets][:, None] * traction
     np.add.at(force, 2 * facets, half)
     np.add.at(force, 2 * facets + 1, half)
@@ -176,6 +176,6 @@ def _spread_point(dual: DualMesh, law: MembraneLaw, at: Array, load: Array) -> t
 def _patch(dual: DualMesh, at: Array, radius: float, load: Array) -> Array:
     """A patch load as the primal P1 discretisation has it: even within each triangle, by the area in the disk."""
     shares = disk_areas(dual.mesh.mesh.p.T[dual.mesh.mesh.t.T], at, radius)
-    force = np.zeros((dual.disc.n_nodes, 2))
+    force = np.zeros((dual.disc.n_nodes, len(load)))
     force[2 * dual.facets.shape[1] :] = shares[:, None] / shares.sum() * load
     return force

@@ -29,9 +29,9 @@ def in_space(fem: SupportedFem) -> SupportedFem:
     return replace(fem, x_held=padded(fem.x_held), free=free, tie=tie)
 
 
-def padded(plane: Array) -> Array:
-    """Vectors (n, 2) with a third component 0."""
-    return np.column_stack([plane, np.zeros(len(plane))])
+def padded(plane: Array, d: int = 3) -> Array:
+    """Vectors (n, 2) as vectors (n, d), with a third component 0 in space; always a copy."""
+    return np.column_stack([plane, np.zeros((len(plane), d - 2))])
 
 
 def out_of_plane(fem: SupportedFem, z: Array) -> float:
