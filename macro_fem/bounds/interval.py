@@ -31,7 +31,7 @@ from macro_fem.bounds.equilibrated import (
 )
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.fem.space import padded
+from macro_fem.fem.space import in_space_of
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
 from macro_fem.solution import CurtainSolution, gathered_start, make_problem
 from macro_fem.solvers import soc
@@ -186,7 +186,7 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
     force, cost = dead_and_live(scene, dual, problem.law, factor)
     d = problem.fem.d
     mask = np.zeros((dual.disc.n_nodes, d), bool)
-    positions = padded(dual.disc.nodes, d)
+    positions = in_space_of(dual.disc.nodes, d)
     near_point = slackened(solution, options.inward)
     tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
     at_points = [held for held in problem.supports.held if not len(held.facets)]

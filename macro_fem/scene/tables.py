@@ -141,7 +141,29 @@ class Point:
     move: tuple[float, float] = vector((0.0, 0.0))
 
 
-Support = Corners | Top | Rail | Hooks | Edge | Point
+@dataclass(frozen=True)
+class Track:
+    """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
+
+    The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
+    viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
+    distance of the runners along the mesh; without it the whole edge is held. `drawn`: the part of the track that the
+    curtain covers, from its `side`.
+    """
+
+    path: tuple[tuple[float, float], ...] | None = entry(
+        list_of(_pair(MOST_MM), "points [x, z]", least=2, most=MAX_CORNERS), None
+    )
+    radius: float | None = length(None)
+    angle: float | None = number(None, least=-360.0, most=360.0)
+    height: float | None = number(None, least=-MOST_MM, most=MOST_MM)
+    fullness: float | None = number(None, above=0.0, most=1e6)
+    pitch: float | None = length(None)
+    drawn: float = number(1.0, above=0.0, most=1.0)
+    side: str = choice("start", "end", default="start")
+
+
+Support = Corners | Top | Rail | Hooks | Edge | Point | Track
 SUPPORTS: dict[str, type[Support]] = {
     "corners": Corners,
     "top": Top,
@@ -149,6 +171,7 @@ SUPPORTS: dict[str, type[Support]] = {
     "hooks": Hooks,
     "edge": Edge,
     "point": Point,
+    "track": Track,
 }
 
 

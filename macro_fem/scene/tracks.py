@@ -122,9 +122,7 @@ def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Arr
     return lines[0], np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def placed_along(
-    mesh: CurtainMesh, disc: Discretization, line: np.ndarray, places: Array
-) -> tuple[np.ndarray, Array]:
+def placed_along(mesh: CurtainMesh, disc: Discretization, line: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
     """Nodes (n,) on a line of corners (k,) and their places (n, 3), of given places (k, 3) of the corners.
 
     Nodes between two corners are half way between their places.

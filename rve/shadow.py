@@ -14,8 +14,10 @@ from rve.solve import reference_pose
 
 POINTS = 720
 """Points on every centre circle. The shadow of a ring is short by less than r1 (2 pi / POINTS)^2 / 8 at each side."""
-GRID = 400
-"""Points of the cell per side at which the shadow is looked for; the solidity errs by about 1 / GRID^1.5."""
+SIGHT_LINES = 100_000
+"""Places of the cell at which the shadow is looked for, a Kronecker sequence: the solidity errs by a few 1e-4."""
+STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+"""1/g and 1/g^2 with g^3 = g + 1: the places are no grid, with which rings could be in line."""
 
 
 def solidity(cell: Cell, options: DirectOptions | None = None) -> float:
@@ -41,8 +43,7 @@ def shadow(pose: Pose, wire: float) -> float:
     circles = _projected(pose).reshape(-1, 2)
     shifts = np.array([[i, j] for i in range(-3, 4) for j in range(-3, 4)]) @ axes
     tree = cKDTree((shifts[:, None] + circles).reshape(-1, 2))
-    middle = (np.arange(GRID) + 0.5) / GRID
-    places = np.stack(np.meshgrid(middle, middle), axis=-1).reshape(-1, 2) @ axes
+    places = (np.arange(SIGHT_LINES)[:, None] * STEPS % 1.0) @ axes
     distance, _ = tree.query(places, distance_upper_bound=wire)
     return float(np.isfinite(distance).mean())
 
@@ -51,6 +52,4 @@ def _projected(pose: Pose) -> Array:
     """Points (K, POINTS, 2) of the centre circles of one cell, seen face on, in units of r1."""
     e1, e2 = tangent_frame(pose.normals[0])
     angle = 2.0 * np.pi * np.arange(POINTS)[:, None] / POINTS
-    return np.asarray(
-        pose.centres[0, :, None] + np.cos(angle) * e1[:, None, :2] + np.sin(angle) * e2[:, None, :2]
-    )
+    return np.asarray(pose.centres[0, :, None] + np.cos(angle) * e1[:, None, :2] + np.sin(angle) * e2[:, None, :2])
