@@ -1,8 +1,8 @@
 """Edges that slide on straight lines in any direction: cables, sloping rails.
 
 A node that slides on a line along the unit vector e is at x = x_held + e s with one unknown s: a column of T. On a line
-along an axis the component is simply free, and needs no column. A node on two lines that cross, or on a line and held as
-a whole by another support, is held.
+along an axis the component is simply free, and needs no column. A node on two lines that cross, or on a line and held
+as a whole by another support, is held.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Tracks: curves in plan, at one height, along which the top edge hangs on runners or as a whole.
 
 A track is a list of points [x, z], an arc, or straight. The mesh length of the top edge over the length of the track is
-the fullness; a curtain that is drawn covers a part of the track, at its start or its end. Places along the track go with
-the arc length along the top edge, so that the mesh is gathered evenly. Between the corners of the mesh a track is
+the fullness; a curtain that is drawn covers a part of the track, at its start or its end. Places along the track go
+with the arc length along the top edge, so that the mesh is gathered evenly. Between the corners of the mesh a track is
 straight, which keeps bounds of the curtain rigorous: they hold for the polygon through these places.
 """
 

@@ -1,15 +1,16 @@
 """Wind as a pressure: that of a speed, by the drag of a screen with the solidity of the rings.
 
-p = C_D rho v^2 / 2 per reference area, along the direction of the wind. C_D is that of a free-standing porous plate that
-the air flows through and around (K. Steiros, M. Hultmark, Drag on flat plates of arbitrary porosity, J. Fluid Mech. 853
-(2018) R3, doi 10.1017/jfm.2018.621, equations 2.12 and 2.15). With the open share beta = 1 - solidity, the resistance
-k = 1/beta^2 - 1 (G. I. Taylor, R. M. Davies, The aerodynamics of porous sheets, ARC R&M 2237, 1944) and the speed u of
-the air in the plane of the plate over that of the wind, both of
+p = C_D rho v^2 / 2 per reference area, along the direction of the wind. C_D is that of a free-standing porous plate
+that the air flows through and around (K. Steiros, M. Hultmark, Drag on flat plates of arbitrary porosity, J. Fluid
+Mech. 853 (2018) R3, doi 10.1017/jfm.2018.621, equations 2.12 and 2.15). With the open share beta = 1 - solidity,
+the resistance k = 1/beta^2 - 1 (G. I. Taylor, R. M. Davies, The aerodynamics of porous sheets, ARC R&M 2237, 1944) and
+the speed u of the air in the plane of the plate over that of the wind, both of
 
     C_D = 4/3 (1 - u)(2 + u)/(2 - u),        C_D = k u^2 - 4/3 (1 - u)^3/(2 - u)^2
 
-hold. It is 4/3 of a solid plate, and was compared with measurements down to beta = 0.23; k is that of sharp-edged holes,
-which round wires stay below. Where the mesh closes an opening, the air cannot flow around it: give `drag_coefficient`.
+hold. It is 4/3 of a solid plate, and was compared with measurements down to beta = 0.23; k is that of sharp-edged
+holes, which round wires stay below. Where the mesh closes an opening, the air cannot flow around it: give
+`drag_coefficient`.
 """
 
 from __future__ import annotations
