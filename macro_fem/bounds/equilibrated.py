@@ -26,7 +26,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.loads import disk_areas, weight_per_area
+from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from rve.common.errors import InputError
@@ -143,7 +143,7 @@ def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
 
 
 def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:
-    """Nodal forces (n_nodes, 2) and the most that spreading point loads over edges may change the potential, N mm."""
+    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm."""
     disc, mesh = dual.disc, dual.mesh
     force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.load.bar:
@@ -151,15 +151,17 @@ def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float)
         length = dual.edge_lengths()[facets].sum()
         weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
         force += traction_forces(dual, facets, weight / length)
+    for wind in scene.load.wind:
+        force += load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
     for edge in scene.load.edge:
-        force += traction_forces(dual, mesh.edges[edge.edge], factor * np.array(edge.force))
+        force += traction_forces(dual, mesh.edges[edge.edge], factor * components(edge.force, scene))
     cost = 0.0
     for point in scene.load.point:
-        part, extra = _spread_point(dual, law, np.array(point.at), factor * np.array(point.force))
+        part, extra = _spread_point(dual, law, np.array(point.at), factor * components(point.force, scene))
         force += part
         cost += extra
     for patch in scene.load.patch:
-        force += _patch(dual, np.array(patch.at), patch.radius, factor * np.array(patch.force))
+        force += _patch(dual, np.array(patch.at), patch.radius, factor * components(patch.force, scene))
     return force, cost
 
 

@@ -12,11 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.edges import paths
-from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.tables import Track
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -105,35 +101,6 @@ def track_places(item: Track, curve: Curve, s: Array, edge_length: float) -> Arr
     covered = item.drawn * curve.length
     start = 0.0 if item.side == "start" else curve.length - covered
     return curve.at(start + covered * s / edge_length)
-
-
-def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Array]:
-    """Corner numbers (k,) of the mesh along a named edge from its left or lower end, and the distances (k,) from there.
-
-    InputError, which begins with `where`, if the edge is no single open line.
-    """
-    points = mesh.mesh.p.T
-    pairs = mesh.mesh.facets[:, mesh.edge(name, where)].T
-    lines = paths(map(tuple, pairs), points)
-    if len(lines) != 1 or lines[0][0] == lines[0][-1]:
-        what = "closed" if len(lines) == 1 else f"made of {len(lines)} pieces"
-        raise InputError(f"{where} = {name!r}: is {what}, but a track or line needs an edge that is one open line")
-    steps = np.linalg.norm(np.diff(points[lines[0]], axis=0), axis=1)
-    return lines[0], np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def placed_along(mesh: CurtainMesh, disc: Discretization, line: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
-    """Nodes (n,) on a line of corners (k,) and their places (n, 3), of given places (k, 3) of the corners.
-
-    Nodes between two corners are half way between their places.
-    """
-    points = mesh.mesh.p.T[line]
-    candidates = np.concatenate([points, 0.5 * (points[1:] + points[:-1])])
-    targets = np.concatenate([places, 0.5 * (places[1:] + places[:-1])])
-    distance, node = cKDTree(disc.nodes).query(candidates)
-    there = distance < 1e-9 * mesh.size
-    nodes, first = np.unique(node[there], return_index=True)
-    return nodes, targets[there][first]
 
 
 def check_track(item: Track, source: object) -> None:

@@ -33,7 +33,7 @@ def wind_pressure(wind: Wind, cell: CellInfo | None, where: str) -> float:
     """Pressure of the wind in N/mm2 of reference area; InputError, which begins with `where`, without rings."""
     if wind.speed is None:
         assert wind.pressure is not None
-        return wind.pressure * 1e-6
+        return 1e-6 * wind.pressure
     drag = wind.drag_coefficient
     if drag is None:
         if cell is None:
