@@ -32,7 +32,7 @@ from macro_fem.bounds.equilibrated import (
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.space import in_space_of
-from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
+from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties, with_sliding
 from macro_fem.solution import CurtainSolution, gathered_start, make_problem
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import PathResult, solve_path
@@ -197,10 +197,18 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
                 mask[2 * facet + end] |= component
                 positions[2 * facet + end] = near_point[dual.facets[end, facet]]
             tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
+    whole, lines = mask.all(axis=1), []
     for held in problem.supports.held:
         if len(held.facets):
             _hold_edge(dual, held, mask, positions)
+            nodes = np.concatenate([2 * held.facets, 2 * held.facets + 1])
+            if held.slide is None:
+                whole[nodes] = mask[nodes].all(axis=1)
+            else:
+                lines.append((nodes, held.slide))
     supports = Supports(problem.supports.held, mask, positions, np.zeros_like(mask), _bars(solution, dual, mask))
+    if lines:
+        supports = with_sliding(supports, lines, whole)
     supports = pin_sliding(supports, dual.disc, force, scene.source)
     parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
     empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))
