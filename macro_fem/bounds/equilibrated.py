@@ -29,6 +29,7 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
+from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError
 from rve.common.tensor import dyad
 from rve.common.types import Array
@@ -112,13 +113,14 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, tethers of points, and what spread loads may cost."""
+    """The hybrid problem: supported element, nodal forces, tethers of points, what spread loads may cost, and walls."""
 
     dual: DualMesh
     fem: SupportedFem
     force: Array
     tethers: Tethers
     point_load_cost: float
+    walls: Walls | None = None
 
 
 def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
