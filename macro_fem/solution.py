@@ -12,6 +12,7 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.rotated import rotated
 from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
@@ -210,6 +211,8 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)
+    if scene.solver.kind != "elastic":
+        check_tracks(scene, mesh, hung)
     return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
 
 

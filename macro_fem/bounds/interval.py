@@ -27,10 +27,9 @@ from macro_fem.bounds.equilibrated import (
     dead_and_live,
     dual_mesh,
     edges_at_corner,
-    largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.rotated import RotatedLaw
+from macro_fem.fem.rotated import RotatedLaw, largest_stretch
 from macro_fem.fem.space import in_space_of
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties, with_sliding
 from macro_fem.solution import CurtainSolution, gathered_start, make_problem
@@ -199,7 +198,8 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
                 mask[2 * facet + end] |= component
                 positions[2 * facet + end] = near_point[dual.facets[end, facet]]
             tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
-    whole, lines = mask.all(axis=1), []
+    whole: np.ndarray = np.asarray(mask.all(axis=1))
+    lines: list[tuple[np.ndarray, Array]] = []
     for held in problem.supports.held:
         if len(held.facets):
             _hold_edge(dual, held, mask, positions)
