@@ -36,12 +36,12 @@ def length(default: Any = MISSING) -> Any:
     return number(default, least=LEAST_MM, most=MOST_MM)
 
 
-def _pair(size: float) -> Any:
+def _pair(size: float, names: str = "[x, y]") -> Any:
     component = finite(least=-size, most=size)
 
     def check(value: Any) -> tuple[float, float]:
         if not isinstance(value, list | tuple) or len(value) != 2:
-            raise ValueError("is not a pair of numbers [x, y]")
+            raise ValueError(f"is not a pair of numbers {names}")
         return component(value[0]), component(value[1])
 
     return check
@@ -221,7 +221,7 @@ class Track:
     """
 
     path: tuple[tuple[float, float], ...] | None = entry(
-        list_of(_pair(MOST_MM), "points [x, z]", least=2, most=MAX_CORNERS), None
+        list_of(_pair(MOST_MM, "[x, z]"), "points [x, z]", least=2, most=MAX_CORNERS), None
     )
     radius: float | None = length(None)
     angle: float | None = number(None, least=-360.0, most=360.0)
