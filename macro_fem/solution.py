@@ -57,8 +57,9 @@ class Problem:
             return np.eye(2)
         X, mask = self.disc.nodes, self.supports.mask
         here = mask.any(axis=1)
-        load = self.force.T @ (X - X[here].mean(axis=0)) / (float(np.abs(self.force).sum()) * self.mesh.size or 1.0)
-        way = supported_map(self)[1] + load
+        total = float(np.linalg.norm(self.force, axis=1).sum())
+        load = self.force.T @ (X - X[here].mean(axis=0))
+        way = supported_map(self)[1] + load / (total * self.mesh.size or 1.0)
         U, size, Vt = np.linalg.svd(way, full_matrices=False)
         if size[1] < 1e-6 * size[0]:
             U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
@@ -208,6 +209,10 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         disc = discretize(mesh.mesh, scene.mesh.element)
     except ValueError as error:
         raise InputError(f"{scene.source}: [mesh] {error}") from error
+    if scene.solver.kind == "elastic" and not law.compliance.any():
+        raise InputError(
+            f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
+        )
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)
