@@ -15,6 +15,7 @@ from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene
+from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import (
     CurtainSolution,
     Decision,
@@ -81,7 +82,11 @@ def solve_problem(
 
     `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
     positions are near its own, and its matrix pattern and symbolic factor are kept.
+
+    A problem with bodies or following pressure is solved in rounds (`macro_fem.shape_loop`).
     """
+    if problem.bodies or problem.follows:
+        return solve_shape(problem, start, solve_problem)
     begin = time.perf_counter()
     if start is not None and _is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))

@@ -280,10 +280,11 @@ class Bar:
 
 @dataclass(frozen=True)
 class Wind:
-    """A dead load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
+    """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
     Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` per
-    total area (by default that of the law's rings, see `macro_fem.scene.wind`).
+    total area (by default that of the law's rings, see `macro_fem.scene.wind`). With `follows` it is per present area,
+    normal to the present surface, on the side where it first blows.
     """
 
     direction: tuple[float, ...] = entry(_direction)
@@ -291,6 +292,7 @@ class Wind:
     speed: float | None = number(None, least=0.0, most=1e3)
     air_density: float | None = number(None, above=0.0, most=1e4)
     drag_coefficient: float | None = number(None, least=0.0, most=1e3)
+    follows: bool = flag(False)
 
 
 @dataclass(frozen=True)
