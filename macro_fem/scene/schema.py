@@ -274,11 +274,11 @@ def check_solver(scene: Scene, source: str | Path) -> None:
     if solver.kind == "elastic" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
     if (solver.bounds or solver.adapt) and any(wind.follows for wind in scene.load.wind):
-        raise InputError(f"{source}: [solver] bounds and adapt: do not go with following pressure, which is no dead load")
+        raise InputError(f"{source}: [solver] bounds and adapt: do not go with following pressure, no dead load")
     bodies = [item.name for item in scene.obstacle if not is_flat(item)]
     if (solver.bounds or solver.adapt) and bodies:
         raise InputError(
-            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}: a curtain outside a body is no convex problem"
+            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}, a body, with which the problem is not convex"
         )
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

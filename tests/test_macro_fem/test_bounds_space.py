@@ -1,6 +1,6 @@
 """Bounds in space: they contain catenaries and floors, close with the mesh, and are the plane's for a plane curtain."""
 
-from dataclasses import replace
+import re
 
 import numpy as np
 import pytest
@@ -10,12 +10,10 @@ from scipy.spatial.transform import Rotation
 import macro_fem
 from macro_fem.bounds.adapt import levels
 from macro_fem.bounds.interval import BoundOptions, bound
-from macro_fem.curtain import solve_problem, solve_scene
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import make_problem
-from macro_fem.solvers.walls import Walls
 from rve import Cell
+from rve.common.errors import InputError
 
 
 def catenary_mean(length, span, rise):
@@ -141,23 +139,50 @@ def between_cables(scene_tables, turn):
     return {**scene_tables(mesh={"cells": 4}, load=load, solver={"stabilising_tension": 0.0}), "support": support}
 
 
-@pytest.mark.parametrize("floor", [30.0, 50.0])
-def test_a_sheet_on_the_floor_is_between_its_bounds(ring_like, scene_tables, floor):
+@pytest.mark.parametrize(("floor", "space"), [(30.0, True), (50.0, False)])
+def test_a_sheet_on_the_floor_is_between_its_bounds(ring_like, scene_tables, floor, space):
     """What hangs above the floor is as long as the floor is deep below the top; the rest lies on it."""
     exact = (100.0 - floor) / 100.0 * 0.5 * (100.0 + floor) + floor / 100.0 * floor
+    obstacle = {"kind": "floor", "height": floor}
     widths = []
     for cells in (4, 8):
-        tables = scene_tables(mesh={"cells": cells}, solver={"stabilising_tension": 0.0, "space": True})
-        scene = read_scene(tables)
-        problem = make_problem(scene, ring_like, build_mesh(scene, ring_like.cell))
-        free = np.flatnonzero(~problem.supports.mask.any(axis=1))
-        up = np.tile([0.0, 1.0, 0.0], (len(free), 1))
-        solution = solve_problem(replace(problem, walls=Walls(free, up, np.full(len(free), floor))))
-        bounds = bound(solution)
-        low, high = mean_height_bounds(solution, bounds)
+        tables = scene_tables(mesh={"cells": cells}, solver={"stabilising_tension": 0.0, "space": space})
+        solution = solve_scene(read_scene({**tables, "obstacle": obstacle}), ring_like)
+        low, high = mean_height_bounds(solution, bound(solution))
         assert low < exact < high
         widths.append(high - low)
     assert widths[1] < 0.5 * widths[0]
+
+
+def test_refinement_goes_with_a_wall(ring_like, scene_tables):
+    """A curtain that wind presses against a wall 30 mm behind it, on two meshes."""
+    tables = scene_tables(
+        mesh={"cells": 4},
+        load={"wind": {"pressure": 30.0, "direction": [0.0, 0.0, -1.0]}},
+        solver={"adapt": 1, "stabilising_tension": 0.0},
+    )
+    wall = {"kind": "wall", "facing": [0.0, 0.0, 1.0], "point": [0.0, 0.0, -30.0]}
+    found = list(levels(read_scene({**tables, "obstacle": wall}), ring_like))
+    assert len(found) == 2
+    assert [level.solution.problem.disc.element for level in found] == ["P1", "P1"]
+    assert found[-1].solution.wall_forces.sum() > 0.1 * 30.0 * 0.01
+    assert found[1].bounds.gap < found[0].bounds.gap
+    assert max(level.bounds.lower for level in found) < min(level.bounds.upper for level in found)
+
+
+@pytest.mark.parametrize(
+    ("extra", "reason"),
+    [
+        ({"obstacle": {"kind": "sphere", "centre": [50.0, 50.0, -60.0], "radius": 20.0}}, "do not go with sphere"),
+        (
+            {"load": {"wind": {"pressure": 5.0, "direction": [0, 0, 1], "follows": True}}},
+            "do not go with following pressure",
+        ),
+    ],
+)
+def test_what_is_not_convex_has_no_bounds(scene_tables, extra, reason):
+    with pytest.raises(InputError, match=re.escape(f"scene: [solver] bounds and adapt: {reason}")):
+        read_scene({**scene_tables(solver={"bounds": True}), **extra})
 
 
 @pytest.mark.slow
