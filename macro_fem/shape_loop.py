@@ -160,7 +160,7 @@ def _first(problem: Problem, solve: Solve) -> CurtainSolution:
     scene, disc = problem.scene, problem.disc
     dead = problem.force
     for wind in problem.follows:
-        dead = dead + load_vector(disc, problem.factor * wind_per_area(wind))
+        dead = dead + load_vector(disc, problem.factor * wind_per_area(wind, problem.scene, problem.law.cell))
     found = solve(replace(problem, bodies=(), follows=(), force=dead), None)
     if scene.start is not None:
         x = scene.start.places(disc.nodes)
@@ -227,7 +227,8 @@ def following(problem: Problem, F: Array, sense: list[float]) -> Array:
     """
     total = np.zeros_like(problem.force)
     for wind, sign in zip(problem.follows, sense, strict=True):
-        pressure = sign * problem.factor * float(unit(wind.direction) @ wind_per_area(wind))
+        per_area = wind_per_area(wind, problem.scene, problem.law.cell)
+        pressure = sign * problem.factor * float(unit(wind.direction) @ per_area)
         total += load_vector(problem.disc, pressure * np.cross(F[:, :, 0], F[:, :, 1]))
     return total
 

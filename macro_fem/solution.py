@@ -12,6 +12,7 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.rotated import rotated
 from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.obstacles import Placed, is_flat, placed
@@ -60,8 +61,9 @@ class Problem:
             return np.eye(2)
         X, mask = self.disc.nodes, self.supports.mask
         here = mask.any(axis=1)
-        load = self.force.T @ (X - X[here].mean(axis=0)) / (float(np.abs(self.force).sum()) * self.mesh.size or 1.0)
-        way = supported_map(self)[1] + load
+        total = float(np.linalg.norm(self.force, axis=1).sum())
+        load = self.force.T @ (X - X[here].mean(axis=0))
+        way = supported_map(self)[1] + load / (total * self.mesh.size or 1.0)
         U, size, Vt = np.linalg.svd(way, full_matrices=False)
         if size[1] < 1e-6 * size[0]:
             U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
@@ -225,6 +227,8 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)
+    if scene.solver.kind != "elastic":
+        check_tracks(scene, mesh, hung)
     problem = Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
     return _with_obstacles(problem) if scene.obstacle or any(wind.follows for wind in scene.load.wind) else problem
 

@@ -38,9 +38,10 @@ def _half_spaces(solution: CurtainSolution, cones: Cones) -> Decision:
 
 
 def _ties(solution: CurtainSolution) -> Decision:
-    if solution.problem.fem.tie is not None:
-        return Decision("ties", True, "a bar keeps an edge straight")
-    return Decision("ties", False, "no straight bar")
+    bars = any(bar.straight for bar in solution.problem.scene.load.bar)
+    lines = any(held.slide is not None for held in solution.problem.supports.held)
+    why = ["a bar keeps an edge straight"] * bars + ["an edge slides on a sloping line"] * lines
+    return Decision("ties", bool(why), " and ".join(why) or "no straight bar and no sloping line")
 
 
 def _obstacles(solution: CurtainSolution) -> list[Decision]:

@@ -16,13 +16,17 @@ from macro_fem.scene.tables import (
     NO_MOVE,
     SUPPORTS,
     Curtain,
+    Edge,
     Load,
     Mesh,
     Solver,
     Support,
+    Track,
+    Wind,
     in_3d,
     leaves_plane,
 )
+from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
 from rve.common.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
@@ -115,6 +119,10 @@ def _out_of_plane(scene: Scene) -> Iterator[str]:
         move = getattr(item, "move", ())
         if move and leaves_plane(move):
             yield f"[support] move = {list(move)} leaves the plane"
+        if isinstance(item, Track):
+            yield "[support] kind = 'track' leaves the plane"
+        if isinstance(item, Edge) and item.along and any(map(leaves_plane, item.along)):
+            yield f"[support] along = {[list(point) for point in item.along]} leaves the plane"
     if isinstance(scene.load.gravity, tuple) and leaves_plane(scene.load.gravity):
         yield f"[load] gravity = {list(scene.load.gravity)} leaves the plane"
     for name in ("edge", "point", "patch"):
@@ -217,8 +225,14 @@ def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> Non
                 raise InputError(
                     f"{source}: [support] move = {list(move)}: has no effect along {axis}, as held = {held!r}"
                 )
+        if isinstance(item, Track):
+            check_track(item, source)
+        if isinstance(item, Edge):
+            _check_line(item, source)
         if held == "z" and not scene.in_space:
             raise InputError(f"{source}: [support] held = 'z': holds nothing, as the scene lies in the plane")
+    for wind in scene.load.wind:
+        _check_wind(wind, source)
     load = scene.load
     uses_start = any(not is_flat(item) for item in scene.obstacle) or any(wind.follows for wind in load.wind)
     if scene.start is not None and not uses_start:
@@ -228,6 +242,30 @@ def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> Non
         raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
 
 
+def _check_wind(wind: Wind, source: str | Path) -> None:
+    """InputError unless exactly one of pressure and speed is given, and only keys that have an effect."""
+    where = f"{source}: [load.wind]"
+    if wind.pressure is None and wind.speed is None:
+        raise InputError(f"{where} pressure: is missing; give it in N/m2, or speed in m/s")
+    if wind.pressure is not None:
+        for key in ("speed", "air_density", "drag_coefficient"):
+            if getattr(wind, key) is not None:
+                raise InputError(f"{where} {key} = {getattr(wind, key):g}: is not used together with pressure")
+
+
+def _check_line(item: Edge, source: str | Path) -> None:
+    """InputError for keys of an edge that have no effect with a line, or without one."""
+    where = f"{source}: [support] (edge)"
+    if item.along is None:
+        if item.sliding:
+            raise InputError(f"{where} sliding = true: has no effect without along, the line to slide on")
+        return
+    if item.gather != 1.0:
+        raise InputError(f"{where} gather = {item.gather:g}: has no effect with along, which says where the edge lies")
+    if item.held != "both":
+        raise InputError(f"{where} held = {item.held!r}: has no effect with along, which holds all but what slides")
+
+
 def check_solver(scene: Scene, source: str | Path) -> None:
     """InputError if the solver does not go with the mesh or the shape."""
     element, shape, solver = scene.mesh.element, scene.curtain.shape, scene.solver
@@ -235,7 +273,12 @@ def check_solver(scene: Scene, source: str | Path) -> None:
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
     if solver.kind == "elastic" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
-    if (solver.bounds or solver.adapt) and (scene.obstacle or any(wind.follows for wind in scene.load.wind)):
-        raise InputError(f"{source}: [solver] bounds and adapt: do not go with obstacles and following pressure")
+    if (solver.bounds or solver.adapt) and any(wind.follows for wind in scene.load.wind):
+        raise InputError(f"{source}: [solver] bounds and adapt: do not go with following pressure, no dead load")
+    bodies = [item.name for item in scene.obstacle if not is_flat(item)]
+    if (solver.bounds or solver.adapt) and bodies:
+        raise InputError(
+            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}, a body, with which the problem is not convex"
+        )
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")
