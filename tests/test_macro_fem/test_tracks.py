@@ -12,6 +12,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.scene.tables import Track
 from macro_fem.scene.tracks import track_curve, track_places
 from rve.common.errors import InputError
+
 from .conftest import STRETCH_X
 
 WHERE = "scene: [support] (track)"
