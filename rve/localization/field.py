@@ -36,7 +36,7 @@ RECORD = "localize.json"
 
 @dataclass(frozen=True)
 class WorstCell:
-    """The cell with the largest principal line load: number, pose, contact forces, turn (2, 2) into the curtain."""
+    """The cell with the largest principal line load: number, pose, contact forces, turn (3, 3) into the curtain."""
 
     number: int
     states: RingStates

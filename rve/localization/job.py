@@ -28,7 +28,8 @@ from rve.localization.curtain import (
 from rve.localization.field import RECORD, RingField, WorstCell
 from rve.localization.forces import cauchy_of, cell_forces, largest_forces
 from rve.localization.poses import LockedArrangements, PoseOptions, locked_arrangements, nearest_poses
-from rve.localization.rings import Sites, axes_of_weave, deformation, find_sites, fit_of, place_rings, turns
+from rve.localization.frames import turns
+from rve.localization.rings import Sites, axes_of_weave, find_sites, fit_of, place_rings
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,5 @@ def _worst(curtain: Curtain, cell: Cell, how: PoseOptions, locked: LockedArrange
     number = int(np.argmax(curtain.line_load))
     states = nearest_poses(_in_weave(curtain.E[[number]], axes), cell, how, locked)
     s = cauchy_of(_in_weave(curtain.S[[number]], axes), states.E)[0]
-    triangle = int(np.flatnonzero(curtain.cell == number)[0])
-    F = axes.T @ deformation(curtain)[[triangle]] @ axes
-    return WorstCell(number, states, cell_forces(s, cell, how.direct), axes @ turns(F, states.E)[0])
+    triangle = np.flatnonzero(curtain.cell == number)[:1]
+    return WorstCell(number, states, cell_forces(s, cell, how.direct), turns(curtain, triangle, states.E, axes)[0])
