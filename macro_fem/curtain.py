@@ -233,7 +233,7 @@ def _solution(problem: Problem, result: PathResult, reach: Reach, give: float | 
     fem, elastic = problem.fem, is_elastic(problem.scene)
     x, F = fem.positions(result.z), fem.gradient(result.z)
     tension = 0.0 if elastic else spread_tension(problem)
-    work = float((problem.force * (x - problem.disc.nodes)).sum())
+    work = float((problem.force * (x - fem.reference)).sum())
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))
     held_part = float((fem.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())

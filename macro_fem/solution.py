@@ -44,6 +44,23 @@ class Problem:
     factor: float = 1.0  # share of live loads and moves
     cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
 
+    @cached_property
+    def frame(self) -> Array:
+        """Where the reference axes point (d, 2) in a curtain that hangs flat, about: two orthogonal unit vectors.
+
+        In space these follow the supports and the resultant load, so that they turn with the scene.
+        """
+        if self.fem.d == 2:
+            return np.eye(2)
+        X, mask = self.disc.nodes, self.supports.mask
+        here = mask.any(axis=1)
+        load = self.force.T @ (X - X[here].mean(axis=0)) / (float(np.abs(self.force).sum()) * self.mesh.size or 1.0)
+        way = supported_map(self)[1] + load
+        U, size, Vt = np.linalg.svd(way, full_matrices=False)
+        if size[1] < 1e-6 * size[0]:
+            U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
+        return np.asarray(U @ Vt)
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -137,7 +154,7 @@ class CurtainSolution(Judged):
     @property
     def displacement(self) -> Array:
         """x - X (n_nodes, d), mm."""
-        return self.x - self.problem.disc.nodes
+        return self.x - self.problem.fem.reference
 
     @property
     def reactions(self) -> Array:
@@ -191,8 +208,8 @@ def spread_tension(problem: Problem) -> float:
 def spread_allowance(problem: Problem, tension: float) -> float:
     """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
 
-    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
-    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of Q:F over the area, where Q is the frame, two
+    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
     """
     half = np.array([[0.5, 0.0, 0.5]])
     largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
@@ -200,13 +217,17 @@ def spread_allowance(problem: Problem, tension: float) -> float:
 
 
 def unit_tensors(problem: Problem) -> Array:
-    """The unit tensor at every point (nq, d, 2)."""
-    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
+    """The frame at every point (nq, d, 2): the unit tensor of a plane curtain."""
+    return np.broadcast_to(problem.frame, (problem.disc.n_points, problem.fem.d, 2))
 
 
 def gathered_start(problem: Problem) -> Array:
     """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
     X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
+    if problem.fem.d == 3:
+        middle, A = supported_map(problem)
+        U, size, Vt = np.linalg.svd(A, full_matrices=False)
+        return np.asarray(middle + X @ (U * np.minimum(size, 1.0) @ Vt).T)
     start = np.empty_like(X)
     for axis in range(2):
         nodes = mask[:, axis]
@@ -216,3 +237,20 @@ def gathered_start(problem: Problem) -> Array:
         else:
             start[:, axis] = held[nodes, axis].mean() if nodes.any() else X[:, axis].mean()
     return start
+
+
+def supported_map(problem: Problem) -> tuple[Array, Array]:
+    """The affine map X -> b + A X, b (d,) and A (d, 2), nearest to where the supports hold their points; A = 0 along
+    directions of which they say nothing."""
+    X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
+    d = held.shape[1]
+    b, A = np.zeros(d), np.zeros((d, 2))
+    for axis in range(d):
+        nodes = mask[:, axis]
+        if nodes.any():
+            centre, mean = X[nodes].mean(axis=0), held[nodes, axis].mean()
+            A[axis] = np.linalg.lstsq(X[nodes] - centre, held[nodes, axis] - mean, rcond=1e-9)[0]
+            b[axis] = mean - A[axis] @ centre
+        elif axis < 2:
+            b[axis] = X[:, axis].mean()
+    return b, A

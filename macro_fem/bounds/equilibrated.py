@@ -145,11 +145,12 @@ def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
 def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:
     """Nodal forces (n_nodes, 2) and the most that spreading point loads over edges may change the potential, N mm."""
     disc, mesh = dual.disc, dual.mesh
-    force = load_vector(disc, np.array([0.0, -weight_per_area(scene, law.cell)]))
+    force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.load.bar:
         facets = mesh.edges[bar.edge]
         length = dual.edge_lengths()[facets].sum()
-        force += traction_forces(dual, facets, np.array([0.0, -bar.mass * scene.load.gravity / length]))
+        weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
+        force += traction_forces(dual, facets, weight / length)
     for edge in scene.load.edge:
         force += traction_forces(dual, mesh.edges[edge.edge], factor * np.array(edge.force))
     cost = 0.0

@@ -14,13 +14,19 @@ from macro_fem.solvers.cones import Cones, facets_of
 def decisions(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[Decision]:
     """What the run behind a solution used and left out; `bounds`, `picture`: whether it was bounded, is drawn."""
     return [
-        Decision("third-coordinate", False, "all loads and supports lie in the plane, and so does the least potential"),
+        _third_coordinate(solution),
         *([] if solution.cones is None else [_half_spaces(solution, solution.cones)]),
         _ties(solution),
         *solution.decided,
         _slack_cells(solution),
         *_outputs(solution, bounds, picture),
     ]
+
+
+def _third_coordinate(solution: CurtainSolution) -> Decision:
+    why = solution.problem.scene.space_reason
+    in_plane = "all loads and supports lie in the plane, and so does the least potential"
+    return Decision("third-coordinate", bool(why), why or in_plane)
 
 
 def _half_spaces(solution: CurtainSolution, cones: Cones) -> Decision:

@@ -30,7 +30,7 @@ def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | 
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
-    corners = corner_positions(solution)
+    corners = corner_positions(solution)[:, :2]
     colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=np.asarray(values)[cell], **style)
     assert ax.figure is not None
     bar = ax.figure.colorbar(colours, ax=ax, shrink=0.75, pad=0.02)
@@ -81,7 +81,7 @@ def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
 
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
-    corners = corner_positions(solution)
+    corners = corner_positions(solution)[:, :2]
     ax.tripcolor(
         corners[:, 0],
         corners[:, 1],
@@ -116,7 +116,7 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    extent = np.ptp(np.vstack([solution.x, solution.problem.disc.nodes]), axis=0)
+    extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
     panels = 2 if error is None else 3
     height = float(np.clip(5.0 * extent[1] / extent[0], 3.0, 9.0)) + 1.2
     figure = Figure(figsize=(6.2 * panels, height), layout="constrained")
@@ -196,9 +196,9 @@ def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: 
     if not len(cells):
         return
     F = solution.problem.disc.cell_mean(solution.F)[cells]
-    along = np.einsum("cij,cj->ci", F, direction[cells])
+    along = np.einsum("cij,cj->ci", F, direction[cells])[:, :2]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-    centre = corner_positions(solution)[mesh.t.T[cells]].mean(axis=1)
+    centre = corner_positions(solution)[:, :2][mesh.t.T[cells]].mean(axis=1)
     length = 0.02 * solution.problem.mesh.size * np.sqrt(np.minimum(values[cells, 0] / top, 1.0))
     half = 0.5 * along * length[:, None]
     ax.add_collection(
@@ -227,7 +227,7 @@ def _supports(solution: CurtainSolution, ax: Axes) -> None:
     from matplotlib.collections import LineCollection
 
     mask = solution.problem.supports.mask
-    mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)
+    mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)[:, :2]
     facets = np.unique(np.concatenate([held.facets for held in solution.problem.supports.held]))
     ax.add_collection(LineCollection(list(corners[mesh.facets[:, facets].T]), colors="#1f4e79", linewidths=2.0))
     x = solution.x

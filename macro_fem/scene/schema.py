@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,15 @@ from macro_fem.scene.tables import (
     LIVE_LOADS,
     MAX_CORNERS,
     MAX_ENTRIES,
+    NO_MOVE,
     SUPPORTS,
     Curtain,
     Load,
     Mesh,
     Solver,
     Support,
+    in_3d,
+    leaves_plane,
 )
 from rve.common.errors import InputError
 from rve.common.reading import read_toml
@@ -33,6 +37,21 @@ class Scene:
     load: Load
     solver: Solver
     source: Path
+
+    @property
+    def in_space(self) -> bool:
+        """Whether the curtain needs a third coordinate."""
+        return bool(self.space_reason)
+
+    @property
+    def space_reason(self) -> str:
+        """Why the curtain needs a third coordinate; "" in the plane."""
+        return next(_out_of_plane(self), "")
+
+    @property
+    def d(self) -> int:
+        """Coordinates of a place: 2 in the plane, 3 in space."""
+        return 3 if self.in_space else 2
 
     @classmethod
     def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
@@ -83,6 +102,25 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     _check_effect(scene, data, source)
     check_solver(scene, source)
     return scene
+
+
+def _out_of_plane(scene: Scene) -> Iterator[str]:
+    """What takes a scene into space, the first thing first."""
+    for item in scene.support:
+        move = getattr(item, "move", ())
+        if move and leaves_plane(move):
+            yield f"[support] move = {list(move)} leaves the plane"
+    if isinstance(scene.load.gravity, tuple) and leaves_plane(scene.load.gravity):
+        yield f"[load] gravity = {list(scene.load.gravity)} leaves the plane"
+    for name in ("edge", "point", "patch"):
+        for load in getattr(scene.load, name):
+            if leaves_plane(load.force):
+                yield f"[load.{name}] force = {list(load.force)} leaves the plane"
+    for wind in scene.load.wind:
+        if leaves_plane(wind.direction):
+            yield f"[load.wind] direction = {list(wind.direction)} leaves the plane"
+    if scene.solver.space:
+        yield "[solver] space = true asks for it"
 
 
 def _read_supports(tables: Any, source: str | Path) -> tuple[Support, ...]:
@@ -161,15 +199,17 @@ def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> Non
         raise InputError(f"{source}: [mesh] pattern = {scene.mesh.pattern!r}: has no effect with {what}")
     for item in scene.support:
         held = getattr(item, "held", "both")
-        move = getattr(item, "move", (0.0, 0.0))
-        for axis, way in zip("xy", move, strict=True):
-            if way != 0.0 and held not in ("both", axis):
+        move = getattr(item, "move", NO_MOVE)
+        for axis, way in zip("xyz", in_3d(move), strict=True):
+            if way != 0.0 and held != "both" and axis not in held:
                 raise InputError(
                     f"{source}: [support] move = {list(move)}: has no effect along {axis}, as held = {held!r}"
                 )
+        if held == "z" and not scene.in_space:
+            raise InputError(f"{source}: [support] held = 'z': holds nothing, as the scene lies in the plane")
     load = scene.load
     moves = any(any(getattr(item, "move", ())) for item in scene.support)
-    if load.steps > 1 and not (moves or load.edge or load.point or load.patch):
+    if load.steps > 1 and not (moves or load.edge or load.point or load.patch or load.wind):
         raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
 
 

@@ -13,14 +13,22 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.discretization import Discretization
+from macro_fem.fem.space import in_space_of
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import Bar, Corners, Edge, Hooks, Point, Rail, Top
+from macro_fem.scene.tables import NO_MOVE, Bar, Corners, Edge, Hooks, Point, Rail, Top, in_3d
 from rve.common.errors import InputError
 from rve.common.types import Array
 
-HELD = {"both": (True, True), "x": (True, False), "y": (False, True)}
+
+def held_axes(held: str, d: int) -> tuple[bool, ...]:
+    """Which of d components a support holds: "both" are all.
+
+    >>> held_axes("both", 3), held_axes("yz", 3), held_axes("yz", 2)
+    ((True, True, True), (False, True, True), (False, True))
+    """
+    return tuple(held == "both" or axis in held for axis in "xyz"[:d])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +76,9 @@ def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -
 def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float = 1.0) -> Supports:
     """The supports of a scene with prescribed moves scaled by `factor` (load steps)."""
     held = tuple(_held(number, scene, mesh, disc, factor) for number in range(len(scene.support)))
-    mask = np.zeros((disc.n_nodes, 2), bool)
-    positions = disc.nodes.copy()
-    owner = np.full((disc.n_nodes, 2), -1)
+    positions = in_space_of(disc.nodes, scene.d)
+    mask = np.zeros(positions.shape, bool)
+    owner = np.full(positions.shape, -1)
     for number, one in enumerate(held):
         here = np.zeros_like(mask)
         here[one.nodes] = one.mask
@@ -83,7 +91,7 @@ def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor
             raise InputError(
                 f"{scene.source}: [support]: {held[owner[node, axis]].name} and {one.name} hold the point "
                 f"({x:g}, {y:g}) at different places, "
-                f"{'xy'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
+                f"{'xyz'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
             )
         positions = np.where(here, target, positions)
         mask |= here
@@ -95,37 +103,35 @@ def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor
 
 def _held(number: int, scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
     """The nodes, components and positions of one support; InputError if it asks for what has no effect."""
-    X, item, source = disc.nodes, scene.support[number], scene.source
+    X, item, source, d = disc.nodes, scene.support[number], scene.source, scene.d
     facets = np.zeros(0, np.int64)
-    gather, move, axes = 1.0, np.zeros(2), (True, True)
+    gather, held = 1.0, "both"
     match item:
         case Corners():
             nodes, name = _top_corners(scene, mesh, disc), "corners"
-            gather, move = item.gather, np.array(item.move)
+            gather = item.gather
         case Top() | Rail():
             name = "top" if isinstance(item, Top) else "rail"
             where = f"{source}: [support] kind = '{name}' needs edge"
             nodes, facets = edge_nodes(mesh, disc, "top", where), mesh.edge("top", where)
-            if isinstance(item, Top):
-                gather, move = item.gather, np.array(item.move)
-            else:
-                axes = HELD["y"]
+            gather, held = (item.gather, "both") if isinstance(item, Top) else (1.0, "yz")
         case Hooks():
             nodes, name = _hook_nodes(number, item, scene, mesh, disc), "hooks"
-            gather, axes = item.gather, (not item.sliding, True)
+            gather, held = item.gather, "yz" if item.sliding else "both"
         case Edge():
             where = f"{source}: [support] edge"
             nodes, facets = edge_nodes(mesh, disc, item.edge, where), mesh.edge(item.edge, where)
-            name, gather, move, axes = f"edge {item.edge}", item.gather, np.array(item.move), HELD[item.held]
+            name, gather, held = f"edge {item.edge}", item.gather, item.held
         case Point():
             nodes = point_node(item.at, disc, f"{source}: [support] (point)")
             name = f"point ({item.at[0]:g}, {item.at[1]:g})"
-            move, axes = np.array(item.move), HELD[item.held]
+            held = item.held
     target = _gathered_edge(X[nodes], gather) if isinstance(item, Edge) else _gathered(X[nodes], gather, mesh)
-    mask = np.tile(axes, (len(nodes), 1))
-    if gather != 1.0 and np.abs((target - X[nodes])[mask]).max() <= 1e-9 * mesh.size:
+    mask = np.tile(held_axes(held, d), (len(nodes), 1))
+    if gather != 1.0 and np.abs((target - X[nodes])[mask[:, :2]]).max(initial=0.0) <= 1e-9 * mesh.size:
         raise InputError(f"{source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
-    return Held(name, nodes, mask, target + factor * move, facets)
+    move = np.array(in_3d(getattr(item, "move", NO_MOVE))[:d])
+    return Held(name, nodes, mask, in_space_of(target, d) + factor * move, facets)
 
 
 def _gathered_edge(X: Array, gather: float) -> Array:
@@ -210,15 +216,15 @@ def straight_ties(lines: list[np.ndarray], X: Array, mask: np.ndarray) -> sparse
         ),
         shape=(n, n),
     ).tocsc()
-    both = sparse.kron(T, sparse.eye(2), format="csc")
+    both = sparse.kron(T, sparse.eye(mask.shape[1]), format="csc")
     free = ~mask & ~tied[:, None]
     return both[:, free.ravel()]
 
 
 def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: object) -> Supports:
-    """Pins one component of every piece of the curtain that can slide along x or y as a whole.
+    """Pins one component of every piece of the curtain that can slide along x, y or z as a whole.
 
-    InputError for a piece that nothing holds, and for a load `force` (n_nodes, 2) along a free sliding.
+    InputError for a piece that nothing holds, and for a load `force` (n_nodes, d) along a free sliding.
     """
     number, label = components(disc.cell_dofs, disc.n_nodes)
     pinned = np.zeros_like(supports.mask)
@@ -234,11 +240,12 @@ def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: 
             push = float(force[nodes, axis].sum())
             if abs(push) > 1e-9 * total:
                 raise InputError(
-                    f"{source}: [load]: nothing carries the force of {push:.6g} N along {'xy'[axis]}, in which the "
+                    f"{source}: [load]: nothing carries the force of {push:.6g} N along {'xyz'[axis]}, in which the "
                     f"supports let the piece around ({x:g}, {y:g}) slide"
                 )
-            other = nodes[supports.mask[nodes, 1 - axis]]
-            middle = other[np.argmin(np.abs(disc.nodes[other, axis] - disc.nodes[other, axis].mean()))]
+            other = nodes[supports.mask[nodes].any(axis=1)]
+            along = disc.nodes[other, axis % 2]
+            middle = other[np.argmin(np.abs(along - along.mean()))]
             pinned[middle, axis] = True
     if supports.tie is not None and pinned.any():
         kept = ~(supports.mask | pinned).ravel()
