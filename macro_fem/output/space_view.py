@@ -29,12 +29,7 @@ LONGEST = 0.16
 
 def positions(solution: CurtainSolution) -> Array:
     """Deformed corners of the mesh (n_corners, 3), mm."""
-    return in_space(corner_positions(solution))
-
-
-def in_space(points: Array) -> Array:
-    """Points (n, 2) or (n, 3) with three coordinates."""
-    return points if points.shape[1] == 3 else padded(points)
+    return padded(corner_positions(solution))
 
 
 def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
@@ -82,7 +77,7 @@ def sheet(solution: CurtainSolution, scale: Scale) -> Surface:
 
 def supports(solution: CurtainSolution, size: float) -> list[Surface | Lines]:
     """Held edges as tubes, held points and runners as balls."""
-    mesh, corners, x = solution.problem.mesh.mesh, positions(solution), in_space(solution.x)
+    mesh, corners, x = solution.problem.mesh.mesh, positions(solution), padded(solution.x)
     lines, balls = [], []
     for held in solution.problem.supports.held:
         lines.append(corners[mesh.facets[:, held.facets].T])
@@ -99,7 +94,7 @@ def supports(solution: CurtainSolution, size: float) -> list[Surface | Lines]:
 
 def reactions(solution: CurtainSolution, size: float) -> list[Surface]:
     """Forces of supports on the curtain as arrows; those along an edge are summed up in groups."""
-    x, forces = in_space(solution.x), in_space(solution.reactions)
+    x, forces = padded(solution.x), padded(solution.reactions)
     at, total = [], []
     taken = np.zeros(len(x), bool)
     for held in solution.problem.supports.held:
