@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from macro_fem.output.space_view import box_of, curtain_view, line_load_scale
+from macro_fem.output.space_view import Frame, curtain_view
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common.errors import InputError, NotConverged, require
@@ -66,8 +66,8 @@ def write_looks(
 
 def frames(steps: Sequence[CurtainSolution]) -> list[View]:
     """Views of all load steps with one scale of colours, one box and one camera."""
-    scale, room = line_load_scale(steps), box_of(steps)
-    return [replace(curtain_view(step, scale, room), cameras=(THREE_QUARTERS,)) for step in steps]
+    frame = Frame.of(steps)
+    return [replace(curtain_view(step, frame), cameras=(THREE_QUARTERS,)) for step in steps]
 
 
 def _plane(folder: Path, steps: Sequence[CurtainSolution], wanted: Looks, error: Array | None) -> None:

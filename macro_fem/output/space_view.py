@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 
 import numpy as np
@@ -16,13 +17,15 @@ from rve.common.solids import PERSON_MM, Solid, arrow, box, cylinder, person, qu
 from rve.common.types import Array
 from rve.common.views import Lines, Scale, Surface, View, merged, rounded_up
 
-HELD, REACTION, OBSTACLE, GROUND, SHADOW, FIGURE = "#1f4e79", "#c1121f", "#c9b18f", "#eef0f2", "#c3c8ce", "#8d96a1"
+HELD, REACTION, OBSTACLE, GROUND, SHADOW, FIGURE = "#1f4e79", "#d7263d", "#c9b18f", "#ebedf0", "#cdd2d8", "#8d96a1"
 LEAST_FOR_PERSON = 800.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 LIGHT = np.array([0.3, -1.0, -0.45])
 """Direction of the light that throws the shadow: from the left, above and the front."""
 MOST_ARROWS = 14
 """Reactions of a support along an edge are summed up into this many arrows."""
+LEAST_ARROW = 0.04
+"""Forces below this part of the largest one have no arrow."""
 LONGEST = 0.16
 """Length of the largest reaction's arrow over the size of the scene."""
 
@@ -38,18 +41,31 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
     return Scale.of(values, "largest principal line load, N/mm (reference length)")
 
 
-def curtain_view(solution: CurtainSolution, scale: Scale | None = None, room: Array | None = None) -> View:
-    """The curtain with all around it. `scale`, `room` (2, 3): fixed colours and box of a series, else its own."""
-    scale = line_load_scale([solution]) if scale is None else scale
-    corners = positions(solution)
-    room = box_of([solution]) if room is None else room
-    size = float(np.linalg.norm(room[1] - room[0]))
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What the pictures of a series share: colours, box (2, 3) of the curtain in mm, force of the longest arrow in N."""
+
+    scale: Scale
+    room: Array
+    force: float
+
+    @classmethod
+    def of(cls, steps: Sequence[CurtainSolution]) -> Frame:
+        """The frame of one solution, or of all load steps."""
+        largest = max((float(np.linalg.norm(force, axis=1).max(initial=0.0)) for _, force in map(pulls, steps)))
+        return cls(line_load_scale(steps), box_of(steps), largest)
+
+
+def curtain_view(solution: CurtainSolution, frame: Frame | None = None) -> View:
+    """The curtain with all around it; `frame`: that of a series, else its own."""
+    frame = Frame.of([solution]) if frame is None else frame
+    room, size = frame.room, float(np.linalg.norm(frame.room[1] - frame.room[0]))
     ground = ground_level(solution, room)
-    surface = sheet(solution, scale)
-    parts: list[Surface | Lines] = [surface, *supports(solution, size), *reactions(solution, size)]
+    surface = sheet(solution, frame.scale)
+    parts: list[Surface | Lines] = [surface, *supports(solution, size), *reactions(solution, size, frame.force)]
     parts += obstacles(solution, room, ground)
-    parts += surroundings(corners, surface, room, ground)
-    return View(title(solution), tuple(parts), scale, notes=notes(solution, room))
+    parts += surroundings(surface, room, ground)
+    return View(title(solution), tuple(parts), frame.scale, notes=notes(solution))
 
 
 def box_of(steps: Sequence[CurtainSolution]) -> Array:
@@ -62,7 +78,8 @@ def title(solution: CurtainSolution) -> str:
     """What a picture is headed by."""
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
-    part = "" if solution.problem.factor == 1.0 else f"{100.0 * solution.problem.factor:.0f} % of live loads and moves, "
+    is_step = solution.problem.scene.load.steps > 1
+    part = f"{100.0 * solution.problem.factor:.0f} % of live loads and moves\n" if is_step else ""
     return f"{part}total load {load:.4g} N, {height}"
 
 
@@ -92,43 +109,66 @@ def supports(solution: CurtainSolution, size: float) -> list[Surface | Lines]:
     return parts
 
 
-def reactions(solution: CurtainSolution, size: float) -> list[Surface]:
-    """Forces of supports on the curtain as arrows; those along an edge are summed up in groups."""
-    x, forces = padded(solution.x), padded(solution.reactions)
-    at, total = [], []
-    taken = np.zeros(len(x), bool)
-    for held in solution.problem.supports.held:
-        nodes = held.nodes[~taken[held.nodes]]
-        taken[nodes] = True
-        for group in groups(x[nodes], MOST_ARROWS if len(held.facets) else len(nodes)):
-            force = forces[nodes[group]]
-            weight = np.linalg.norm(force, axis=1) + 1e-300
-            at.append(weight @ x[nodes[group]] / weight.sum())
-            total.append(force.sum(axis=0))
-    if not at:
+def reactions(solution: CurtainSolution, size: float, largest: float) -> list[Surface]:
+    """Forces of supports on the curtain as arrows; `largest` in N has the longest one."""
+    at, force = pulls(solution)
+    share = np.linalg.norm(force, axis=1) / max(largest, 1e-300)
+    drawn = np.flatnonzero(share > LEAST_ARROW)
+    if not len(drawn):
         return []
-    length = np.linalg.norm(total, axis=1)
-    largest = float(length.max())
-    if not largest > 0.0:
-        return []
-    solids = [
-        arrow(point, LONGEST * size * force / largest, 0.005 * size)
-        for point, force, share in zip(at, total, length / largest, strict=True)
-        if share > 0.02
-    ]
+    solids = [arrow(at[i], LONGEST * size * force[i] / largest, 0.005 * size) for i in drawn]
     return [merged(f"reaction, longest arrow {largest:.3g} N", solids, REACTION)]
 
 
-def groups(points: Array, most: int) -> list[np.ndarray]:
-    """Numbers of points (n, 3) in at most `most` groups of neighbours along their longest extent.
+def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of the arrows: those at points, and those of edges summed up by equal lengths."""
+    x, forces = padded(solution.x), padded(solution.reactions)
+    taken = np.zeros(len(x), bool)
+    places, sums = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for held in solution.problem.supports.held:
+        nodes = held.nodes[~taken[held.nodes]]
+        taken[nodes] = True
+        order = along_edge(solution.problem.disc.nodes[nodes])
+        is_edge = len(held.facets) and len(nodes) > MOST_ARROWS
+        at, force = x[nodes[order]], forces[nodes[order]]
+        at, force = summed_up(at, force, MOST_ARROWS) if is_edge else (at, force)
+        places.append(at)
+        sums.append(force)
+    return np.concatenate(places), np.concatenate(sums)
 
-    >>> [group.tolist() for group in groups(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), 2)]
-    [[1, 2], [0]]
+
+def along_edge(points: Array) -> Array:
+    """Order (n,) of points (n, 2) along the edge they lie on: by angle around a rim, else along its longer extent.
+
+    >>> along_edge(np.array([[3.0, 0.0], [1.0, 0.0], [2.0, 0.1]])).tolist()
+    [1, 2, 0]
     """
     if not len(points):
-        return []
+        return np.zeros(0, int)
+    away = points - points.mean(axis=0)
+    angle = np.sort(np.arctan2(away[:, 1], away[:, 0]))
+    is_rim = len(points) > 3 and float(np.diff(angle, append=angle[0] + 2.0 * np.pi).max()) < 0.5 * np.pi
     axis = int(np.argmax(np.ptp(points, axis=0)))
-    return [part for part in np.array_split(np.argsort(points[:, axis], kind="stable"), min(most, len(points)))]
+    return np.argsort(np.arctan2(away[:, 1], away[:, 0]) if is_rim else points[:, axis], kind="stable")
+
+
+def summed_up(at: Array, force: Array, count: int) -> tuple[Array, Array]:
+    """Places and forces (count, 3) of `count` equal lengths of a line with nodal forces `force` (n, 3) at `at` (n, 3).
+
+    A nodal force is spread evenly over the length half-way to its neighbours, so that an even line load has equal sums.
+
+    >>> at = np.linspace([0.0, 0.0, 0.0], [8.0, 0.0, 0.0], 9)
+    >>> even = np.array([[0.0, 0.5, 0.0], *[[0.0, 1.0, 0.0]] * 7, [0.0, 0.5, 0.0]])
+    >>> summed_up(at, even, 3)[1][:, 1].round(9).tolist()
+    [2.666666667, 2.666666667, 2.666666667]
+    """
+    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(at, axis=0), axis=1)))
+    ends = np.concatenate([s[:1], 0.5 * (s[1:] + s[:-1]), s[-1:]])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(force, axis=0)])
+    edges = np.linspace(0.0, s[-1], count + 1)
+    sums = np.diff(np.stack([np.interp(edges, ends, column) for column in total.T], axis=1), axis=0)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    return np.stack([np.interp(middle, s, column) for column in at.T], axis=1), sums
 
 
 def ground_level(solution: CurtainSolution, room: Array) -> float:
@@ -142,10 +182,10 @@ def obstacles(solution: CurtainSolution, room: Array, ground: float) -> list[Sur
     return []
 
 
-def surroundings(corners: Array, surface: Surface, room: Array, ground: float) -> list[Surface | Lines]:
+def surroundings(surface: Surface, room: Array, ground: float) -> list[Surface | Lines]:
     """Ground, the curtain's shadow on it, and what shows the scale: a person beside a large one, a bar before others."""
     size = float(np.linalg.norm(room[1] - room[0]))
-    shadow = corners + (corners[:, 1:2] - ground) * LIGHT
+    shadow = surface.points + (surface.points[:, 1:2] - ground) * LIGHT
     shadow[:, 1] = ground
     foot = np.array([room[0, 0] - 0.45 * PERSON_MM, ground, 0.5 * (room[0, 2] + room[1, 2])])
     is_large = float((room[1] - room[0]).max()) >= LEAST_FOR_PERSON
@@ -155,8 +195,8 @@ def surroundings(corners: Array, surface: Surface, room: Array, ground: float) -
     ends = np.array([0.5 * (high[0] - low[0]), 0.0, 0.0]), np.array([0.0, 0.0, 0.5 * (high[2] - low[2])])
     scale = merged("person, 1.75 m", person(foot), FIGURE) if is_large else scale_bar(room, ground)
     return [
-        Surface("ground", *rectangle(0.5 * (low + high), *ends), GROUND, is_smooth=False, in_legend=False),
-        Surface("shadow", shadow, surface.triangles, SHADOW, is_smooth=False, in_legend=False),
+        Surface("ground", *rectangle(0.5 * (low + high), *ends), GROUND, is_lit=False, in_legend=False),
+        Surface("shadow", shadow, surface.triangles, SHADOW, is_lit=False, in_legend=False),
         scale,
     ]
 
@@ -164,13 +204,13 @@ def surroundings(corners: Array, surface: Surface, room: Array, ground: float) -
 def scale_bar(room: Array, ground: float) -> Lines:
     """A bar of a round length on the ground in front of a small curtain."""
     size = float(np.linalg.norm(room[1] - room[0]))
-    length = rounded_up(0.2 * size)
+    length = rounded_up(0.12 * size, (1.0, 2.0, 5.0, 10.0))
     start = np.array([room[0, 0], ground + 0.006 * size, room[1, 2] + 0.05 * size])
     line = np.stack([start, start + np.array([length, 0.0, 0.0])])
     return Lines(f"bar of {length:g} mm", line[None], 0.006 * size, FIGURE, width=8.0)
 
 
-def notes(solution: CurtainSolution, room: Array) -> tuple[str, ...]:
+def notes(solution: CurtainSolution) -> tuple[str, ...]:
     """What a reader must know besides."""
     has_floor = any(type(item).__name__ == "Floor" for item in getattr(solution.problem.scene, "obstacle", ()))
     return () if has_floor else ("the ground is drawn a little below the lowest point",)

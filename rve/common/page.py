@@ -6,6 +6,7 @@ Plotly brings hover numbers, a bar of colours and a legend in which parts are sw
 
 from __future__ import annotations
 
+import base64
 import os
 from typing import Any
 
@@ -40,7 +41,7 @@ def write_page(path: str | os.PathLike[str], view: View) -> None:
 
 
 def _traces(view: View) -> list[dict[str, Any]]:
-    traces = []
+    traces: list[dict[str, Any]] = []
     for part in view.parts:
         traces.append(_surface(part, view.scale) if isinstance(part, Surface) else _lines(part, view.scale))
     coloured = [trace for trace, part in zip(traces, view.parts, strict=True) if part.values is not None]
@@ -52,36 +53,47 @@ def _traces(view: View) -> list[dict[str, Any]]:
 
 
 def _surface(part: Surface, scale: Scale | None) -> dict[str, Any]:
-    # float32 and int32: half the bytes, 1e-7 of the size
-    x, y, z = np.asarray(part.points, dtype=np.float32).T
-    i, j, k = np.asarray(part.triangles, dtype=np.int32).T
+    x, y, z = map(_packed, part.points.T)
+    i, j, k = map(_packed, part.triangles.T)
     trace = {
         **{"type": "mesh3d", "name": part.name, "x": z, "y": x, "z": y, "i": i, "j": j, "k": k},
         **{"opacity": part.opacity, "showlegend": part.in_legend, "flatshading": not part.is_smooth, "showscale": False},
-        **{"lighting": LIGHT, "color": part.colour, "hoverinfo": "name", "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5}},
+        **{"lighting": _light(part), "color": part.colour, "hoverinfo": "name", "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5}},
     }
     if part.values is None or scale is None:
         return trace
-    values = np.asarray(part.values, dtype=np.float32)
     hover = f"{scale.label}: %{{customdata:.4g}}<br>x %{{y:.0f}}, y %{{z:.0f}}, z %{{x:.0f}} mm<extra></extra>"
     trace |= {"showlegend": False}  # the bar of colours tells what it is
-    return trace | {"intensity": _shares(values, scale), "customdata": values, "hovertemplate": hover} | _range(scale)
+    values = {"intensity": _packed(_shares(part.values, scale)), "customdata": _packed(part.values)}
+    return trace | values | {"hovertemplate": hover} | _range(scale)
+
+
+def _light(part: Surface) -> dict[str, float]:
+    if not part.is_lit:
+        return {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0}
+    return LIGHT if part.values is not None else LIGHT | {"ambient": 0.7}
 
 
 def _lines(part: Lines, scale: Scale | None) -> dict[str, Any]:
     n, k = part.points.shape[:2]
-    broken = np.full((n, k + 1, 3), np.nan, dtype=np.float32)  # a point that is no number ends a line
+    broken = np.full((n, k + 1, 3), np.nan)  # a point that is no number ends a line
     broken[:, :k] = part.points
-    x, y, z = broken.reshape(-1, 3).T
+    x, y, z = map(_packed, broken.reshape(-1, 3).T)
     line: dict[str, Any] = {"width": part.width, "color": part.colour}
     trace: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "name": part.name, "x": z, "y": x, "z": y}
     trace |= {"line": line, "showlegend": part.in_legend, "hoverinfo": "name", "connectgaps": False}
     if part.values is None or scale is None:
         return trace
-    values = np.repeat(np.asarray(part.values, dtype=np.float32), k + 1)
-    line |= {"color": _shares(values, scale), "showscale": False} | _range(scale)
+    values = np.repeat(part.values, k + 1)
+    line |= {"color": _packed(_shares(values, scale)), "showscale": False} | _range(scale)
     hover = f"{scale.label}: %{{customdata:.4g}}<extra></extra>"
-    return trace | {"customdata": values, "hovertemplate": hover}
+    return trace | {"customdata": _packed(values), "hovertemplate": hover, "showlegend": False}
+
+
+def _packed(values: Array) -> dict[str, str]:
+    """Numbers as plotly takes them in JSON: base64 of float32 or int32, a third of the bytes of digits."""
+    kind = "i4" if np.issubdtype(np.asarray(values).dtype, np.integer) else "f4"
+    return {"dtype": kind, "bdata": base64.b64encode(np.asarray(values).astype(f"<{kind}").tobytes()).decode()}
 
 
 STRIP = 0.025
@@ -89,7 +101,7 @@ STRIP = 0.025
 
 
 def _shares(values: Array, scale: Scale) -> Array:
-    return np.clip(scale.share(values), 0.0, 1.0 + STRIP if scale.is_exceeded else 1.0).astype(np.float32)
+    return np.clip(scale.share(values), 0.0, 1.0 + STRIP if scale.is_exceeded else 1.0)
 
 
 def _range(scale: Scale) -> dict[str, Any]:
@@ -107,7 +119,7 @@ def _bar(scale: Scale) -> dict[str, Any]:
     text = [f"{value:.3g}" for value in values]
     at = [float(x) for x in scale.share(np.array(values))]
     if scale.is_exceeded:
-        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{values[-1]:.3g}; red: up to {scale.largest:.3g}"]
+        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{values[-1]:.3g}; above: up to {scale.largest:.3g}"]
     return {
         "title": {"text": scale.label, "side": "right"},
         "tickvals": at,
@@ -121,12 +133,12 @@ def _bar(scale: Scale) -> dict[str, Any]:
 def _layout(view: View) -> dict[str, Any]:
     camera = view.cameras[-1]
     eye = -np.array(camera.direction)
-    eye = 1.9 * eye[AXES] / np.linalg.norm(eye)
+    eye = 2.2 * eye[AXES] / np.linalg.norm(eye)
     axis = {"showbackground": False, "zeroline": False, "gridcolor": "#e3e6ea", "showspikes": False}
     names = [f"{'xyz'[axis]}, mm" for axis in AXES]
     notes = "<br>".join(_plain(line) for line in view.notes)
     return {
-        "title": {"text": _plain(view.title), "font": {"size": 16}, "x": 0.02},
+        "title": {"text": _plain(view.title).replace("\n", "<br>"), "font": {"size": 16}, "x": 0.02},
         "font": {"family": "sans-serif", "size": 13},
         "margin": {"l": 0, "r": 0, "t": 50, "b": 40},
         "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"},

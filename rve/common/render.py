@@ -118,7 +118,9 @@ def _add(plotter: Any, part: Surface | Lines, scale: Scale | None) -> None:
     if isinstance(part, Surface):
         style |= {"opacity": part.opacity, "smooth_shading": part.is_smooth}
     if values is None or scale is None:
-        plotter.add_mesh(mesh, color=part.colour, **style | {"ambient": 0.5, "diffuse": 0.6})
+        is_lit = isinstance(part, Lines) or part.is_lit
+        shade = {"ambient": 0.5, "diffuse": 0.65} if is_lit else {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0}
+        plotter.add_mesh(mesh, color=part.colour, **style | shade)
         return
     mesh.point_data["shown"] = scale.share(values).astype(np.float32)
     style |= {"above_color": scale.over} if scale.is_exceeded else {}
@@ -171,39 +173,42 @@ def picture(view: View, aims: Sequence[Aim] | None = None) -> Figure:
     from matplotlib.figure import Figure
 
     aims = [aim(camera, view.box()) for camera in view.cameras] if aims is None else aims
-    width, height = len(aims) * PANEL_INCHES[0], PANEL_INCHES[1] + 1.9
+    below = 1.35 if len(aims) > 1 else 2.0
+    width, height = len(aims) * PANEL_INCHES[0], PANEL_INCHES[1] + below + 0.6
     figure = Figure(figsize=(width, height), dpi=PANEL_DPI)
     FigureCanvasAgg(figure)
     for i, (camera, target) in enumerate(zip(view.cameras, aims, strict=True)):
-        ax = figure.add_axes((i / len(aims), 1.35 / height, 1.0 / len(aims), PANEL_INCHES[1] / height))
+        ax = figure.add_axes((i / len(aims), below / height, 1.0 / len(aims), PANEL_INCHES[1] / height))
         ax.imshow(panel(view, target), interpolation="none", aspect="auto")
         ax.set_axis_off()
         if len(aims) > 1:
             ax.text(0.03, 0.97, camera.name, transform=ax.transAxes, fontsize=13, color="0.35", va="top")
-    figure.text(0.5, 1.0 - 0.30 / height, view.title, ha="center", va="center", fontsize=16)
+    size = 16 if len(aims) > 1 else 12.5
+    figure.text(0.5, 1.0 - 0.35 / height, view.title, ha="center", va="center", fontsize=size, linespacing=1.4)
     if view.scale is not None:
-        _bar(figure, view.scale, (width, height))
+        _bar(figure, view.scale, (width, height), below)
     _legend(figure, view)
     for i, note in enumerate(reversed(view.notes)):
         figure.text(0.98, (0.10 + 0.22 * i) / height, note, ha="right", va="bottom", fontsize=11, color="0.35")
     return figure
 
 
-def _bar(figure: Figure, scale: Scale, size: tuple[float, float]) -> None:
+def _bar(figure: Figure, scale: Scale, size: tuple[float, float], top: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     width, height = size
-    ax = figure.add_axes((0.55 / width, 0.72 / height, 5.2 / width, 0.2 / height))
+    ax = figure.add_axes((0.55 / width, (top - 0.63) / height, 5.2 / width, 0.2 / height))
     colours = _colour_map(scale)
     colours.set_over(scale.over)
     extend = "max" if scale.is_exceeded else "neither"
     bar = figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), colours), cax=ax, orientation="horizontal", extend=extend)
     values = scale.ticks()
     bar.set_ticks(scale.share(np.array(values)).tolist(), labels=[f"{value:.3g}" for value in values])
-    bar.ax.tick_params(labelsize=13)
-    above = f"; red: above, up to {scale.largest:.3g}" if scale.is_exceeded else ""
-    figure.text(0.55 / width, 1.02 / height, scale.label + above, fontsize=13, va="bottom")
+    letters = 13 if width > PANEL_INCHES[0] else 11
+    bar.ax.tick_params(labelsize=letters)
+    above = f"; arrow: up to {scale.largest:.3g}" if scale.is_exceeded else ""
+    figure.text(0.55 / width, (top - 0.33) / height, scale.label + above, fontsize=letters, va="bottom")
 
 
 def _legend(figure: Figure, view: View) -> None:
@@ -219,9 +224,11 @@ def _legend(figure: Figure, view: View) -> None:
         else:
             marks.append(Line2D([], [], color=part.colour, lw=4, label=part.name))
     if marks:
-        columns = 1 if len(view.cameras) == 1 else 2 + (len(marks) > 4)
+        is_wide = len(view.cameras) > 1
+        columns = 2 if len(marks) < 5 or not is_wide else 3
+        low = (0.1 + 0.22 * len(view.notes)) / figure.get_figheight()
         figure.legend(
-            handles=marks, loc="lower right", bbox_to_anchor=(0.985, 0.3 / figure.get_figheight()), fontsize=13,
+            handles=marks, loc="lower right", bbox_to_anchor=(0.985, low), fontsize=13 if is_wide else 11,
             ncols=columns, frameon=False, borderaxespad=0.0, columnspacing=1.4, handlelength=1.4,
         )  # fmt: skip
 
@@ -231,7 +238,8 @@ def write_gif(path: str | os.PathLike[str], frames: Sequence[Array]) -> None:
     from PIL import Image
 
     images = [Image.fromarray(np.asarray(frame, dtype=np.uint8)) for frame in frames]
-    palette = images[-1].quantize(255)  # one palette: colours do not flicker
+    thinned = np.concatenate([np.asarray(frame, dtype=np.uint8)[::3, ::3] for frame in frames])
+    palette = Image.fromarray(thinned).quantize(256, kmeans=2)  # one palette: colours do not flicker
     shown = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     times = [FRAME_MS] * (len(shown) - 1) + [LAST_MS]
     with atomic_path(path) as temporary:

@@ -80,8 +80,8 @@ class Scale:
         return [float(f"{self.low + x * (self.top - self.low):.6g}") for x in shares]
 
 
-def rounded_up(value: float) -> float:
-    """The smallest of `NICE` times a power of ten that is not below `value`; 1 for 0.
+def rounded_up(value: float, steps: tuple[float, ...] = NICE) -> float:
+    """The smallest of `steps`, from 1 to 10, times a power of ten that is not below `value`; 1 for 0.
 
     >>> rounded_up(0.0234), rounded_up(1200.0), rounded_up(0.0)
     (0.025, 1500.0, 1.0)
@@ -89,13 +89,16 @@ def rounded_up(value: float) -> float:
     if not value > 0.0:
         return 1.0
     power = int(np.floor(np.log10(value)))
-    step = next(step for step in NICE if step >= value / 10.0**power * (1.0 - 1e-9))
+    step = next(step for step in steps if step >= value / 10.0**power * (1.0 - 1e-9))
     return float(f"{step * 10.0**power:.6g}")
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles (t, 3) of points (p, 3), in one colour, or coloured by `values` (p,) on the scale of the view."""
+    """Triangles (t, 3) of points (p, 3), in one colour, or coloured by `values` (p,) on the scale of the view.
+
+    is_smooth: shaded as a smooth surface, else facet by facet; is_lit: shaded at all.
+    """
 
     name: str
     points: Array
@@ -104,6 +107,7 @@ class Surface:
     values: Array | None = field(default=None, repr=False)
     opacity: float = 1.0
     is_smooth: bool = True
+    is_lit: bool = True
     in_legend: bool = True
 
 
@@ -141,7 +145,7 @@ THREE_QUARTERS = Camera("three quarters", (-0.75, -0.45, -1.0))
 class View:
     """Parts with their scale of colours (None if no part has values) and the cameras that look at them.
 
-    title: one line above the picture; notes: lines below it.
+    title: one or two lines above the picture; notes: lines below it.
     """
 
     title: str

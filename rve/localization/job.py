@@ -11,6 +11,7 @@ import numpy as np
 
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete
+from rve.common.page import check_page
 from rve.common.types import Array
 from rve.common.values import Options, choice, whole
 from rve.geometry.cell import Cell
@@ -85,7 +86,7 @@ def localize(curtain: SolvedCurtain | str | Path, options: LocalizeOptions | Non
 
 
 def run_localize(
-    vtu: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, tubes: bool = False
+    vtu: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, tubes: bool = False, html: bool = False
 ) -> dict[str, Any]:
     """Rings of the curtain in `vtu`: rings.vtu, worst_cell.csv, localize.json and rings.png in `out`; the summary.
 
@@ -94,9 +95,11 @@ def run_localize(
     """
     if picture:
         require("pyvista", "three-d", "rings.png", "ask for --no-picture")
+    if html:
+        check_page("rings.html", "leave out --html")
     vtu = curtain_file(vtu)
     check_out_job(out, RECORD, inputs=[vtu])
-    return localize(vtu, options).save(out, picture=picture, tubes=tubes, inputs=[vtu])
+    return localize(vtu, options).save(out, picture=picture, tubes=tubes, html=html, inputs=[vtu])
 
 
 def _opened(curtain: SolvedCurtain | str | Path, options: LocalizeOptions) -> tuple[Curtain, WeaveOfCurtain, str]:
