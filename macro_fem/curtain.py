@@ -31,6 +31,7 @@ from macro_fem.solvers.cones import Cones, green_strain, taken_from
 from macro_fem.solvers.options import PathOptions, StepOptions
 from macro_fem.solvers.status import ROUNDING, Reach, load_scale
 from macro_fem.solvers.stretch_limit import Solve, reach_of, solve_taut
+from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
@@ -97,7 +98,10 @@ def solve_problem(
     found = _solution(problem, result, reach, give)
     left = problem.scene.solver.max_iterations - found.iterations
     if found.elastic and not reach.is_out and left > 0 and not found.asked.is_met(found.evidence, ROUNDING):
-        found = polished(found, left)
+        if problem.walls is None:
+            found = polished(found, left)
+        else:
+            decided += (Decision("polish", False, "Newton's method on the law itself knows no floors and obstacles"),)
     return replace(found, decided=decided, wall_s=time.perf_counter() - begin)
 
 
@@ -150,20 +154,22 @@ def _solved(problem: Problem, reach: Reach, cones: Cones | None, x: Array) -> tu
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
     if is_elastic(problem.scene):
         options = replace(options, steps=ELASTIC_STEPS)
-        return solve_path(fem, law, load, z, size, options, compliance=law.compliance, guide=tension), None
+        return solve_path(
+            fem, law, load, z, size, options, compliance=law.compliance, guide=tension, walls=problem.walls
+        ), None
 
-    def by_path(fem: SupportedFem, load: Array, z: Array, options: PathOptions) -> PathResult:
-        return solve_path(fem, law, load, z, size, options)
+    def by_path(fem: SupportedFem, load: Array, z: Array, options: PathOptions, walls: Walls | None) -> PathResult:
+        return solve_path(fem, law, load, z, size, options, walls=walls)
 
     solve = _clarabel(problem) if by_clarabel(problem.scene) else by_path
     if reach.is_at_limit:
-        return solve_taut(fem, load + tension, z, options, reach, solve)
-    return solve(fem, load + tension, z, options), None
+        return solve_taut(fem, load + tension, z, options, reach, solve, walls=problem.walls)
+    return solve(fem, load + tension, z, options, problem.walls), None
 
 
 def _clarabel(problem: Problem) -> Solve:
-    def solve(fem: SupportedFem, load: Array, z: Array, options: PathOptions) -> PathResult:
-        return solve_clarabel(fem, problem.law, load, problem.mesh.size, ClarabelOptions(gap=options.gap))
+    def solve(fem: SupportedFem, load: Array, z: Array, options: PathOptions, walls: Walls | None) -> PathResult:
+        return solve_clarabel(fem, problem.law, load, problem.mesh.size, ClarabelOptions(gap=options.gap), walls)
 
     return solve
 
@@ -258,4 +264,5 @@ def _solution(problem: Problem, result: PathResult, reach: Reach, give: float | 
         cones=result.cones,
         history=result.history,
         tension=tension,
+        wall_forces=result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ())),
     )

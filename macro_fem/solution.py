@@ -20,6 +20,7 @@ from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.newton import NewtonRecord
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
+from macro_fem.solvers.walls import Walls
 from rve.common.cells import recovered
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -43,6 +44,7 @@ class Problem:
     force: Array  # (n_nodes, d), N
     factor: float = 1.0  # share of live loads and moves
     cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
+    walls: Walls | None = None  # half-spaces that nodes stay inside of: floors, walls, tangent planes of bodies
 
     @cached_property
     def frame(self) -> Array:
@@ -87,6 +89,7 @@ class CurtainSolution(Judged):
     numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `give` by how much the
     rings of a relaxed problem gave beyond locking, whose bounds primal and dual then are; None for the law as it is.
     `elastic`: P is the stress of the elastic law, else of ideal locking. `decided`: what the solver itself decided.
+    wall_forces (m,): the push of each half-space of `problem.walls` along its normal, N.
     """
 
     problem: Problem
@@ -107,6 +110,7 @@ class CurtainSolution(Judged):
     history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
     tension: float = 0.0
     decided: tuple[Decision, ...] = ()
+    wall_forces: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -128,7 +132,14 @@ class CurtainSolution(Judged):
         """Sum of the forces on free unknowns that do not balance, over the sum of the loads."""
         fem = self.problem.fem
         own = self.P - self.tension * unit_tensors(self.problem)
-        return float(np.abs(fem.gather(self.problem.force) - fem.force(own)).sum()) / self._total
+        return float(np.abs(fem.gather(self.problem.force + self.pushes) - fem.force(own)).sum()) / self._total
+
+    @cached_property
+    def pushes(self) -> Array:
+        """Forces of floors, walls and bodies on the nodes (n_nodes, d), N."""
+        walls = self.problem.walls
+        n_nodes = self.problem.disc.n_nodes
+        return np.zeros_like(self.problem.force) if walls is None else walls.nodal(self.wall_forces, n_nodes)
 
     @property
     def _total(self) -> float:
@@ -139,7 +150,9 @@ class CurtainSolution(Judged):
         E = green_strain(self.F / (1.0 + (self.give or 0.0)))
         if not (np.isfinite(E).all() and np.isfinite(self.P).all()):
             return np.inf
-        return 0.0 if self.elastic else -least_slack(self.problem.law, E)
+        walls = self.problem.walls
+        crossed = 0.0 if walls is None else -float(walls.gap(self.x).min(initial=np.inf)) / self.problem.mesh.size
+        return max(0.0, crossed) if self.elastic else max(-least_slack(self.problem.law, E), crossed)
 
     @property
     def stretch_excess(self) -> float:
@@ -160,7 +173,7 @@ class CurtainSolution(Judged):
     def reactions(self) -> Array:
         """Forces of the supports on the curtain (n_nodes, d), N."""
         own = self.P - self.tension * unit_tensors(self.problem)
-        balance = internal_force(self.problem.disc, own) - self.problem.force
+        balance = internal_force(self.problem.disc, own) - self.problem.force - self.pushes
         return np.where(self.problem.supports.mask, balance, 0.0)
 
     def mean_height(self) -> float:

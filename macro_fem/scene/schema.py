@@ -15,13 +15,17 @@ from macro_fem.scene.tables import (
     NO_MOVE,
     SUPPORTS,
     Curtain,
+    Edge,
     Load,
     Mesh,
     Solver,
     Support,
+    Track,
+    Wind,
     in_3d,
     leaves_plane,
 )
+from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
 from rve.common.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
@@ -110,6 +114,10 @@ def _out_of_plane(scene: Scene) -> Iterator[str]:
         move = getattr(item, "move", ())
         if move and leaves_plane(move):
             yield f"[support] move = {list(move)} leaves the plane"
+        if isinstance(item, Track):
+            yield "[support] kind = 'track' leaves the plane"
+        if isinstance(item, Edge) and item.along and any(map(leaves_plane, item.along)):
+            yield f"[support] along = {[list(point) for point in item.along]} leaves the plane"
     if isinstance(scene.load.gravity, tuple) and leaves_plane(scene.load.gravity):
         yield f"[load] gravity = {list(scene.load.gravity)} leaves the plane"
     for name in ("edge", "point", "patch"):
@@ -205,12 +213,42 @@ def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> Non
                 raise InputError(
                     f"{source}: [support] move = {list(move)}: has no effect along {axis}, as held = {held!r}"
                 )
+        if isinstance(item, Track):
+            check_track(item, source)
+        if isinstance(item, Edge):
+            _check_line(item, source)
         if held == "z" and not scene.in_space:
             raise InputError(f"{source}: [support] held = 'z': holds nothing, as the scene lies in the plane")
+    for wind in scene.load.wind:
+        _check_wind(wind, source)
     load = scene.load
     moves = any(any(getattr(item, "move", ())) for item in scene.support)
     if load.steps > 1 and not (moves or load.edge or load.point or load.patch or load.wind):
         raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
+
+
+def _check_wind(wind: Wind, source: str | Path) -> None:
+    """InputError unless exactly one of pressure and speed is given, and only keys that have an effect."""
+    where = f"{source}: [load.wind]"
+    if wind.pressure is None and wind.speed is None:
+        raise InputError(f"{where} pressure: is missing; give it in N/m2, or speed in m/s")
+    if wind.pressure is not None:
+        for key in ("speed", "air_density", "drag_coefficient"):
+            if getattr(wind, key) is not None:
+                raise InputError(f"{where} {key} = {getattr(wind, key):g}: is not used together with pressure")
+
+
+def _check_line(item: Edge, source: str | Path) -> None:
+    """InputError for keys of an edge that have no effect with a line, or without one."""
+    where = f"{source}: [support] (edge)"
+    if item.along is None:
+        if item.sliding:
+            raise InputError(f"{where} sliding = true: has no effect without along, the line to slide on")
+        return
+    if item.gather != 1.0:
+        raise InputError(f"{where} gather = {item.gather:g}: has no effect with along, which says where the edge lies")
+    if item.held != "both":
+        raise InputError(f"{where} held = {item.held!r}: has no effect with along, which holds all but what slides")
 
 
 def check_solver(scene: Scene, source: str | Path) -> None:

@@ -134,6 +134,10 @@ INFEASIBLE = (
     "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
     "beyond locking; move the supports together or use a smaller gather"
 )
+BLOCKED = (
+    "the curtain cannot clear its obstacles while it hangs from its supports, however it is draped: the cone program "
+    "has a certificate; move the obstacles away, in smaller load steps, or the supports together"
+)
 CONVERGED = "the gap between upper and lower bound is closed"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
 TAUT = (
@@ -159,7 +163,7 @@ def judged(
 ) -> Verdict:
     """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
 
-    stop: why the solver stopped, "infeasible" or a key of `WHY`; give: by how much rings gave in a problem that was
+    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; give: by how much rings gave in a problem that was
     relaxed, None where they are elastic.
 
     >>> asked = Accuracy(1e-9, 1e-9, 1e-8)
@@ -170,6 +174,8 @@ def judged(
     """
     if stop == "infeasible" or reach.is_out:
         return Verdict("infeasible", INFEASIBLE.format(excess=100.0 * reach.excess))
+    if stop == "blocked":
+        return Verdict("infeasible", BLOCKED)
     numbers = NUMBERS.format(evidence)
     if not evidence.is_finite:
         return Verdict("not_finite", WHY["not_finite"])
