@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 
 import numpy as np
@@ -11,13 +12,15 @@ import numpy as np
 from macro_fem.fem.space import padded
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.places import counterclockwise
+from macro_fem.scene.supports import curve_of
+from macro_fem.scene.tables import Hooks, Track, in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles, mean_at_corners
-from rve.common.solids import PERSON_MM, Solid, arrow, box, cylinder, person, quads_cut, rectangle, sphere
+from rve.common.solids import PERSON_MM, Solid, arrow, box, cylinder, person, rectangle, sphere
 from rve.common.types import Array
 from rve.common.views import Lines, Scale, Surface, View, merged, rounded_up
 
-HELD, REACTION, OBSTACLE, GROUND, SHADOW, FIGURE = "#1f4e79", "#d7263d", "#c9b18f", "#ebedf0", "#cdd2d8", "#8d96a1"
+HELD, TRACK, REACTION, OBSTACLE, GROUND, SHADOW, FIGURE = "#1f4e79", "#4a4f57", "#d7263d", "#c9b18f", "#ebedf0", "#cdd2d8", "#8d96a1"
 LEAST_FOR_PERSON = 800.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 LIGHT = np.array([0.3, -1.0, -0.45])
@@ -63,7 +66,7 @@ def curtain_view(solution: CurtainSolution, frame: Frame | None = None) -> View:
     ground = ground_level(solution, room)
     surface = sheet(solution, frame.scale)
     parts: list[Surface | Lines] = [surface, *supports(solution, size), *reactions(solution, size, frame.force)]
-    parts += obstacles(solution, room, ground)
+    parts += obstacles(solution, room)
     parts += surroundings(surface, room, ground)
     return View(title(solution), tuple(parts), frame.scale, notes=notes(solution))
 
@@ -93,20 +96,24 @@ def sheet(solution: CurtainSolution, scale: Scale) -> Surface:
 
 
 def supports(solution: CurtainSolution, size: float) -> list[Surface | Lines]:
-    """Held edges as tubes, held points and runners as balls."""
-    mesh, corners, x = solution.problem.mesh.mesh, positions(solution), padded(solution.x)
-    lines, balls = [], []
-    for held in solution.problem.supports.held:
-        lines.append(corners[mesh.facets[:, held.facets].T])
+    """Held edges and tracks as tubes, held points, hooks and runners as balls."""
+    problem = solution.problem
+    mesh, corners, x = problem.mesh.mesh, positions(solution), padded(solution.x)
+    edges, parts = [], []
+    balls: dict[str, list[Solid]] = {}
+    for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
+        if isinstance(item, Track):
+            curve = curve_of(item, problem.mesh, "track")
+            line = curve.at(np.linspace(0.0, curve.length, 200))
+            parts.append(Lines("track", line[None], 0.004 * size, TRACK, width=6.0))
+        elif len(held.facets):
+            edges.append(corners[mesh.facets[:, held.facets].T])
         if not len(held.facets):
-            balls += [sphere(point, 0.007 * size, 16) for point in x[held.nodes]]
-    edges = np.concatenate(lines)
-    parts: list[Surface | Lines] = []
-    if len(edges):
-        parts.append(Lines("held edge", edges, 0.004 * size, HELD, width=6.0))
-    if balls:
-        parts.append(merged("hooks and held points", balls, HELD))
-    return parts
+            name = "runners" if isinstance(item, Track) else "hooks" if isinstance(item, Hooks) else "held points"
+            balls.setdefault(name, []).extend(sphere(point, 0.006 * size, 16) for point in x[held.nodes])
+    if edges:
+        parts.append(Lines("held edge", np.concatenate(edges), 0.004 * size, HELD, width=6.0))
+    return [*parts, *(merged(name, solids, HELD) for name, solids in balls.items())]
 
 
 def reactions(solution: CurtainSolution, size: float, largest: float) -> list[Surface]:
@@ -173,13 +180,93 @@ def summed_up(at: Array, force: Array, count: int) -> tuple[Array, Array]:
 
 def ground_level(solution: CurtainSolution, room: Array) -> float:
     """Height of the floor of the scene, or of a ground a little below the lowest point."""
-    floors = [item.height for item in getattr(solution.problem.scene, "obstacle", ()) if type(item).__name__ == "Floor"]
+    floors = [item.height + shift[1] for item, shift in _obstacles(solution) if _kind(item) == "floor"]
     return float(max(floors)) if floors else float(room[0, 1] - 0.06 * np.linalg.norm(room[1] - room[0]))
 
 
-def obstacles(solution: CurtainSolution, room: Array, ground: float) -> list[Surface]:
-    """What the curtain lies on, where it is at this share of the moves."""
-    return []
+def _obstacles(solution: CurtainSolution) -> list[tuple[Any, Array]]:
+    """The obstacles of the scene and how far each is moved (3,) at this load step, mm."""
+    problem = solution.problem
+    items = getattr(problem.scene, "obstacle", ())
+    return [(item, problem.factor * np.array(in_3d(item.move))) for item in items]
+
+
+def _kind(item: Any) -> str:
+    return type(item).__name__.lower()
+
+
+def obstacles(solution: CurtainSolution, room: Array) -> list[Surface]:
+    """What the curtain lies on, where it is at this load step.
+
+    A kind that has no drawing of its own is shown by plates at the nodes that it pushes. A floor is the ground.
+    """
+    found: dict[str, list[Solid]] = {}
+    for item, shift in _obstacles(solution):
+        kind = _kind(item)
+        if kind == "floor":
+            continue
+        draw = DRAWN.get(kind)
+        solids = plates(solution, room) if draw is None else [draw(item, shift, room)]
+        found.setdefault(kind, []).extend(solids)
+    smooth = ("cylinder", "sphere")
+    return [
+        merged(kind, solids, OBSTACLE, is_smooth=kind in smooth, opacity=0.35 if kind == "wall" else 1.0)
+        for kind, solids in found.items()
+        if solids
+    ]
+
+
+def _sphere(item: Any, shift: Array, room: Array) -> Solid:
+    return sphere(np.array(item.centre) + shift, item.radius, 64)
+
+
+def _cylinder(item: Any, shift: Array, room: Array) -> Solid:
+    """The part of the endless cylinder beside the curtain."""
+    axis = np.array(in_3d(item.axis)) / np.linalg.norm(item.axis)
+    point = np.array(in_3d(item.point)) + shift
+    corners = np.array([[room[i, 0], room[j, 1], room[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    along = (corners - point) @ axis
+    over = 0.08 * float(np.ptp(along))
+    return cylinder(point + (along.min() - over) * axis, point + (along.max() + over) * axis, item.radius, 72)
+
+
+def _box(item: Any, shift: Array, room: Array) -> Solid:
+    """The box, cut off where it is far larger than the curtain."""
+    reach = 0.35 * float(np.linalg.norm(room[1] - room[0]))
+    low = np.array(item.corner) + shift
+    return box(np.maximum(low, room[0] - reach), np.minimum(low + np.array(item.size), room[1] + reach))
+
+
+def _wall(item: Any, shift: Array, room: Array) -> Solid:
+    """The part of the endless wall beside the curtain."""
+    normal = np.array(in_3d(item.facing)) / np.linalg.norm(item.facing)
+    point, middle = np.array(in_3d(item.point)) + shift, 0.5 * (room[0] + room[1])
+    centre = middle - ((middle - point) @ normal) * normal
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    half = 0.6 * float(np.linalg.norm(room[1] - room[0]))
+    return rectangle(centre, half * first, half * np.cross(normal, first))
+
+
+DRAWN: dict[str, Callable[[Any, Array, Array], Solid]] = {
+    "sphere": _sphere,
+    "cylinder": _cylinder,
+    "box": _box,
+    "wall": _wall,
+}
+"""How obstacles of each kind are drawn."""
+
+
+def plates(solution: CurtainSolution, room: Array) -> list[Solid]:
+    """Small plates under the nodes that half-spaces push, along their planes."""
+    walls, x = solution.problem.walls, padded(solution.x)
+    if walls is None or not len(solution.wall_forces):
+        return []
+    size, force = float(np.linalg.norm(room[1] - room[0])), solution.wall_forces
+    pushed = np.flatnonzero(force > 1e-3 * force.max(initial=0.0))
+    normals = padded(walls.normal[pushed])
+    ends = zip(x[walls.node[pushed]], normals, strict=True)
+    return [cylinder(at - 0.004 * size * n, at, 0.01 * size, 12) for at, n in ends]
 
 
 def surroundings(surface: Surface, room: Array, ground: float) -> list[Surface | Lines]:
@@ -212,5 +299,5 @@ def scale_bar(room: Array, ground: float) -> Lines:
 
 def notes(solution: CurtainSolution) -> tuple[str, ...]:
     """What a reader must know besides."""
-    has_floor = any(type(item).__name__ == "Floor" for item in getattr(solution.problem.scene, "obstacle", ()))
+    has_floor = any(_kind(item) == "floor" for item, _ in _obstacles(solution))
     return () if has_floor else ("the ground is drawn a little below the lowest point",)
