@@ -244,8 +244,10 @@ def run_scene(
     InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
+    wanted = Looks(picture, animation, html)
+    wanted.check_packages()
     scene = load_scene(scene_path)
-    Looks(picture, animation, html).check(scene)
+    wanted.check(scene)
     if scene.solver.kind == "clarabel":
         require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file

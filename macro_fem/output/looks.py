@@ -26,20 +26,32 @@ class Looks:
     animation: bool = False
     html: bool = False
 
+    def check_packages(self) -> None:
+        """InputError if a package is missing that pictures of every scene need."""
+        for name in self._drawn:
+            require("matplotlib", "plots", name, _instead(name))
+        if self.html:
+            check_page(PAGE, _instead(PAGE))
+
     def check(self, scene: Scene) -> None:
         """InputError, before anything is solved, for what is missing or makes no sense in this scene."""
+        self.check_packages()
         if self.animation and scene.load.steps < 2:
             raise InputError(
                 f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or leave out --animation"
             )
-        drawn = [name for name, asked in ((PICTURE, self.picture), (ANIMATION, self.animation)) if asked]
-        for name in drawn:
-            instead = "ask for --no-picture" if name == PICTURE else "leave out --animation"
-            if scene.in_space:
-                check_render(name, instead)
-            require("matplotlib", "plots", name, instead)
-        if self.html:
-            check_page(PAGE, "leave out --html")
+        if scene.in_space:
+            for name in self._drawn:
+                check_render(name, _instead(name))
+
+    @property
+    def _drawn(self) -> list[str]:
+        return [name for name, asked in ((PICTURE, self.picture), (ANIMATION, self.animation)) if asked]
+
+
+def _instead(name: str) -> str:
+    """What to do without a picture."""
+    return {PICTURE: "ask for --no-picture", ANIMATION: "leave out --animation", PAGE: "leave out --html"}[name]
 
 
 def write_looks(
