@@ -20,13 +20,13 @@ from rve.common.solids import PERSON_MM, Solid, arrow, box, cylinder, person, re
 from rve.common.types import Array
 from rve.common.views import Lines, Scale, Surface, View, merged, rounded_up
 
-HELD, TRACK, REACTION, OBSTACLE, GROUND, SHADOW, FIGURE = "#1f4e79", "#4a4f57", "#d7263d", "#c9b18f", "#ebedf0", "#cdd2d8", "#8d96a1"
+HELD, TRACK, REACTION, PUSH, OBSTACLE, GROUND, SHADOW, FIGURE = "#1f4e79", "#4a4f57", "#d7263d", "#e07b00", "#c9b18f", "#ebedf0", "#cdd2d8", "#8d96a1"
 LEAST_FOR_PERSON = 800.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 LIGHT = np.array([0.3, -1.0, -0.45])
 """Direction of the light that throws the shadow: from the left, above and the front."""
 MOST_ARROWS = 14
-"""Reactions of a support along an edge are summed up into this many arrows."""
+"""Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""
 LEAST_ARROW = 0.04
 """Forces below this part of the largest one have no arrow."""
 LONGEST = 0.16
@@ -55,7 +55,8 @@ class Frame:
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> Frame:
         """The frame of one solution, or of all load steps."""
-        largest = max((float(np.linalg.norm(force, axis=1).max(initial=0.0)) for _, force in map(pulls, steps)))
+        forces = [force for step in steps for _, force in (pulls(step), pushes(step))]
+        largest = float(np.linalg.norm(np.concatenate(forces), axis=1).max(initial=0.0))
         return cls(line_load_scale(steps), box_of(steps), largest)
 
 
@@ -65,8 +66,9 @@ def curtain_view(solution: CurtainSolution, frame: Frame | None = None) -> View:
     room, size = frame.room, float(np.linalg.norm(frame.room[1] - frame.room[0]))
     ground = ground_level(solution, room)
     surface = sheet(solution, frame.scale)
-    parts: list[Surface | Lines] = [surface, *supports(solution, size), *reactions(solution, size, frame.force)]
-    parts += obstacles(solution, room)
+    parts: list[Surface | Lines] = [surface, *supports(solution, size), *obstacles(solution, room)]
+    parts += arrows("force of supports", REACTION, pulls(solution), size, frame.force)
+    parts += arrows("force of obstacles", PUSH, pushes(solution), size, frame.force)
     parts += surroundings(surface, room, ground)
     return View(title(solution), tuple(parts), frame.scale, notes=notes(solution))
 
@@ -116,19 +118,52 @@ def supports(solution: CurtainSolution, size: float) -> list[Surface | Lines]:
     return [*parts, *(merged(name, solids, HELD) for name, solids in balls.items())]
 
 
-def reactions(solution: CurtainSolution, size: float, largest: float) -> list[Surface]:
-    """Forces of supports on the curtain as arrows; `largest` in N has the longest one."""
-    at, force = pulls(solution)
+def arrows(name: str, colour: str, forces: tuple[Array, Array], size: float, largest: float) -> list[Surface]:
+    """Forces at places (k, 3), (k, 3) in N as arrows of one name; `largest` N has the longest one."""
+    at, force = forces
     share = np.linalg.norm(force, axis=1) / max(largest, 1e-300)
     drawn = np.flatnonzero(share > LEAST_ARROW)
     if not len(drawn):
         return []
     solids = [arrow(at[i], LONGEST * size * force[i] / largest, 0.005 * size) for i in drawn]
-    return [merged(f"reaction, longest arrow {largest:.3g} N", solids, REACTION)]
+    return [merged(f"{name}, longest {largest * share.max():.3g} N", solids, colour)]
+
+
+def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of obstacles on the curtain, summed up over patches of it."""
+    walls = solution.problem.walls
+    if walls is None or not len(solution.wall_forces):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    x = padded(solution.x)
+    nodal = padded(walls.nodal(solution.wall_forces, len(x)))
+    size = np.linalg.norm(nodal, axis=1)
+    nodes = np.flatnonzero(size > 1e-6 * size.max(initial=0.0))
+    found = [part for part in patches(x[nodes], MOST_ARROWS) if len(part)]
+    if not found:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    groups = [nodes[part] for part in found]
+    at = [np.average(x[group], axis=0, weights=size[group]) for group in groups]
+    return np.stack(at), np.stack([nodal[group].sum(axis=0) for group in groups])
+
+
+def patches(points: Array, most: int) -> list[np.ndarray]:
+    """Numbers of points (n, 3) in at most `most` patches: the widest one is halved until there are so many.
+
+    >>> [part.tolist() for part in patches(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), 2)]
+    [[1], [2, 0]]
+    """
+    parts = [np.arange(len(points))]
+    while len(parts) < min(most, len(points)):
+        widths = [float(np.ptp(points[part], axis=0).max(initial=0.0)) if len(part) else 0.0 for part in parts]
+        part = parts.pop(int(np.argmax(widths)))
+        axis = int(np.argmax(np.ptp(points[part], axis=0)))
+        order = part[np.argsort(points[part, axis], kind="stable")]
+        parts += [order[: len(order) // 2], order[len(order) // 2 :]]
+    return parts
 
 
 def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
-    """Places (k, 3) and forces (k, 3) of the arrows: those at points, and those of edges summed up by equal lengths."""
+    """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up by equal lengths."""
     x, forces = padded(solution.x), padded(solution.reactions)
     taken = np.zeros(len(x), bool)
     places, sums = [np.zeros((0, 3))], [np.zeros((0, 3))]
