@@ -78,8 +78,12 @@ def write_looks(
 
 def frames(steps: Sequence[CurtainSolution]) -> list[View]:
     """Views of all load steps with one scale of colours, one box and one camera."""
-    frame = Frame.of(steps)
-    return [replace(curtain_view(step, frame), cameras=(THREE_QUARTERS,)) for step in steps]
+    frame, made = Frame.of(steps), []
+    for step in steps:
+        view = curtain_view(step, frame)
+        title = f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{view.title}"
+        made.append(replace(view, title=title, cameras=(THREE_QUARTERS,)))
+    return made
 
 
 def _plane(folder: Path, steps: Sequence[CurtainSolution], wanted: Looks, error: Array | None) -> None:

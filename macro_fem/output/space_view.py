@@ -27,6 +27,8 @@ LIGHT = np.array([0.3, -1.0, -0.45])
 """Direction of the light that throws the shadow: from the left, above and the front."""
 MOST_ARROWS = 14
 """Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""
+SHRUNK = 0.003
+"""Obstacles are drawn smaller by this part of the size of the curtain."""
 LEAST_ARROW = 0.04
 """Forces below this part of the largest one have no arrow."""
 LONGEST = 0.16
@@ -66,10 +68,11 @@ def curtain_view(solution: CurtainSolution, frame: Frame | None = None) -> View:
     room, size = frame.room, float(np.linalg.norm(frame.room[1] - frame.room[0]))
     ground = ground_level(solution, room)
     surface = sheet(solution, frame.scale)
-    parts: list[Surface | Lines] = [surface, *supports(solution, size), *obstacles(solution, room)]
+    bodies = obstacles(solution, room, ground)
+    parts: list[Surface | Lines] = [surface, *supports(solution, size), *bodies]
     parts += arrows("force of supports", REACTION, pulls(solution), size, frame.force)
     parts += arrows("force of obstacles", PUSH, pushes(solution), size, frame.force)
-    parts += surroundings(surface, room, ground)
+    parts += surroundings([surface, *bodies], room, ground)
     return View(title(solution), tuple(parts), frame.scale, notes=notes(solution))
 
 
@@ -83,9 +86,7 @@ def title(solution: CurtainSolution) -> str:
     """What a picture is headed by."""
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
-    is_step = solution.problem.scene.load.steps > 1
-    part = f"{100.0 * solution.problem.factor:.0f} % of live loads and moves\n" if is_step else ""
-    return f"{part}total load {load:.4g} N, {height}"
+    return f"total load {load:.4g} N, {height}"
 
 
 def sheet(solution: CurtainSolution, scale: Scale) -> Surface:
@@ -230,60 +231,78 @@ def _kind(item: Any) -> str:
     return type(item).__name__.lower()
 
 
-def obstacles(solution: CurtainSolution, room: Array) -> list[Surface]:
-    """What the curtain lies on, where it is at this load step.
+def obstacles(solution: CurtainSolution, room: Array, ground: float) -> list[Surface]:
+    """What the curtain lies on, where it is at this load step, `SHRUNK` a little so that the curtain is seen on it.
 
     A kind that has no drawing of its own is shown by plates at the nodes that it pushes. A floor is the ground.
     """
     found: dict[str, list[Solid]] = {}
+    beside = Beside(room, ground, SHRUNK * float(np.linalg.norm(room[1] - room[0])))
     for item, shift in _obstacles(solution):
         kind = _kind(item)
         if kind == "floor":
             continue
         draw = DRAWN.get(kind)
-        solids = plates(solution, room) if draw is None else [draw(item, shift, room)]
+        solids = plates(solution, room) if draw is None else [draw(item, shift, beside)]
         found.setdefault(kind, []).extend(solids)
     smooth = ("cylinder", "sphere")
     return [
-        merged(kind, solids, OBSTACLE, is_smooth=kind in smooth, opacity=0.35 if kind == "wall" else 1.0)
+        merged(kind, solids, OBSTACLE, is_smooth=kind in smooth, opacity=0.35 if kind == "wall" else 0.75)
         for kind, solids in found.items()
         if solids
     ]
 
 
-def _sphere(item: Any, shift: Array, room: Array) -> Solid:
-    return sphere(np.array(item.centre) + shift, item.radius, 64)
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What an obstacle is drawn beside: the box (2, 3) of the curtain, the ground, and by how much it is made smaller."""
+
+    room: Array
+    ground: float
+    less: float
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box, mm."""
+        return float(np.linalg.norm(self.room[1] - self.room[0]))
 
 
-def _cylinder(item: Any, shift: Array, room: Array) -> Solid:
+def _sphere(item: Any, shift: Array, beside: Beside) -> Solid:
+    return sphere(np.array(item.centre) + shift, item.radius - min(beside.less, 0.1 * item.radius), 64)
+
+
+def _cylinder(item: Any, shift: Array, beside: Beside) -> Solid:
     """The part of the endless cylinder beside the curtain."""
     axis = np.array(in_3d(item.axis)) / np.linalg.norm(item.axis)
-    point = np.array(in_3d(item.point)) + shift
+    point, room = np.array(in_3d(item.point)) + shift, beside.room
     corners = np.array([[room[i, 0], room[j, 1], room[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     along = (corners - point) @ axis
-    over = 0.08 * float(np.ptp(along))
-    return cylinder(point + (along.min() - over) * axis, point + (along.max() + over) * axis, item.radius, 72)
+    start, end = along.min() - 0.04 * beside.size, along.max() + 0.04 * beside.size
+    return cylinder(point + start * axis, point + end * axis, item.radius - min(beside.less, 0.1 * item.radius), 72)
 
 
-def _box(item: Any, shift: Array, room: Array) -> Solid:
-    """The box, cut off where it is far larger than the curtain."""
-    reach = 0.35 * float(np.linalg.norm(room[1] - room[0]))
-    low = np.array(item.corner) + shift
-    return box(np.maximum(low, room[0] - reach), np.minimum(low + np.array(item.size), room[1] + reach))
+def _box(item: Any, shift: Array, beside: Beside) -> Solid:
+    """The part of the box above the ground and not far from the curtain."""
+    reach = 0.25 * beside.size
+    corner = np.array(item.corner) + shift
+    low = np.maximum(corner + beside.less, [-np.inf, beside.ground, -np.inf])
+    return box(
+        np.maximum(low, beside.room[0] - reach),
+        np.minimum(corner + np.array(item.size) - beside.less, beside.room[1] + reach),
+    )
 
 
-def _wall(item: Any, shift: Array, room: Array) -> Solid:
+def _wall(item: Any, shift: Array, beside: Beside) -> Solid:
     """The part of the endless wall beside the curtain."""
     normal = np.array(in_3d(item.facing)) / np.linalg.norm(item.facing)
-    point, middle = np.array(in_3d(item.point)) + shift, 0.5 * (room[0] + room[1])
-    centre = middle - ((middle - point) @ normal) * normal
+    point, middle = np.array(in_3d(item.point)) + shift, 0.5 * (beside.room[0] + beside.room[1])
+    centre = middle - ((middle - point) @ normal + beside.less) * normal
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
-    half = 0.6 * float(np.linalg.norm(room[1] - room[0]))
-    return rectangle(centre, half * first, half * np.cross(normal, first))
+    return rectangle(centre, 0.5 * beside.size * first, 0.5 * beside.size * np.cross(normal, first))
 
 
-DRAWN: dict[str, Callable[[Any, Array, Array], Solid]] = {
+DRAWN: dict[str, Callable[[Any, Array, Beside], Solid]] = {
     "sphere": _sphere,
     "cylinder": _cylinder,
     "box": _box,
@@ -304,21 +323,25 @@ def plates(solution: CurtainSolution, room: Array) -> list[Solid]:
     return [cylinder(at - 0.004 * size * n, at, 0.01 * size, 12) for at, n in ends]
 
 
-def surroundings(surface: Surface, room: Array, ground: float) -> list[Surface | Lines]:
-    """Ground, the curtain's shadow on it, and what shows the scale: a person beside a large one, a bar before others."""
+def surroundings(surfaces: Sequence[Surface], room: Array, ground: float) -> list[Surface | Lines]:
+    """Ground, the curtain's shadow on it, and what shows the scale: a person beside a large one, a bar before others.
+
+    surfaces: the curtain and the obstacles.
+    """
     size = float(np.linalg.norm(room[1] - room[0]))
-    shadow = surface.points + (surface.points[:, 1:2] - ground) * LIGHT
+    sheet = surfaces[0]
+    shadow = sheet.points + (sheet.points[:, 1:2] - ground) * LIGHT
     shadow[:, 1] = ground
-    foot = np.array([room[0, 0] - 0.45 * PERSON_MM, ground, 0.5 * (room[0, 2] + room[1, 2])])
+    foot = np.array([room[0, 0] - 0.4 * PERSON_MM, ground, room[1, 2] + 0.05 * size])
     is_large = float((room[1] - room[0]).max()) >= LEAST_FOR_PERSON
-    extent = np.concatenate([room, shadow, *([foot[None]] if is_large else [])])
+    extent = np.concatenate([shadow, *(surface.points for surface in surfaces), *([foot[None]] if is_large else [])])
     low, high = extent.min(axis=0) - 0.06 * size, extent.max(axis=0) + 0.06 * size
     low[1] = high[1] = ground - 1e-3 * size
     ends = np.array([0.5 * (high[0] - low[0]), 0.0, 0.0]), np.array([0.0, 0.0, 0.5 * (high[2] - low[2])])
     scale = merged("person, 1.75 m", person(foot), FIGURE) if is_large else scale_bar(room, ground)
     return [
         Surface("ground", *rectangle(0.5 * (low + high), *ends), GROUND, is_lit=False, in_legend=False),
-        Surface("shadow", shadow, surface.triangles, SHADOW, is_lit=False, in_legend=False),
+        Surface("shadow", shadow, sheet.triangles, SHADOW, is_lit=False, in_legend=False),
         scale,
     ]
 

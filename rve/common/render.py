@@ -225,7 +225,7 @@ def _legend(figure: Figure, view: View) -> None:
             marks.append(Line2D([], [], color=part.colour, lw=4, label=part.name))
     if marks:
         is_wide = len(view.cameras) > 1
-        columns = 2 if len(marks) < 5 or not is_wide else 3
+        columns = 2 if len(marks) < 7 or not is_wide else 3
         low = (0.1 + 0.22 * len(view.notes)) / figure.get_figheight()
         figure.legend(
             handles=marks, loc="lower right", bbox_to_anchor=(0.985, low), fontsize=13 if is_wide else 11,
