@@ -15,6 +15,7 @@ from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
+from macro_fem.output import obstacles
 from macro_fem.output.curtain_record import to_curtain
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
@@ -132,6 +133,7 @@ class CurtainResult:
             summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
         if self.demand is not None:
             summary |= self.demand.to_dict()
+        summary |= obstacles.summary(self.steps)
         features = decisions(self.solution, bounds=bool(self.levels), picture=picture)
         summary["features"] = [decision.to_dict() for decision in features]
         if len(self.steps) > 1:
@@ -274,7 +276,8 @@ def _solved(problem: Problem, start: CurtainSolution | None) -> CurtainSolution:
     if solution.status == "infeasible":
         scene = problem.scene
         at = f" at {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
-        raise InputError(f"{scene.source}: [support]: {solution.message}{at}")
+        table = "obstacle" if solution.stop == "blocked" else "support"
+        raise InputError(f"{scene.source}: [{table}]: {solution.message}{at}")
     return solution
 
 

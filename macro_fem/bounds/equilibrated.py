@@ -12,7 +12,8 @@ u_e at the ends of each edge (for the tractions). The gradient that P sees at th
 
     G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
 
-so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant coefficients.
+so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant
+coefficients. In space P is 3 x 2 and all of this holds component by component. Walls push evenly in every triangle.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ import skfem
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.rotated import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
+from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError
-from rve.common.tensor import dyad
 from rve.common.types import Array
 
 NAME = "equilibrium"
@@ -112,13 +114,14 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, tethers of points, and what spread loads may cost."""
+    """The hybrid problem: supported element, nodal forces, tethers of points, what spread loads may cost, and walls."""
 
     dual: DualMesh
     fem: SupportedFem
     force: Array
     tethers: Tethers
     point_load_cost: float
+    walls: Walls | None = None
 
 
 def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
@@ -134,12 +137,6 @@ def edges_at_corner(dual: DualMesh, corner: int) -> tuple[np.ndarray, np.ndarray
     """The edges that meet at a corner of the mesh and which of their ends it is."""
     near, facet = np.nonzero(dual.facets == corner)
     return facet, near
-
-
-def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
-    """How far the law lets a line along each direction (n, 2) stretch: sqrt(1 + 2 h(e e^T)) (n,)."""
-    e = directions / np.linalg.norm(directions, axis=1)[:, None]
-    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(dyad(e)), 0.0))
 
 
 def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:

@@ -27,10 +27,9 @@ from macro_fem.bounds.equilibrated import (
     dead_and_live,
     dual_mesh,
     edges_at_corner,
-    largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.rotated import RotatedLaw
+from macro_fem.fem.rotated import RotatedLaw, largest_stretch
 from macro_fem.fem.space import in_space_of
 from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties, with_sliding
 from macro_fem.solution import CurtainSolution, gathered_start, make_problem
@@ -38,6 +37,7 @@ from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import PathResult, solve_path
 from macro_fem.solvers.cones import repeated, supported
 from macro_fem.solvers.options import PathOptions
+from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
 from rve.common.values import Options, number
 
@@ -140,12 +140,13 @@ def bound(
         cones=solution.cones,
         drawn=False,
     )
-    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, path)
+    load = fem.gather(dual.force)
+    result = solve_path(fem, problem.law, load, start, problem.mesh.size, path, walls=dual.walls)
     held = fem.positions(np.zeros(fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
     lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.fem.reference).sum())
-    error = error_map(gradients, dual, result)
+    error = error_map(gradients, dual, result) + contact_error(solution.x, dual, result)
     points = upper - lower - float(error.sum())
     loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return Bounds(
@@ -197,7 +198,8 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
                 mask[2 * facet + end] |= component
                 positions[2 * facet + end] = near_point[dual.facets[end, facet]]
             tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
-    whole, lines = mask.all(axis=1), []
+    whole: np.ndarray = np.asarray(mask.all(axis=1))
+    lines: list[tuple[np.ndarray, Array]] = []
     for held in problem.supports.held:
         if len(held.facets):
             _hold_edge(dual, held, mask, positions)
@@ -212,7 +214,8 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
     supports = pin_sliding(supports, dual.disc, force, scene.source)
     parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
     empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))
-    return DualProblem(dual, supports.fem(dual.disc), force, Tethers(*parts) if parts else empty, cost)
+    fem, walls = supports.fem(dual.disc), _walls(problem.walls, dual)
+    return DualProblem(dual, fem, force, Tethers(*parts) if parts else empty, cost, walls)
 
 
 def _hold_edge(dual: DualMesh, held: Held, mask: np.ndarray, positions: Array) -> None:
@@ -224,6 +227,20 @@ def _hold_edge(dual: DualMesh, held: Held, mask: np.ndarray, positions: Array) -
         node = 2 * held.facets + end
         positions[node] = np.where(held.mask[which], held.positions[which], positions[node])
         mask[node] |= held.mask[which]
+
+
+def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
+    """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
+
+    Their pushes are even in every triangle. The law of the continuous curtain has them at all points, so that any such
+    pushes give a lower bound.
+    """
+    if walls is None or not len(walls):
+        return None
+    planes = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0)
+    n_cells, first = dual.disc.n_cells, 2 * dual.facets.shape[1]
+    node = np.tile(first + np.arange(n_cells), len(planes))
+    return Walls(node, np.repeat(planes[:, :-1], n_cells, axis=0), np.repeat(planes[:, -1], n_cells))
 
 
 def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse.csc_matrix | None:
@@ -285,6 +302,15 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     kappa = largest_stretch(law, (ends[:, 1] - ends[:, 0]).T)
     moment = kappa * length**2 * (size[0] / 6.0 + size[1] / 3.0)
     return float(moved + moment.sum()), moment
+
+
+def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
+    """Pushes of walls on every triangle times the distance (n_cells,) of its middle in the P1 curtain x, N mm."""
+    error = np.zeros(dual.dual.disc.n_cells)
+    if dual.walls is not None:
+        gap = dual.walls.gap(_at_dual_nodes(x, dual.dual))
+        error += (result.wall_forces * gap).reshape(-1, len(error)).sum(axis=0)
+    return error
 
 
 def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:

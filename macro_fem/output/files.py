@@ -315,6 +315,11 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         point_data={
             DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
             "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
+            **(
+                {}
+                if solution.problem.walls is None
+                else {"obstacle_force_N": padded(corner_forces(solution.problem, solution.pushes))}
+            ),
         },
         cell_data=cell_data,
     )

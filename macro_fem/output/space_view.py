@@ -12,7 +12,8 @@ import numpy as np
 from macro_fem.fem.space import padded
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.places import counterclockwise
-from macro_fem.scene.supports import curve_of
+from macro_fem.scene.cables import track_of
+from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall
 from macro_fem.scene.tables import Hooks, Track, in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles, mean_at_corners
@@ -106,7 +107,7 @@ def supports(solution: CurtainSolution, size: float) -> list[Surface | Lines]:
     balls: dict[str, list[Solid]] = {}
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if isinstance(item, Track):
-            curve = curve_of(item, problem.mesh, "track")
+            _, _, curve = track_of(item, problem.mesh, "track")
             line = curve.at(np.linspace(0.0, curve.length, 200))
             parts.append(Lines("track", line[None], 0.004 * size, TRACK, width=6.0))
         elif len(held.facets):
@@ -216,41 +217,31 @@ def summed_up(at: Array, force: Array, count: int) -> tuple[Array, Array]:
 
 def ground_level(solution: CurtainSolution, room: Array) -> float:
     """Height of the floor of the scene, or of a ground a little below the lowest point."""
-    floors = [item.height + shift[1] for item, shift in _obstacles(solution) if _kind(item) == "floor"]
+    floors = [item.height + shift[1] for item, shift in _obstacles(solution) if isinstance(item, Floor)]
     return float(max(floors)) if floors else float(room[0, 1] - 0.06 * np.linalg.norm(room[1] - room[0]))
 
 
-def _obstacles(solution: CurtainSolution) -> list[tuple[Any, Array]]:
+def _obstacles(solution: CurtainSolution) -> list[tuple[Obstacle, Array]]:
     """The obstacles of the scene and how far each is moved (3,) at this load step, mm."""
     problem = solution.problem
-    items = getattr(problem.scene, "obstacle", ())
-    return [(item, problem.factor * np.array(in_3d(item.move))) for item in items]
-
-
-def _kind(item: Any) -> str:
-    return type(item).__name__.lower()
+    return [(item, problem.factor * np.array(in_3d(item.move))) for item in problem.scene.obstacle]
 
 
 def obstacles(solution: CurtainSolution, room: Array, ground: float) -> list[Surface]:
     """What the curtain lies on, where it is at this load step, `SHRUNK` a little so that the curtain is seen on it.
 
-    A kind that has no drawing of its own is shown by plates at the nodes that it pushes. A floor is the ground.
+    A kind that has no drawing of its own is shown by plates at the nodes that are pushed. A floor is the ground.
     """
-    found: dict[str, list[Solid]] = {}
     beside = Beside(room, ground, SHRUNK * float(np.linalg.norm(room[1] - room[0])))
+    found = []
     for item, shift in _obstacles(solution):
-        kind = _kind(item)
-        if kind == "floor":
-            continue
-        draw = DRAWN.get(kind)
+        draw = DRAWN.get(type(item))
         solids = plates(solution, room) if draw is None else [draw(item, shift, beside)]
-        found.setdefault(kind, []).extend(solids)
-    smooth = ("cylinder", "sphere")
-    return [
-        merged(kind, solids, OBSTACLE, is_smooth=kind in smooth, opacity=0.35 if kind == "wall" else 0.75)
-        for kind, solids in found.items()
-        if solids
-    ]
+        if solids and not isinstance(item, Floor):
+            opacity = 0.35 if isinstance(item, Wall) else 0.75
+            is_smooth = isinstance(item, Sphere | Cylinder)
+            found.append(merged(item.name, solids, OBSTACLE, is_smooth=is_smooth, opacity=opacity))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,11 +258,11 @@ class Beside:
         return float(np.linalg.norm(self.room[1] - self.room[0]))
 
 
-def _sphere(item: Any, shift: Array, beside: Beside) -> Solid:
+def _sphere(item: Sphere, shift: Array, beside: Beside) -> Solid:
     return sphere(np.array(item.centre) + shift, item.radius - min(beside.less, 0.1 * item.radius), 64)
 
 
-def _cylinder(item: Any, shift: Array, beside: Beside) -> Solid:
+def _cylinder(item: Cylinder, shift: Array, beside: Beside) -> Solid:
     """The part of the endless cylinder beside the curtain."""
     axis = np.array(in_3d(item.axis)) / np.linalg.norm(item.axis)
     point, room = np.array(in_3d(item.point)) + shift, beside.room
@@ -281,7 +272,7 @@ def _cylinder(item: Any, shift: Array, beside: Beside) -> Solid:
     return cylinder(point + start * axis, point + end * axis, item.radius - min(beside.less, 0.1 * item.radius), 72)
 
 
-def _box(item: Any, shift: Array, beside: Beside) -> Solid:
+def _box(item: Box, shift: Array, beside: Beside) -> Solid:
     """The part of the box above the ground and not far from the curtain."""
     reach = 0.25 * beside.size
     corner = np.array(item.corner) + shift
@@ -292,7 +283,7 @@ def _box(item: Any, shift: Array, beside: Beside) -> Solid:
     )
 
 
-def _wall(item: Any, shift: Array, beside: Beside) -> Solid:
+def _wall(item: Wall, shift: Array, beside: Beside) -> Solid:
     """The part of the endless wall beside the curtain."""
     normal = np.array(in_3d(item.facing)) / np.linalg.norm(item.facing)
     point, middle = np.array(in_3d(item.point)) + shift, 0.5 * (beside.room[0] + beside.room[1])
@@ -302,11 +293,11 @@ def _wall(item: Any, shift: Array, beside: Beside) -> Solid:
     return rectangle(centre, 0.5 * beside.size * first, 0.5 * beside.size * np.cross(normal, first))
 
 
-DRAWN: dict[str, Callable[[Any, Array, Beside], Solid]] = {
-    "sphere": _sphere,
-    "cylinder": _cylinder,
-    "box": _box,
-    "wall": _wall,
+DRAWN: dict[type, Callable[[Any, Array, Beside], Solid]] = {
+    Sphere: _sphere,
+    Cylinder: _cylinder,
+    Box: _box,
+    Wall: _wall,
 }
 """How obstacles of each kind are drawn."""
 
@@ -357,5 +348,5 @@ def scale_bar(room: Array, ground: float) -> Lines:
 
 def notes(solution: CurtainSolution) -> tuple[str, ...]:
     """What a reader must know besides."""
-    has_floor = any(_kind(item) == "floor" for item, _ in _obstacles(solution))
+    has_floor = any(isinstance(item, Floor) for item in solution.problem.scene.obstacle)
     return () if has_floor else ("the ground is drawn a little below the lowest point",)

@@ -13,9 +13,14 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from homogenize import MembraneLaw
 from macro_fem.fem.discretization import Discretization
+from macro_fem.fem.rotated import largest_stretch
 from macro_fem.scene.edges import paths
 from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Track
+from macro_fem.scene.tracks import Curve, track_curve, track_places
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -117,3 +122,30 @@ def placed_along(mesh: CurtainMesh, disc: Discretization, line: np.ndarray, plac
     there = distance < 1e-9 * mesh.size
     nodes, first = np.unique(node[there], return_index=True)
     return nodes, targets[there][first]
+
+
+def track_of(item: Track, mesh: CurtainMesh, where: str) -> tuple[np.ndarray, Array, Curve]:
+    """Corners (k,) of the mesh along the top edge, their distances (k,) from its left end, and the track."""
+    line, s = edge_line(mesh, "top", f"{where} needs edge")
+    x, y = mesh.mesh.p[:, line]
+    return line, s, track_curve(item, s[-1], 0.5 * float(x.min() + x.max()), float(y.max()), where)
+
+
+def check_tracks(scene: Scene, mesh: CurtainMesh, law: MembraneLaw) -> None:
+    """InputError for a track between two points of which the top edge would be longer than the law lets it be."""
+    for number, item in enumerate(scene.support):
+        if not isinstance(item, Track):
+            continue
+        where = f"{scene.source}: [support] (track)"
+        line, s, curve = track_of(item, mesh, where)
+        at = s if item.pitch is None else np.linspace(0.0, s[-1], len(mesh.hooks[number]))
+        steps = np.diff(s) * largest_stretch(law, np.diff(mesh.mesh.p[:, line].T, axis=0))
+        longest = np.diff(np.interp(at, s, np.concatenate([[0.0], np.cumsum(steps)])))
+        apart = np.linalg.norm(np.diff(track_places(item, curve, at, s[-1]), axis=0), axis=1)
+        worst = int(np.argmax(apart / longest))
+        if apart[worst] > longest[worst] * (1.0 + 1e-9):
+            raise InputError(
+                f"{where}: a track of {curve.length:g} mm is too long for the mesh: it stretches the top edge of "
+                f"{s[-1]:g} mm by {100.0 * (apart[worst] / np.diff(at)[worst] - 1.0):.3g} %, and the rings lock at "
+                f"{100.0 * (longest[worst] / np.diff(at)[worst] - 1.0):.3g} %"
+            )

@@ -52,7 +52,10 @@ def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
 def nodal_forces(
     scene: Scene, mesh: CurtainMesh, disc: Discretization, cell: CellInfo | None, factor: float = 1.0
 ) -> Array:
-    """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not."""
+    """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not.
+
+    Pressure that follows the surface is none of them: see `macro_fem.shape_loop`.
+    """
     dead = load_vector(disc, weight_per_area(scene, cell))
     for bar in scene.load.bar:
         dead += bar_weight(bar, scene, mesh, disc)
@@ -64,7 +67,7 @@ def nodal_forces(
     for patch in scene.load.patch:
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.load.wind:
-        live += load_vector(disc, wind_per_area(wind, scene, cell))
+        live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
 
 

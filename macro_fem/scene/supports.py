@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.space import in_space_of
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.cables import Sliding, edge_line, placed_along, sliding_nodes, sloping, unit_direction
+from macro_fem.scene.cables import Sliding, edge_line, placed_along, sliding_nodes, sloping, track_of, unit_direction
 from macro_fem.scene.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import NO_MOVE, Bar, Corners, Edge, Hooks, Point, Rail, Top, Track, Vector, in_3d
-from macro_fem.scene.tracks import Curve, track_curve, track_places
+from macro_fem.scene.tracks import track_places
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -181,18 +181,10 @@ def _held(number: int, scene: Scene, mesh: CurtainMesh, disc: Discretization, fa
     return Held(name, nodes, mask, in_space_of(target, d) + factor * move, facets)
 
 
-def curve_of(item: Track, mesh: CurtainMesh, where: str) -> Curve:
-    """The curve of a track above the mesh; InputError, which begins with `where`, if its keys contradict each other."""
-    line, s = edge_line(mesh, "top", f"{where} needs edge")
-    x, y = mesh.mesh.p[:, line]
-    return track_curve(item, s[-1], 0.5 * float(x.min() + x.max()), float(y.max()), where)
-
-
 def _on_track(number: int, item: Track, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Held:
     """The top edge on its track: as a whole, or at its runners."""
     where = f"{scene.source}: [support] (track)"
-    line, s = edge_line(mesh, "top", f"{where} needs edge")
-    curve = curve_of(item, mesh, where)
+    line, s, curve = track_of(item, mesh, where)
     if item.pitch is None:
         nodes, places = placed_along(mesh, disc, line, track_places(item, curve, s, s[-1]))
         facets = mesh.edges["top"]

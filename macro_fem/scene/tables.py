@@ -36,12 +36,12 @@ def length(default: Any = MISSING) -> Any:
     return number(default, least=LEAST_MM, most=MOST_MM)
 
 
-def _pair(size: float) -> Any:
+def _pair(size: float, names: str = "[x, y]") -> Any:
     component = finite(least=-size, most=size)
 
     def check(value: Any) -> tuple[float, float]:
         if not isinstance(value, list | tuple) or len(value) != 2:
-            raise ValueError("is not a pair of numbers [x, y]")
+            raise ValueError(f"is not a pair of numbers {names}")
         return component(value[0]), component(value[1])
 
     return check
@@ -221,7 +221,7 @@ class Track:
     """
 
     path: tuple[tuple[float, float], ...] | None = entry(
-        list_of(_pair(MOST_MM), "points [x, z]", least=2, most=MAX_CORNERS), None
+        list_of(_pair(MOST_MM, "[x, z]"), "points [x, z]", least=2, most=MAX_CORNERS), None
     )
     radius: float | None = length(None)
     angle: float | None = number(None, least=-360.0, most=360.0)
@@ -280,10 +280,11 @@ class Bar:
 
 @dataclass(frozen=True)
 class Wind:
-    """A dead load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
+    """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
     Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` per
-    total area (by default that of the law's rings, see `macro_fem.scene.wind`).
+    total area (by default that of the law's rings, see `macro_fem.scene.wind`). With `follows` it is per present area,
+    normal to the present surface, on the side where it first blows.
     """
 
     direction: tuple[float, ...] = entry(_direction)
@@ -291,6 +292,7 @@ class Wind:
     speed: float | None = number(None, least=0.0, most=1e3)
     air_density: float | None = number(None, above=0.0, most=1e4)
     drag_coefficient: float | None = number(None, least=0.0, most=1e3)
+    follows: bool = flag(False)
 
 
 @dataclass(frozen=True)

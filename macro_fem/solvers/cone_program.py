@@ -84,8 +84,8 @@ class Iteration:
 
 @dataclass(frozen=True)
 class State:
-    """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm); those of half-spaces on
-    nodes: slacks t (m,), dual variables u (m,) in N/mm."""
+    """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm); slacks t (m,) and dual
+    variables u (m,), N/mm, of half-spaces on nodes."""
 
     z: Array
     eps: Array

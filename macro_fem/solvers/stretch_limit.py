@@ -84,7 +84,9 @@ def reach_of(
 
     options = PathOptions(how.reach_gap, how.reach_gap, drawn=False, enough=is_decided)
     zero = np.zeros(wider.n)
-    result = solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options, None)
+    result = (
+        solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options, None)
+    )
     return bounds(result.z, result.dual)
 
 

@@ -7,7 +7,8 @@ multipliers of the law, and the reaction is area u / size, a push along the norm
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,11 +22,26 @@ TOUCHED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Half-spaces normal . x >= offset: node (m,), unit normals (m, d), offset (m,) in mm; a node may have several."""
+    """Half-spaces normal . x >= offset: node (m,), unit normals (m, d), offset (m,) in mm; a node may have several.
+
+    owner (m,): numbers that tell which obstacle each one belongs to, all 0 where they are not given.
+    """
 
     node: np.ndarray
     normal: Array
     offset: Array
+    owner: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.owner) != len(self.node):
+            object.__setattr__(self, "owner", np.zeros(len(self.node), np.int64))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Walls]) -> Walls | None:
+        """All half-spaces of some parts; None if there is none."""
+        if not sum(map(len, parts)):
+            return None
+        return cls(*(np.concatenate([getattr(part, name.name) for part in parts]) for name in fields(cls)))
 
     def __len__(self) -> int:
         return len(self.node)
@@ -46,7 +62,7 @@ class Walls:
 
     def only(self, keep: np.ndarray) -> Walls:
         """The half-spaces chosen by a mask or by numbers."""
-        return Walls(self.node[keep], self.normal[keep], self.offset[keep])
+        return Walls(self.node[keep], self.normal[keep], self.offset[keep], self.owner[keep])
 
     def is_movable(self, fem: SupportedFem) -> np.ndarray:
         """Which half-spaces (m,) concern a component that an unknown moves; the others hold or do not."""

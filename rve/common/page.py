@@ -19,6 +19,8 @@ from rve.common.views import Lines, Scale, Surface, View
 
 AXES = [2, 0, 1]
 """Our axes z, x, y as x, y, z of plotly, whose third axis points up."""
+SEEN_THROUGH = 0.5
+"""Surfaces more opaque than this are quite opaque: a browser draws the triangles of transparent ones in any order."""
 LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.15, "roughness": 0.6, "fresnel": 0.05}
 
 
@@ -57,7 +59,7 @@ def _surface(part: Surface, scale: Scale | None) -> dict[str, Any]:
     i, j, k = map(_packed, part.triangles.T)
     trace = {
         **{"type": "mesh3d", "name": part.name, "x": z, "y": x, "z": y, "i": i, "j": j, "k": k},
-        **{"opacity": part.opacity, "showlegend": part.in_legend, "flatshading": not part.is_smooth, "showscale": False},
+        **{"opacity": part.opacity if part.opacity < SEEN_THROUGH else 1.0, "showlegend": part.in_legend, "flatshading": not part.is_smooth, "showscale": False},
         **{"lighting": _light(part), "color": part.colour, "hoverinfo": "name", "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5}},
     }
     if part.values is None or scale is None:
