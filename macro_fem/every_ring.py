@@ -84,6 +84,8 @@ def ring_scene(scene: Scene, law: MembraneLaw | None = None) -> RingScene:
         raise InputError(
             f"{scene.source}: [load.bar] straight = true: rings are not tied to a bar, use straight = false"
         )
+    if scene.obstacle or any(wind.follows for wind in scene.load.wind):
+        raise InputError(f"{scene.source}: [obstacle], and follows = true of [load.wind]: are not for every ring")
     mesh = _finite_mesh(scene, info)
     return _with_loads(_by_cells(scene, info), info, mesh)
 

@@ -22,6 +22,7 @@ from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
 from macro_fem.scene.tables import Hooks
+from macro_fem.scene.wind import wind_summary
 from macro_fem.solution import CurtainSolution, Problem
 from rve.common.cells import mean_at_corners
 from rve.common.files import write_text, write_whole
@@ -108,6 +109,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
+        **wind_summary(problem.scene, problem.law.cell),
         **masses(solution),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
         "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
@@ -315,6 +317,11 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         point_data={
             DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
             "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
+            **(
+                {}
+                if solution.problem.walls is None
+                else {"obstacle_force_N": padded(corner_forces(solution.problem, solution.pushes))}
+            ),
         },
         cell_data=cell_data,
     )

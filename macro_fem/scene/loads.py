@@ -12,6 +12,7 @@ from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
+from macro_fem.scene.wind import wind_pressure
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -41,16 +42,20 @@ def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
     return areal_mass(scene, cell)[0] * np.array(scene.load.acceleration[: scene.d]) * PER_MM2
 
 
-def wind_per_area(wind: Wind) -> Array:
-    """The force of a wind per reference area (3,), N/mm2."""
+def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
+    """The force of a wind per reference area (d,), N/mm2; InputError where the law does not tell the drag."""
     direction = np.array(in_3d(wind.direction))
-    return np.asarray(wind.pressure * PER_MM2 / np.linalg.norm(direction) * direction)
+    pressure = wind_pressure(wind, cell, f"{scene.source}: [load.wind]")
+    return np.asarray(pressure / np.linalg.norm(direction) * direction[: scene.d])
 
 
 def nodal_forces(
     scene: Scene, mesh: CurtainMesh, disc: Discretization, cell: CellInfo | None, factor: float = 1.0
 ) -> Array:
-    """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not."""
+    """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not.
+
+    Pressure that follows the surface is none of them: see `macro_fem.shape_loop`.
+    """
     dead = load_vector(disc, weight_per_area(scene, cell))
     for bar in scene.load.bar:
         dead += bar_weight(bar, scene, mesh, disc)
@@ -62,7 +67,7 @@ def nodal_forces(
     for patch in scene.load.patch:
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.load.wind:
-        live += load_vector(disc, wind_per_area(wind)[: scene.d])
+        live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
 
 

@@ -36,12 +36,12 @@ def length(default: Any = MISSING) -> Any:
     return number(default, least=LEAST_MM, most=MOST_MM)
 
 
-def _pair(size: float) -> Any:
+def _pair(size: float, names: str = "[x, y]") -> Any:
     component = finite(least=-size, most=size)
 
     def check(value: Any) -> tuple[float, float]:
         if not isinstance(value, list | tuple) or len(value) != 2:
-            raise ValueError("is not a pair of numbers [x, y]")
+            raise ValueError(f"is not a pair of numbers {names}")
         return component(value[0]), component(value[1])
 
     return check
@@ -89,6 +89,14 @@ def in_3d(v: Vector) -> tuple[float, float, float]:
 def leaves_plane(v: Vector) -> bool:
     """Whether a vector has a third component that is not 0."""
     return in_3d(v)[2] != 0.0
+
+
+def _line(value: Any) -> tuple[Vector, Vector]:
+    points = list_of(_components(MOST_MM), "points [x, y, z]", least=2, most=2)(value)
+    first, last = (in_3d(point) for point in points)
+    if max(abs(a - b) for a, b in zip(first, last, strict=True)) < LEAST_MM:
+        raise ValueError(f"is no line: its points are less than {LEAST_MM:g} mm apart")
+    return first, last
 
 
 def _direction(value: Any) -> Vector:
@@ -179,12 +187,18 @@ class Hooks:
 
 @dataclass(frozen=True)
 class Edge:
-    """A named edge held, by default in all directions, and moved by `move` mm."""
+    """A named edge held, by default in all directions, and moved by `move` mm.
+
+    `along`: two points [x, y, z] of a straight line on which the edge lies, from its left or lower end to the other,
+    such as a cable; with `sliding` the edge slides on that line, which has no end.
+    """
 
     edge: str = entry(_edge)
     held: str = choice(*HELD, default="both")
     gather: float = number(1.0, above=0.0, most=1e6)
     move: tuple[float, ...] = vector(NO_MOVE)
+    along: tuple[Vector, Vector] | None = entry(_line, None)
+    sliding: bool = flag(False)
 
 
 @dataclass(frozen=True)
@@ -196,7 +210,29 @@ class Point:
     move: tuple[float, ...] = vector(NO_MOVE)
 
 
-Support = Corners | Top | Rail | Hooks | Edge | Point
+@dataclass(frozen=True)
+class Track:
+    """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
+
+    The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
+    viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
+    distance of the runners along the mesh; without it the whole edge is held. `drawn`: the part of the track that the
+    curtain covers, from its `side`.
+    """
+
+    path: tuple[tuple[float, float], ...] | None = entry(
+        list_of(_pair(MOST_MM, "[x, z]"), "points [x, z]", least=2, most=MAX_CORNERS), None
+    )
+    radius: float | None = length(None)
+    angle: float | None = number(None, least=-360.0, most=360.0)
+    height: float | None = number(None, least=-MOST_MM, most=MOST_MM)
+    fullness: float | None = number(None, above=0.0, most=1e6)
+    pitch: float | None = length(None)
+    drawn: float = number(1.0, above=0.0, most=1.0)
+    side: str = choice("start", "end", default="start")
+
+
+Support = Corners | Top | Rail | Hooks | Edge | Point | Track
 SUPPORTS: dict[str, type[Support]] = {
     "corners": Corners,
     "top": Top,
@@ -204,6 +240,7 @@ SUPPORTS: dict[str, type[Support]] = {
     "hooks": Hooks,
     "edge": Edge,
     "point": Point,
+    "track": Track,
 }
 
 
@@ -243,10 +280,19 @@ class Bar:
 
 @dataclass(frozen=True)
 class Wind:
-    """A dead load of `pressure` N/m2 of reference area along `direction`, whose length does not matter."""
+    """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
+
+    Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` per
+    total area (by default that of the law's rings, see `macro_fem.scene.wind`). With `follows` it is per present area,
+    normal to the present surface, on the side where it first blows.
+    """
 
     direction: tuple[float, ...] = entry(_direction)
-    pressure: float = number(least=-1e9, most=1e9)
+    pressure: float | None = number(None, least=-1e9, most=1e9)
+    speed: float | None = number(None, least=0.0, most=1e3)
+    air_density: float | None = number(None, above=0.0, most=1e4)
+    drag_coefficient: float | None = number(None, least=0.0, most=1e3)
+    follows: bool = flag(False)
 
 
 @dataclass(frozen=True)
