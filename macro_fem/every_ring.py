@@ -52,7 +52,9 @@ class RingScene:
     groups: tuple[tuple[str, np.ndarray], ...]
 
     def solve(self, *, space: bool, options: FiniteOptions | None = None, say: Say = silent) -> FiniteSolution:
-        """The rings in equilibrium; InputError that names the scene where they cannot be."""
+        """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be."""
+        if self.scene.in_space and not space:
+            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
         count = 0
 
         def tell(record: Any) -> None:
