@@ -117,26 +117,36 @@ def _approached(
             done, x, last = part, found.x, found
 
 
+MIXED_FROM = 0.2
+"""Relative change of the pressure's forces from which rounds are mixed. Farther away changes are not nearly linear."""
+LEAST_SHARE = 0.25
+"""Least part of `options.damping` that is taken. Smaller shares would end the rounds without an answer."""
+
+
 class _Mixer:
     """Anderson's mixing of the forces of a fixed point f = G(f), from forces and their changes G(f) - f.
 
-    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved.
+    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved,
+    else doubled up to `options.damping`.
     """
 
     def __init__(self, options: ShapeOptions) -> None:
-        self.share, self.memory = options.damping, options.memory
+        self.share = self.most = options.damping
+        self.memory = options.memory
         self.forces: list[Array] = []
         self.changes: list[Array] = []
 
     def next(self, force: Array, change: Array) -> Array:
         """The force (n_nodes, d) to try after one that the present shape would change by `change`."""
         if self.changes and np.linalg.norm(change) > np.linalg.norm(self.changes[-1]):
-            self.share *= 0.5
+            self.share = max(LEAST_SHARE * self.most, 0.5 * self.share)
             self.forces, self.changes = [], []
+        else:
+            self.share = min(self.most, 2.0 * self.share)
         self.forces = [*self.forces, force][-self.memory - 1 :]
         self.changes = [*self.changes, change][-self.memory - 1 :]
         mixed = force + self.share * change
-        if len(self.changes) > 1:
+        if len(self.changes) > 1 and np.linalg.norm(change) < MIXED_FROM * np.linalg.norm(force):
             dg = np.stack([(change - old).ravel() for old in self.changes[:-1]], axis=1)
             df = np.stack([(force - old).ravel() for old in self.forces[:-1]], axis=1)
             weights = np.linalg.lstsq(dg, change.ravel(), rcond=1e-8)[0]
