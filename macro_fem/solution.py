@@ -241,7 +241,7 @@ def _with_obstacles(problem: Problem) -> Problem:
     obstacles = [placed(number, item, problem.factor, fem.d) for number, item in enumerate(met)]
     for one in obstacles:
         for held in supports.held:
-            fixed = held.nodes[supports.mask[held.nodes].all(axis=1)]
+            fixed = held.nodes[(supports.mask & fem.held)[held.nodes].all(axis=1)]
             deep = -one.gap(supports.positions[fixed]).min(initial=np.inf)
             if deep > TOUCHED * problem.mesh.size:
                 at = f" after {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""

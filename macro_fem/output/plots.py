@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
 from rve.common.errors import InputError
 from rve.common.files import write_whole
+from rve.common.render import pixels, write_gif
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -37,12 +39,16 @@ def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | 
     return ax
 
 
-def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
-    """The deformed curtain coloured by its largest principal line load, with principal directions and supports."""
+def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, top: float | None = None) -> Axes:
+    """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
+
+    top: where the scale of colours ends, N/mm; by default 99.5 % of the cells are below it.
+    """
     from matplotlib.colors import PowerNorm
 
     values, direction = solution.principal()
-    top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
+    if top is None:
+        top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
     ax = plot_field(
         solution,
         values[:, 0],
@@ -121,6 +127,26 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
     if error is not None:
         plot_error(solution, error, axes[2])
     write_whole(path, lambda temporary: figure.savefig(temporary, dpi=130))
+
+
+def save_animation(path: Path, steps: Sequence[CurtainSolution]) -> None:
+    """curtain.gif of a plane curtain: line loads at each load step, with one scale of colours and one frame."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    top = float(np.quantile(np.concatenate([step.principal()[0][:, 0] for step in steps]), 0.995))
+    points = np.concatenate([*(step.x for step in steps), steps[0].problem.disc.nodes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.04 * float((high - low).max())
+    frames = []
+    for step in steps:
+        figure = Figure(figsize=(7.0, 6.2), dpi=110, layout="constrained")
+        FigureCanvasAgg(figure)
+        ax = plot_line_loads(step, figure.subplots(), top=top)
+        ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+        ax.set_title(f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{_title(step)}", fontsize=10)
+        frames.append(pixels(figure))
+    write_gif(path, frames)
 
 
 def _axes(ax: Axes | None) -> Axes:

@@ -131,3 +131,12 @@ def test_supports_that_do_not_meet_on_a_line_are_refused(ring_like, scene_tables
     point = {"kind": "point", "at": [0.0, 0.0], "held": "y", "move": [0.0, placed(TURN, 0.0, 0.0, 0.0)[1]]}
     with pytest.raises(InputError, match="holds some components of the point \\(0, 0\\), which slides"):
         solved(scene_tables, ring_like, TURN, [cable, point])
+
+
+def test_a_curtain_that_could_hang_from_a_point_is_within_reach(ring_like, scene_tables):
+    """On one sloping rail all nodes fit into a point: the supports may be as far apart as they like."""
+    top = line(np.eye(3), "top", (0.0, 100.0, 0.0), (60.0, 100.0, 80.0), sliding=True)
+    scene = read_scene({**scene_tables(mesh={"cells": 4}, solver={"kind": "clarabel"}), "support": top})
+    solution = solve_scene(scene, ring_like)
+    assert solution.status == "converged"
+    assert solution.mean_height() == pytest.approx(50.0, abs=1e-3)
