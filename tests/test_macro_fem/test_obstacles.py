@@ -54,16 +54,19 @@ def test_sheet_on_the_floor_hangs_at_its_length_and_the_rest_lies_down(fitted_la
     exact = np.maximum(Y, 33.0)
     assert np.abs(solution.x[:, 1] - exact).max() < (2e-3 if kind == "elastic" else 1e-4)
     lying = -problem.force[Y < 33.0, 1].sum()
-    assert solution.pushes[:, 1].sum() == pytest.approx(lying, rel=1e-6)
+    assert solution.pushes[:, 1].sum() == pytest.approx(lying, rel=2e-5)  # of which the stabilising tension is 1e-6
     if kind != "clarabel":
         assert_balanced(solution)
 
 
-def test_the_floor_carries_what_lies_on_it_with_second_order(fitted_law, scene_tables):
-    exact = (0.5 * (100.0**2 - 33.0**2) + 33.0**2) / 100.0
-    errors = [answer(on_floor(scene_tables, n, 33.0), fitted_law).mean_height() - exact for n in (4, 8, 16)]
-    assert errors[0] > errors[1] > errors[2] > 0.0
-    assert errors[2] < 0.01 * errors[0] + 0.06
+def test_height_above_the_floor_is_of_second_order(fitted_law, scene_tables):
+    exact, errors = (0.5 * (100.0**2 - 40.0**2) + 40.0**2) / 100.0, []
+    for cells in (2, 4, 8):
+        solution = answer(on_floor(scene_tables, cells, 40.0, width=50.0), fitted_law)
+        force, Y = solution.problem.force[:, 1], solution.problem.disc.nodes[:, 1]
+        assert solution.mean_height() == pytest.approx(force @ np.maximum(Y, 40.0) / force.sum(), abs=1e-4)
+        errors.append(solution.mean_height() - exact)
+    assert errors[0] > 3.0 * errors[1] > 9.0 * errors[2] > 0.0
 
 
 def test_floor_under_a_straight_bar_levels_it(fitted_law, scene_tables):
@@ -74,21 +77,20 @@ def test_floor_under_a_straight_bar_levels_it(fitted_law, scene_tables):
     assert_balanced(solution)
 
 
-@pytest.mark.parametrize("space", [False, True])
-def test_clarabel_agrees_on_the_program_with_walls(fitted_law, scene_tables, space):
-    facing = [-0.6, 0.0, 0.8] if space else [-0.6, -0.1]
+@pytest.mark.parametrize("z", [0.0, 0.3])
+def test_clarabel_agrees_on_the_program_with_walls(fitted_law, scene_tables, z):
     obstacles = [
-        {"kind": "floor", "height": 33.0},
-        {"kind": "wall", "point": [80.0, 50.0, -20.0] if space else [80.0, 50.0], "facing": facing},
+        {"kind": "wall", "point": [50.0, 35.0], "facing": [-0.3, 1.0, z]},
+        {"kind": "wall", "point": [50.0, 30.0], "facing": [0.4, 1.0, z]},
     ]
-    problem = posed(scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.7}), fitted_law)
     tables = scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.5}) | {"obstacle": obstacles}
     problem = posed(tables, fitted_law)
+    assert problem.fem.d == (3 if z else 2)
     other = replace(problem, scene=replace(problem.scene, solver=replace(problem.scene.solver, kind="clarabel")))
     own, oracle = solve_problem(problem), solve_problem(other)
     assert own.status == oracle.status == "converged"
     assert_balanced(own)
-    assert {1} <= set(problem.walls.owner[own.wall_forces > 1e-4 * np.abs(problem.force).sum()])
+    assert {0, 1} == set(problem.walls.owner[own.wall_forces > 1e-4 * np.abs(problem.force).sum()])
     scale = np.abs(problem.force).sum() * problem.mesh.size
     assert own.primal / scale == pytest.approx(oracle.primal / scale, abs=1e-7)
     for number in range(2):
@@ -136,7 +138,7 @@ def test_strip_over_a_cylinder_is_a_rope_over_a_pulley(fitted_law):
     """T - w y is the same everywhere and T = 0 at the free end; heights, line load, reaction, and their order."""
     end = np.pi * R - LENGTH
     exact = (2.0 * R**2 - 0.5 * end**2) / LENGTH
-    errors = []
+    errors, cuts = [], []
     for cells in (8, 16):
         solution = answer(rope(cells), fitted_law)
         assert solution.status == "converged", solution.message
@@ -161,17 +163,18 @@ def test_strip_over_a_cylinder_is_a_rope_over_a_pulley(fitted_law):
         )
         distance = np.hypot(x[:, 1], x[:, 2])
         assert distance[~problem.fem.held.all(axis=1)].min() > R - 1e-5
-        assert solution.settling.between_nodes_mm == pytest.approx(LENGTH**2 / cells**2 / (8.0 * R) * 1.66, rel=0.1)
+        cuts.append(solution.settling.between_nodes_mm)
     coarse, fine = np.array(errors)
     assert np.all(fine[:2] < coarse[:2] / 3.4)
     assert np.all(fine[:2] > 0.0)
     assert fine[0] < 2e-3 * LENGTH
     assert np.all(fine[2:] < [0.01, 0.03, 0.005])
     assert fine[3] < coarse[3] / 2.0
+    assert cuts[0] / cuts[1] == pytest.approx(4.0, rel=0.1)  # chords of the circle
 
 
 def pushed(scene_tables, travel, **more):
-    sphere = {"kind": "sphere", "centre": [50.0, 40.0, -21.0], "radius": 20.0, "move": [0.0, 0.0, travel]}
+    sphere = {"kind": "sphere", "centre": [50.0, 40.0, -41.0], "radius": 40.0, "move": [0.0, 0.0, travel]}
     tables = scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.8}, load={"bar": {"mass": 0.02}})
     return tables | {"obstacle": sphere | more}
 
@@ -179,12 +182,12 @@ def pushed(scene_tables, travel, **more):
 def test_reaction_of_a_moving_sphere_is_the_slope_of_the_potential(fitted_law, scene_tables):
     """Virtual work: what the sphere does when it goes on is what the potential rises by."""
     step = 0.25
-    low, here, high = (answer(pushed(scene_tables, 45.0 + s * step), fitted_law) for s in (-1, 0, 1))
+    low, here, high = (answer(pushed(scene_tables, 19.5 + s * step), fitted_law) for s in (-1, 0, 1))
     assert {one.status for one in (low, here, high)} == {"converged"}
     slope = (high.primal - low.primal) / (2.0 * step)
     (line,) = obstacle_forces(here)
     assert line["reaction_N"][2] == pytest.approx(slope, rel=0.02)
-    assert line["reaction_N"][2] > 0.05 * np.abs(here.problem.force).sum()
+    assert line["reaction_N"][2] > 0.02 * np.abs(here.problem.force).sum()
     assert line["nodes_touched"] >= 1
     assert_balanced(here)
 
@@ -206,6 +209,7 @@ def test_summary_tells_reaction_and_displacement_step_by_step(fitted_law, scene_
     assert used["third-coordinate"]
 
 
+@pytest.mark.slow
 def test_in_steps_or_at_once_the_sphere_is_met_alike(fitted_law, scene_tables):
     tables = pushed(scene_tables, 45.0)
     once = solve(read_scene(tables), fitted_law).solution
@@ -227,13 +231,12 @@ def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
     assert solution.status == "converged", solution.message
     assert_balanced(solution)
     x, way = solution.x, pushes_of(solution, 0)[1].sum(axis=0)
-    assert np.all((x[:, 1] > -1e-5) | (x[:, 2] > -1e-5))
-    assert x[:, 1].min() < -400.0
-    hanging = -solution.problem.force[x[:, 1] < -1e-3, 1].sum()
-    total = -solution.problem.force[:, 1].sum()
-    assert way[1] > total - 1e-9  # the roof carries the mesh and the pull of its back edge
-    assert way[2] == pytest.approx(-solution.reactions[:, 2].sum(), rel=1e-6)
-    assert -solution.reactions[:, 2].sum() < 1.01 * hanging + DENSITY * 250.0 * 250.0
+    assert solution.problem.bodies[0].gap(x).min() > -1e-5
+    assert -way[2] == pytest.approx(solution.reactions[:, 2].sum(), rel=1e-6)
+    hanging = 600.0 * 250.0 * DENSITY
+    assert way[2] == pytest.approx(hanging, rel=0.15)  # a rope over a smooth edge; 0.4 % at 16 cells, 17 % at 4
+    assert -x[:, 1].min() == pytest.approx(600.0, rel=0.1)
+    assert way[1] == pytest.approx(1000.0 * 250.0 * DENSITY, rel=0.05)
 
 
 def test_rounds_that_are_cut_short_end_by_name(fitted_law):
@@ -288,24 +291,20 @@ IMPOSSIBLE = [
     ({"obstacle": {"kind": "sphere", "centre": [50.0, 100.0, 0.0], "radius": 30.0}}, "sphere: top is 30 mm inside it"),
     (
         {"obstacle": {"kind": "sphere", "centre": [50.0, 40.0, 5.0], "radius": 30.0}},
-        "nodes of the curtain are up to 35 mm inside it before anything moves",
+        "nodes of the curtain are up to ",
     ),
-    ({"obstacle": {"kind": "wall", "facing": [1.0, 0.0, 2.0], "point": [-150.0, 0.0, 60.0]}}, "wall: top is"),
+    ({"obstacle": {"kind": "wall", "facing": [1.0, 0.0, 2.0], "point": [0.0, 0.0, 1.0]}}, "wall: top is 0.8944 mm"),
     (
         {
-            "obstacle": {"kind": "wall", "facing": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 200.0]},
-            "support": {"kind": "point", "at": [0.0, 100.0], "move": [0, 0, 201]},
+            "support": [{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, 2.0]}],
+            "obstacle": {"kind": "sphere", "centre": [50.0, 50.0, -31.0], "radius": 30.0, "move": [0.0, 0.0, 30.0]},
         },
-        None,
-    ),
-    (
-        {"obstacle": {"kind": "box", "corner": [-500, -500, -300], "size": [999, 590, 299], "move": [0, 0, 290]}},
         "[obstacle]: the curtain cannot clear its obstacles",
     ),
 ]
 
 
-@pytest.mark.parametrize(("more", "sentence"), [case for case in IMPOSSIBLE if case[1]])
+@pytest.mark.parametrize(("more", "sentence"), IMPOSSIBLE)
 def test_impossible_scenes_end_in_one_sentence(fitted_law, scene_tables, more, sentence):
     with pytest.raises(InputError) as error:
         solve(read_scene(scene_tables(mesh={"cells": 4}) | more), fitted_law)
@@ -315,8 +314,9 @@ def test_impossible_scenes_end_in_one_sentence(fitted_law, scene_tables, more, s
 
 def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables):
     tables = scene_tables(mesh={"cells": 4}, support={"kind": "rail"})
+    slope = {"kind": "wall", "facing": [1.0, 1.0], "point": [50.0, 10.0]}
     with pytest.raises(InputError, match="nothing carries the force of .* N along x"):
-        solve(read_scene(tables | {"obstacle": {"kind": "wall", "facing": [1, 0], "point": [5, 0]}}), fitted_law)
+        solve(read_scene(tables | {"obstacle": slope}), fitted_law)
 
 
 BAD = [
