@@ -9,7 +9,8 @@ import rve
 from macro_fem.cli import main
 from macro_fem.output import looks
 from macro_fem.output.looks import frames
-from macro_fem.output.space_view import Frame, curtain_view, patches, pulls, summed_up
+from macro_fem.output.space_forces import patches, pulls, summed_up
+from macro_fem.output.space_view import Frame, curtain_view
 from rve.common.errors import InputError, NotConverged
 
 HAMMOCK = {
@@ -189,7 +190,9 @@ def test_a_renderer_that_fails_leaves_the_other_files(hammock, tmp_path, monkeyp
 
 def test_one_load_step_cannot_be_animated(tmp_path):
     (tmp_path / "scene.toml").write_text('[curtain]\nwidth = 50\nheight = 50\n[support]\nkind = "top"\n')
-    done = CliRunner().invoke(main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--animation"])
+    done = CliRunner().invoke(
+        main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--animation"]
+    )
     assert done.exit_code == 2
     assert "[load] steps = 1: there is nothing to animate" in done.stderr
     assert not (tmp_path / "out").exists()
