@@ -131,7 +131,10 @@ def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
     disc = discretize(fem.mesh, "P1")
     weight = weight_per_area(scene, info)
     everything = nodal_forces(scene, fem, disc, info)
-    supports = pin_sliding(build_supports(scene, fem, disc), disc, everything, scene.source)
+    supports = build_supports(scene, fem, disc)
+    if supports.sliding is not None:
+        raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
+    supports = pin_sliding(supports, disc, everything, scene.source)
     live = everything - load_vector(disc, weight)
     ring = cKDTree(mesh.X).query(disc.nodes)[1]
     n = len(mesh.X)
