@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
     from homogenize.io import strength_of_law as strength_of_law
+    from homogenize.laws.cloth import ClothLaw as ClothLaw
     from homogenize.laws.net import NetLaw as NetLaw
     from homogenize.laws.net import diagonal_net as diagonal_net
     from homogenize.laws.net import ring_net as ring_net
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "CellInfo": "homogenize.laws.protocol",
+    "ClothLaw": "homogenize.laws.cloth",
     "Cut": "homogenize.laws.protocol",
     "ErrorReport": "homogenize.laws.report",
     "FitOptions": "homogenize.fitting.fit",
@@ -70,6 +72,7 @@ _MODULES = {
 
 __all__ = [
     "CellInfo",
+    "ClothLaw",
     "Cut",
     "ErrorReport",
     "FitOptions",

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from homogenize.laws.cloth import ClothLaw, cloth_from_dict
 from homogenize.laws.net import NetLaw, net_from_dict
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict
 from homogenize.laws.protocol import CellInfo, MembraneLaw
@@ -22,9 +23,10 @@ from rve.common.values import checked, mapping, numbers, optional, read_record, 
 
 __all__ = ["Law", "default_law", "load_law", "save_law", "strength_of_law"]
 
-Law = PolyhedralLaw | NetLaw
+Law = PolyhedralLaw | NetLaw | ClothLaw
 """The laws that have a file."""
 READERS: dict[str, Callable[[dict[str, Any], CellInfo | None, str], Law]] = {
+    "cloth": cloth_from_dict,
     "net": net_from_dict,
     "polyhedral": polyhedral_from_dict,
 }

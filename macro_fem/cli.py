@@ -30,7 +30,9 @@ def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str,
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
-@click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib).")
+@click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib; in space pyvista).")
+@click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif.")
+@click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
 @click.option("--table", type=click.Path(path_type=Path), help="Table to begin with instead of a law; with --rings.")
 @click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
 @click.option("--weave", help="Weave of --rings, by default 4-in-1.")
@@ -45,6 +47,8 @@ def run(
     law_path: Path | None,
     out: Path,
     picture: bool,
+    animation: bool,
+    html: bool,
     explain: bool,
     table: Path | None,
     **rings: Any,
@@ -61,7 +65,8 @@ def run(
 
     asked = ring_options(**rings)
     with progress_line() as say:
-        summary = run_scene(scene, law_path, out, picture=picture, table=table, say=say, **asked)
+        asked |= {"picture": picture, "animation": animation, "html": html}
+        summary = run_scene(scene, law_path, out, table=table, say=say, **asked)
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "

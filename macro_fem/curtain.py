@@ -14,7 +14,9 @@ from macro_fem.elastic_curtain import polished
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
+from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import (
     CurtainSolution,
     Decision,
@@ -31,6 +33,7 @@ from macro_fem.solvers.cones import Cones, green_strain, taken_from
 from macro_fem.solvers.options import PathOptions, StepOptions
 from macro_fem.solvers.status import ROUNDING, Reach, load_scale
 from macro_fem.solvers.stretch_limit import Solve, reach_of, solve_taut
+from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
@@ -52,6 +55,8 @@ class CurtainOptions(Options):
     curtain itself no cone has room left; farther away more steps are needed."""
 
 
+SLIDES = 1e-6
+"""Part of the loads that nothing needs to carry where a curtain is free to slide: above the errors of solvers."""
 CURTAIN = CurtainOptions()
 """The defaults."""
 ELASTIC_STEPS = StepOptions(least_gap=1e-2)
@@ -80,11 +85,15 @@ def solve_problem(
 
     `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
     positions are near its own, and its matrix pattern and symbolic factor are kept.
+
+    A problem with bodies or following pressure is solved in rounds (`macro_fem.shape_loop`).
     """
+    if problem.bodies or problem.follows:
+        return held_in_place(solve_shape(problem, start, solve_problem))
     begin = time.perf_counter()
     if start is not None and _is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
-    reach, give = supports_reach(problem), None
+    reach, give = _known_reach(problem, start) or supports_reach(problem), None
     decided: tuple[Decision, ...] = ()
     if is_elastic(problem.scene) and reach.is_out and reach.excess < elastic_stretch(problem):
         reach = replace(reach, upper=1.0)
@@ -97,8 +106,38 @@ def solve_problem(
     found = _solution(problem, result, reach, give)
     left = problem.scene.solver.max_iterations - found.iterations
     if found.elastic and not reach.is_out and left > 0 and not found.asked.is_met(found.evidence, ROUNDING):
-        found = polished(found, left)
-    return replace(found, decided=decided, wall_s=time.perf_counter() - begin)
+        if problem.walls is None:
+            found = polished(found, left)
+        else:
+            decided += (Decision("polish", False, "Newton's method on the law itself knows no floors and obstacles"),)
+    found = replace(found, decided=decided, wall_s=time.perf_counter() - begin)
+    return found if problem.walls is None else held_in_place(found)
+
+
+def _known_reach(problem: Problem, start: CurtainSolution | None) -> Reach | None:
+    """The reach of the curtain before where nothing it depends on has changed."""
+    if start is None or start.stop == "infeasible" or start.problem.law is not problem.law:
+        return None
+    one, other = problem.fem, start.problem.fem
+    return start.reach if _is_alike(one, other) and np.array_equal(one.x_held, other.x_held) else None
+
+
+def held_in_place(found: CurtainSolution) -> CurtainSolution:
+    """The curtain; InputError if obstacles or following pressure push it along a direction in which nothing holds it.
+
+    Supports that let a curtain slide are given a pin, which must stay without force.
+    """
+    problem = found.problem
+    pinned = problem.supports.pinned
+    if pinned.any() and found.status == "converged":
+        forces = np.where(pinned, found.unbalanced, 0.0).sum(axis=0)
+        axis = int(np.abs(forces).argmax())
+        if abs(forces[axis]) > SLIDES * load_scale(problem.force, problem.disc.weight):
+            raise InputError(
+                f"{problem.scene.source}: [obstacle]: nothing carries the force of {-forces[axis]:.6g} N along "
+                f"{'xyz'[axis]}, in which the supports let the curtain slide: hold it there"
+            )
+    return found
 
 
 def _is_alike(one: SupportedFem, other: SupportedFem) -> bool:
@@ -150,20 +189,22 @@ def _solved(problem: Problem, reach: Reach, cones: Cones | None, x: Array) -> tu
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
     if is_elastic(problem.scene):
         options = replace(options, steps=ELASTIC_STEPS)
-        return solve_path(fem, law, load, z, size, options, compliance=law.compliance, guide=tension), None
+        return solve_path(
+            fem, law, load, z, size, options, compliance=law.compliance, guide=tension, walls=problem.walls
+        ), None
 
-    def by_path(fem: SupportedFem, load: Array, z: Array, options: PathOptions) -> PathResult:
-        return solve_path(fem, law, load, z, size, options)
+    def by_path(fem: SupportedFem, load: Array, z: Array, options: PathOptions, walls: Walls | None) -> PathResult:
+        return solve_path(fem, law, load, z, size, options, walls=walls)
 
     solve = _clarabel(problem) if by_clarabel(problem.scene) else by_path
     if reach.is_at_limit:
-        return solve_taut(fem, load + tension, z, options, reach, solve)
-    return solve(fem, load + tension, z, options), None
+        return solve_taut(fem, load + tension, z, options, reach, solve, walls=problem.walls)
+    return solve(fem, load + tension, z, options, problem.walls), None
 
 
 def _clarabel(problem: Problem) -> Solve:
-    def solve(fem: SupportedFem, load: Array, z: Array, options: PathOptions) -> PathResult:
-        return solve_clarabel(fem, problem.law, load, problem.mesh.size, ClarabelOptions(gap=options.gap))
+    def solve(fem: SupportedFem, load: Array, z: Array, options: PathOptions, walls: Walls | None) -> PathResult:
+        return solve_clarabel(fem, problem.law, load, problem.mesh.size, ClarabelOptions(gap=options.gap), walls)
 
     return solve
 
@@ -198,6 +239,8 @@ def _first_cones(
             Decision("last-step", True, "half-spaces and positions begin with those of the last load step"),
             Decision("coarse-start", False, "the last load step is nearer"),
         )
+    if any(not is_flat(item) for item in scene.obstacle) or any(wind.follows for wind in scene.load.wind):
+        return told("bodies and following pressure are met on this mesh alone")
     if points < options.coarse_from:
         return told(f"{points} points are fewer than {options.coarse_from}")
     if scene.curtain.shape == "file" or scene.solver.adapt or scene.mesh.cells < 2 * options.coarse_ratio:
@@ -233,7 +276,7 @@ def _solution(problem: Problem, result: PathResult, reach: Reach, give: float | 
     fem, elastic = problem.fem, is_elastic(problem.scene)
     x, F = fem.positions(result.z), fem.gradient(result.z)
     tension = 0.0 if elastic else spread_tension(problem)
-    work = float((problem.force * (x - problem.disc.nodes)).sum())
+    work = float((problem.force * (x - fem.reference)).sum())
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))
     held_part = float((fem.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
@@ -258,4 +301,5 @@ def _solution(problem: Problem, result: PathResult, reach: Reach, give: float | 
         cones=result.cones,
         history=result.history,
         tension=tension,
+        wall_forces=result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ())),
     )

@@ -37,7 +37,7 @@ def polished(found: CurtainSolution, most: int, options: PolishOptions = POLISH)
     For laws whose response is not exactly ideal locking with a compliance, such as nets whose fibres lie in one line.
     The dual value is the potential less the bound that convexity puts on its error.
     """
-    problem, nodes = found.problem, found.problem.disc.nodes
+    problem, nodes = found.problem, found.problem.fem.reference
     how = newton.NewtonOptions(max_iterations=min(options.steps, most), idle_steps=options.idle_steps)
     answer = newton.solve(problem.fem, problem.law, problem.force, found.displacement, how)
     F: Array = deformation_gradient(problem.disc, answer.u)

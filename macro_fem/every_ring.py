@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from homogenize import CellInfo, MembraneLaw, default_law, load_law
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
+from macro_fem.fem.space import in_space_of
 from macro_fem.progress import Say, silent
 from macro_fem.scene.loads import nodal_forces, weight_per_area
 from macro_fem.scene.mesh import build_mesh
@@ -51,7 +52,9 @@ class RingScene:
     groups: tuple[tuple[str, np.ndarray], ...]
 
     def solve(self, *, space: bool, options: FiniteOptions | None = None, say: Say = silent) -> FiniteSolution:
-        """The rings in equilibrium; InputError that names the scene where they cannot be."""
+        """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be."""
+        if self.scene.in_space and not space:
+            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
         count = 0
 
         def tell(record: Any) -> None:
@@ -81,6 +84,8 @@ def ring_scene(scene: Scene, law: MembraneLaw | None = None) -> RingScene:
         raise InputError(
             f"{scene.source}: [load.bar] straight = true: rings are not tied to a bar, use straight = false"
         )
+    if scene.obstacle or any(wind.follows for wind in scene.load.wind):
+        raise InputError(f"{scene.source}: [obstacle], and follows = true of [load.wind]: are not for every ring")
     mesh = _finite_mesh(scene, info)
     return _with_loads(_by_cells(scene, info), info, mesh)
 
@@ -126,20 +131,24 @@ def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
     disc = discretize(fem.mesh, "P1")
     weight = weight_per_area(scene, info)
     everything = nodal_forces(scene, fem, disc, info)
-    supports = pin_sliding(build_supports(scene, fem, disc), disc, everything, scene.source)
-    live = everything - load_vector(disc, np.array([0.0, -weight]))
+    supports = build_supports(scene, fem, disc)
+    if supports.sliding is not None:
+        raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
+    supports = pin_sliding(supports, disc, everything, scene.source)
+    live = everything - load_vector(disc, weight)
     ring = cKDTree(mesh.X).query(disc.nodes)[1]
     n = len(mesh.X)
     force = np.zeros((n, 3))
-    force[:, 1] = -weight * mesh.area
-    np.add.at(force[:, :2], ring, live)
+    force[:, : scene.d] = mesh.area[:, None] * weight
+    np.add.at(force[:, : scene.d], ring, live)
     held, way = np.zeros((n, 3), bool), np.zeros((n, 3))
     mask = supports.mask | supports.pinned
-    for axis in range(2):
+    for axis in range(scene.d):
         nodes = np.flatnonzero(mask[:, axis])
         held[ring[nodes], axis] = True
-        way[ring[nodes], axis] = (supports.positions - disc.nodes)[nodes, axis]
-    held[:, 2] = held[:, 0] | held[:, 1]
+        way[ring[nodes], axis] = (supports.positions - in_space_of(disc.nodes, scene.d))[nodes, axis]
+    if not scene.in_space:
+        held[:, 2] = held[:, 0] | held[:, 1]
     at = np.column_stack([mesh.X, np.zeros(n)]) + way
     return RingScene(scene, mesh, force, held, at, _groups(supports.held, ring))
 

@@ -15,15 +15,20 @@ from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds
 from macro_fem.curtain import solve_problem
+from macro_fem.output import obstacles
 from macro_fem.output.curtain_record import to_curtain
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.looks import Looks, write_looks
+from macro_fem.output.space_view import curtain_view
 from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, Problem, make_problem
-from rve.common.errors import InputError, require
+from rve.common.errors import InputError, NotConverged, require
+from rve.common.files import check_out_file
 from rve.common.jobs import check_out_job, complete, job
+from rve.common.page import write_page
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -62,21 +67,43 @@ class CurtainResult:
         """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
         return self._summary(picture=False)
 
-    def save(self, folder: str | Path, *, picture: bool = True, inputs: Sequence[Path | None] = ()) -> dict[str, Any]:
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        picture: bool = True,
+        animation: bool = False,
+        html: bool = False,
+        inputs: Sequence[Path | None] = (),
+    ) -> dict[str, Any]:
         """Write summary.json, curtain.vtu, support_forces.csv and curtain.png into `folder`; the summary.
 
-        With more than one load step curtain.pvd lists one VTU per step. All files appear together, and what they
-        replace is gone (`rve.common.jobs`). InputError where they cannot be written, or would overwrite `inputs`.
+        With more than one load step curtain.pvd lists one VTU per step. `animation`: curtain.gif of the load steps;
+        `html`: curtain.html, which turns in a browser. All files appear together, and what they replace is gone
+        (`rve.common.jobs`). InputError where they cannot be written, or would overwrite `inputs`; NotConverged if a
+        picture in space cannot be drawn, the other files are written then.
         """
-        if picture:
-            require("matplotlib", "plots", "curtain.png", "ask for none")
+        wanted = Looks(picture, animation, html)
+        wanted.check(self.scene)
         check_out_job(folder, RECORD, inputs=inputs)
         summary = self._summary(picture=picture)
         bounds = self.levels[-1].bounds if self.levels else None
         with job(folder, RECORD, inputs) as staged:
-            _write(staged, list(self.steps), bounds, picture=picture)
+            _write(staged, list(self.steps), bounds)
+            density = None if bounds is None else error_density(self.solution, bounds)
+            failure = write_looks(staged, list(self.steps), wanted, density)
             write_summary(staged, summary)
+        if failure is not None:
+            raise NotConverged(f"{folder}: {failure}; the other files are written")
         return summary
+
+    def write_html(self, path: str | Path) -> None:
+        """Write the curtain at full load as one HTML file that turns in a browser without a network.
+
+        InputError if plotly is missing or the file cannot be written.
+        """
+        check_out_file(path, "path")
+        write_page(path, curtain_view(self.solution))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Line loads of the deformed curtain with their directions, on `ax` or axes of their own (matplotlib)."""
@@ -106,6 +133,7 @@ class CurtainResult:
             summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
         if self.demand is not None:
             summary |= self.demand.to_dict()
+        summary |= obstacles.summary(self.steps)
         features = decisions(self.solution, bounds=bool(self.levels), picture=picture)
         summary["features"] = [decision.to_dict() for decision in features]
         if len(self.steps) > 1:
@@ -202,6 +230,8 @@ def run_scene(
     out: Path,
     *,
     picture: bool = True,
+    animation: bool = False,
+    html: bool = False,
     table: Path | None = None,
     rings: Cell | None = None,
     accuracy: float | None = None,
@@ -210,14 +240,16 @@ def run_scene(
 ) -> dict[str, Any]:
     """Solve the scene in a file, write its files into `out` and return the summary.
 
-    `rings`, `accuracy` and `cache`: see `solve`; `table`: a strain-load table to begin with instead of a law.
+    `rings`, `accuracy` and `cache`: see `solve`; `animation` and `html`: see `CurtainResult.save`; `table`: a
+    strain-load table to begin with instead of a law.
 
     InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no solution.
     What a picture or solver needs, and what `out` would overwrite, is checked before anything is solved.
     """
-    if picture:
-        require("matplotlib", "plots", "curtain.png", "ask for --no-picture")
+    wanted = Looks(picture, animation, html)
+    wanted.check_packages()
     scene = load_scene(scene_path)
+    wanted.check(scene)
     if scene.solver.kind == "clarabel":
         require("clarabel", "cones", "[solver] kind = 'clarabel'", "use kind = 'rigid'")
     mesh_file = None if scene.curtain.file is None else Path(scene.source).parent / scene.curtain.file
@@ -230,7 +262,7 @@ def run_scene(
     law = None if law_path is None else interval_or_law(law_path)
     law = law if table is None else interval_of_table(table)
     found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache, say=say)
-    return found.save(out, picture=picture, inputs=inputs)
+    return found.save(out, picture=picture, animation=animation, html=html, inputs=inputs)
 
 
 def asks_bounds(scene: Scene) -> bool:
@@ -244,7 +276,8 @@ def _solved(problem: Problem, start: CurtainSolution | None) -> CurtainSolution:
     if solution.status == "infeasible":
         scene = problem.scene
         at = f" at {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
-        raise InputError(f"{scene.source}: [support]: {solution.message}{at}")
+        table = "obstacle" if solution.stop == "blocked" else "support"
+        raise InputError(f"{scene.source}: [{table}]: {solution.message}{at}")
     return solution
 
 
@@ -267,18 +300,13 @@ def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, An
     }
 
 
-def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None, *, picture: bool) -> None:
-    """VTU files and the picture."""
+def _write(out: Path, steps: list[CurtainSolution], bounds: Bounds | None) -> None:
+    """VTU files."""
     solution = steps[-1]
-    density = None if bounds is None else error_density(solution, bounds)
-    extra = {} if density is None else {"error_N_mm_per_mm2": density}
+    extra = {} if bounds is None else {"error_N_mm_per_mm2": error_density(solution, bounds)}
     write_vtu(out / "curtain.vtu", solution, extra)
     if len(steps) > 1:
         write_series(out, steps)
-    if picture:
-        from macro_fem.output.plots import save_picture
-
-        save_picture(out / "curtain.png", solution, density)
 
 
 def error_density(solution: CurtainSolution, bounds: Bounds) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,14 +12,18 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.rotated import rotated
 from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.obstacles import Placed, is_flat, placed, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
+from macro_fem.scene.tables import Wind
 from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.newton import NewtonRecord
-from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
+from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
+from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common.cells import recovered
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -43,6 +47,27 @@ class Problem:
     force: Array  # (n_nodes, d), N
     factor: float = 1.0  # share of live loads and moves
     cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
+    walls: Walls | None = None  # half-spaces that nodes stay inside of: floors, walls, tangent planes of bodies
+    bodies: tuple[Placed, ...] = ()  # obstacles that are no half-spaces
+    follows: tuple[Wind, ...] = ()  # pressures normal to the present surface, not part of `force`
+
+    @cached_property
+    def frame(self) -> Array:
+        """Where the reference axes point (d, 2) in a curtain that hangs flat, about: two orthogonal unit vectors.
+
+        In space these follow the supports and the resultant load, so that they turn with the scene.
+        """
+        if self.fem.d == 2:
+            return np.eye(2)
+        X, mask = self.disc.nodes, self.supports.mask
+        here = mask.any(axis=1)
+        total = float(np.linalg.norm(self.force, axis=1).sum())
+        load = self.force.T @ (X - X[here].mean(axis=0))
+        way = supported_map(self)[1] + load / (total * self.mesh.size or 1.0)
+        U, size, Vt = np.linalg.svd(way, full_matrices=False)
+        if size[1] < 1e-6 * size[0]:
+            U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
+        return np.asarray(U @ Vt)
 
 
 @dataclass(frozen=True)
@@ -70,6 +95,8 @@ class CurtainSolution(Judged):
     numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `give` by how much the
     rings of a relaxed problem gave beyond locking, whose bounds primal and dual then are; None for the law as it is.
     `elastic`: P is the stress of the elastic law, else of ideal locking. `decided`: what the solver itself decided.
+    wall_forces (m,): the push of each half-space of `problem.walls` along its normal, N.
+    settling: how far the rounds of `macro_fem.shape_loop` have come, None where the problem is convex.
     """
 
     problem: Problem
@@ -90,6 +117,8 @@ class CurtainSolution(Judged):
     history: tuple[Iteration | NewtonRecord, ...] = field(default=(), repr=False)
     tension: float = 0.0
     decided: tuple[Decision, ...] = ()
+    wall_forces: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    settling: Settling | None = None
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -99,7 +128,8 @@ class CurtainSolution(Judged):
     @cached_property
     def verdict(self) -> Verdict:
         """Status and message: see `macro_fem.solvers.status`."""
-        return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.give)
+        verdict = judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.give)
+        return verdict if self.settling is None else self.settling.verdict(verdict)
 
     @property
     def relative_gap(self) -> float:
@@ -111,7 +141,14 @@ class CurtainSolution(Judged):
         """Sum of the forces on free unknowns that do not balance, over the sum of the loads."""
         fem = self.problem.fem
         own = self.P - self.tension * unit_tensors(self.problem)
-        return float(np.abs(fem.gather(self.problem.force) - fem.force(own)).sum()) / self._total
+        return float(np.abs(fem.gather(self.problem.force + self.pushes) - fem.force(own)).sum()) / self._total
+
+    @cached_property
+    def pushes(self) -> Array:
+        """Forces of floors, walls and bodies on the nodes (n_nodes, d), N."""
+        walls = self.problem.walls
+        n_nodes = self.problem.disc.n_nodes
+        return np.zeros_like(self.problem.force) if walls is None else walls.nodal(self.wall_forces, n_nodes)
 
     @property
     def _total(self) -> float:
@@ -122,7 +159,9 @@ class CurtainSolution(Judged):
         E = green_strain(self.F / (1.0 + (self.give or 0.0)))
         if not (np.isfinite(E).all() and np.isfinite(self.P).all()):
             return np.inf
-        return 0.0 if self.elastic else -least_slack(self.problem.law, E)
+        walls = self.problem.walls
+        crossed = 0.0 if walls is None else -float(walls.gap(self.x).min(initial=np.inf)) / self.problem.mesh.size
+        return max(0.0, crossed) if self.elastic else max(-least_slack(self.problem.law, E), crossed)
 
     @property
     def stretch_excess(self) -> float:
@@ -137,14 +176,18 @@ class CurtainSolution(Judged):
     @property
     def displacement(self) -> Array:
         """x - X (n_nodes, d), mm."""
-        return self.x - self.problem.disc.nodes
+        return self.x - self.problem.fem.reference
 
     @property
     def reactions(self) -> Array:
         """Forces of the supports on the curtain (n_nodes, d), N."""
+        return np.where(self.problem.supports.mask, self.unbalanced, 0.0)
+
+    @property
+    def unbalanced(self) -> Array:
+        """Inner forces less loads and pushes of obstacles at all nodes (n_nodes, d), N."""
         own = self.P - self.tension * unit_tensors(self.problem)
-        balance = internal_force(self.problem.disc, own) - self.problem.force
-        return np.where(self.problem.supports.mask, balance, 0.0)
+        return internal_force(self.problem.disc, own) - self.problem.force - self.pushes
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""
@@ -177,10 +220,44 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         disc = discretize(mesh.mesh, scene.mesh.element)
     except ValueError as error:
         raise InputError(f"{scene.source}: [mesh] {error}") from error
+    if scene.solver.kind == "elastic" and not law.compliance.any():
+        raise InputError(
+            f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
+        )
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)
-    return Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
+    if scene.solver.kind != "elastic":
+        check_tracks(scene, mesh, hung)
+    problem = Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
+    return _with_obstacles(problem) if scene.obstacle or any(wind.follows for wind in scene.load.wind) else problem
+
+
+def _with_obstacles(problem: Problem) -> Problem:
+    """The problem with floors, walls, bodies and following pressure; InputError for a support inside an obstacle."""
+    scene, fem, supports = problem.scene, problem.fem, problem.supports
+    cell = float(np.sqrt(2.0 * problem.disc.cell_area.mean()))
+    met = [with_rounding(item, cell) for item in scene.obstacle]
+    obstacles = [placed(number, item, problem.factor, fem.d) for number, item in enumerate(met)]
+    for one in obstacles:
+        for held in supports.held:
+            fixed = held.nodes[(supports.mask & fem.held)[held.nodes].all(axis=1)]
+            deep = -one.gap(supports.positions[fixed]).min(initial=np.inf)
+            if deep > TOUCHED * problem.mesh.size:
+                at = f" after {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
+                raise InputError(
+                    f"{scene.source}: [obstacle] {one.obstacle.name}: {held.name} is {deep:.4g} mm inside it{at}"
+                )
+    flat = [tangent_walls(one, fem, one.normal(fem.reference)) for one in obstacles if is_flat(one.obstacle)]
+    bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
+    follows = tuple(wind for wind in scene.load.wind if wind.follows)
+    return replace(problem, walls=Walls.joined(flat), bodies=bodies, follows=follows)
+
+
+def tangent_walls(body: Placed, fem: SupportedFem, normal: Array) -> Walls:
+    """The half-spaces of normals (n_nodes, d) that touch a body, at all nodes that can move."""
+    free = np.flatnonzero(~fem.held.all(axis=1))
+    return Walls(free, normal[free], body.offset(normal[free]), np.full(len(free), body.number))
 
 
 def spread_tension(problem: Problem) -> float:
@@ -191,8 +268,8 @@ def spread_tension(problem: Problem) -> float:
 def spread_allowance(problem: Problem, tension: float) -> float:
     """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
 
-    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of tr F over the area, |tr F|^2 <= 2 tr C with
-    tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of Q:F over the area, where Q is the frame, two
+    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
     """
     half = np.array([[0.5, 0.0, 0.5]])
     largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
@@ -200,13 +277,17 @@ def spread_allowance(problem: Problem, tension: float) -> float:
 
 
 def unit_tensors(problem: Problem) -> Array:
-    """The unit tensor at every point (nq, d, 2)."""
-    return np.broadcast_to(np.eye(problem.fem.d, 2), (problem.disc.n_points, problem.fem.d, 2))
+    """The frame at every point (nq, d, 2): the unit tensor of a plane curtain."""
+    return np.broadcast_to(problem.frame, (problem.disc.n_points, problem.fem.d, 2))
 
 
 def gathered_start(problem: Problem) -> Array:
     """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
     X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
+    if problem.fem.d == 3:
+        middle, A = supported_map(problem)
+        U, size, Vt = np.linalg.svd(A, full_matrices=False)
+        return np.asarray(middle + X @ (U * np.minimum(size, 1.0) @ Vt).T)
     start = np.empty_like(X)
     for axis in range(2):
         nodes = mask[:, axis]
@@ -216,3 +297,20 @@ def gathered_start(problem: Problem) -> Array:
         else:
             start[:, axis] = held[nodes, axis].mean() if nodes.any() else X[:, axis].mean()
     return start
+
+
+def supported_map(problem: Problem) -> tuple[Array, Array]:
+    """The affine map X -> b + A X, b (d,) and A (d, 2), nearest to where the supports hold their points; A = 0 along
+    directions of which they say nothing."""
+    X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
+    d = held.shape[1]
+    b, A = np.zeros(d), np.zeros((d, 2))
+    for axis in range(d):
+        nodes = mask[:, axis]
+        if nodes.any():
+            centre, mean = X[nodes].mean(axis=0), held[nodes, axis].mean()
+            A[axis] = np.linalg.lstsq(X[nodes] - centre, held[nodes, axis] - mean, rcond=1e-9)[0]
+            b[axis] = mean - A[axis] @ centre
+        elif axis < 2:
+            b[axis] = X[:, axis].mean()
+    return b, A

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rve.localization.job import LocalizeOptions as LocalizeOptions
     from rve.localization.job import localize as localize
     from rve.more_columns import with_rings as with_rings
+    from rve.shadow import solidity as solidity
     from rve.solve import solve_table as solve_table
     from rve.support_function import Support as Support
     from rve.support_function import support as support
@@ -69,6 +70,7 @@ _MODULES = {
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
+    "solidity": "rve.shadow",
     "solve_table": "rve.solve",
     "support": "rve.support_function",
     "with_rings": "rve.more_columns",
@@ -105,6 +107,7 @@ __all__ = [
     "read_loads",
     "read_table",
     "second_pk",
+    "solidity",
     "solve_table",
     "support",
     "with_rings",

@@ -300,12 +300,13 @@ def study(out: Path) -> None:
 @click.option("--tubes/--lines", default=False, show_default=True, help="Write tori, or centre lines.")
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
 @click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
+@click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
 def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) -> None:
     """Every ring of CURTAIN, the curtain.vtu of macro_fem or its folder: rings.vtu, rings.png, worst_cell.csv."""
     from rve.directions import parse_window
     from rve.localization.job import LocalizeOptions, run_localize
 
-    files = {name: rest.pop(name) for name in ("picture", "tubes")}
+    files = {name: rest.pop(name) for name in ("picture", "tubes", "html")}
     found = run_localize(curtain, out, LocalizeOptions(window=parse_window(window), **rest), **files)
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
     click.echo(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")

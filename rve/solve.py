@@ -101,6 +101,12 @@ def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
     of about 20 on rings may slide over each other instead, and the mesh is then up to 6 % longer along the grain and a
     third narrower: "locked" takes the sides of that longest state (docs/theory.md, 3).
     """
+    x2, x3 = lattice_mm(reference_pose(cell, options), cell)
+    return float(x2[0, 0]), float(x3[0, 1])
+
+
+def reference_pose(cell: Cell, options: DirectOptions) -> Pose:
+    """The pose (n = 1) of the reference cell, see `reference_sides`. Raises NotConverged."""
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
     along = np.array([[0.0, 0.0, 1.0]])
     found = solve_equilibrium(along, Equations.of(cell.weave, cell.wire, modes), options)
@@ -112,8 +118,7 @@ def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
         found = solve_dead(along, longest, options)
     if found.status[0] != "converged":
         raise NotConverged(f"the reference cell (a pull along the grain): {SENTENCES[str(found.status[0])]}")
-    x2, x3 = lattice_mm(found.pose, cell)
-    return float(x2[0, 0]), float(x3[0, 1])
+    return found.pose
 
 
 def weave_sides(cell: Cell, sides_mm: tuple[float, float]) -> tuple[float, float]:

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 BELOW: dict[str, tuple[str, ...]] = {"rve": (), "homogenize": ("rve",), "macro_fem": ("rve", "homogenize")}
-HEAVY = ("matplotlib", "pyvista", "vtk", "clarabel", "meshio", "skfem", "pandas", "sksparse")
+HEAVY = ("matplotlib", "pyvista", "vtk", "plotly", "clarabel", "meshio", "skfem", "pandas", "sksparse")
 
 
 def imported_names(source: str) -> list[str]:

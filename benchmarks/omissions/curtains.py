@@ -15,7 +15,6 @@ from homogenize.io import default_law
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem.curtain import CURTAIN, CurtainOptions, solve_problem
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.space import in_space, padded
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension, unit_tensors
@@ -100,10 +99,8 @@ def height(problem: Problem, options: CurtainOptions = CURTAIN) -> tuple[bool, f
 
 def rigid(problem: Problem, options: PathOptions = PATH) -> PathResult:
     """Ideal locking with these options, in the plane or in space."""
-    fem, force, start = problem.fem, problem.force, gathered_start(problem)
-    if fem.d == 3:
-        force, start = padded(force), padded(start)
-    load = fem.gather(force) + fem.force(spread_tension(problem) * unit_tensors(problem))
+    fem, start = problem.fem, gathered_start(problem)
+    load = fem.gather(problem.force) + fem.force(spread_tension(problem) * unit_tensors(problem))
     return solve_path(fem, problem.law, load, fem.unknowns(start), problem.mesh.size, options)
 
 
@@ -117,7 +114,7 @@ def rigid_height(problem: Problem) -> tuple[bool, float]:
 def third_coordinate(law: MembraneLaw, hung: str, cells: int, load: dict[str, Any] | None = None) -> Row:
     """Nodes that may leave the plane, against nodes that may not, by the mean height."""
     plane = problem_of(law, hung, cells, load)
-    space = replace(plane, fem=in_space(plane.fem))
+    space = problem_of(law, hung, cells, load, space=True)
     calls = (partial(rigid_height, plane), partial(rigid_height, space))
     return compared("third-coordinate", "bar" if load else hung, calls, plane)
 

@@ -106,7 +106,7 @@ class MembraneLaw(Protocol):
 
     @property
     def compliance(self) -> Array:
-        """The metric of the response, E - E_star = compliance S: (3, 3) in tensor components, mm/N."""
+        """The metric of the response, E - E_star = compliance S: (3, 3) in tensor components, mm/N; 0: none."""
         ...
 
     def support(self, S: Array) -> Array:

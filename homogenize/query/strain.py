@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from homogenize.fitting.rows import Rows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
+from rve.common.errors import InputError
 from rve.common.records import Rows as Records
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 from rve.common.types import Array
@@ -106,6 +107,8 @@ def locked_strain(
     Starts where the load on the undeformed cell would lock; loads that fail are approached from beta = 45 degrees.
     """
     options = options or StrainOptions()
+    if not law.compliance.any():
+        raise InputError(f"kind = {law.name}: the law is inextensible, its strain is 0 under every tensile load")
     alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
     beta = np.asarray(beta, float)
     search = _Search(law, options, options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max()))

@@ -24,11 +24,16 @@ CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> Problem:
-    """The P2 problem of a scene with the law at the corners of the triangles; InputError for quadrilaterals."""
+    """The P2 problem of a scene with the law at the corners of the triangles; InputError for quadrilaterals.
+
+    With walls the P1 problem: a P1 curtain is inside a plane where its nodes are, a P2 curtain need not be.
+    """
     if not isinstance(mesh.mesh, skfem.MeshTri1):
         raise InputError("bounds need a mesh of triangles, this one has quadrilaterals")
     quadratic = replace(scene, mesh=replace(scene.mesh, element="P2"))
     problem = make_problem(quadratic, law, mesh, factor)
+    if problem.walls is not None:
+        return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
     disc = at_corners(problem.disc)
     return replace(problem, disc=disc, fem=problem.supports.fem(disc))
 

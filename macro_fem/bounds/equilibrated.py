@@ -13,7 +13,7 @@ u_e at the ends of each edge (for the tractions). The gradient that P sees at th
     G(v) = -3 u_T (x) grad lam_v - 6 sum over edges e of  (integral of lam_v u_e over e / |e|) (x) grad lam_opposite(e),
 
 so the arrays of `macro_fem.fem.discretization.Discretization` describe it: seven nodes, three points, constant
-coefficients.
+coefficients. In space P is 3 x 2 and all of this holds component by component. Walls push evenly in every triangle.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ import skfem
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.rotated import largest_stretch
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.loads import disk_areas, weight_per_area
+from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
+from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError
-from rve.common.tensor import dyad
 from rve.common.types import Array
 
 NAME = "equilibrium"
@@ -102,7 +103,7 @@ def _reference_gradients(corner_gradients: Array) -> Array:
 class Tethers:
     """Edges that stand for a point: reaction or load is spread over them instead of acting at corner `corner`.
 
-    facet (k,), near (k,): which end of the facet the point is at; centre (k, 2): where the point is held (nan for
+    facet (k,), near (k,): which end of the facet the point is at; centre (k, d): where the point is held (nan for
     loads).
     """
 
@@ -113,18 +114,19 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, tethers of points, and what spread loads may cost."""
+    """The hybrid problem: supported element, nodal forces, tethers of points, what spread loads may cost, and walls."""
 
     dual: DualMesh
     fem: SupportedFem
     force: Array
     tethers: Tethers
     point_load_cost: float
+    walls: Walls | None = None
 
 
 def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
-    """Nodal forces (n_nodes, 2) of an even traction (2,) in N/mm on edges: half of each edge's force at each end."""
-    force = np.zeros((dual.disc.n_nodes, 2))
+    """Nodal forces (n_nodes, d) of an even traction (d,) in N/mm on edges: half of each edge's force at each end."""
+    force = np.zeros((dual.disc.n_nodes, len(traction)))
     half = 0.5 * dual.edge_lengths()[facets][:, None] * traction
     np.add.at(force, 2 * facets, half)
     np.add.at(force, 2 * facets + 1, half)
@@ -137,29 +139,26 @@ def edges_at_corner(dual: DualMesh, corner: int) -> tuple[np.ndarray, np.ndarray
     return facet, near
 
 
-def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
-    """How far the law lets a line along each direction (n, 2) stretch: sqrt(1 + 2 h(e e^T)) (n,)."""
-    e = directions / np.linalg.norm(directions, axis=1)[:, None]
-    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(dyad(e)), 0.0))
-
-
 def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:
-    """Nodal forces (n_nodes, 2) and the most that spreading point loads over edges may change the potential, N mm."""
+    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm."""
     disc, mesh = dual.disc, dual.mesh
-    force = load_vector(disc, np.array([0.0, -weight_per_area(scene, law.cell)]))
+    force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.load.bar:
         facets = mesh.edges[bar.edge]
         length = dual.edge_lengths()[facets].sum()
-        force += traction_forces(dual, facets, np.array([0.0, -bar.mass * scene.load.gravity / length]))
+        weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
+        force += traction_forces(dual, facets, weight / length)
+    for wind in scene.load.wind:
+        force += load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
     for edge in scene.load.edge:
-        force += traction_forces(dual, mesh.edges[edge.edge], factor * np.array(edge.force))
+        force += traction_forces(dual, mesh.edges[edge.edge], factor * components(edge.force, scene))
     cost = 0.0
     for point in scene.load.point:
-        part, extra = _spread_point(dual, law, np.array(point.at), factor * np.array(point.force))
+        part, extra = _spread_point(dual, law, np.array(point.at), factor * components(point.force, scene))
         force += part
         cost += extra
     for patch in scene.load.patch:
-        force += _patch(dual, np.array(patch.at), patch.radius, factor * np.array(patch.force))
+        force += _patch(dual, np.array(patch.at), patch.radius, factor * components(patch.force, scene))
     return force, cost
 
 
@@ -177,6 +176,6 @@ def _spread_point(dual: DualMesh, law: MembraneLaw, at: Array, load: Array) -> t
 def _patch(dual: DualMesh, at: Array, radius: float, load: Array) -> Array:
     """A patch load as the primal P1 discretisation has it: even within each triangle, by the area in the disk."""
     shares = disk_areas(dual.mesh.mesh.p.T[dual.mesh.mesh.t.T], at, radius)
-    force = np.zeros((dual.disc.n_nodes, 2))
+    force = np.zeros((dual.disc.n_nodes, len(load)))
     force[2 * dual.facets.shape[1] :] = shares[:, None] / shares.sum() * load
     return force

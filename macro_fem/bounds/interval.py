@@ -27,17 +27,17 @@ from macro_fem.bounds.equilibrated import (
     dead_and_live,
     dual_mesh,
     edges_at_corner,
-    largest_stretch,
 )
 from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties
-from macro_fem.scene.tables import Corners, Edge, Hooks, Point, Support
+from macro_fem.fem.rotated import RotatedLaw, largest_stretch
+from macro_fem.fem.space import in_space_of
+from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties, with_sliding
 from macro_fem.solution import CurtainSolution, gathered_start, make_problem
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import PathResult, solve_path
 from macro_fem.solvers.cones import repeated, supported
 from macro_fem.solvers.options import PathOptions
+from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
 from rve.common.values import Options, number
 
@@ -140,12 +140,13 @@ def bound(
         cones=solution.cones,
         drawn=False,
     )
-    result = solve_path(fem, problem.law, fem.gather(dual.force), start, problem.mesh.size, path)
+    load = fem.gather(dual.force)
+    result = solve_path(fem, problem.law, load, start, problem.mesh.size, path, walls=dual.walls)
     held = fem.positions(np.zeros(fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
-    lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.disc.nodes).sum())
-    error = error_map(gradients, dual, result)
+    lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.fem.reference).sum())
+    error = error_map(gradients, dual, result) + contact_error(solution.x, dual, result)
     points = upper - lower - float(error.sum())
     loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
     return Bounds(
@@ -184,38 +185,62 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
     scene, mesh = problem.scene, problem.mesh
     dual = dual_mesh(mesh)
     force, cost = dead_and_live(scene, dual, problem.law, factor)
-    mask = np.zeros((dual.disc.n_nodes, 2), bool)
-    positions = dual.disc.nodes.copy()
+    d = problem.fem.d
+    mask = np.zeros((dual.disc.n_nodes, d), bool)
+    positions = in_space_of(dual.disc.nodes, d)
     near_point = slackened(solution, options.inward)
     tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
-    for item, held in zip(scene.support, problem.supports.held, strict=True):
-        if isinstance(item, Corners | Hooks | Point):
-            for node, component, centre in zip(held.nodes, held.mask, held.positions, strict=True):
-                facet, near = edges_at_corner(dual, int(node))
-                for end in range(2):
-                    mask[2 * facet + end] |= component
-                    positions[2 * facet + end] = near_point[dual.facets[end, facet]]
-                tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
-    for item, held in zip(scene.support, problem.supports.held, strict=True):
-        if not isinstance(item, Corners | Hooks | Point):
-            _hold_edge(dual, item, held, mask, positions)
+    at_points = [held for held in problem.supports.held if not len(held.facets)]
+    for held in at_points:
+        for node, component, centre in zip(held.nodes, held.mask, held.positions, strict=True):
+            facet, near = edges_at_corner(dual, int(node))
+            for end in range(2):
+                mask[2 * facet + end] |= component
+                positions[2 * facet + end] = near_point[dual.facets[end, facet]]
+            tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
+    whole: np.ndarray = np.asarray(mask.all(axis=1))
+    lines: list[tuple[np.ndarray, Array]] = []
+    for held in problem.supports.held:
+        if len(held.facets):
+            _hold_edge(dual, held, mask, positions)
+            nodes = np.concatenate([2 * held.facets, 2 * held.facets + 1])
+            if held.slide is None:
+                whole[nodes] = mask[nodes].all(axis=1)
+            else:
+                lines.append((nodes, held.slide))
     supports = Supports(problem.supports.held, mask, positions, np.zeros_like(mask), _bars(solution, dual, mask))
+    if lines:
+        supports = with_sliding(supports, lines, whole)
     supports = pin_sliding(supports, dual.disc, force, scene.source)
     parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
-    empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
-    return DualProblem(dual, supports.fem(dual.disc), force, Tethers(*parts) if parts else empty, cost)
+    empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))
+    fem, walls = supports.fem(dual.disc), _walls(problem.walls, dual)
+    return DualProblem(dual, fem, force, Tethers(*parts) if parts else empty, cost, walls)
 
 
-def _hold_edge(dual: DualMesh, item: Support, held: Held, mask: np.ndarray, positions: Array) -> None:
+def _hold_edge(dual: DualMesh, held: Held, mask: np.ndarray, positions: Array) -> None:
     """Holds both ends of every facet of an edge support where the primal support holds the corners; in place."""
-    facets = dual.mesh.edges[item.edge if isinstance(item, Edge) else "top"]
     number = np.full(dual.mesh.mesh.p.shape[1], -1)
     number[held.nodes] = np.arange(len(held.nodes))
     for end in range(2):
-        which = number[dual.facets[end, facets]]
-        node = 2 * facets + end
+        which = number[dual.facets[end, held.facets]]
+        node = 2 * held.facets + end
         positions[node] = np.where(held.mask[which], held.positions[which], positions[node])
         mask[node] |= held.mask[which]
+
+
+def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
+    """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
+
+    Their pushes are even in every triangle. The law of the continuous curtain has them at all points, so that any such
+    pushes give a lower bound.
+    """
+    if walls is None or not len(walls):
+        return None
+    planes = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0)
+    n_cells, first = dual.disc.n_cells, 2 * dual.facets.shape[1]
+    node = np.tile(first + np.arange(n_cells), len(planes))
+    return Walls(node, np.repeat(planes[:, :-1], n_cells, axis=0), np.repeat(planes[:, -1], n_cells))
 
 
 def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse.csc_matrix | None:
@@ -232,15 +257,15 @@ def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse
 
 
 def slackened(solution: CurtainSolution, inward: float) -> Array:
-    """Positions (n_nodes, 2) of the P1 curtain, drawn a little towards its slack start."""
+    """Positions (n_nodes, d) of the P1 curtain, drawn a little towards its slack start."""
     return solution.x + inward * (gathered_start(solution.problem) - solution.x)
 
 
 def _at_dual_nodes(x: Array, dual: DualMesh) -> Array:
-    """Nodal positions x of P1 at the unknowns of the dual (n_nodes, 2)."""
-    corners = x[dual.facets]  # (2, n_facets, 2)
+    """Nodal positions x of P1 at the unknowns of the dual (n_nodes, d)."""
+    corners = x[dual.facets]  # (2, n_facets, d)
     middle = x[dual.mesh.mesh.t].mean(axis=0)
-    return np.concatenate([corners.transpose(1, 0, 2).reshape(-1, 2), middle])
+    return np.concatenate([corners.transpose(1, 0, 2).reshape(-1, x.shape[1]), middle])
 
 
 def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
@@ -268,7 +293,7 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     facet, near = tethers.facet, tethers.near
     node = np.stack([2 * facet + near, 2 * facet + 1 - near])
     is_held = np.isfinite(tethers.centre)
-    R = np.where(is_held, balance[node], 0.0)  # (2, k, 2): nodal reactions at the near and the far end
+    R = np.where(is_held, balance[node], 0.0)  # (2, k, d): nodal reactions at the near and the far end
     moved = (R * np.where(is_held, held[node] - tethers.centre, 0.0)).sum()
     length = mesh.edge_lengths()[facet]
     r = (4.0 * R - 2.0 * R[::-1]) / length[:, None]
@@ -279,16 +304,25 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     return float(moved + moment.sum()), moment
 
 
+def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
+    """Pushes of walls on every triangle times the distance (n_cells,) of its middle in the P1 curtain x, N mm."""
+    error = np.zeros(dual.dual.disc.n_cells)
+    if dual.walls is not None:
+        gap = dual.walls.gap(_at_dual_nodes(x, dual.dual))
+        error += (result.wall_forces * gap).reshape(-1, len(error)).sum(axis=0)
+    return error
+
+
 def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
     """Integral of psi*(P) - P:F over every triangle (n_cells,), psi* from above by sum c |y1|.
 
-    F (3 n_cells, 2, 2) is that of the admissible curtain at the corners of triangles. P and F are linear, so that the
+    F (3 n_cells, d, 2) is that of the admissible curtain at the corners of triangles. P and F are linear, so that the
     integral of P:F is A/12 (sum P_i:F_i + sum P_i : sum F_i) over the corners i of a triangle of area A.
     """
     radius = np.sqrt(2.0 * result.cones.size)
     psi = result.cones.sum(radius * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
     n = dual.dual.disc.n_cells
     weight = dual.dual.disc.weight.reshape(3, n)
-    P, F = result.P.reshape(3, n, 4), F.reshape(3, n, 4)
+    P, F = result.P.reshape(3, n, -1), F.reshape(3, n, -1)
     work = 0.25 * ((P * F).sum(axis=(0, 2)) + (P.sum(axis=0) * F.sum(axis=0)).sum(axis=1))
     return np.asarray((weight * psi.reshape(3, n)).sum(axis=0) - weight[0] * work)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from homogenize import CellInfo, Cut, HalfSpaces, MembraneLaw, Response
+from rve.common.tensor import dyad
 from rve.common.types import Array
 
 
@@ -92,3 +93,9 @@ def rotated(law: MembraneLaw, angle_deg: float) -> MembraneLaw:
     if angle_deg % 180.0 == 0.0:
         return law
     return RotatedLaw(law, angle_deg)
+
+
+def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
+    """How far the law lets a line along each direction (n, 2) stretch: sqrt(1 + 2 h(e e^T)) (n,)."""
+    e = directions / np.linalg.norm(directions, axis=1)[:, None]
+    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(dyad(e)), 0.0))

@@ -1,39 +1,17 @@
-"""A plane curtain with the third coordinate added as an unknown.
-
-The rigid curtain is a convex problem that is symmetric about its plane, so the plane answer is the answer in space.
-"""
+"""Vectors of the plane in space: x to the right, y up, z towards the viewer."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from scipy import sparse
 
-from macro_fem.fem.supported import SupportedFem
 from rve.common.types import Array
 
 
-def in_space(fem: SupportedFem) -> SupportedFem:
-    """The same curtain with nodes free to leave the plane, except where a support holds them."""
-    out = np.asarray(~fem.held.any(axis=1))
-    free = np.column_stack([fem.free.reshape(-1, 2), out]).ravel()
-    tie = None
-    if fem.tie is not None:
-        n, rows = len(out), fem.tie.shape[0]
-        node, axis = np.divmod(np.arange(rows), 2)
-        plane = sparse.csr_matrix((np.ones(rows), (3 * node + axis, np.arange(rows))), shape=(3 * n, rows)) @ fem.tie
-        up = np.flatnonzero(out)
-        lift = sparse.csr_matrix((np.ones(len(up)), (3 * up + 2, np.arange(len(up)))), shape=(3 * n, len(up)))
-        tie = sparse.hstack([plane, lift]).tocsc()
-    return replace(fem, x_held=padded(fem.x_held), free=free, tie=tie)
+def in_space_of(plane: Array, d: int) -> Array:
+    """Vectors (n, 2) as (n, d), where further components are 0; a copy."""
+    return np.column_stack([plane, np.zeros((len(plane), d - plane.shape[1]))])
 
 
-def padded(plane: Array) -> Array:
-    """Vectors (n, 2) with a third component 0."""
-    return np.column_stack([plane, np.zeros(len(plane))])
-
-
-def out_of_plane(fem: SupportedFem, z: Array) -> float:
-    """Largest distance of a node from the plane, mm; 0 for a plane problem."""
-    return float(np.abs(fem.positions(z)[:, 2:]).max(initial=0.0))
+def padded(vectors: Array) -> Array:
+    """Vectors (n, 2) or (n, 3) with a third component, 0 where there was none."""
+    return in_space_of(vectors, 3)

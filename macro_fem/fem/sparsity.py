@@ -122,6 +122,18 @@ def tied_pattern(pattern: Pattern, tie: sparse.csc_matrix) -> tuple[Pattern, spa
     return Pattern(n, pattern.d, np.arange(n), indptr, i.astype(np.int32), no_slot), spread
 
 
+def at_nodes(pattern: Pattern, disc: Discretization, blocks: Array) -> Array:
+    """Data (nnz,) of the lower triangle from symmetric blocks (n_nodes, d, d) on the diagonal."""
+    n = disc.cell_dofs.shape[1]
+    own = np.flatnonzero(np.equal(*np.triu_indices(n)))  # pairs of a node with itself among the pairs a <= b
+    data, begin = np.zeros(pattern.nnz + 1), 0
+    for i, k in component_pairs(pattern.d):
+        entries = own if i == k else np.arange(n) * (n + 1)
+        data[pattern.slot[begin + entries]] = blocks[disc.cell_dofs.T, i, k]
+        begin += n * (n + 1) // 2 if i == k else n * n
+    return data[:-1]
+
+
 def component_pairs(d: int) -> list[tuple[int, int]]:
     """The blocks (i, k), i >= k, in the order of the packed entries."""
     return [(i, k) for i in range(d) for k in range(i + 1)]

@@ -14,13 +14,20 @@ from macro_fem.solvers.cones import Cones, facets_of
 def decisions(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[Decision]:
     """What the run behind a solution used and left out; `bounds`, `picture`: whether it was bounded, is drawn."""
     return [
-        Decision("third-coordinate", False, "all loads and supports lie in the plane, and so does the least potential"),
+        _third_coordinate(solution),
         *([] if solution.cones is None else [_half_spaces(solution, solution.cones)]),
         _ties(solution),
+        *_obstacles(solution),
         *solution.decided,
         _slack_cells(solution),
         *_outputs(solution, bounds, picture),
     ]
+
+
+def _third_coordinate(solution: CurtainSolution) -> Decision:
+    why = solution.problem.scene.space_reason
+    in_plane = "all loads and supports lie in the plane, and so does the least potential"
+    return Decision("third-coordinate", bool(why), why or in_plane)
 
 
 def _half_spaces(solution: CurtainSolution, cones: Cones) -> Decision:
@@ -31,9 +38,22 @@ def _half_spaces(solution: CurtainSolution, cones: Cones) -> Decision:
 
 
 def _ties(solution: CurtainSolution) -> Decision:
-    if solution.problem.fem.tie is not None:
-        return Decision("ties", True, "a bar keeps an edge straight")
-    return Decision("ties", False, "no straight bar")
+    bars = any(bar.straight for bar in solution.problem.scene.load.bar)
+    lines = any(held.slide is not None for held in solution.problem.supports.held)
+    why = ["a bar keeps an edge straight"] * bars + ["an edge slides on a sloping line"] * lines
+    return Decision("ties", bool(why), " and ".join(why) or "no straight bar and no sloping line")
+
+
+def _obstacles(solution: CurtainSolution) -> list[Decision]:
+    """Nothing for a scene without obstacles and following pressure."""
+    problem, settling = solution.problem, solution.settling
+    found = []
+    if problem.walls is not None:
+        found.append(Decision("half-spaces-on-nodes", True, f"{len(problem.walls)} linear cones keep obstacles clear"))
+    if settling is not None:
+        why = f"bodies or following pressure; forces of {settling.misfit:.1e} of the load still turn"
+        found.append(Decision("rounds", True, f"{settling.rounds} convex solves: {why}"))
+    return found
 
 
 def _slack_cells(solution: CurtainSolution) -> Decision:

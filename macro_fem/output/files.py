@@ -15,11 +15,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
 from macro_fem.scene.tables import Hooks
+from macro_fem.scene.wind import wind_summary
 from macro_fem.solution import CurtainSolution, Problem
 from rve.common.cells import mean_at_corners
 from rve.common.files import write_text, write_whole
@@ -42,16 +45,21 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
 def support_table(supports: list[dict[str, Any]]) -> str:
     """The forces of supports point by point as CSV: number and name of the support, reference position, force.
 
+    In space the third component of the force follows, and where the point is held.
+
     >>> print(support_table([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}]), end="")
     support_number,support,x_mm,y_mm,force_x_N,force_y_N
     1,top,0.0,9.0,0.5,2.0
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N"))
+    in_space = any("place_mm" in point for support in supports for point in support["points"])
+    more = ("force_z_N", "place_x_mm", "place_y_mm", "place_z_mm") if in_space else ()
+    table.writerow(("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N", *more))
     for number, support in enumerate(supports, start=1):
         for point in support["points"]:
-            table.writerow((number, support["support"], *point["at_mm"], *point["force_N"]))
+            row = (*point["at_mm"], *point["force_N"], *point.get("place_mm", ()))
+            table.writerow((number, support["support"], *row))
     return text.getvalue()
 
 
@@ -80,6 +88,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "message": solution.message,
         "mean_height_mm": solution.mean_height(),
         "lowest_point_mm": float(solution.x[:, 1].min()),
+        **_places_in_space(solution),
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
         **line_load.summary(solution),
         **strength.summary(solution),
@@ -100,12 +109,26 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
+        **wind_summary(problem.scene, problem.law.cell),
         **masses(solution),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
         "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
         "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
         "wall_s": solution.wall_s,
         "versions": versions(),
+    }
+
+
+def _places_in_space(solution: CurtainSolution) -> dict[str, Any]:
+    """Places that tell the shape of a curtain in space, mm; nothing for a plane one."""
+    problem, x = solution.problem, solution.x
+    if problem.fem.d == 2:
+        return {}
+    shares = load_vector(discretize(problem.mesh.mesh, problem.disc.element), np.array([1.0]))[:, 0]
+    return {
+        "lowest_point_at_mm": x[x[:, 1].argmin()].tolist(),
+        "out_of_plane_mm": float(np.abs(x[:, 2]).max()),
+        "centre_of_gravity_mm": (shares @ x / shares.sum()).tolist(),
     }
 
 
@@ -127,7 +150,8 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads.
-    `at_mm` is the reference position. `capacity_N` is that of each hook of a support by hooks, None if none is stated.
+    `at_mm` is the reference position, `place_mm`, in space, where the point is. `capacity_N` is that of each hook of a
+    support by hooks, None if none is stated.
     `nodes_held` and `length_held_mm` also count what an earlier support holds.
     """
     problem, reactions = solution.problem, solution.reactions
@@ -140,7 +164,6 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
         taken |= own
         part = np.where(own, reactions, 0.0)
         nodes = held.nodes[own[held.nodes].any(axis=1)]
-        at = problem.disc.nodes[nodes]
         forces.append(
             {
                 "support": held.name,
@@ -149,13 +172,18 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
                 **({"capacity_N": item.capacity} if isinstance(item, Hooks) else {}),
                 "nodes_held": len(held.nodes),
                 "length_held_mm": held_length(problem, [held.facets]),
-                "points": [
-                    {"at_mm": place, "force_N": force}
-                    for place, force in zip(at.tolist(), part[nodes].tolist(), strict=True)
-                ],
+                "points": _points(problem.disc.nodes[nodes], part[nodes], solution.x[nodes]),
             }
         )
     return forces
+
+
+def _points(at: Array, force: Array, place: Array) -> list[dict[str, list[float]]]:
+    """Reference position `at` (k, 2) and force (k, d) of each held point, and in space where it is."""
+    columns = {"at_mm": at, "force_N": force} | ({"place_mm": place} if place.shape[1] == 3 else {})
+    return [
+        dict(zip(columns, row, strict=True)) for row in zip(*(part.tolist() for part in columns.values()), strict=True)
+    ]
 
 
 def held_length(problem: Problem, facets: list[np.ndarray]) -> float:
@@ -205,8 +233,10 @@ def bounds_summary(level: Level) -> dict[str, Any]:
 def is_mean_height(problem: Problem) -> bool:
     """Whether the potential tells the mean height: the curtain's own weight is the only load."""
     load = problem.scene.load
-    others = load.edge or load.point or load.patch or load.bar
-    return load.gravity > 0.0 and not others and bool(np.abs(problem.force).sum() > 0.0)
+    others = load.edge or load.point or load.patch or load.bar or load.wind
+    x, y, z = load.acceleration
+    is_down = x == z == 0.0 and y < 0.0
+    return is_down and not others and bool(np.abs(problem.force).sum() > 0.0)
 
 
 def interval_summary(level: Level) -> dict[str, Any]:
@@ -246,7 +276,7 @@ def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:
 
 
 def corner_positions(solution: CurtainSolution) -> Array:
-    """Deformed corners of the mesh (n_corners, 2): nodal values, or for CR the mean over the cells at a corner."""
+    """Deformed corners of the mesh (n_corners, d): nodal values, or for CR the mean over the cells at a corner."""
     mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
     if disc.element != "CR":
         return solution.x[: mesh.p.shape[1]]
@@ -285,8 +315,13 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         padded(mesh.p.T),
         [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
         point_data={
-            DISPLACEMENT: padded(corner_positions(solution) - mesh.p.T),
+            DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
             "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
+            **(
+                {}
+                if solution.problem.walls is None
+                else {"obstacle_force_N": padded(corner_forces(solution.problem, solution.pushes))}
+            ),
         },
         cell_data=cell_data,
     )
@@ -294,13 +329,13 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
 
 
 def corner_forces(problem: Problem, forces: Array) -> Array:
-    """Nodal forces (n_nodes, 2) at the corners of the mesh (n_corners, 2), with the same sum and moment.
+    """Nodal forces (n_nodes, d) at the corners of the mesh (n_corners, d), with the same sum and moment.
 
     A force at the middle of a side or cell is shared equally between its corners.
     """
     mesh = problem.mesh.mesh
     tree = cKDTree(problem.disc.nodes)
-    result = np.zeros((mesh.p.shape[1], 2))
+    result = np.zeros((mesh.p.shape[1], forces.shape[1]))
     left = forces.copy()
     for groups in (np.arange(mesh.p.shape[1])[None], mesh.facets, mesh.t):  # each of shape (corners, number)
         distance, node = tree.query(mesh.p[:, groups].mean(axis=1).T)

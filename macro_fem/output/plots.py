@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
 from rve.common.errors import InputError
 from rve.common.files import write_whole
+from rve.common.render import pixels, write_gif
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | 
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
-    corners = corner_positions(solution)
+    corners = corner_positions(solution)[:, :2]
     colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=np.asarray(values)[cell], **style)
     assert ax.figure is not None
     bar = ax.figure.colorbar(colours, ax=ax, shrink=0.75, pad=0.02)
@@ -37,12 +39,16 @@ def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | 
     return ax
 
 
-def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
-    """The deformed curtain coloured by its largest principal line load, with principal directions and supports."""
+def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, top: float | None = None) -> Axes:
+    """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
+
+    top: where the scale of colours ends, N/mm; by default 99.5 % of the cells are below it.
+    """
     from matplotlib.colors import PowerNorm
 
     values, direction = solution.principal()
-    top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
+    if top is None:
+        top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
     ax = plot_field(
         solution,
         values[:, 0],
@@ -75,7 +81,7 @@ def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
 
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
-    corners = corner_positions(solution)
+    corners = corner_positions(solution)[:, :2]
     ax.tripcolor(
         corners[:, 0],
         corners[:, 1],
@@ -110,7 +116,7 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    extent = np.ptp(np.vstack([solution.x, solution.problem.disc.nodes]), axis=0)
+    extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
     panels = 2 if error is None else 3
     height = float(np.clip(5.0 * extent[1] / extent[0], 3.0, 9.0)) + 1.2
     figure = Figure(figsize=(6.2 * panels, height), layout="constrained")
@@ -121,6 +127,26 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
     if error is not None:
         plot_error(solution, error, axes[2])
     write_whole(path, lambda temporary: figure.savefig(temporary, dpi=130))
+
+
+def save_animation(path: Path, steps: Sequence[CurtainSolution]) -> None:
+    """curtain.gif of a plane curtain: line loads at each load step, with one scale of colours and one frame."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    top = float(np.quantile(np.concatenate([step.principal()[0][:, 0] for step in steps]), 0.995))
+    points = np.concatenate([*(step.x for step in steps), steps[0].problem.disc.nodes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.04 * float((high - low).max())
+    frames = []
+    for step in steps:
+        figure = Figure(figsize=(7.0, 6.2), dpi=110, layout="constrained")
+        FigureCanvasAgg(figure)
+        ax = plot_line_loads(step, figure.subplots(), top=top)
+        ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+        ax.set_title(f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{_title(step)}", fontsize=10)
+        frames.append(pixels(figure))
+    write_gif(path, frames)
 
 
 def _axes(ax: Axes | None) -> Axes:
@@ -170,9 +196,9 @@ def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: 
     if not len(cells):
         return
     F = solution.problem.disc.cell_mean(solution.F)[cells]
-    along = np.einsum("cij,cj->ci", F, direction[cells])
+    along = np.einsum("cij,cj->ci", F, direction[cells])[:, :2]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-    centre = corner_positions(solution)[mesh.t.T[cells]].mean(axis=1)
+    centre = corner_positions(solution)[:, :2][mesh.t.T[cells]].mean(axis=1)
     length = 0.02 * solution.problem.mesh.size * np.sqrt(np.minimum(values[cells, 0] / top, 1.0))
     half = 0.5 * along * length[:, None]
     ax.add_collection(
@@ -201,7 +227,7 @@ def _supports(solution: CurtainSolution, ax: Axes) -> None:
     from matplotlib.collections import LineCollection
 
     mask = solution.problem.supports.mask
-    mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)
+    mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)[:, :2]
     facets = np.unique(np.concatenate([held.facets for held in solution.problem.supports.held]))
     ax.add_collection(LineCollection(list(corners[mesh.facets[:, facets].T]), colors="#1f4e79", linewidths=2.0))
     x = solution.x

@@ -11,7 +11,8 @@ from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import point_node
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
+from macro_fem.scene.wind import wind_pressure
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -36,16 +37,26 @@ def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
     return cell.areal_mass_kg_per_m2, "law"
 
 
-def weight_per_area(scene: Scene, cell: CellInfo | None) -> float:
-    """Weight of the curtain in N/mm2; InputError if its areal mass is not known."""
-    return areal_mass(scene, cell)[0] * scene.load.gravity * PER_MM2
+def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
+    """Weight of the curtain (d,) in N/mm2; InputError if its areal mass is not known."""
+    return areal_mass(scene, cell)[0] * np.array(scene.load.acceleration[: scene.d]) * PER_MM2
+
+
+def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
+    """The force of a wind per reference area (d,), N/mm2; InputError where the law does not tell the drag."""
+    direction = np.array(in_3d(wind.direction))
+    pressure = wind_pressure(wind, cell, f"{scene.source}: [load.wind]")
+    return np.asarray(pressure / np.linalg.norm(direction) * direction[: scene.d])
 
 
 def nodal_forces(
     scene: Scene, mesh: CurtainMesh, disc: Discretization, cell: CellInfo | None, factor: float = 1.0
 ) -> Array:
-    """All loads (n_nodes, 2) in N; live loads (edges, points, patches) are scaled by `factor`, weights are not."""
-    dead = load_vector(disc, np.array([0.0, -weight_per_area(scene, cell)]))
+    """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not.
+
+    Pressure that follows the surface is none of them: see `macro_fem.shape_loop`.
+    """
+    dead = load_vector(disc, weight_per_area(scene, cell))
     for bar in scene.load.bar:
         dead += bar_weight(bar, scene, mesh, disc)
     live = np.zeros_like(dead)
@@ -55,19 +66,26 @@ def nodal_forces(
         live += point_load(point, scene, disc)
     for patch in scene.load.patch:
         live += patch_load(patch, scene, mesh, disc)
+    for wind in scene.load.wind:
+        live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
+
+
+def components(v: Vector, scene: Scene) -> Array:
+    """A vector of a scene as an array (d,)."""
+    return np.array(in_3d(v)[: scene.d])
 
 
 def edge_load(load: EdgeLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
     """A force per reference length along a named edge."""
     where = f"{scene.source}: [load.edge] edge"
-    return edge_shares(mesh, disc, load.edge, where)[:, None] * np.array(load.force)
+    return edge_shares(mesh, disc, load.edge, where)[:, None] * components(load.force, scene)
 
 
 def bar_weight(bar: Bar, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
     """The weight of a bar, spread evenly over its edge."""
     shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-    return shares[:, None] / shares.sum() * np.array([0.0, -bar.mass * scene.load.gravity])
+    return shares[:, None] / shares.sum() * bar.mass * np.array(scene.load.acceleration[: scene.d])
 
 
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
@@ -79,8 +97,8 @@ def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) 
 
 def point_load(load: PointLoad, scene: Scene, disc: Discretization) -> Array:
     """A force on the node at a point; InputError if there is none."""
-    force = np.zeros((disc.n_nodes, 2))
-    force[point_node(load.at, disc, f"{scene.source}: [load.point]")] = load.force
+    force = np.zeros((disc.n_nodes, scene.d))
+    force[point_node(load.at, disc, f"{scene.source}: [load.point]")] = components(load.force, scene)
     return force
 
 
@@ -92,7 +110,7 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
             f"{scene.source}: [load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain"
         )
     even = np.tile(shares / disc.cell_area, disc.n_quad)
-    return load_vector(disc, even[:, None] * np.array(load.force) / shares.sum())
+    return load_vector(disc, even[:, None] * components(load.force, scene) / shares.sum())
 
 
 def disk_areas(corners: Array, centre: Array, radius: float) -> Array:

@@ -23,7 +23,7 @@ from macro_fem.scene.mesh_files import read_mesh_file
 from macro_fem.scene.outline import mesh_outline, regular_polygon
 from macro_fem.scene.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import MOST_MM, Curtain, Hooks, Point, PointLoad
+from macro_fem.scene.tables import MOST_MM, Curtain, Hooks, Point, PointLoad, Track
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
@@ -88,7 +88,7 @@ def _hooks(scene: Scene, mesh: CurtainMesh) -> dict[int, Array]:
     return {
         number: hook_places(mesh.mesh.p.T, pairs, item.pitch, f"{scene.source}: [support]")
         for number, item in enumerate(scene.support)
-        if isinstance(item, Hooks)
+        if isinstance(item, Hooks | Track) and item.pitch is not None
     }
 
 
@@ -168,7 +168,8 @@ def columns(scene: Scene) -> int:
     if curtain.shape != "rectangle":
         return cells
     assert curtain.width is not None
-    between = [round(min(curtain.width / item.pitch, 1e9)) for item in scene.support if isinstance(item, Hooks)]
+    pitches = [item.pitch for item in scene.support if isinstance(item, Hooks | Track) and item.pitch is not None]
+    between = [round(min(curtain.width / pitch, 1e9)) for pitch in pitches]
     step = math.lcm(*(number for number in between if 1 <= number <= cells))
     return step * max(1, round(cells / step)) if step <= cells else cells
 

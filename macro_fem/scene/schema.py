@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from macro_fem.scene.obstacles import Obstacle, Start, is_flat, is_in_plane, read_obstacles, read_start
 from macro_fem.scene.old_names import with_new_names
 from macro_fem.scene.tables import (
     LIVE_LOADS,
     MAX_CORNERS,
     MAX_ENTRIES,
+    NO_MOVE,
     SUPPORTS,
     Curtain,
+    Edge,
     Load,
     Mesh,
     Solver,
     Support,
+    Track,
+    Wind,
+    in_3d,
+    leaves_plane,
 )
+from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
 from rve.common.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
@@ -33,6 +42,23 @@ class Scene:
     load: Load
     solver: Solver
     source: Path
+    obstacle: tuple[Obstacle, ...] = ()
+    start: Start | None = None
+
+    @property
+    def in_space(self) -> bool:
+        """Whether the curtain needs a third coordinate."""
+        return bool(self.space_reason)
+
+    @property
+    def space_reason(self) -> str:
+        """Why the curtain needs a third coordinate; "" in the plane."""
+        return next(_out_of_plane(self), "")
+
+    @property
+    def d(self) -> int:
+        """Coordinates of a place: 2 in the plane, 3 in space."""
+        return 3 if self.in_space else 2
 
     @classmethod
     def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
@@ -65,7 +91,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
     data = with_new_names(data, source)
-    tables = ("curtain", "mesh", "support", "load", "solver")
+    tables = ("curtain", "mesh", "support", "load", "solver", "obstacle", "start")
     for key in data:
         if key not in tables:
             raise InputError(f"{source}: {shown_key(key)}: unknown table; known are {', '.join(tables)}")
@@ -78,11 +104,43 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         load=_read_load(data.get("load", {}), source),
         solver=read_record(Solver, data.get("solver", {}), f"{source}: [solver]"),
         source=Path(source),
+        obstacle=read_obstacles(data.get("obstacle", []), source),
+        start=read_start(data.get("start"), source),
     )
     _check_shape(scene.curtain, source)
     _check_effect(scene, data, source)
     check_solver(scene, source)
     return scene
+
+
+def _out_of_plane(scene: Scene) -> Iterator[str]:
+    """What takes a scene into space, the first thing first."""
+    for item in scene.support:
+        move = getattr(item, "move", ())
+        if move and leaves_plane(move):
+            yield f"[support] move = {list(move)} leaves the plane"
+        if isinstance(item, Track):
+            yield "[support] kind = 'track' leaves the plane"
+        if isinstance(item, Edge) and item.along and any(map(leaves_plane, item.along)):
+            yield f"[support] along = {[list(point) for point in item.along]} leaves the plane"
+    if isinstance(scene.load.gravity, tuple) and leaves_plane(scene.load.gravity):
+        yield f"[load] gravity = {list(scene.load.gravity)} leaves the plane"
+    for name in ("edge", "point", "patch"):
+        for load in getattr(scene.load, name):
+            if leaves_plane(load.force):
+                yield f"[load.{name}] force = {list(load.force)} leaves the plane"
+    for wind in scene.load.wind:
+        if leaves_plane(wind.direction):
+            yield f"[load.wind] direction = {list(wind.direction)} leaves the plane"
+    for obstacle in scene.obstacle:
+        if not is_in_plane(obstacle):
+            yield f"[obstacle] {obstacle.name} is not a half-space of the plane"
+    if scene.start is not None:
+        yield "[start] lays the sheet in space"
+    if any(wind.follows for wind in scene.load.wind):
+        yield "[load.wind] follows = true: pressure is normal to the surface"
+    if scene.solver.space:
+        yield "[solver] space = true asks for it"
 
 
 def _read_supports(tables: Any, source: str | Path) -> tuple[Support, ...]:
@@ -161,16 +219,51 @@ def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> Non
         raise InputError(f"{source}: [mesh] pattern = {scene.mesh.pattern!r}: has no effect with {what}")
     for item in scene.support:
         held = getattr(item, "held", "both")
-        move = getattr(item, "move", (0.0, 0.0))
-        for axis, way in zip("xy", move, strict=True):
-            if way != 0.0 and held not in ("both", axis):
+        move = getattr(item, "move", NO_MOVE)
+        for axis, way in zip("xyz", in_3d(move), strict=True):
+            if way != 0.0 and held != "both" and axis not in held:
                 raise InputError(
                     f"{source}: [support] move = {list(move)}: has no effect along {axis}, as held = {held!r}"
                 )
+        if isinstance(item, Track):
+            check_track(item, source)
+        if isinstance(item, Edge):
+            _check_line(item, source)
+        if held == "z" and not scene.in_space:
+            raise InputError(f"{source}: [support] held = 'z': holds nothing, as the scene lies in the plane")
+    for wind in scene.load.wind:
+        _check_wind(wind, source)
     load = scene.load
-    moves = any(any(getattr(item, "move", ())) for item in scene.support)
-    if load.steps > 1 and not (moves or load.edge or load.point or load.patch):
+    uses_start = any(not is_flat(item) for item in scene.obstacle) or any(wind.follows for wind in load.wind)
+    if scene.start is not None and not uses_start:
+        raise InputError(f"{source}: [start]: has no effect without bodies and following pressure")
+    moves = any(any(getattr(item, "move", ())) for item in (*scene.support, *scene.obstacle))
+    if load.steps > 1 and not (moves or load.edge or load.point or load.patch or load.wind):
         raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
+
+
+def _check_wind(wind: Wind, source: str | Path) -> None:
+    """InputError unless exactly one of pressure and speed is given, and only keys that have an effect."""
+    where = f"{source}: [load.wind]"
+    if wind.pressure is None and wind.speed is None:
+        raise InputError(f"{where} pressure: is missing; give it in N/m2, or speed in m/s")
+    if wind.pressure is not None:
+        for key in ("speed", "air_density", "drag_coefficient"):
+            if getattr(wind, key) is not None:
+                raise InputError(f"{where} {key} = {getattr(wind, key):g}: is not used together with pressure")
+
+
+def _check_line(item: Edge, source: str | Path) -> None:
+    """InputError for keys of an edge that have no effect with a line, or without one."""
+    where = f"{source}: [support] (edge)"
+    if item.along is None:
+        if item.sliding:
+            raise InputError(f"{where} sliding = true: has no effect without along, the line to slide on")
+        return
+    if item.gather != 1.0:
+        raise InputError(f"{where} gather = {item.gather:g}: has no effect with along, which says where the edge lies")
+    if item.held != "both":
+        raise InputError(f"{where} held = {item.held!r}: has no effect with along, which holds all but what slides")
 
 
 def check_solver(scene: Scene, source: str | Path) -> None:
@@ -180,5 +273,12 @@ def check_solver(scene: Scene, source: str | Path) -> None:
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
     if solver.kind == "elastic" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
+    if (solver.bounds or solver.adapt) and any(wind.follows for wind in scene.load.wind):
+        raise InputError(f"{source}: [solver] bounds and adapt: do not go with following pressure, no dead load")
+    bodies = [item.name for item in scene.obstacle if not is_flat(item)]
+    if (solver.bounds or solver.adapt) and bodies:
+        raise InputError(
+            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}: outside a body the problem is not convex"
+        )
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

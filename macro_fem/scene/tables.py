@@ -1,7 +1,8 @@
 """The tables of a scene file as records: every key with its default and the range of its values.
 
-Lengths are mm, forces N, line loads N/mm, masses kg and kg/m2, angles degrees. x points right, y up; a rectangle spans
-from (0, 0) to (width, height), a disk is centred at (0, 0).
+Lengths are mm, forces N, line loads N/mm, pressures N/m2, masses kg and kg/m2, angles degrees. x points right, y up, z
+towards the viewer; a rectangle spans from (0, 0) to (width, height), a disk is centred at (0, 0). Vectors have two or
+three components and are kept as given; a third one that is not 0 takes the curtain into space.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ MAX_ENTRIES = 1_000
 LEAST_MM, MOST_MM = 1e-6, 1e9
 """Range of lengths and coordinates, in which squares and ratios stay finite."""
 MOST_FORCE = 1e12
+MOST_GRAVITY = 1e6
+"""m/s2."""
+HELD = ("both", "x", "y", "z", "xy", "xz", "yz")
+"""What a support may hold: all components, or those named."""
 
 
 def length(default: Any = MISSING) -> Any:
@@ -31,12 +36,12 @@ def length(default: Any = MISSING) -> Any:
     return number(default, least=LEAST_MM, most=MOST_MM)
 
 
-def _pair(size: float) -> Any:
+def _pair(size: float, names: str = "[x, y]") -> Any:
     component = finite(least=-size, most=size)
 
     def check(value: Any) -> tuple[float, float]:
         if not isinstance(value, list | tuple) or len(value) != 2:
-            raise ValueError("is not a pair of numbers [x, y]")
+            raise ValueError(f"is not a pair of numbers {names}")
         return component(value[0]), component(value[1])
 
     return check
@@ -45,9 +50,67 @@ def _pair(size: float) -> Any:
 _corners = list_of(_pair(MOST_MM), "points [x, y]", least=3, most=MAX_CORNERS)
 
 
+Vector = tuple[float, ...]
+"""Two or three components."""
+NO_MOVE: Vector = (0.0, 0.0)
+
+
+def place() -> Any:
+    """A field for a material point [x, y], mm."""
+    return entry(_pair(MOST_MM))
+
+
+def _components(size: float) -> Any:
+    component = finite(least=-size, most=size)
+
+    def check(value: Any) -> Vector:
+        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+            raise ValueError("is not a list of numbers [x, y] or [x, y, z]")
+        return tuple(component(item) for item in value)
+
+    return check
+
+
 def vector(default: Any = MISSING, *, most: float = MOST_MM) -> Any:
-    """A field for a pair [x, y] with components up to `most` in size: mm, or N."""
-    return entry(_pair(most), default)
+    """A field for a vector [x, y] or [x, y, z] with components up to `most` in size: mm, or N."""
+    return entry(_components(most), default)
+
+
+def in_3d(v: Vector) -> tuple[float, float, float]:
+    """A vector of two or three components with the third one, 0 where it is not given.
+
+    >>> in_3d((1.0, 2.0))
+    (1.0, 2.0, 0.0)
+    """
+    x, y, *z = v
+    return x, y, z[0] if z else 0.0
+
+
+def leaves_plane(v: Vector) -> bool:
+    """Whether a vector has a third component that is not 0."""
+    return in_3d(v)[2] != 0.0
+
+
+def _line(value: Any) -> tuple[Vector, Vector]:
+    points = list_of(_components(MOST_MM), "points [x, y, z]", least=2, most=2)(value)
+    first, last = (in_3d(point) for point in points)
+    if max(abs(a - b) for a, b in zip(first, last, strict=True)) < LEAST_MM:
+        raise ValueError(f"is no line: its points are less than {LEAST_MM:g} mm apart")
+    return first, last
+
+
+def _direction(value: Any) -> Vector:
+    v = _components(MOST_MM)(value)
+    if not any(v):
+        raise ValueError("has no direction: one component must not be 0")
+    return v
+
+
+def _gravity(value: Any) -> float | Vector:
+    if isinstance(value, list | tuple):
+        return _components(MOST_GRAVITY)(value)
+    size: float = finite(least=-MOST_GRAVITY, most=MOST_GRAVITY)(value)
+    return size
 
 
 def _weave_angle(value: Any) -> float:
@@ -93,7 +156,7 @@ class Corners:
     """Both ends of the top edge held; `gather` narrows their distance."""
 
     gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, float] = vector((0.0, 0.0))
+    move: tuple[float, ...] = vector(NO_MOVE)
 
 
 @dataclass(frozen=True)
@@ -101,12 +164,12 @@ class Top:
     """The whole top edge held; `gather` narrows it."""
 
     gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, float] = vector((0.0, 0.0))
+    move: tuple[float, ...] = vector(NO_MOVE)
 
 
 @dataclass(frozen=True)
 class Rail:
-    """The top edge held in height, free to slide sideways."""
+    """The top edge held in height, and in space in z too, free to slide sideways."""
 
 
 @dataclass(frozen=True)
@@ -124,24 +187,52 @@ class Hooks:
 
 @dataclass(frozen=True)
 class Edge:
-    """A named edge held, by default in both directions, and moved by `move` mm."""
+    """A named edge held, by default in all directions, and moved by `move` mm.
+
+    `along`: two points [x, y, z] of a straight line on which the edge lies, from its left or lower end to the other,
+    such as a cable; with `sliding` the edge slides on that line, which has no end.
+    """
 
     edge: str = entry(_edge)
-    held: str = choice("both", "x", "y", default="both")
+    held: str = choice(*HELD, default="both")
     gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, float] = vector((0.0, 0.0))
+    move: tuple[float, ...] = vector(NO_MOVE)
+    along: tuple[Vector, Vector] | None = entry(_line, None)
+    sliding: bool = flag(False)
 
 
 @dataclass(frozen=True)
 class Point:
     """The material point `at` held and moved by `move` mm."""
 
-    at: tuple[float, float] = vector()
-    held: str = choice("both", "x", "y", default="both")
-    move: tuple[float, float] = vector((0.0, 0.0))
+    at: tuple[float, float] = place()
+    held: str = choice(*HELD, default="both")
+    move: tuple[float, ...] = vector(NO_MOVE)
 
 
-Support = Corners | Top | Rail | Hooks | Edge | Point
+@dataclass(frozen=True)
+class Track:
+    """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
+
+    The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
+    viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
+    distance of the runners along the mesh; without it the whole edge is held. `drawn`: the part of the track that the
+    curtain covers, from its `side`.
+    """
+
+    path: tuple[tuple[float, float], ...] | None = entry(
+        list_of(_pair(MOST_MM, "[x, z]"), "points [x, z]", least=2, most=MAX_CORNERS), None
+    )
+    radius: float | None = length(None)
+    angle: float | None = number(None, least=-360.0, most=360.0)
+    height: float | None = number(None, least=-MOST_MM, most=MOST_MM)
+    fullness: float | None = number(None, above=0.0, most=1e6)
+    pitch: float | None = length(None)
+    drawn: float = number(1.0, above=0.0, most=1.0)
+    side: str = choice("start", "end", default="start")
+
+
+Support = Corners | Top | Rail | Hooks | Edge | Point | Track
 SUPPORTS: dict[str, type[Support]] = {
     "corners": Corners,
     "top": Top,
@@ -149,6 +240,7 @@ SUPPORTS: dict[str, type[Support]] = {
     "hooks": Hooks,
     "edge": Edge,
     "point": Point,
+    "track": Track,
 }
 
 
@@ -157,24 +249,24 @@ class EdgeLoad:
     """Force per reference length of a named edge, N/mm."""
 
     edge: str = entry(_edge)
-    force: tuple[float, float] = vector(most=MOST_FORCE)
+    force: tuple[float, ...] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
 class PointLoad:
     """Force in N on the material point `at`."""
 
-    at: tuple[float, float] = vector()
-    force: tuple[float, float] = vector(most=MOST_FORCE)
+    at: tuple[float, float] = place()
+    force: tuple[float, ...] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
 class PatchLoad:
     """Force in N, distributed evenly over the reference disk of `radius` around `at`."""
 
-    at: tuple[float, float] = vector()
+    at: tuple[float, float] = place()
     radius: float = length()
-    force: tuple[float, float] = vector(most=MOST_FORCE)
+    force: tuple[float, ...] = vector(most=MOST_FORCE)
 
 
 @dataclass(frozen=True)
@@ -187,18 +279,50 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Load:
-    """Weight by `gravity` (m/s2) and the live loads; `steps` applies live loads and moves in equal steps."""
+class Wind:
+    """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
-    gravity: float = number(9.81, least=-1e6, most=1e6)
+    Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` per
+    total area (by default that of the law's rings, see `macro_fem.scene.wind`). With `follows` it is per present area,
+    normal to the present surface, on the side where it first blows.
+    """
+
+    direction: tuple[float, ...] = entry(_direction)
+    pressure: float | None = number(None, least=-1e9, most=1e9)
+    speed: float | None = number(None, least=0.0, most=1e3)
+    air_density: float | None = number(None, above=0.0, most=1e4)
+    drag_coefficient: float | None = number(None, least=0.0, most=1e3)
+    follows: bool = flag(False)
+
+
+@dataclass(frozen=True)
+class Load:
+    """Weight and live loads; `steps` applies live loads and moves in equal steps.
+
+    `gravity` in m/s2: a number is downwards, a vector [x, y] or [x, y, z] has the direction of the weight.
+    """
+
+    gravity: float | tuple[float, ...] = entry(_gravity, 9.81)
     steps: int = whole(1, least=1, most=1000)
     edge: tuple[EdgeLoad, ...] = ()
     point: tuple[PointLoad, ...] = ()
     patch: tuple[PatchLoad, ...] = ()
     bar: tuple[Bar, ...] = ()
+    wind: tuple[Wind, ...] = ()
+
+    @property
+    def acceleration(self) -> Vector:
+        """Gravity as a vector of three components, m/s2."""
+        return in_3d(self.gravity) if isinstance(self.gravity, tuple) else (0.0, -self.gravity, 0.0)
 
 
-LIVE_LOADS: dict[str, type[Any]] = {"edge": EdgeLoad, "point": PointLoad, "patch": PatchLoad, "bar": Bar}
+LIVE_LOADS: dict[str, type[Any]] = {
+    "edge": EdgeLoad,
+    "point": PointLoad,
+    "patch": PatchLoad,
+    "bar": Bar,
+    "wind": Wind,
+}
 
 
 @dataclass(frozen=True)
@@ -208,7 +332,8 @@ class Solver:
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
     summary allow for it, 0 switches it off; an elastic curtain is only guided by it. `bounds` asks for bounds of the
-    continuous curtain, `adapt` for this number of refinements where the bounds differ.
+    continuous curtain, `adapt` for this number of refinements where the bounds differ. `space` gives a plane scene the
+    third coordinate that it does not need.
     """
 
     kind: str = choice("rigid", "elastic", "clarabel", default="rigid")
@@ -217,3 +342,4 @@ class Solver:
     stabilising_tension: float = number(1e-6, least=0.0, most=1e-2)
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
+    space: bool = flag(False)

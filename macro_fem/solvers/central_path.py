@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
 from homogenize import MembraneLaw
+from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import (
     Fem,
@@ -36,6 +38,7 @@ from macro_fem.solvers.cones import Cones, first_cones, least_slack
 from macro_fem.solvers.cutting_planes import at_rest, find, joined, pruned, widened
 from macro_fem.solvers.options import PATH, PathOptions
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
+from macro_fem.solvers.walls import NO_ROWS, Walls, all_forces, rows_of
 from rve.common.types import Array
 
 RIGID = np.zeros((3, 3))
@@ -50,7 +53,8 @@ class PathResult(Judged):
     is -l.z plus the stored energy, an upper bound of the least potential of this discretisation where the law is
     obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. P (nq, d, 2) is the equilibrated
     stress in N per mm of reference length, y_tail (nc, 2 d) its parts, P = -sum of y L; S (nq, 3) the tensile second
-    Piola-Kirchhoff line load sum of lam_i S_i with P = F S at the exact answer.
+    Piola-Kirchhoff line load sum of lam_i S_i with P = F S at the exact answer. wall_forces (m,), N: the reaction of
+    each half-space on a node.
     """
 
     stop: str
@@ -67,6 +71,7 @@ class PathResult(Judged):
     iterations: int
     history: tuple[Iteration, ...] = field(repr=False)
     reach: Reach = FREE
+    wall_forces: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -105,9 +110,10 @@ class _Place:
         return self.now.lower * self.program.scale
 
     def violation(self, law: MembraneLaw) -> float:
-        """Largest relative violation of the whole law; negative inside."""
+        """Largest relative violation of the whole law, or of half-spaces on nodes; negative inside."""
         F = self.program.fem.gradient(self.state.z)
-        return -least_slack(law, self.program.locked(F, self.state.eps))
+        rows = self.program.rows.slack(self.state.z)
+        return -min(least_slack(law, self.program.locked(F, self.state.eps)), float(rows.min(initial=np.inf)))
 
     def evidence(self, law: MembraneLaw) -> Evidence:
         """The errors of this place as an answer."""
@@ -125,21 +131,27 @@ def solve_path(
     *,
     compliance: Array = RIGID,
     guide: Array | None = None,
+    walls: Walls | None = None,
 ) -> PathResult:
     """The curtain under the generalised forces `load` (n,), N, from unknowns `start` (n,); rigid without a compliance.
 
     `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. Any start will do; one that
     is well inside the law keeps the path inside and makes the primal value a bound. `compliance` (3, 3) is in mm/N and
     tensor components, such as `law.compliance`. `guide` (n,), N, are small forces that act until the gap is
-    `options.released`: they give a shape to what the load leaves without one.
+    `options.released`: they give a shape to what the load leaves without one. `walls`: half-spaces on nodes; then fem
+    is a `SupportedFem`.
     """
     total = load_scale(load, fem.weight)
     cones = first_cones(law, len(fem.weight)) if options.cones is None else options.cones
     guided = load if guide is None else load + guide
-    program = make_program(fem, guided, cones, total * size, total, compliance)
+    rows = NO_ROWS if walls is None else rows_of(cast(SupportedFem, fem), walls, size)
+    program = make_program(fem, guided, cones, total * size, total, compliance, rows)
     first = _measured(program, first_state(program, start, options.steps))
     place, inner, stop, history = _followed(first, law, load, options)
-    return _result(_under(load, place), law, stop, inner, history, options)
+    found = _result(_under(load, place), law, stop, inner, history, options)
+    if walls is None:
+        return found
+    return replace(found, wall_forces=all_forces(walls, cast(SupportedFem, fem), rows, place.state.u))
 
 
 def _followed(
@@ -211,7 +223,9 @@ def _taken(place: _Place, law: MembraneLaw, options: PathOptions, *, may_wait: b
     E = program.locked(F, state.eps + step.primal * step.deps)
     found = at_rest(program, now, find(program, law, E, now.wanted + step.d_wanted * step.primal, cuts), cuts)
     if not found.is_missing.any():
-        return _Taken(program, moved(state, step), step.primal, step.dual, -float(found.violation.max()))
+        after = moved(state, step)
+        room = min(-float(found.violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
+        return _Taken(program, after, step.primal, step.dual, room)
     into = joined(program, state, found, cuts, options.steps.lift)
     shorter = widened(step, into, boundary)
     if may_wait and shorter.primal < cuts.good * step.primal:
@@ -225,7 +239,7 @@ def _stop(place: _Place, law: MembraneLaw, inner: _Place, load: Array, options: 
     An answer whose own numbers are not yet as good as asked is no end: smaller residuals make it so.
     """
     if is_certificate(place.program, place.now):
-        return "infeasible"
+        return "blocked" if len(place.state.u) else "infeasible"
     is_free = place.program.load is load
     is_close = is_free and place.now.error < options.gap and place.violation(law) < options.violation
     if is_close and options.accuracy.is_met(_answer(place, law, inner, options).evidence(law)):
@@ -256,7 +270,7 @@ def _result(
     place: _Place, law: MembraneLaw, stop: str, inner: _Place, history: list[Iteration], options: PathOptions
 ) -> PathResult:
     """The record, its numbers those of the answer it holds."""
-    answer = place if stop == "infeasible" else _answer(place, law, inner, options)
+    answer = place if stop in ("infeasible", "blocked") else _answer(place, law, inner, options)
     program, y = place.program, place.state.y
     lam = program.carried(y) / program.c
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())

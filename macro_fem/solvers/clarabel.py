@@ -9,7 +9,7 @@ interior point and returns a certificate when there is no admissible state. P. J
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from macro_fem.solvers.central_path import PathResult
 from macro_fem.solvers.cone_program import REACH, Iteration
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
+from macro_fem.solvers.walls import Rows, Walls, all_forces, rows_of
 from rve.common.errors import require
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
@@ -49,21 +50,29 @@ class ClarabelOptions(Options):
 
 
 def solve_clarabel(
-    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, options: ClarabelOptions = ClarabelOptions()
+    fem: SupportedFem,
+    law: MembraneLaw,
+    load: Array,
+    size: float,
+    options: ClarabelOptions = ClarabelOptions(),
+    walls: Walls | None = None,
 ) -> PathResult:
     """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `PathResult`.
+
+    `walls` are half-spaces on nodes, further linear rows of the program.
 
     InputError if clarabel is not installed.
     """
     total = load_scale(load, fem.weight)
-    task = _Task(fem, load, size, total, gradient_matrix(fem), fem.gradient(np.zeros(fem.n)).ravel())
+    F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), rows_of(fem, walls, size)
+    task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, wall_matrix(rows, fem.n))
     clarabel = _clarabel()
     cones = first_cones(law, len(fem.weight))
     history: list[Iteration] = []
     found = _solve(clarabel, task, cones, options)
     while True:
         if found.is_refuted:
-            stop = "infeasible"
+            stop = "blocked" if task.A.shape[0] else "infeasible"
             break
         S, h, g = law_cut(law, green_strain(fem.gradient(found.z)))
         new = np.flatnonzero(g < -options.violation)
@@ -76,12 +85,14 @@ def solve_clarabel(
             break
         cones, _ = with_cuts(cones, new, S[new], h[new])
         found = _solve(clarabel, task, cones, options)
-    return _record(stop, law, task, cones, found, options, history)
+    record = _record(stop, law, task, cones, found, options, history)
+    return record if walls is None else replace(record, wall_forces=all_forces(walls, fem, rows, found.u))
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What stays the same in all rounds: B and the part F0 of the flat gradients that supports impose."""
+    """What stays the same in all rounds: B and the part F0 of the flat gradients that supports impose, half-spaces on
+    nodes and their matrix A (m, n)."""
 
     fem: SupportedFem
     load: Array
@@ -89,11 +100,13 @@ class _Task:
     total: float
     B: sparse.csr_matrix
     F0: Array
+    rows: Rows
+    A: sparse.csr_matrix
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Unknowns z (n,), multipliers lam (nc,) in N/mm and the stress P (nq, d, 2) of clarabel's last iterate.
+    """Unknowns z (n,), multipliers lam (nc,) and u (m,) in N/mm and the stress P (nq, d, 2) of clarabel's last iterate.
 
     Its bounds and unbalanced forces are computed from these, whatever clarabel says of them; `is_solved` and
     `is_refuted` are what it says.
@@ -101,6 +114,7 @@ class _Found:
 
     z: Array
     lam: Array
+    u: Array
     P: Array
     dual: float
     gap: float
@@ -131,6 +145,17 @@ def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
     if fem.tie is not None:
         return (full @ fem.tie).tocsr()
     return full[:, np.flatnonzero(fem.free)]
+
+
+def wall_matrix(rows: Rows, n: int) -> sparse.csr_matrix:
+    """A (m, n): free unknowns to the slacks of half-spaces on nodes."""
+    if rows.fem is None or rows.walls is None:
+        return sparse.csr_matrix((0, n))
+    fem, walls, d = rows.fem, rows.walls, rows.fem.d
+    row = np.repeat(np.arange(len(walls)), d)
+    column = (walls.node[:, None] * d + np.arange(d)).ravel()
+    full = sparse.csr_matrix((walls.normal.ravel() / rows.size, (row, column)), shape=(len(walls), fem.x_held.size))
+    return (full @ fem.tied().tie).tocsr()
 
 
 def square_roots(S: Array) -> tuple[Array, np.ndarray]:
@@ -171,8 +196,12 @@ def _solve(clarabel: Any, task: _Task, cones: Cones, options: ClarabelOptions) -
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = options.gap
     settings.tol_feas = options.feasibility
-    A = (-size * (M @ B)).tocsc()
+    A = sparse.vstack([-size * (M @ B), -size * task.A]).tocsc()
+    zero = np.zeros(fem.n)
+    b = np.concatenate([b, task.rows.slack(zero)])
     kinds = [clarabel.SecondOrderConeT(int(n)) for n in dimension]
+    if task.A.shape[0]:
+        kinds.append(clarabel.NonnegativeConeT(task.A.shape[0]))
     answer = clarabel.DefaultSolver(
         sparse.csc_matrix((fem.n, fem.n)), -task.load / task.total, A, b, kinds, settings
     ).solve()
@@ -180,17 +209,19 @@ def _solve(clarabel: Any, task: _Task, cones: Cones, options: ClarabelOptions) -
     x, z = np.array(answer.x), np.array(answer.z)
     if is_refuted or not (np.isfinite(x).all() and np.isfinite(z).all()):
         x, z = np.zeros(fem.n), np.zeros(len(b))
-    y = task.total * size * z
+    y, push = np.split(task.total * size * z, [int(start[-1])])
     w_head, w_tail = y[start[:-1]], np.where(np.isin(np.arange(len(y)), start[:-1]), 0.0, y)
     flat = -np.asarray(M.T @ w_tail)  # w P at the points
     weight = fem.weight[:, None, None]
     P = flat.reshape(-1, d, 2) / weight
     z = size * x
-    unbalanced = float(np.abs(task.load - fem.force(P)).sum()) / task.total
-    dual = -float(w_head @ c) + float(flat @ task.F0) - REACH * unbalanced * task.total * size
+    unbalanced = float(np.abs(task.load - fem.force(P) + task.A.T @ push).sum()) / task.total
+    dual = -float(w_head @ c) + float(flat @ task.F0) - float(push @ task.rows.slack(zero))
+    dual -= REACH * unbalanced * task.total * size
     return _Found(
         z=z,
         lam=w_head / fem.weight[cones.point] / c,
+        u=push / task.rows.v,
         P=P,
         dual=dual,
         gap=(-float(task.load @ z) - dual) / (task.total * size),
@@ -211,9 +242,10 @@ def _record(
     history: list[Iteration],
 ) -> PathResult:
     fem = task.fem
+    room = min(least_slack(law, green_strain(fem.gradient(found.z))), task.rows.slack(found.z).min(initial=np.inf))
     return PathResult(
         stop=stop,
-        evidence=Evidence(found.gap, found.unbalanced, -least_slack(law, green_strain(fem.gradient(found.z)))),
+        evidence=Evidence(found.gap, found.unbalanced, -float(room)),
         asked=options.attained,
         z=found.z,
         lam=found.lam,

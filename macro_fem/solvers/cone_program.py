@@ -17,8 +17,11 @@ eliminated point by point, so that every Newton matrix has the pattern of the fi
 
 The dual value -sum w (y_0 c + y_FL:(F_0 L)) - sum w |eps(y)|^2 / 2, F_0 the part of F that supports impose, bounds the
 potential from below for every admissible z. A rigid curtain whose dual value exceeds every potential has no admissible
-state: the certificate. F is d x 2, d = 2 or 3. Linear half-spaces on the nodes themselves, a.z <= b (walls, floors),
-would be further cones of dimension one in `Program` and add diagonal entries a a^T to the matrix in `_Newton`.
+state: the certificate. F is d x 2, d = 2 or 3.
+
+Half-spaces on the nodes themselves, s = A z + b0 >= 0 (`walls`), are further cones of dimension one with dual variables
+u and areas v: they add A^T (v u) to the balance of forces, -sum v u b0 to the dual value and A^T (v u / s) A, blocks on
+the diagonal, to Newton's matrix.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
 from macro_fem.solvers.options import STEPS, StepOptions
 from macro_fem.solvers.soc import Vectors
+from macro_fem.solvers.walls import NO_ROWS, Rows, longest
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 
@@ -61,8 +65,8 @@ class Fem(Protocol):
         """B^T (w P) (n,), the nodal forces of a stress P (nq, d, 2) in N/mm."""
         ...
 
-    def factorize(self, tangent: Array) -> Callable[[Array], Array]:
-        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2) in N/mm."""
+    def factorize(self, tangent: Array, nodal: Array | None = None) -> Callable[[Array], Array]:
+        """A solver of (B^T (w A) B + M) x = b for tangents A (nq, d, 2, d, 2) in N/mm and nodal blocks M."""
         ...
 
 
@@ -80,12 +84,15 @@ class Iteration:
 
 @dataclass(frozen=True)
 class State:
-    """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm)."""
+    """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm); slacks t (m,) and dual
+    variables u (m,), N/mm, of half-spaces on nodes."""
 
     z: Array
     eps: Array
     s: Vectors
     y: Vectors
+    t: Array
+    u: Array
 
 
 @dataclass(frozen=True)
@@ -93,8 +100,8 @@ class Program:
     """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm.
 
     R (3, k) is the root of the compliance, N (nc, k) what the strains eps do to each cone, both without columns for a
-    rigid curtain; w (nc,) is the reference area of the point of each cone. Arrays over the cones keep every component
-    contiguous.
+    rigid curtain; w (nc,) is the reference area of the point of each cone; `rows` are half-spaces on nodes. Arrays over
+    the cones keep every component contiguous.
     """
 
     fem: Fem
@@ -103,6 +110,7 @@ class Program:
     R: Array
     scale: float
     total: float
+    rows: Rows = NO_ROWS
 
     @cached_property
     def L(self) -> Array:
@@ -123,6 +131,11 @@ class Program:
     def w(self) -> Array:
         """Reference area of the point of each cone (nc,), mm2."""
         return self.fem.weight[self.cones.point]
+
+    @cached_property
+    def area(self) -> float:
+        """Sum of the areas of all cones, mm2."""
+        return float(self.w.sum()) + float(self.rows.v.sum())
 
     @property
     def lead(self) -> int:
@@ -161,11 +174,13 @@ class Program:
         return green_strain(F) - eps @ self.R.T
 
 
-def make_program(fem: Fem, load: Array, cones: Cones, scale: float, total: float, compliance: Array) -> Program:
+def make_program(
+    fem: Fem, load: Array, cones: Cones, scale: float, total: float, compliance: Array, rows: Rows = NO_ROWS
+) -> Program:
     """The program of a list of half-spaces; compliance (3, 3) in tensor components, zero for a rigid curtain."""
     values, vectors = np.linalg.eigh(compliance / WEIGHT)
     is_soft = values > 1e-15 * max(values.max(), 1e-300)
-    return Program(fem, load, cones, vectors[:, is_soft] * np.sqrt(values[is_soft]), scale, total)
+    return Program(fem, load, cones, vectors[:, is_soft] * np.sqrt(values[is_soft]), scale, total, rows)
 
 
 @dataclass(frozen=True)
@@ -175,7 +190,8 @@ class Measure:
     `gap`: sum of w s.y; `unbalanced`: forces, times one size; `outside`: largest cone residual relative to c; `strain`:
     misfit of the strains; `error`: the largest of these. `lower`: a bound of the potential from below over all states
     within REACH sizes of this one, `dual` the same without what unbalanced forces could do. `wanted` are the cone
-    vectors that the unknowns ask for; r_x (n,), r_e (nq, k), r_s: residuals of equilibrium, strains, cones.
+    vectors that the unknowns ask for; r_x (n,), r_e (nq, k), r_s, r_t (m,): residuals of equilibrium, strains, cones,
+    half-spaces on nodes.
     """
 
     gap: float
@@ -188,6 +204,7 @@ class Measure:
     r_x: Array
     r_e: Array
     r_s: Vectors
+    r_t: Array
 
     @property
     def error(self) -> float:
@@ -196,21 +213,23 @@ class Measure:
 
 def measure(program: Program, state: State) -> Measure:
     """The residuals and the gap of a state, recomputed from its unknowns and y."""
-    fem, w, scale = program.fem, program.w, program.scale
+    fem, w, scale, rows = program.fem, program.w, program.scale, program.rows
     sum_of_parts, strain = program.pull(state.y)
-    r_x = program.load + fem.force(sum_of_parts)
+    r_x = program.load + fem.force(sum_of_parts) + rows.force(state.u)
     r_e = strain - state.eps
     wanted = program.slack(state.z, state.eps)
-    r_s = state.s - wanted
-    held = fem.gradient(np.zeros_like(state.z))
+    r_s, r_t = state.s - wanted, state.t - rows.slack(state.z)
+    zero = np.zeros_like(state.z)
+    held = fem.gradient(zero)
     dual = -float((w * state.y.head * program.c).sum())
     dual -= float((fem.weight * (sum_of_parts * held).sum(axis=(1, 2))).sum())
     dual -= 0.5 * float((fem.weight * soc.row_dot(strain, strain)).sum())
+    dual -= float((rows.v * state.u * rows.slack(zero)).sum())
     unbalanced = float(np.abs(r_x).sum()) / program.total
     return Measure(
-        gap=float((w * state.s.dot(state.y)).sum()) / scale,
+        gap=_products(program, state) / scale,
         unbalanced=unbalanced,
-        outside=float(np.sqrt((r_s.dot(r_s) / program.c**2).max())),
+        outside=max(float(np.sqrt((r_s.dot(r_s) / program.c**2).max())), float(np.abs(r_t).max(initial=0.0))),
         strain=float(np.sqrt((fem.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
         dual=dual / scale,
         lower=(dual - float((r_x * state.z).sum())) / scale - REACH * unbalanced,
@@ -218,6 +237,7 @@ def measure(program: Program, state: State) -> Measure:
         r_x=r_x,
         r_e=r_e,
         r_s=r_s,
+        r_t=r_t,
     )
 
 
@@ -231,6 +251,8 @@ class Step:
     ds: Vectors
     dy: Vectors
     d_wanted: Vectors
+    dt: Array
+    du: Array
     keep: float
     primal: float = 0.0
     dual: float = 0.0
@@ -240,7 +262,7 @@ class _Newton:
     """Newton's matrix in the scaling of a state, factorised; directions for different aims share it."""
 
     def __init__(self, program: Program, state: State, now: Measure) -> None:
-        self.program, self.now = program, now
+        self.program, self.state, self.now = program, state, now
         self.W = soc.scaling(state.s, state.y)
         self.point = self.W.apply(state.y)
         cones, w, k = program.cones, self.W.w, program.R.shape[1]
@@ -259,11 +281,13 @@ class _Newton:
             H[:, a + 1, a + 1] += S[:, 2]
         self.strains = _Strains(H, k) if k else None
         A = H if self.strains is None else self.strains.reduced
-        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2))
+        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.rows.blocks(state.u / state.t))
 
-    def direction(self, aim: Vectors, keep: float) -> tuple[Step, Vectors, Vectors]:
-        """The step to point o (W dy + W^-1 ds) = aim with residuals reduced to the part `keep`, W^-1 ds and W dy."""
-        program, W, now = self.program, self.W, self.now
+    def direction(self, aim: Vectors, row_aim: Array, keep: float) -> tuple[Step, Vectors, Vectors]:
+        """The step to point o (W dy + W^-1 ds) = aim and u dt + t du = row_aim with residuals reduced to the part
+        `keep`, W^-1 ds and W dy."""
+        program, W, now, rows = self.program, self.W, self.now, self.program.rows
+        t, u, r_t = self.state.t, self.state.u, now.r_t * (1.0 - keep)
         r_s = now.r_s * (1.0 - keep)
         both = soc.divide(self.point, aim)
         aimed = W.undo(both)
@@ -272,13 +296,15 @@ class _Newton:
         if self.strains is not None:
             half = self.strains.half(half)
             force = force - self.strains.onto_gradient(half, force.shape)
-        dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force))
+        dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force) + rows.force((row_aim + u * r_t) / t))
         dF = program.fem.gradient_change(dz)
         deps = half if self.strains is None else self.strains.whole(half, dF)
         d_wanted = program.map(dF, deps)
         ds = d_wanted - r_s
         scaled = W.undo(ds)
-        return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, keep), scaled, both - scaled
+        dt = rows.change(dz) - r_t
+        du = (row_aim - u * dt) / t
+        return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
 
 
 class _Strains:
@@ -314,14 +340,19 @@ def _solved(A: Array, b: Array) -> Array:
 
 def step_lengths(program: Program, state: State, step: Step, boundary: float) -> tuple[float, float]:
     """How far s and y may go, at most 1; equally far where strains tie them together."""
-    primal = min(1.0, boundary * soc.largest_step(state.s, step.ds))
-    dual = min(1.0, boundary * soc.largest_step(state.y, step.dy))
+    primal = min(1.0, boundary * soc.largest_step(state.s, step.ds), boundary * longest(state.t, step.dt))
+    dual = min(1.0, boundary * soc.largest_step(state.y, step.dy), boundary * longest(state.u, step.du))
     return (min(primal, dual),) * 2 if program.lead else (primal, dual)
 
 
 def mean_product(program: Program, state: State) -> float:
     """mu: the mean of s.y over the cones, N/mm."""
-    return float((program.w * state.s.dot(state.y)).sum() / program.w.sum())
+    return _products(program, state) / program.area
+
+
+def _products(program: Program, state: State) -> float:
+    """Sum of all s.y times their areas, N mm."""
+    return float((program.w * state.s.dot(state.y)).sum()) + float((program.rows.v * state.t * state.u).sum())
 
 
 def search(
@@ -346,12 +377,14 @@ def search(
     unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
     mu = mean_product(program, state)
     square = soc.product(newton.point, newton.point)
-    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, 0.0)
+    row_square = state.t * state.u
+    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, 0.0)
     reach = min(step_lengths(program, state, affine, 1.0))
     sigma = (1.0 - reach) ** 3
     second = soc.product(scaled_ds, scaled_dy) * float(corrector)
-    least = min(mu, least_gap * program.scale / float(program.w.sum()))
-    step, _, _ = newton.direction(unit * max(sigma * mu, least) - square - second, sigma)
+    aim = max(sigma * mu, min(mu, least_gap * program.scale / program.area))
+    row_aim = aim - row_square - affine.dt * affine.du * float(corrector)
+    step, _, _ = newton.direction(unit * aim - square - second, row_aim, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
     primal, dual = step_lengths(program, state, step, boundary)
@@ -365,19 +398,24 @@ def moved(state: State, step: Step) -> State:
         state.eps + step.primal * step.deps,
         state.s + step.ds * step.primal,
         state.y + step.dy * step.dual,
+        state.t + step.primal * step.dt,
+        state.u + step.dual * step.du,
     )
 
 
 def is_inside(state: State) -> bool:
     """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
-    return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0)
+    is_in_rows = min(state.t.min(initial=np.inf), state.u.min(initial=np.inf)) > 0.0
+    return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0 and is_in_rows)
 
 
 def first_state(program: Program, z: Array, options: StepOptions = STEPS) -> State:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
     eps = np.zeros((len(program.fem.weight), program.R.shape[1]))
     s = program.slack(z, eps).lifted(options.lift * program.c)
-    return State(z, eps, s, soc.inverse(s, options.first_gap * program.scale / float(program.w.sum())))
+    t = np.maximum(program.rows.slack(z), options.lift)
+    mu = options.first_gap * program.scale / program.area
+    return State(z, eps, s, soc.inverse(s, mu), t, mu / t)
 
 
 def is_certificate(program: Program, now: Measure) -> bool:

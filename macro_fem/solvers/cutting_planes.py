@@ -95,7 +95,7 @@ def joined(
     factor = eased[cones.point]
     dual = _merged(state.y, y, order)
     dual = Vectors(dual.head * factor, dual.tail * factor[:, None])
-    return Joined(wider, State(state.z, state.eps, _merged(state.s, s, order), dual), order, old)
+    return Joined(wider, replace(state, s=_merged(state.s, s, order), y=dual), order, old)
 
 
 def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
@@ -134,7 +134,7 @@ def pruned(program: Program, state: State, idle: float = CutOptions.idle) -> tup
     keep = steadied(cones, (load > idle * cones.sum(load)[cones.point]) | (distance < idle))
     which = np.flatnonzero(keep)
     few = replace(program, cones=only(cones, keep))
-    return few, State(state.z, state.eps, _chosen(state.s, which), _chosen(state.y, which))
+    return few, replace(state, s=_chosen(state.s, which), y=_chosen(state.y, which))
 
 
 def _chosen(v: Vectors, which: np.ndarray) -> Vectors:

@@ -130,9 +130,57 @@ class Judged(ABC):
         return self.verdict.message
 
 
+@dataclass(frozen=True)
+class Settling:
+    """How far the rounds of a curtain that depends on its own shape have come, relative to the loads.
+
+    misfit: forces that turned in the last round, reactions of bodies and following pressure; complementarity: reactions
+    times the distance of their nodes from the body, over load times size; asked: what both must not exceed;
+    between_nodes_mm: how deep bodies are inside the mesh between its nodes, which only a finer mesh makes less;
+    depth: the same over half the least width of the body.
+    """
+
+    rounds: int
+    misfit: float
+    complementarity: float
+    asked: float
+    between_nodes_mm: float
+    depth: float
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether both residuals are as small as asked."""
+        return max(self.misfit, self.complementarity) <= self.asked
+
+    def verdict(self, last: Verdict) -> Verdict:
+        """The verdict of the last round, or "unsettled" where that has converged and the rounds have not."""
+        if last.status not in ("converged", "taut"):
+            return last
+        if self.depth > PIERCED:
+            return Verdict("pierced", THROUGH.format(self))
+        if self.is_settled:
+            return last
+        return Verdict("unsettled", UNSETTLED.format(self))
+
+
+PIERCED = 0.5
+"""Depth of a body between nodes from which it counts as having gone through the mesh."""
+THROUGH = (
+    "an obstacle has gone through the mesh between its nodes, {0.between_nodes_mm:.4g} mm deep: take a finer mesh, or "
+    "more load steps"
+)
+UNSETTLED = (
+    "contact with bodies, or pressure that follows the surface, has not settled after {0.rounds} rounds: forces of "
+    "{0.misfit:.1e} of the load still turn, reactions times distances are {0.complementarity:.1e} of load times size; "
+    "take more load steps, or a finer mesh"
+)
 INFEASIBLE = (
     "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
     "beyond locking; move the supports together or use a smaller gather"
+)
+BLOCKED = (
+    "the curtain cannot clear its obstacles: no state that hangs from its supports is in their half-spaces, of which "
+    "the cone program has a certificate; move the obstacles away or in smaller load steps, or the supports together"
 )
 CONVERGED = "the gap between upper and lower bound is closed"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"
@@ -159,8 +207,8 @@ def judged(
 ) -> Verdict:
     """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
 
-    stop: why the solver stopped, "infeasible" or a key of `WHY`; give: by how much rings gave in a problem that was
-    relaxed, None where they are elastic.
+    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; give: by how
+    much rings gave in a problem that was relaxed, None where they are elastic.
 
     >>> asked = Accuracy(1e-9, 1e-9, 1e-8)
     >>> judged("closed", Evidence(1e-10, 0.0, 0.0), asked, 9).status
@@ -170,6 +218,8 @@ def judged(
     """
     if stop == "infeasible" or reach.is_out:
         return Verdict("infeasible", INFEASIBLE.format(excess=100.0 * reach.excess))
+    if stop == "blocked":
+        return Verdict("infeasible", BLOCKED)
     numbers = NUMBERS.format(evidence)
     if not evidence.is_finite:
         return Verdict("not_finite", WHY["not_finite"])

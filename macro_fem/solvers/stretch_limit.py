@@ -29,6 +29,7 @@ from macro_fem.solvers.central_path import PathResult, solve_path
 from macro_fem.solvers.cones import green_strain, least_slack
 from macro_fem.solvers.options import PathOptions
 from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
+from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
 from rve.common.values import Options, entry, finite, list_of, number
 
@@ -49,8 +50,8 @@ class StretchOptions(Options):
     """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
 
 
-Solve = Callable[[SupportedFem, Array, Array, PathOptions], PathResult]
-"""A rigid solver of a discretisation under loads (n,) from unknowns (n,)."""
+Solve = Callable[[SupportedFem, Array, Array, PathOptions, Walls | None], PathResult]
+"""A rigid solver of a discretisation under loads (n,) from unknowns (n,), outside of half-spaces on nodes."""
 
 
 def reach_of(
@@ -67,7 +68,7 @@ def reach_of(
     """
     room = least_slack(law, green_strain(fem.gradient(start)))
     if room > how.sure * 2.0 * AT_LIMIT:
-        return Reach(_stretchable(1.0, min(room, 1.0 - 1e-9)), np.inf)
+        return Reach(_stretchable(1.0, room), np.inf)
     wider = movable(fem, size)
     if wider is None:
         return FREE
@@ -83,13 +84,18 @@ def reach_of(
 
     options = PathOptions(how.reach_gap, how.reach_gap, drawn=False, enough=is_decided)
     zero = np.zeros(wider.n)
-    result = solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options)
+    result = (
+        solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options, None)
+    )
     return bounds(result.z, result.dual)
 
 
 def _stretchable(factor: float, room: float) -> float:
-    """How far a state at `factor` may be scaled: |F L|^2 = (1 - room) c^2 at the fullest half-space."""
-    return factor / float(np.sqrt(1.0 - room)) if factor > 0.0 else 0.0
+    """How far a state at `factor` may be scaled: |F L|^2 = (1 - room) c^2 at the fullest half-space.
+
+    A state drawn together to a point, room = 1, may be scaled without limit.
+    """
+    return factor / float(np.sqrt(1.0 - min(room, 1.0 - 1e-9))) if factor > 0.0 else 0.0
 
 
 def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
@@ -115,6 +121,7 @@ def solve_taut(
     reach: Reach,
     solve: Solve,
     how: StretchOptions = StretchOptions(),
+    walls: Walls | None = None,
 ) -> tuple[PathResult, float]:
     """The answer for rings that give, with its own bounds, and by how much; the last one tried if none converges.
 
@@ -124,7 +131,8 @@ def solve_taut(
     for more in how.gives:
         give = max(0.0, 1.0 / reach.lower - 1.0) + more
         nearer = fem.moved(fem.x_held / (1.0 + give))
-        result = solve(nearer, load, start / (1.0 + give), loose)
+        near_walls = None if walls is None else walls.scaled(1.0 / (1.0 + give))
+        result = solve(nearer, load, start / (1.0 + give), loose, near_walls)
         if result.converged:
             break
     scale = 1.0 + give

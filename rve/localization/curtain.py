@@ -38,9 +38,10 @@ _CELL_FIELDS = {
 class Curtain:
     """A solved curtain in its own axes.
 
-    X, x (p, 2): corners before and after, mm; triangles (t, 3) of corner numbers; cell (t,): cell of each triangle
-    (quadrilaterals are cut in two); per cell the strain E (c, 3), the line load S (c, 3) in N/mm averaged over
-    neighbours, the largest principal line load (c,) and the state (c,): 0 slack, 1 drawn in one direction, 2 taut.
+    X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner
+    numbers; cell (t,): cell of each triangle (quadrilaterals are cut in two); per cell the strain E (c, 3), the line
+    load S (c, 3) in N/mm averaged over neighbours, the largest principal line load (c,) and the state (c,): 0 slack,
+    1 drawn in one direction, 2 taut.
     """
 
     X: Array
@@ -51,6 +52,11 @@ class Curtain:
     S: Array
     line_load: Array
     state: NDArray[np.intp]
+
+    @property
+    def x_in_space(self) -> Array:
+        """Corners after deformation with three coordinates (p, 3), mm."""
+        return self.x if self.x.shape[1] == 3 else np.column_stack([self.x, np.zeros(len(self.x))])
 
     @classmethod
     def of(
@@ -65,7 +71,8 @@ class Curtain:
         state: Array,
         where: str = "curtain",
     ) -> Curtain:
-        """The curtain of a mesh of triangles (c, 3) or quadrilaterals (c, 4) with corners X, x (p, 2) and cell fields.
+        """The curtain of a mesh of triangles (c, 3) or quadrilaterals (c, 4), corners X (p, 2), x (p, 2 or 3), and cell
+        fields.
 
         S is averaged over neighbouring cells. InputError, which begins with `where`, for cells without area.
         """
@@ -112,7 +119,10 @@ def read_curtain(path: Path) -> Curtain:
 
 
 def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
-    """Reference and deformed positions (p, 2) of the points, told by which fields the file has."""
+    """Reference (p, 2) and deformed positions of the points, (p, 2) in the plane z = 0 and (p, 3) elsewhere.
+
+    Which is which is told by the fields that the file has.
+    """
     points, number = np.asarray(data.points, dtype=float), len(data.points)
     if not np.isfinite(points).all():
         raise InputError(f"{path}: a point is not finite")
@@ -123,9 +133,13 @@ def _states(path: Path, data: VtuFile) -> tuple[Array, Array]:
     for state in (reference, deformed):
         if np.abs(state).max() > MOST_NUMBER:
             raise InputError(f"{path}: a coordinate is {np.abs(state).max():g} mm, at most {MOST_NUMBER:g} is allowed")
-        if np.abs(state[:, 2:]).max(initial=0.0) > 1e-9 * np.abs(state).max():
-            raise InputError(f"{path}: is not plane, z reaches {np.abs(state[:, 2]).max():g} mm")
-    return reference[:, :2], deformed[:, :2]
+    if not _is_plane(reference):
+        raise InputError(f"{path}: its reference state is not plane, z reaches {np.abs(reference[:, 2]).max():g} mm")
+    return reference[:, :2], deformed[:, :2] if _is_plane(deformed) else deformed
+
+
+def _is_plane(points: Array) -> bool:
+    return bool(np.abs(points[:, 2]).max(initial=0.0) <= 1e-9 * np.abs(points).max(initial=0.0))
 
 
 def _field(path: Path, data: dict[str, Any], name: str, width: int, count: int) -> Array:

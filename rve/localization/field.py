@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from rve.common.errors import NotConverged, require
 from rve.common.files import versions, write_text
 from rve.common.jobs import check_out_job, job
+from rve.common.page import check_page, write_page
 from rve.common.types import Array
+from rve.common.views import View
 from rve.geometry.cell import Cell
 from rve.localization.curtain import Curtain, WeaveOfCurtain
 from rve.localization.files import LINE, TUBE, write_forces_csv, write_ring_vtu
@@ -36,7 +38,7 @@ RECORD = "localize.json"
 
 @dataclass(frozen=True)
 class WorstCell:
-    """The cell with the largest principal line load: number, pose, contact forces, turn (2, 2) into the curtain."""
+    """The cell with the largest principal line load: number, pose, contact forces, turn (3, 3) into the curtain."""
 
     number: int
     states: RingStates
@@ -100,16 +102,19 @@ class RingField:
         *,
         picture: bool = True,
         tubes: bool = False,
+        html: bool = False,
         inputs: Iterable[str | Path | None] = (),
     ) -> dict[str, Any]:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
-        `tubes`: write tori instead of centre lines. All files appear together, and what they replace is gone
-        (`rve.common.jobs`). InputError where they cannot be written or would overwrite one of `inputs`; NotConverged
-        if the picture cannot be drawn, the other files are written then.
+        `tubes`: write tori instead of centre lines; `html`: rings.html, which turns in a browser. All files appear
+        together, and what they replace is gone (`rve.common.jobs`). InputError where they cannot be written or would
+        overwrite one of `inputs`; NotConverged if the picture cannot be drawn, the other files are written then.
         """
         if picture:
             require("pyvista", "three-d", "rings.png", "ask for --no-picture")
+        if html:
+            check_page("rings.html", "leave out --html")
         inputs = list(inputs)
         check_out_job(folder, RECORD, inputs=inputs)
         radii, kind = (self.cell.r1, self.cell.r2), TUBE if tubes else LINE
@@ -117,6 +122,8 @@ class RingField:
             write_ring_vtu(staged / "rings.vtu", (self.centre_mm, self.normal), radii, self.data, kind)
             write_forces_csv(staged / "worst_cell.csv", self.worst.forces, self.worst.turn)
             write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
+            if html:
+                self.write_html(staged / "rings.html")
             failure = draw(staged) if picture else None
         if failure is not None:
             raise NotConverged(
@@ -124,6 +131,17 @@ class RingField:
                 "--no-picture"
             )
         return self.summary
+
+    def view(self) -> View:
+        """All rings in space, coloured by contact force; tori where there are few of them, else their centre lines."""
+        from rve.localization.picture import ring_view
+
+        title = f"{len(self)} rings, {self.fit.linked} of {self.fit.links} links intact as drawn"
+        return ring_view(title, (self.centre_mm, self.normal), (self.cell.r1, self.cell.r2), self.contact_force_N)
+
+    def write_html(self, path: str | Path) -> None:
+        """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
+        write_page(path, self.view())
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""
@@ -213,6 +231,7 @@ def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
         "cell": worst.number,
         "reference_mm": curtain.X[curtain.triangles[triangle]].mean(axis=0).tolist(),
         "largest_principal_line_load_N_per_mm": float(curtain.line_load[worst.number]),
+        "normal": worst.turn[:, 2].tolist(),
         "pose": str(worst.states.status[0]),
         "alpha_deg": forces.alpha_deg,
         "beta_deg": forces.beta_deg,

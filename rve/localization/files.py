@@ -100,15 +100,13 @@ def _array(name: str, values: NDArray[np.generic], *, flat: bool = False) -> str
 
 
 def write_forces_csv(path: Path, forces: CellForces, turn: Array) -> None:
-    """Contacts of one cell: rings, point, direction, force; turn (2, 2) carries them into the axes of the curtain."""
-    rotation = np.eye(3)
-    rotation[:2, :2] = turn
+    """Contacts of one cell: rings, point, direction, force; turn (3, 3) carries them into the axes of the curtain."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["a_class", "a_i", "a_j", "b_class", "b_i", "b_j", "x_mm", "y_mm", "z_mm", "force_N", "nx", "ny", "nz"]
     )
-    columns = (forces.a, forces.b, forces.point @ rotation.T, forces.force, forces.normal @ rotation.T)
+    columns = (forces.a, forces.b, forces.point @ turn.T, forces.force, forces.normal @ turn.T)
     for a, b, point, force, normal in zip(*columns, strict=True):
         numbers = [f"{x:.12g}" for x in (*point, force, *normal)]
         writer.writerow([*map(int, a), *map(int, b), *numbers])

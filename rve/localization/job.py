@@ -11,6 +11,7 @@ import numpy as np
 
 from rve.common.errors import InputError, require
 from rve.common.jobs import check_out_job, complete
+from rve.common.page import check_page
 from rve.common.progress import tell
 from rve.common.types import Array
 from rve.common.values import Options, choice, whole
@@ -28,8 +29,9 @@ from rve.localization.curtain import (
 )
 from rve.localization.field import RECORD, RingField, WorstCell
 from rve.localization.forces import cauchy_of, cell_forces, largest_forces
+from rve.localization.frames import turns
 from rve.localization.poses import LockedArrangements, PoseOptions, locked_arrangements, nearest_poses
-from rve.localization.rings import Sites, axes_of_weave, deformation, find_sites, fit_of, place_rings, turns
+from rve.localization.rings import Sites, axes_of_weave, find_sites, fit_of, place_rings
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def localize(curtain: SolvedCurtain | str | Path, options: LocalizeOptions | Non
 
 
 def run_localize(
-    vtu: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, tubes: bool = False
+    vtu: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, tubes: bool = False, html: bool = False
 ) -> dict[str, Any]:
     """Rings of the curtain in `vtu`: rings.vtu, worst_cell.csv, localize.json and rings.png in `out`; the summary.
 
@@ -97,9 +99,11 @@ def run_localize(
     """
     if picture:
         require("pyvista", "three-d", "rings.png", "ask for --no-picture")
+    if html:
+        check_page("rings.html", "leave out --html")
     vtu = curtain_file(vtu)
     check_out_job(out, RECORD, inputs=[vtu])
-    return localize(vtu, options).save(out, picture=picture, tubes=tubes, inputs=[vtu])
+    return localize(vtu, options).save(out, picture=picture, tubes=tubes, html=html, inputs=[vtu])
 
 
 def _opened(curtain: SolvedCurtain | str | Path, options: LocalizeOptions) -> tuple[Curtain, WeaveOfCurtain, str]:
@@ -149,6 +153,5 @@ def _worst(curtain: Curtain, cell: Cell, how: PoseOptions, locked: LockedArrange
     number = int(np.argmax(curtain.line_load))
     states = nearest_poses(_in_weave(curtain.E[[number]], axes), cell, how, locked)
     s = cauchy_of(_in_weave(curtain.S[[number]], axes), states.E)[0]
-    triangle = int(np.flatnonzero(curtain.cell == number)[0])
-    F = axes.T @ deformation(curtain)[[triangle]] @ axes
-    return WorstCell(number, states, cell_forces(s, cell, how.direct), axes @ turns(F, states.E)[0])
+    triangle = np.flatnonzero(curtain.cell == number)[:1]
+    return WorstCell(number, states, cell_forces(s, cell, how.direct), turns(curtain, triangle, states.E, axes)[0])

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rve.common.files import atomic_path
+from rve.common.solids import quads_cut
 from rve.common.types import Array
+from rve.common.views import THREE_QUARTERS, Lines, Scale, Surface, View
 from rve.localization.files import LINE, TUBE, circles, tubes
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ LEAST = 3e-3
 STEPS = ("#8b9bab", "#c7b08a", "#e39a3c", "#d2491f", "#9c1127", "#3f0d1f")
 """Colours from no force to the greatest: steel, then ever hotter."""
 FINE = (36, 12)
+MOST_TUBES, MOST_POINTS = 1000, 300_000
+"""In a page this number of rings have the thickness of the wire; more are lines with this many points together."""
 
 
 def colours(count: int = 64) -> list[str]:
@@ -77,6 +81,25 @@ def plot_rings(centre: Array, normal: Array, r1: float, force: Array, ax: Axes |
     return ax
 
 
+def ring_view(title: str, placed: tuple[Array, Array], radii: tuple[float, float], force: Array) -> View:
+    """Rings with centres and unit normals (n, 3), radii (r1, r2) in mm, coloured by contact force (n,) in N."""
+    top = top_force(force)
+    largest = float(force.max(initial=0.0))
+    label = "largest contact force on the ring, N"
+    scale = Scale(label, LEAST * top, top, largest, STEPS, over="#000000", spread="log")
+    part: Surface | Lines
+    if len(force) <= MOST_TUBES:
+        around = (20, 6)
+        points, quads = tubes(*placed, radii, around)
+        values = np.repeat(force, around[0] * around[1])
+        part = Surface("rings", points, quads_cut(quads.reshape(-1, 4)), values=values)
+    else:
+        count = int(np.clip(MOST_POINTS // len(force), 8, LINE[0]))
+        line = circles(*placed, radii[0], count)[0]
+        part = Lines("rings", np.concatenate([line, line[:, :1]], axis=1), radii[1], values=force, width=2.0)
+    return View(title, (part,), scale, (THREE_QUARTERS,))
+
+
 def top_force(force: Array) -> float:
     """The force, N, at which the scale of colours ends: all but the greatest 0.2 % of the rings are below it."""
     return max(float(np.quantile(force, 0.998)), 1e-12)
@@ -120,7 +143,7 @@ def draw(folder: Path) -> None:
     radii = (summary["r1_mm"], summary["r2_mm"])
     force = np.asarray(data["contact_force_N"], dtype=float)
     top = top_force(force)
-    at = np.argmin(((data["reference_mm"][:, :2] - summary["worst_cell"]["reference_mm"]) ** 2).sum(axis=1))
+    at = int(np.argmin(((data["reference_mm"][:, :2] - summary["worst_cell"]["reference_mm"]) ** 2).sum(axis=1)))
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[1600, 800], border=False)
     plotter.set_background("white")
     plotter.subplot(0, 0)
@@ -128,7 +151,7 @@ def draw(folder: Path) -> None:
     # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
     thick = max(radii[1], 0.6e-3 * float(np.ptp(centre, axis=0).max()))
     bar = {
-        "title": "largest contact force on the ring, N",
+        "title": "largest contact force on the ring, N\n",
         "width": 0.6,
         "position_x": 0.2,
         "position_y": 0.02,
@@ -140,16 +163,14 @@ def draw(folder: Path) -> None:
     }
     add_rings(plotter, (centre, normal), (radii[0], thick), force, (around, top, bar))
     half = 8.0 * radii[0]
-    # The worst cell is often a corner: the window stays inside the curtain.
-    low, high = centre.min(axis=0), centre.max(axis=0)
-    edge = np.minimum(0.85 * half, 0.5 * (high - low))
-    middle = np.clip(centre[at], low + edge, high - edge)
-    plotter.add_mesh(_frame(middle, half), color="black", line_width=2)
+    middle = _middle(centre, data["reference_mm"][:, :2], at, half)
+    axes = axes_of_sheet(np.array(summary["worst_cell"]["normal"]))
+    plotter.add_mesh(_frame(middle, half, axes), color="black", line_width=2)
     _look(plotter, centre, 0.62)
     plotter.subplot(0, 1)
     near = (np.abs(centre - middle) < 1.5 * half).all(axis=1)
     add_rings(plotter, (centre[near], normal[near]), radii, force[near], (FINE, top, None))
-    _tilted(plotter, middle, half)
+    _tilted(plotter, middle, half, axes)
     image = plotter.screenshot(return_img=True)
     plotter.close()
     with atomic_path(folder / "rings.png") as temporary:
@@ -157,26 +178,56 @@ def draw(folder: Path) -> None:
         Image.fromarray(image).quantize(256).save(temporary, optimize=True)
 
 
-def _frame(middle: Array, half: float) -> Any:
+def is_plane(centre: Array) -> bool:
+    """Whether rings at `centre` (n, 3) lie in the plane z = 0, but for what their centres leave it by in a cell."""
+    return bool(np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max())
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _middle(centre: Array, reference: Array, at: int, half: float) -> Array:
+    """The middle of the close-up. The worst ring `at` is often in a corner: the window stays inside the curtain."""
+    places = centre if is_plane(centre) else reference
+    low, high = places.min(axis=0), places.max(axis=0)
+    edge = np.minimum(0.85 * half, 0.5 * (high - low))
+    middle = np.clip(places[at], low + edge, high - edge)
+    return middle if is_plane(centre) else centre[np.argmin(((reference - middle) ** 2).sum(axis=1))]
+
+
+def axes_of_sheet(normal: Array) -> Array:
+    """Columns (3, 3): to the right, up and towards the viewer, for a sheet with this normal seen from its front."""
+    front = normal if normal[2] >= 0.0 else -normal
+    upward = np.array([0.0, 1.0, 0.0]) if abs(front[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
+    up = upward - (upward @ front) * front
+    up /= np.linalg.norm(up)
+    return np.stack([np.cross(up, front), up, front], axis=1)
+
+
+def _frame(middle: Array, half: float, axes: Array) -> Any:
     import pyvista
 
-    corners = middle + half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]])
-    return pyvista.lines_from_points(corners)
+    corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
+    return pyvista.lines_from_points(middle + half * corners @ axes.T)
 
 
 def _look(plotter: Any, centre: Array, share: float) -> None:
-    """Straight from above, the whole curtain in the upper part of the panel."""
-    low, high = centre.min(axis=0), centre.max(axis=0)
-    middle, size = 0.5 * (low + high), float((high - low)[:2].max()) + 30.0
-    eye, focus = middle + size * np.array([0.0, 0.0, 10.0]), middle - size * np.array([0.0, 0.06, 0.0])
-    plotter.camera_position = [tuple(eye), tuple(focus), (0, 1, 0)]
+    """Straight from the front, from three quarters in space, the whole curtain in the upper part of the panel."""
+    view = np.eye(3) if is_plane(centre) else axes_of_sheet(_unit(-np.array(THREE_QUARTERS.direction)))
+    seen = centre @ view
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle, size = view @ (0.5 * (low + high)), float((high - low)[:2].max()) + 30.0
+    eye, focus = middle + 10.0 * size * view[:, 2], middle - 0.06 * size * view[:, 1]
+    plotter.camera_position = [tuple(eye), tuple(focus), tuple(view[:, 1])]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = share * size
 
 
-def _tilted(plotter: Any, middle: Array, half: float) -> None:
+def _tilted(plotter: Any, middle: Array, half: float, axes: Array) -> None:
     """From below and from the side, so that one sees how the rings lie."""
-    plotter.camera_position = [tuple(middle + half * np.array([0.6, -2.2, 4.2])), tuple(middle), (0, 1, 0)]
+    eye = middle + half * axes @ np.array([0.6, -2.2, 4.2])
+    plotter.camera_position = [tuple(eye), tuple(middle), tuple(axes[:, 1])]
     plotter.camera.view_angle = 24.0
 
 

@@ -16,9 +16,9 @@ from rve.common.records import Rows as Records
 from rve.common.types import Array
 from rve.geometry.cell import Cell
 from rve.geometry.circles import are_linked, dot, local_minima
-from rve.geometry.kinematics import deformation_gradient
 from rve.geometry.pose import Pose
 from rve.localization.curtain import Curtain
+from rve.localization.frames import turns
 from rve.localization.poses import RingStates, shares
 
 Index = NDArray[np.intp]
@@ -115,42 +115,18 @@ def _barycentric(corners: Array, point: Array) -> Array:
     return np.stack([1.0 - b - c, b, c], axis=1)
 
 
-def deformation(curtain: Curtain) -> Array:
-    """Deformation gradient (t, 2, 2) of every triangle, in the axes of the curtain."""
-    before, after = curtain.X[curtain.triangles], curtain.x[curtain.triangles]
-    dX = np.stack([before[:, 1] - before[:, 0], before[:, 2] - before[:, 0]], axis=2)
-    dx = np.stack([after[:, 1] - after[:, 0], after[:, 2] - after[:, 0]], axis=2)
-    return np.asarray(dx @ np.linalg.inv(dX))
-
-
-def rotation_angle(F: Array) -> Array:
-    """Angle (n,) of the rotation nearest to F (n, 2, 2): tan = (F21 - F12) / (F11 + F22)."""
-    return np.arctan2(F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1])
-
-
-def turns(F: Array, E: Array) -> Array:
-    """Rotations (n, 2, 2) that carry poses of strain E, in the frame of the rotation rule (5), along with F."""
-    angle = rotation_angle(F) - rotation_angle(deformation_gradient(E))
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)
-
-
 def place_rings(curtain: Curtain, sites: Sites, states: RingStates, row: Index, cell: Cell, axes: Array) -> Rings:
     """The rings of the sites; row (n,) is the pose of each in `states`, in weave axes."""
-    F = axes.T @ deformation(curtain)[sites.triangle] @ axes
-    turn = axes @ turns(F, states.E[row])
+    turn = turns(curtain, sites.triangle, states.E[row], axes)
     weights = _barycentric(curtain.X[curtain.triangles[sites.triangle]], sites.X)
-    centre = np.einsum("nk,nkx->nx", weights, curtain.x[curtain.triangles[sites.triangle]])
+    centre = np.einsum("nk,nkx->nx", weights, curtain.x_in_space[curtain.triangles[sites.triangle]])
     ring = sites.index[:, 0]
     share = _reference_shares(cell)
     found = np.concatenate([np.zeros((len(states.E), 1, 2)), shares(states.pose)], axis=1)
     off = (found - share)[row, ring]
     shift = cell.r1 * (off[:, :1] * states.pose.a1[row] + off[:, 1:] * states.pose.a2[row])
-    centre = centre + np.einsum("nxy,ny->nx", turn, shift)
-    normal = states.pose.normals[row, ring]
-    flat = np.einsum("nxy,ny->nx", turn, normal[:, :2])
-    zero = np.zeros(len(centre))
-    return Rings(sites, np.column_stack([centre, zero]), np.column_stack([flat, normal[:, 2]]))
+    centre = centre + np.einsum("nxy,ny->nx", turn[:, :, :2], shift)
+    return Rings(sites, centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring]))
 
 
 @dataclass(frozen=True)

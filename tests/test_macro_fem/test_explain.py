@@ -1,7 +1,6 @@
 """What a curtain leaves out: the same answer with it forced, and words that agree with what was done."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from macro_fem.bounds.interval import BoundOptions
 from macro_fem.cli import main
 from macro_fem.curtain import CurtainOptions, solve_problem
 from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.fem.space import in_space, out_of_plane
 from macro_fem.output.explain import decisions
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
@@ -94,19 +92,14 @@ def test_ties_are_told():
 
 
 def test_nodes_that_may_leave_the_plane_stay_in_it_and_a_push_takes_them_out():
-    plane = problem()
-    fem = in_space(plane.fem)
-    start = np.column_stack([gathered_start(plane), np.zeros(plane.disc.n_nodes)])
-    lifted = replace(plane, fem=fem)
-    pull = np.column_stack([plane.force, np.zeros(len(plane.force))])
-    load = fem.gather(pull) + fem.force(spread_tension(plane) * unit_tensors(lifted))
-    rest = solve_path(fem, plane.law, load, fem.unknowns(start), plane.mesh.size)
-    assert rest.converged
-    assert out_of_plane(fem, rest.z) < 1e-6 * plane.mesh.size
-    pull[:, 2] = 0.5 * pull[:, 1]
-    pushed = solve_path(fem, plane.law, load + fem.gather(pull) - fem.gather(pull * [1, 1, 0]), rest.z, plane.mesh.size)
-    assert pushed.converged
-    assert out_of_plane(fem, pushed.z) > 0.1 * plane.mesh.height
+    rest = solve_problem(problem(space=True))
+    assert rest.status == "converged"
+    assert said(rest)["third-coordinate"].why == "[solver] space = true asks for it"
+    assert np.abs(rest.x[:, 2]).max() < 1e-6 * rest.problem.mesh.size
+    pushed = solve_problem(problem(load={"gravity": [0.0, -9.81, -4.9]}))
+    assert pushed.status == "converged"
+    assert said(pushed)["third-coordinate"].used
+    assert np.abs(pushed.x[:, 2]).max() > 0.1 * pushed.problem.mesh.height
 
 
 def test_half_spaces_agree_with_the_cones():

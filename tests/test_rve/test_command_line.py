@@ -176,11 +176,15 @@ import {package}.cli
         ("matplotlib", "plots", ("rve", "case", "--alpha", "0", "--beta", "45", "--plot", "out.png")),
         ("matplotlib", "plots", ("macro_fem", "run", "scene.toml", "--out", "out")),
         ("pyvista", "three-d", ("rve", "localize", "curtain.vtu", "--out", "out")),
+        ("pyvista", "three-d", ("macro_fem", "run", "space.toml", "--out", "out")),
+        ("plotly", "pages", ("macro_fem", "run", "scene.toml", "--out", "out", "--html")),
+        ("plotly", "pages", ("rve", "localize", "curtain.vtu", "--out", "out", "--html")),
         ("clarabel", "cones", ("macro_fem", "run", "cones.toml", "--out", "out", "--no-picture")),
     ],
 )
 def test_what_a_command_needs_is_checked_first(tmp_path, module, extra, arguments):
     (tmp_path / "cones.toml").write_text(SCENE.format(cells=30) + '[solver]\nkind = "clarabel"\n')
+    (tmp_path / "space.toml").write_text(SCENE.format(cells=2) + "[solver]\nspace = true\n")
     before = sorted(tmp_path.iterdir())
     package, *rest = (str(a) for a in arguments)
     code = MISSING.format(module=module, package=package, arguments=rest)

@@ -21,6 +21,7 @@ from rve.localization.curtain import Curtain, read_curtain
 from rve.localization.field import draw
 from rve.localization.files import tubes, write_ring_vtu
 from rve.localization.forces import cauchy_of, cell_forces, directions, largest_forces
+from rve.localization.frames import turns
 from rve.localization.poses import PoseOptions, locked_arrangements, nearest_poses, shares
 from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
 from rve.localization.springs import lattice_strain
@@ -201,6 +202,78 @@ def test_neighbouring_cells_meet_whatever_their_strains(states, table):
     rings = place_rings(bent, sites, found, sites.cell, CELL, np.eye(2))
     expected = sites.X + 0.1 * np.abs(sites.X[:, :1]) * [0.0, 1.0]
     np.testing.assert_allclose(rings.centre[:, :2], expected, atol=1e-3)
+
+
+def in_space(curtain, places):
+    """The curtain with its corners at `places` (p, 3)."""
+    return replace(curtain, x=places)
+
+
+@pytest.mark.parametrize(("grain", "hang"), [("y", 0.0), ("x", 33.0)])
+def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, grain, hang):
+    """Centres, normals and the frame of the worst cell follow a rotation of space; gaps and links stay."""
+    _, E, S, _ = table
+    cell = replace(CELL, grain=grain)
+    axes = axes_of_weave(cell, hang)
+    found = nearest_poses(E[:8], cell, OPTIONS, states)
+    flat = sheet(deformation_gradient(E[3:4])[0], E[3], S[3], axes)
+    sites = find_sites(flat, cell, states.sides, axes)
+    Q = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    Q *= np.linalg.det(Q)
+    turned = in_space(flat, flat.x_in_space @ Q.T + [3.0, 50.0, -70.0])
+    rings = place_rings(flat, sites, found, sites.cell, cell, axes)
+    moved = place_rings(turned, sites, found, sites.cell, cell, axes)
+    np.testing.assert_allclose(moved.centre, rings.centre @ Q.T + [3.0, 50.0, -70.0], atol=1e-10)
+    np.testing.assert_allclose(moved.normal, rings.normal @ Q.T, atol=1e-12)
+    here = turns(flat, sites.triangle, found.E[sites.cell], axes)
+    np.testing.assert_allclose(turns(turned, sites.triangle, found.E[sites.cell], axes), Q @ here, atol=1e-12)
+    np.testing.assert_allclose(fit_of(moved, cell).gap_mm, fit_of(rings, cell).gap_mm, atol=1e-9)
+
+
+def fine_sheet(F, count):
+    """A square of 2 count^2 triangles with uniform deformation F."""
+    x, y = np.meshgrid(np.linspace(-40.0, 40.0, count + 1), np.linspace(-40.0, 40.0, count + 1))
+    X = np.column_stack([x.ravel(), y.ravel()])
+    i, j = np.meshgrid(np.arange(count), np.arange(count))
+    a = (i + (count + 1) * j).ravel()
+    triangles = np.concatenate([np.stack([a, a + 1, a + count + 2], 1), np.stack([a, a + count + 2, a + count + 1], 1)])
+    n = len(triangles)
+    rest = (np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.full(n, 2, dtype=int))
+    return Curtain(X, X @ F.T, triangles, np.arange(n), *rest)
+
+
+def test_a_sheet_bent_to_a_cylinder_keeps_its_links(states, table):
+    """Normals of the sheet are those of the cylinder, and all rings that were linked in the plane are linked on it."""
+    _, E, _, _ = table
+    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    flat = fine_sheet(deformation_gradient(found.E)[0], 16)
+    radius = 80.0
+    angle = flat.x[:, 0] / radius
+    bent = in_space(flat, np.column_stack([radius * np.sin(angle), flat.x[:, 1], radius * np.cos(angle)]))
+    sites = find_sites(bent, CELL, states.sides, np.eye(2))
+    row = np.zeros(len(sites.X), dtype=int)
+    plane, rings = (place_rings(one, sites, found, row, CELL, np.eye(2)) for one in (flat, bent))
+    normal = turns(bent, sites.triangle, found.E[row], np.eye(2))[:, :, 2]
+    outwards = rings.centre * [1.0, 0.0, 1.0]
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    assert (normal * outwards).sum(axis=1).min() > np.cos(0.06)  # half a facet is 0.05 wide at most
+    before, after = fit_of(plane, CELL), fit_of(rings, CELL)
+    assert before.links == after.links == before.linked == after.linked > 150
+    assert not after.broken.any()
+
+
+def test_a_cell_drawn_to_a_line_takes_the_normal_of_its_neighbours():
+    """A crease of no width between two halves of a sheet at right angles stands between their normals."""
+    X = np.array([[0.0, 0.0], [0.0, 9.0], [5.0, 0.0], [5.0, 9.0], [6.0, 0.0], [6.0, 9.0], [11.0, 0.0], [11.0, 9.0]])
+    triangles = np.array([[0, 2, 1], [2, 3, 1], [2, 4, 3], [4, 5, 3], [4, 6, 5], [6, 7, 5]])
+    x = np.column_stack([np.minimum(X[:, 0], 5.0), X[:, 1], -np.maximum(X[:, 0] - 6.0, 0.0)])
+    n = len(triangles)
+    curtain = Curtain(X, x, triangles, np.arange(n), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.ones(n, int))
+    normal = turns(curtain, np.arange(n), np.zeros((n, 3)), np.eye(2))[:, :, 2]
+    np.testing.assert_allclose(normal[:2], [[0.0, 0.0, 1.0]] * 2, atol=1e-12)
+    np.testing.assert_allclose(normal[4:], [[1.0, 0.0, 0.0]] * 2, atol=1e-12)
+    assert np.abs(normal[2:4, 1]).max() < 1e-12
+    assert normal[2:4, [0, 2]].min() > 0.1
 
 
 def test_every_lattice_point_belongs_to_one_triangle():

@@ -1,0 +1,78 @@
+"""The cloth law: inextensible in every direction and freely wrinkling, without parameters.
+
+A strain is admissible if no line becomes longer: C = I + 2E has no eigenvalue above 1, so E has none above 0. Tension
+fields of thin fabrics and films obey it, and its curtains have closed forms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite
+from homogenize.laws.stored import StoredLaw
+from homogenize.strength import Strength
+from rve.common.errors import InputError
+from rve.common.tensor import dyad, eigenvalues
+from rve.common.types import Array
+
+FIRST_FIBRES = 8
+"""Directions that the first half-spaces hold. More cost time at every point; others join where they matter."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClothLaw(StoredLaw):
+    """Fabric whose lines shorten freely and never stretch.
+
+    >>> cut = ClothLaw().cut(np.array([[0.1, 0.0, -0.3]]))
+    >>> cut.S.tolist(), cut.h.tolist(), [round(float(x), 12) for x in cut.violation]
+    ([[1.0, 0.0, 0.0]], [0.0], [0.1])
+    """
+
+    cell: CellInfo | None = None
+    name: str = "cloth"
+    provenance: dict[str, Any] = field(default_factory=dict)
+    strength: Strength | None = None
+
+    @property
+    def compliance(self) -> Array:
+        """None: zeros (3, 3)."""
+        return np.zeros((3, 3))
+
+    def support(self, S: Array) -> Array:
+        """h(S) = 0 for every tensile S (n, 3), (n,)."""
+        check_finite(S, "line loads")
+        return np.zeros(len(S))
+
+    def half_spaces(self) -> HalfSpaces:
+        """No fibre of a few directions and no mean of all of them stretches."""
+        angle = np.pi * np.arange(FIRST_FIBRES) / FIRST_FIBRES
+        fibres = dyad(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+        return HalfSpaces(np.vstack([fibres, [0.5, 0.0, 0.5]]), np.zeros(FIRST_FIBRES + 1))
+
+    def cut(self, E: Array) -> Cut:
+        """The fibre that each E (n, 3) stretches most: the eigenvector of the larger eigenvalue, which it violates."""
+        check_finite(E)
+        half, shear = 0.5 * (E[:, 0] - E[:, 2]), E[:, 1]
+        radius = np.hypot(half, shear)
+        unit = np.stack([half, shear], axis=-1) / np.where(radius > 0.0, radius, 1.0)[:, None]
+        unit[radius == 0.0] = [1.0, 0.0]
+        S = np.stack([0.5 * (1.0 + unit[:, 0]), 0.5 * unit[:, 1], 0.5 * (1.0 - unit[:, 0])], axis=-1)
+        return Cut(S, np.zeros(len(E)), eigenvalues(E)[1])
+
+    def response(self, E: Array) -> Response:
+        """None: InputError, for an inextensible law has no energy beyond locking."""
+        raise InputError("cloth does not stretch, so it has no elastic response: use kind = 'rigid'")
+
+    def to_dict(self) -> dict[str, Any]:
+        """No parameters."""
+        return {}
+
+
+def cloth_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> ClothLaw:
+    """The cloth law that `ClothLaw.to_dict` wrote; InputError for parameters, which it has none of."""
+    for key in data:
+        raise InputError(f"{where} {key}: unknown key; cloth has no parameters")
+    return ClothLaw(cell)

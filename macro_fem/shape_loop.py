@@ -1,0 +1,271 @@
+"""Curtains whose problem depends on their own shape: bodies to stay outside of, pressure normal to the surface.
+
+Neither is convex. At a shape x each body is replaced by the tangent half-spaces at the points closest to the nodes, and
+the pressure by dead nodal forces; that is a convex problem (`macro_fem.curtain`), whose answer is the next shape. The
+half-spaces of a convex body exclude the body, and x satisfies those found at x: without following pressure every round
+is admissible and lowers the potential. The rounds end when neither half-spaces nor forces turn any more; the record
+tells by how much they still do.
+
+Which side of a body a node is on is decided once, before the first round: by the last load step, or by where the sheet
+starts ([start], or the curtain without bodies), pushed along by the bodies as they move into place.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from macro_fem.fem.assembly import gradient, load_vector
+from macro_fem.scene.loads import wind_per_area
+from macro_fem.scene.obstacles import Body, breadth, placed, unit
+from macro_fem.solution import CurtainSolution, Problem, tangent_walls
+from macro_fem.solvers.status import Settling, load_scale
+from macro_fem.solvers.walls import TOUCHED, Walls
+from rve.common.errors import InputError
+from rve.common.types import Array
+from rve.common.values import Options, number, whole
+
+
+@dataclass(frozen=True)
+class ShapeOptions(Options):
+    """When the rounds end; InputError for values that make no sense."""
+
+    rounds: int = whole(60, least=1, most=10_000)
+    """Most rounds; one costs a convex solve."""
+    settled: float = number(1e-6, above=0.0, most=1.0)
+    """Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
+    damping: float = number(1.0, above=0.0, most=1.0)
+    """Part of the change of following pressure that a round takes over at first; halved when it grows."""
+    memory: int = whole(6, least=0, most=50)
+    """Rounds before, of whose pressures the next one is mixed so that the changes cancel. 0 mixes none."""
+    strides: int = whole(40, least=1, most=10_000)
+    """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
+    pace: float = number(0.5, above=0.0, most=1e3)
+    """Largest move of a body at once, over half its least width. Larger ones may leave nodes beside it."""
+    shortest: float = number(1.0 / 32, above=0.0, most=1.0)
+    """Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
+
+
+SHAPE = ShapeOptions()
+"""The defaults."""
+
+Solve = Callable[[Problem, CurtainSolution | None], CurtainSolution]
+"""The solver of a convex problem, from a curtain before."""
+
+
+def solve_shape(
+    problem: Problem, start: CurtainSolution | None, solve: Solve, options: ShapeOptions = SHAPE
+) -> CurtainSolution:
+    """The curtain of a problem with bodies or following pressure, by `solve` for each round.
+
+    InputError if the curtain is inside a body to begin with. An answer whose rounds have not settled has the status
+    "unsettled"; one that is impossible in some round has the status of that round.
+    """
+    begin = time.perf_counter()
+    sense = _sense(problem)
+    first = start if start is not None else _first(problem, solve)
+    force = following(problem, first.F, sense)
+    mixer = _Mixer(options)
+    normals, found = _approached(problem, first, force, start, solve, options)
+    record = None
+    for rounds in range(1, options.rounds + 1):
+        if found.status in ("infeasible", "not_finite"):
+            break
+        change = following(problem, found.F, sense) - force
+        turned = [body.normal(found.x) for body in problem.bodies]
+        record = _record(problem, found, turned, change, rounds, options)
+        if record.is_settled:
+            break
+        normals = turned
+        force = mixer.next(force, change) if problem.follows else force
+        if rounds < options.rounds:
+            found = solve(_posed(problem, normals, force), found)
+    own = replace(found.problem, bodies=problem.bodies, follows=problem.follows)
+    return replace(found, problem=own, settling=record, wall_s=time.perf_counter() - begin)
+
+
+def _approached(
+    problem: Problem,
+    first: CurtainSolution,
+    force: Array,
+    start: CurtainSolution | None,
+    solve: Solve,
+    options: ShapeOptions,
+) -> tuple[list[Array], CurtainSolution]:
+    """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place.
+
+    In as large strides as the half-spaces leave room for: those found at one shape may exclude every state of a curtain
+    whose supports are elsewhere. After `options.shortest` the last curtain says that it is blocked.
+    """
+    held = np.where(problem.fem.held, first.x, 0.0)
+    before = 0.0 if start is None else start.problem.factor
+    done, stride, x, last = 0.0, _stride(problem, before, options), first.x, start
+    while True:
+        part = min(1.0, done + stride)
+        factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
+        bodies = tuple(placed(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
+        fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
+        pushed = _ploughed(problem, x, *factors, options)
+        normals = [body.normal(pushed) for body in bodies]
+        found = solve(_posed(replace(problem, fem=fem, bodies=bodies), normals, force), last)
+        if found.status == "infeasible" and stride > options.shortest:
+            stride *= 0.5
+        elif found.status == "infeasible" or part == 1.0:
+            return normals, found
+        else:
+            done, x, last = part, found.x, found
+
+
+MIXED_FROM = 0.2
+"""Relative change of the pressure's forces from which rounds are mixed. Farther away changes are not nearly linear."""
+LEAST_SHARE = 0.25
+"""Least part of `options.damping` that is taken. Smaller shares would end the rounds without an answer."""
+
+
+def _stride(problem: Problem, before: float, options: ShapeOptions) -> float:
+    """The part of their moves that no body should exceed at once: farther, and it may pass between nodes."""
+    parts = [1.0]
+    for body in problem.bodies:
+        way = (problem.factor - before) * float(np.linalg.norm(body.obstacle.move))
+        parts.append(options.pace * breadth(cast(Body, body.obstacle)) / max(way, 1e-300))
+    return max(options.shortest, min(parts))
+
+
+class _Mixer:
+    """Anderson's mixing of the forces of a fixed point f = G(f), from forces and their changes G(f) - f.
+
+    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved,
+    else doubled up to `options.damping`.
+    """
+
+    def __init__(self, options: ShapeOptions) -> None:
+        self.share = self.most = options.damping
+        self.memory = options.memory
+        self.forces: list[Array] = []
+        self.changes: list[Array] = []
+
+    def next(self, force: Array, change: Array) -> Array:
+        """The force (n_nodes, d) to try after one that the present shape would change by `change`."""
+        if self.changes and np.linalg.norm(change) > np.linalg.norm(self.changes[-1]):
+            self.share = max(LEAST_SHARE * self.most, 0.5 * self.share)
+            self.forces, self.changes = [], []
+        else:
+            self.share = min(self.most, 2.0 * self.share)
+        self.forces = [*self.forces, force][-self.memory - 1 :]
+        self.changes = [*self.changes, change][-self.memory - 1 :]
+        mixed = force + self.share * change
+        if len(self.changes) > 1 and np.linalg.norm(change) < MIXED_FROM * np.linalg.norm(force):
+            dg = np.stack([(change - old).ravel() for old in self.changes[:-1]], axis=1)
+            df = np.stack([(force - old).ravel() for old in self.forces[:-1]], axis=1)
+            weights = np.linalg.lstsq(dg, change.ravel(), rcond=1e-8)[0]
+            mixed = mixed - ((df + self.share * dg) @ weights).reshape(force.shape)
+        return np.asarray(mixed)
+
+
+def _posed(problem: Problem, normals: list[Array], force: Array) -> Problem:
+    """The convex problem with tangent half-spaces of these normals and dead forces (n_nodes, d) for the pressure."""
+    flat = [] if problem.walls is None else [problem.walls]
+    tangent = [tangent_walls(body, problem.fem, normal) for body, normal in zip(problem.bodies, normals, strict=True)]
+    walls = Walls.joined([*flat, *tangent])
+    return replace(problem, bodies=(), follows=(), walls=walls, force=problem.force + force)
+
+
+def _first(problem: Problem, solve: Solve) -> CurtainSolution:
+    """Where nodes are before bodies move: the sheet at its start, or the curtain without bodies, in dead wind.
+
+    InputError for a free node inside a body.
+    """
+    scene, disc = problem.scene, problem.disc
+    dead = problem.force
+    for wind in problem.follows:
+        dead = dead + load_vector(disc, problem.factor * wind_per_area(wind, problem.scene, problem.law.cell))
+    found = solve(replace(problem, bodies=(), follows=(), force=dead), None)
+    if scene.start is not None:
+        x = scene.start.places(disc.nodes)
+        found = replace(found, x=x, F=gradient(disc, x))
+    for body in problem.bodies:
+        here = placed(body.number, body.obstacle, 0.0, body.d)
+        gap = here.gap(found.x)
+        count = int(np.count_nonzero(gap < -TOUCHED * problem.mesh.size))
+        if count:
+            raise InputError(
+                f"{scene.source}: [obstacle] {body.obstacle.name}: {count} nodes of the curtain are up to "
+                f"{-gap.min():.4g} mm inside it before anything moves; lay the sheet beside it by [start], or let it "
+                "come by move"
+            )
+    return found
+
+
+def _ploughed(problem: Problem, x: Array, before: float, after: float, options: ShapeOptions) -> Array:
+    """Places (n_nodes, d) after the bodies have gone from one share of their moves to another.
+
+    Nodes that a body meets are pushed to its surface.
+    """
+    for factor in np.linspace(before, after, options.strides + 1)[1:]:
+        for body in problem.bodies:
+            if any(body.obstacle.move):
+                here = placed(body.number, body.obstacle, float(factor), body.d)
+                x = x + np.maximum(-here.gap(x), 0.0)[:, None] * here.normal(x)
+    return x
+
+
+def _sense(problem: Problem) -> list[float]:
+    """1 for each following pressure that blows along F_1 x F_2 of the flat sheet where it starts, -1 against it.
+
+    InputError for one that blows along the flat sheet.
+    """
+    start = problem.scene.start
+    normal = np.array([0.0, 0.0, 1.0]) if start is None else np.cross(unit(start.x_axis), unit(start.y_axis))
+    signs = []
+    for wind in problem.follows:
+        along = float(normal @ unit(wind.direction))
+        if abs(along) < 1e-3:
+            raise InputError(
+                f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so "
+                "that it tells no side for follows = true; lay the sheet across it by [start]"
+            )
+        signs.append(float(np.sign(along)))
+    return signs
+
+
+def following(problem: Problem, F: Array, sense: list[float]) -> Array:
+    """Nodal forces (n_nodes, d), N, of following pressure on a shape with gradients F (nq, 3, 2).
+
+    The normal times the present area per reference area is F_1 x F_2.
+    """
+    total = np.zeros_like(problem.force)
+    for wind, sign in zip(problem.follows, sense, strict=True):
+        per_area = wind_per_area(wind, problem.scene, problem.law.cell)
+        pressure = sign * problem.factor * float(unit(wind.direction) @ per_area)
+        total += load_vector(problem.disc, pressure * np.cross(F[:, :, 0], F[:, :, 1]))
+    return total
+
+
+def _record(
+    problem: Problem, found: CurtainSolution, turned: list[Array], change: Array, rounds: int, options: ShapeOptions
+) -> Settling:
+    """The residuals of a round: how much its reactions and the pressure turn at its own shape."""
+    walls, x = found.problem.walls, found.x
+    total = load_scale(found.problem.force, problem.disc.weight)
+    misfit, product, deepest, depth = float(np.linalg.norm(change, axis=1).sum()), 0.0, 0.0, 0.0
+    for body, normal in zip(problem.bodies, turned, strict=True):
+        assert walls is not None
+        own = walls.owner == body.number
+        node, push = walls.node[own], found.wall_forces[own]
+        misfit += float(push @ np.linalg.norm(normal[node] - walls.normal[own], axis=1))
+        product += float(push @ np.abs(body.gap(x[node])))
+        inside = -float(body.gap(_between(found.problem, x)).min())
+        deepest, depth = max(deepest, inside), max(depth, inside / breadth(cast(Body, body.obstacle)))
+    product /= total * problem.mesh.size
+    return Settling(rounds, misfit / total, product, options.settled, deepest, depth)
+
+
+def _between(problem: Problem, x: Array) -> Array:
+    """Places (n, d) in the middle of every cell, and in the middle between any two of its nodes."""
+    local = x[problem.disc.cell_dofs]
+    a, b = np.triu_indices(local.shape[1], 1)
+    return np.concatenate([local.mean(axis=1), (0.5 * (local[:, a] + local[:, b])).reshape(-1, x.shape[1])])

@@ -1,0 +1,154 @@
+"""Half-spaces on nodes, normal . x >= offset: floors, walls, and the tangent planes of bodies.
+
+Each one is a linear cone of the program in `cone_program`. With the size of the curtain as unit its slack is
+s = (normal . x - offset) / size, its dual variable u in N/mm counts for the reference area of its node like the
+multipliers of the law, and the reaction is area u / size, a push along the normal in N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from macro_fem.fem.supported import SupportedFem
+from rve.common.types import Array
+
+TOUCHED = 1e-9
+"""Relative to the size: by how much a node that no unknown moves may be outside its half-space, as rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """Half-spaces normal . x >= offset: node (m,), unit normals (m, d), offset (m,) in mm; a node may have several.
+
+    owner (m,): numbers that tell which obstacle each one belongs to, all 0 where they are not given.
+    """
+
+    node: np.ndarray
+    normal: Array
+    offset: Array
+    owner: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.owner) != len(self.node):
+            object.__setattr__(self, "owner", np.zeros(len(self.node), np.int64))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Walls]) -> Walls | None:
+        """All half-spaces of some parts; None if there is none."""
+        if not sum(map(len, parts)):
+            return None
+        return cls(*(np.concatenate([getattr(part, name.name) for part in parts]) for name in fields(cls)))
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+    def gap(self, x: Array) -> Array:
+        """Distance (m,) of the nodes x (n_nodes, d) from their planes, mm; negative where they have crossed."""
+        return np.asarray((self.normal * x[self.node]).sum(axis=1) - self.offset)
+
+    def nodal(self, force: Array, n_nodes: int) -> Array:
+        """Nodal forces (n_nodes, d) of pushes `force` (m,) along the normals, N."""
+        out = np.zeros((n_nodes, self.normal.shape[1]))
+        np.add.at(out, self.node, force[:, None] * self.normal)
+        return out
+
+    def scaled(self, factor: float) -> Walls:
+        """The half-spaces of a curtain whose positions are `factor` times as large."""
+        return replace(self, offset=factor * self.offset)
+
+    def only(self, keep: np.ndarray) -> Walls:
+        """The half-spaces chosen by a mask or by numbers."""
+        return Walls(self.node[keep], self.normal[keep], self.offset[keep], self.owner[keep])
+
+    def is_movable(self, fem: SupportedFem) -> np.ndarray:
+        """Which half-spaces (m,) concern a component that an unknown moves; the others hold or do not."""
+        return np.asarray((np.abs(self.normal) * ~fem.held[self.node]).sum(axis=1) > 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The half-spaces as rows of a program: slacks s = A z + b0 without unit, weights v (m,) in mm2."""
+
+    fem: SupportedFem | None
+    walls: Walls | None
+    size: float = 1.0
+
+    @cached_property
+    def v(self) -> Array:
+        """Reference area around the node of each row (m,), mm2."""
+        if self.fem is None or self.walls is None:
+            return np.zeros(0)
+        disc = self.fem.disc
+        local = disc.cell_dofs.shape[1]
+        around = np.bincount(disc.cell_dofs.ravel(), np.repeat(disc.cell_area / local, local), disc.n_nodes)
+        return np.asarray(around[self.walls.node])
+
+    def slack(self, z: Array) -> Array:
+        """A z + b0 (m,)."""
+        if self.fem is None or self.walls is None:
+            return np.zeros(0)
+        return self.walls.gap(self.fem.positions(z)) / self.size
+
+    def change(self, dz: Array) -> Array:
+        """A dz (m,)."""
+        if self.fem is None or self.walls is None:
+            return np.zeros(0)
+        return np.asarray((self.walls.normal * self.fem.spread(dz)[self.walls.node]).sum(axis=1) / self.size)
+
+    def force(self, u: Array) -> Array | float:
+        """A^T (v u) (n,), N: the forces on the unknowns of dual variables u (m,); 0 without rows."""
+        if self.fem is None or self.walls is None:
+            return 0.0
+        return self.fem.gather(self.walls.nodal(self.reaction(u), self.fem.disc.n_nodes))
+
+    def reaction(self, u: Array) -> Array:
+        """The pushes (m,) of dual variables u (m,), N."""
+        return np.asarray(self.v * u / self.size)
+
+    def blocks(self, weight: Array) -> Array | None:
+        """A^T (v weight) A as blocks (n_nodes, d, d) on the diagonal of the matrix on all nodes; None without rows."""
+        if self.fem is None or self.walls is None:
+            return None
+        normal = self.walls.normal
+        out = np.zeros((self.fem.disc.n_nodes, normal.shape[1], normal.shape[1]))
+        scaled = self.v * weight / self.size**2
+        np.add.at(out, self.walls.node, scaled[:, None, None] * normal[:, :, None] * normal[:, None, :])
+        return out
+
+
+NO_ROWS = Rows(None, None)
+"""The rows of a program without half-spaces on nodes."""
+
+
+def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> Rows:
+    """The rows of half-spaces that unknowns can meet, in units of `size` mm.
+
+    ValueError if a held node is beyond one that no unknown moves.
+    """
+    if walls is None or not len(walls):
+        return NO_ROWS
+    can = walls.is_movable(fem)
+    beyond = float((-walls.only(~can).gap(fem.x_held)).max(initial=0.0))
+    if beyond > TOUCHED * size:
+        raise ValueError(f"a held node is {beyond:g} mm beyond a half-space")
+    return Rows(fem, walls.only(can), size) if can.any() else NO_ROWS
+
+
+def all_forces(walls: Walls | None, fem: SupportedFem, rows: Rows, u: Array) -> Array:
+    """The reactions (m,) of all half-spaces, N: zero for those that are no rows."""
+    if walls is None:
+        return np.zeros(0)
+    out = np.zeros(len(walls))
+    if rows.walls is not None:
+        out[walls.is_movable(fem)] = rows.reaction(u)
+    return out
+
+
+def longest(s: Array, ds: Array) -> float:
+    """The largest t with s + t ds >= 0 for s > 0; infinite if there is no limit."""
+    falls = ds < 0.0
+    return float((-s[falls] / ds[falls]).min(initial=np.inf))

@@ -1,0 +1,178 @@
+"""A view as one HTML file that turns in a browser without a network: plotly's writer with its script inside.
+
+Plotly brings hover numbers, a bar of colours and a legend in which parts are switched on and off. The script is
+5 MB of each file.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+from typing import Any
+
+import numpy as np
+
+from rve.common.errors import require
+from rve.common.files import write_text
+from rve.common.types import Array
+from rve.common.views import Lines, Scale, Surface, View
+
+AXES = [2, 0, 1]
+"""Our axes z, x, y as x, y, z of plotly, whose third axis points up."""
+SEEN_THROUGH = 0.5
+"""Surfaces more opaque than this are quite opaque: a browser draws the triangles of transparent ones in any order."""
+LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.15, "roughness": 0.6, "fresnel": 0.05}
+
+
+def check_page(purpose: str = "a page", instead: str = "ask for none") -> None:
+    """InputError if plotly is missing."""
+    require("plotly", "pages", purpose, instead)
+
+
+def write_page(path: str | os.PathLike[str], view: View) -> None:
+    """Write the view as one HTML file, atomically; InputError if plotly is missing."""
+    check_page(str(path))
+    from plotly.io import to_html
+
+    settings = {"displaylogo": False, "responsive": True, "scrollZoom": True}
+    figure = {"data": _traces(view), "layout": _layout(view)}
+    text = to_html(
+        figure, config=settings, include_plotlyjs=True, full_html=True, validate=False, default_height="100vh"
+    )
+    head = f'<head><title>{_plain(view.title)}</title><link rel="icon" href="data:,">'
+    style = "<style>body{margin:0}</style>"
+    write_text(path, text.replace("<head>", head + style, 1))
+
+
+def _traces(view: View) -> list[dict[str, Any]]:
+    traces: list[dict[str, Any]] = []
+    for part in view.parts:
+        traces.append(_surface(part, view.scale) if isinstance(part, Surface) else _lines(part, view.scale))
+    coloured = [trace for trace, part in zip(traces, view.parts, strict=True) if part.values is not None]
+    if coloured and view.scale is not None:
+        first = coloured[0]
+        target = first if first["type"] == "mesh3d" else first["line"]
+        target |= {"showscale": True, "colorbar": _bar(view.scale)}
+    return traces
+
+
+def _surface(part: Surface, scale: Scale | None) -> dict[str, Any]:
+    x, y, z = map(_packed, part.points.T)
+    i, j, k = map(_packed, part.triangles.T)
+    trace = {
+        **{"type": "mesh3d", "name": part.name, "x": z, "y": x, "z": y, "i": i, "j": j, "k": k},
+        **{
+            "opacity": part.opacity if part.opacity < SEEN_THROUGH else 1.0,
+            "showlegend": part.in_legend,
+            "flatshading": not part.is_smooth,
+            "showscale": False,
+        },
+        **{
+            "lighting": _light(part),
+            "color": part.colour,
+            "hoverinfo": "name",
+            "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5},
+        },
+    }
+    if part.values is None or scale is None:
+        return trace
+    hover = f"{scale.label}: %{{customdata:.4g}}<br>x %{{y:.0f}}, y %{{z:.0f}}, z %{{x:.0f}} mm<extra></extra>"
+    trace |= {"showlegend": False}  # the bar of colours tells what it is
+    values = {"intensity": _packed(_shares(part.values, scale)), "customdata": _packed(part.values)}
+    return trace | values | {"hovertemplate": hover} | _range(scale)
+
+
+def _light(part: Surface) -> dict[str, float]:
+    if not part.is_lit:
+        return {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0}
+    return LIGHT if part.values is not None else LIGHT | {"ambient": 0.7}
+
+
+def _lines(part: Lines, scale: Scale | None) -> dict[str, Any]:
+    n, k = part.points.shape[:2]
+    broken = np.full((n, k + 1, 3), np.nan)  # a point that is no number ends a line
+    broken[:, :k] = part.points
+    x, y, z = map(_packed, broken.reshape(-1, 3).T)
+    line: dict[str, Any] = {"width": part.width, "color": part.colour}
+    trace: dict[str, Any] = {"type": "scatter3d", "mode": "lines", "name": part.name, "x": z, "y": x, "z": y}
+    trace |= {"line": line, "showlegend": part.in_legend, "hoverinfo": "name", "connectgaps": False}
+    if part.values is None or scale is None:
+        return trace
+    values = np.repeat(part.values, k + 1)
+    line |= {"color": _packed(_shares(values, scale)), "showscale": False} | _range(scale)
+    hover = f"{scale.label}: %{{customdata:.4g}}<extra></extra>"
+    return trace | {"customdata": _packed(values), "hovertemplate": hover, "showlegend": False}
+
+
+def _packed(values: Array) -> dict[str, str]:
+    """Numbers as plotly takes them in JSON: base64 of float32 or int32, a third of the bytes of digits."""
+    kind = "i4" if np.issubdtype(np.asarray(values).dtype, np.integer) else "f4"
+    return {"dtype": kind, "bdata": base64.b64encode(np.asarray(values).astype(f"<{kind}").tobytes()).decode()}
+
+
+STRIP = 0.025
+"""Length of the strip of the colour beyond the scale, over that of the scale."""
+
+
+def _shares(values: Array, scale: Scale) -> Array:
+    return np.clip(scale.share(values), 0.0, 1.0 + STRIP if scale.is_exceeded else 1.0)
+
+
+def _range(scale: Scale) -> dict[str, Any]:
+    """Colours over the share of the scale, with a strip of `over` at the end if values exceed it."""
+    end = 1.0 + STRIP if scale.is_exceeded else 1.0
+    at = np.linspace(0.0, 1.0 / end, len(scale.colours))
+    colours = [[float(x), colour] for x, colour in zip(at, scale.colours, strict=True)]
+    if scale.is_exceeded:
+        colours += [[colours[-1][0], scale.over], [1.0, scale.over]]
+    return {"cmin": 0.0, "cmax": end, "colorscale": colours}
+
+
+def _bar(scale: Scale) -> dict[str, Any]:
+    values = scale.ticks()
+    text = [f"{value:.3g}" for value in values]
+    at = [float(x) for x in scale.share(np.array(values))]
+    if scale.is_exceeded:
+        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{values[-1]:.3g}; above: up to {scale.largest:.3g}"]
+    return {
+        "title": {"text": scale.label, "side": "right"},
+        "tickvals": at,
+        "ticktext": text,
+        "len": 0.7,
+        "thickness": 18,
+        "x": 1.0,
+    }
+
+
+def _layout(view: View) -> dict[str, Any]:
+    camera = view.cameras[-1]
+    eye = -np.array(camera.direction)
+    eye = 2.2 * eye[AXES] / np.linalg.norm(eye)
+    axis = {"showbackground": False, "zeroline": False, "gridcolor": "#e3e6ea", "showspikes": False}
+    names = [f"{'xyz'[axis]}, mm" for axis in AXES]
+    notes = "<br>".join(_plain(line) for line in view.notes)
+    return {
+        "title": {"text": _plain(view.title).replace("\n", "<br>"), "font": {"size": 16}, "x": 0.02},
+        "font": {"family": "sans-serif", "size": 13},
+        "margin": {"l": 0, "r": 0, "t": 50, "b": 40},
+        "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"},
+        "annotations": [
+            {"text": notes, "x": 0.01, "y": -0.02, "xref": "paper", "yref": "paper", "yanchor": "top", "align": "left"}
+            | {"showarrow": False, "font": {"size": 12, "color": "#555"}}
+        ],
+        "scene": {
+            "aspectmode": "data",
+            "dragmode": "turntable",
+            "camera": {
+                "up": dict(zip("xyz", (0, 0, 1), strict=True)),
+                "eye": dict(zip("xyz", map(float, eye), strict=True)),
+            },
+            **{f"{own}axis": axis | {"title": {"text": name}} for own, name in zip("xyz", names, strict=True)},
+        },
+    }
+
+
+def _plain(text: str) -> str:
+    from html import escape
+
+    return escape(text, quote=False)

@@ -1,0 +1,151 @@
+"""Edges on lines in space: held, sliding along an axis, sliding on sloping lines, and what is refused."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from macro_fem.curtain import solve_scene
+from macro_fem.every_ring import ring_scene
+from macro_fem.scene.schema import read_scene
+from rve.common.errors import InputError
+
+TURN = Rotation.from_euler("zxy", [-50.0, 25.0, 70.0], degrees=True).as_matrix()
+WAYS = [np.eye(3), TURN]
+
+
+def placed(turn, *place):
+    return (turn @ np.array(place, float)).tolist()
+
+
+def line(turn, edge, first, last, **keys):
+    return {"kind": "edge", "edge": edge, "along": [placed(turn, *first), placed(turn, *last)], **keys}
+
+
+def solved(scene_tables, law, turn, support, wind=30.0, **keys):
+    load = {"gravity": placed(turn, 0.0, -9.81, 0.0)}
+    load |= {"wind": {"pressure": wind, "direction": placed(turn, 0.0, 0.0, 1.0)}}
+    tables = scene_tables(load=load, solver={"stabilising_tension": 0.0, **keys}, mesh={"cells": 4})
+    return solve_scene(read_scene({**tables, "support": support}), law)
+
+
+def work(solution):
+    """Work of the loads over their size times that of the curtain, and the balance of all forces."""
+    force = solution.problem.force
+    balance = (solution.reactions + force).sum(axis=0)
+    assert np.abs(balance).max() < 1e-8 * np.linalg.norm(force.sum(axis=0))
+    return (force * solution.x).sum() / (np.linalg.norm(force, axis=1).sum() * 100.0)
+
+
+def test_a_sloping_rail_is_the_turned_rail(ring_like, scene_tables):
+    """The top slides on a line along x (a rail in space), and on the same line turned with the whole scene."""
+    works, places = [], []
+    for turn in WAYS:
+        top = line(turn, "top", (0.0, 100.0, 0.0), (100.0, 100.0, 0.0), sliding=True)
+        solution = solved(scene_tables, ring_like, turn, top, tolerance=1e-11)
+        assert solution.status == "converged"
+        works.append(work(solution))
+        places.append(solution.x @ turn)
+    rail = solved(scene_tables, ring_like, WAYS[0], {"kind": "rail"}, tolerance=1e-11)
+    assert works == pytest.approx([work(rail)] * 2, abs=1e-8)
+    top = rail.problem.disc.nodes[:, 1] == 100.0
+    for x in places:
+        assert x[top, 1:] == pytest.approx(rail.x[top, 1:], abs=1e-6)
+
+
+def test_sides_slide_on_sloping_cables(ring_like, scene_tables):
+    """Two cables that lean apart: reactions of the cables are at right angles to them, nodes stay on them."""
+    support = [
+        line(TURN, "left", (-5.0, 0.0, 10.0), (5.0, 100.0, 0.0), sliding=True),
+        line(TURN, "right", (105.0, 0.0, -10.0), (95.0, 100.0, 0.0), sliding=True),
+        line(TURN, "top", (5.0, 100.0, 0.0), (95.0, 100.0, 0.0)),
+    ]
+    solution = solved(scene_tables, ring_like, TURN, support)
+    assert solution.status == "converged"
+    work(solution)
+    left, right, top = solution.problem.supports.held
+    size = np.abs(solution.reactions).max()
+    for cable in (left, right):
+        inner = np.setdiff1d(cable.nodes, top.nodes)
+        assert np.abs(solution.reactions[inner] @ cable.slide).max() < 1e-8 * size
+        assert np.linalg.norm(solution.reactions[inner], axis=1).max() > 1e-3 * size
+        away = solution.x[cable.nodes] - cable.positions
+        assert np.linalg.norm(away - np.outer(away @ cable.slide, cable.slide), axis=1).max() < 1e-9
+        assert np.linalg.norm(away, axis=1).max() > 1e-3
+    assert solution.x[top.nodes] == pytest.approx(top.positions, abs=1e-9)
+
+
+def test_a_plane_scene_slides_on_a_sloping_line(ring_like, scene_tables):
+    """A line in the plane keeps the scene in the plane: the turned weight pulls along the turned normal."""
+    works = []
+    for angle in (0.0, 25.0):
+        turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+        ends = [placed(turn, 0.0, 100.0, 0.0)[:2], placed(turn, 100.0, 100.0, 0.0)[:2]]
+        gravity = placed(turn, 0.0, -9.81, 0.0)[:2]
+        tables = scene_tables(hang="x", load={"gravity": gravity}, solver={"stabilising_tension": 0.0})
+        support = {"kind": "edge", "edge": "top", "along": ends, "sliding": True}
+        solution = solve_scene(read_scene({**tables, "support": support}), ring_like)
+        assert solution.problem.fem.d == 2
+        works.append(work(solution))
+    assert works[1] == pytest.approx(works[0], abs=1e-8)
+
+
+def test_held_on_a_line_is_the_moved_edge(ring_like, scene_tables):
+    """A bottom edge held along a line is the edge moved there."""
+    held = {"kind": "edge", "edge": "bottom", "along": [[0.0, 100.0, 60.0], [100.0, 100.0, 60.0]]}
+    moved = {"kind": "edge", "edge": "bottom", "move": [0.0, 100.0, 60.0]}
+    one, other = (
+        solved(scene_tables, ring_like, np.eye(3), [{"kind": "top"}, bottom], wind=0.1) for bottom in (held, moved)
+    )
+    assert one.x == pytest.approx(other.x, abs=1e-9)
+
+
+def test_what_slides_along_its_line_must_not_be_pushed(ring_like, scene_tables):
+    support = line(TURN, "left", (0.0, 0.0, 0.0), (0.0, 100.0, 0.0), sliding=True)
+    with pytest.raises(InputError, match=r"scene: \[load\]: nothing carries the force of -0.273\d* N along"):
+        solved(scene_tables, ring_like, TURN, support)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"sliding": True}, "sliding = true: has no effect without along"),
+        ({"along": [[0, 0, 0], [0, 0, 0]]}, "along = [[0, 0, 0], [0, 0, 0]]: is no line"),
+        ({"along": [[0, 0, 0]]}, "along = [[0, 0, 0]]: is not a list"),
+        ({"along": [[0, 0, 0], [0, 100, 0]], "gather": 0.9}, "gather = 0.9: has no effect with along"),
+        ({"along": [[0, 0, 0], [0, 100, 0]], "held": "x"}, "held = 'x': has no effect with along"),
+        ({"along": [[0, 0, 0], [0, 100, 0]], "sliding": 1}, "sliding = 1: is neither true nor false"),
+    ],
+)
+def test_bad_keys_of_a_line_end_in_one_sentence(scene_tables, keys, message):
+    with pytest.raises(InputError, match=re.escape(f"scene: [support] (edge) {message}")):
+        read_scene({**scene_tables(), "support": {"kind": "edge", "edge": "left", **keys}})
+
+
+def test_supports_that_do_not_meet_on_a_line_are_refused(ring_like, scene_tables):
+    """A top edge whose end is off the cable; a point that is held in part where an edge slides."""
+    cable = line(TURN, "left", (0.0, 0.0, 0.0), (0.0, 100.0, 0.0), sliding=True)
+    top = line(TURN, "top", (3.0, 100.0, 0.0), (97.0, 100.0, 0.0))
+    with pytest.raises(InputError, match="hold the point \\(0, 100\\) at different places"):
+        solved(scene_tables, ring_like, TURN, [cable, top])
+    point = {"kind": "point", "at": [0.0, 0.0], "held": "y", "move": [0.0, placed(TURN, 0.0, 0.0, 0.0)[1]]}
+    with pytest.raises(InputError, match="holds some components of the point \\(0, 0\\), which slides"):
+        solved(scene_tables, ring_like, TURN, [cable, point])
+
+
+def test_a_curtain_that_could_hang_from_a_point_is_within_reach(ring_like, scene_tables):
+    """On one sloping rail all nodes fit into a point: the supports may be as far apart as they like."""
+    top = line(np.eye(3), "top", (0.0, 100.0, 0.0), (60.0, 100.0, 80.0), sliding=True)
+    scene = read_scene({**scene_tables(mesh={"cells": 4}, solver={"kind": "clarabel"}), "support": top})
+    solution = solve_scene(scene, ring_like)
+    assert solution.status == "converged"
+    assert solution.mean_height() == pytest.approx(50.0, abs=1e-3)
+
+
+def test_rings_one_by_one_do_not_slide_on_a_sloping_line(scene_tables):
+    along = [[0.0, 25.0, 0.0], [40.0, 25.0, 30.0]]
+    top = {"kind": "edge", "edge": "top", "along": along, "sliding": True}
+    scene = read_scene({**scene_tables(width=44.0, height=25.0), "support": top})
+    with pytest.raises(InputError, match=r"scene: \[support\] sliding = true: rings slide along x, y or z"):
+        ring_scene(scene)

@@ -1,0 +1,377 @@
+"""Curtains in space: what takes a scene there, that plane ones stay what they are, turned ones turn, forces balance."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from homogenize.io import default_law
+from macro_fem.cli import main
+from macro_fem.compare import compare
+from macro_fem.curtain import solve_scene
+from macro_fem.every_ring import ring_scene
+from macro_fem.job import solve
+from macro_fem.output.explain import decisions
+from macro_fem.output.files import support_table
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import load_scene, read_scene
+from macro_fem.scene.tables import HELD
+from macro_fem.solution import gathered_start, make_problem
+from macro_fem.solvers.cones import green_strain
+from macro_fem.solvers.status import load_scale
+from rve.common.errors import InputError
+
+LAW = default_law()
+EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
+UP = {"kind": "edge", "edge": "bottom", "move": [0.0, 400.0, 300.0]}
+WIND = {"pressure": 6.0, "direction": [0.0, 0.0, -2.0]}
+
+
+def tables(support, load=None, cells=4, width=500.0, height=500.0, solver=None, **curtain):
+    return {
+        "curtain": {"width": width, "height": height, **curtain},
+        "mesh": {"cells": cells},
+        "support": support,
+        "load": load or {},
+        "solver": solver or {},
+    }
+
+
+SMALL = {
+    "hammock": tables([{"kind": "top"}, UP]),
+    "wind on corners": tables({"kind": "corners", "gather": 0.9}, {"wind": WIND}),
+    "net held at points": tables(
+        [
+            {"kind": "point", "at": [x, y], "move": [0.1 * (250.0 - x), -0.1 * y, 0.2 * y]}
+            for x in (0.0, 500.0)
+            for y in (0.0, 500.0)
+        ],
+        {"point": {"at": [250.0, 250.0], "force": [1.0, 0.5, 3.0]}},
+    ),
+    "sliding rail": tables({"kind": "rail"}, {"edge": {"edge": "bottom", "force": [0.0, 0.0, 2e-3]}}, weave_angle="x"),
+    "bar and patch": tables(
+        {"kind": "top", "gather": 0.8, "move": [0.0, 0.0, 100.0]},
+        {"bar": {"mass": 0.5}, "patch": {"at": [250.0, 200.0], "radius": 100.0, "force": [0.0, 0.0, -2.0]}},
+    ),
+}  # fmt: skip
+
+
+def scale(solution):
+    """The unit of a potential: total load times size, N mm."""
+    problem = solution.problem
+    return load_scale(problem.force, problem.disc.weight) * problem.mesh.size
+
+
+def forced(scene):
+    """The scene with the third coordinate, without bounds, and the same scene in the plane."""
+    plane = replace(scene, solver=replace(scene.solver, bounds=False, adapt=0))
+    return replace(plane, solver=replace(plane.solver, space=True)), plane
+
+
+@pytest.mark.parametrize(
+    ("support", "load", "solver", "why"),
+    [
+        ([{"kind": "top"}, UP], {}, {}, "[support] move = [0.0, 400.0, 300.0]"),
+        ({"kind": "top"}, {"gravity": [0.0, -9.0, 1.0]}, {}, "[load] gravity = [0.0, -9.0, 1.0]"),
+        ({"kind": "top"}, {"point": {"at": [0, 0], "force": [0, 0, 1]}}, {}, "[load.point] force = [0.0, 0.0, 1.0]"),
+        ({"kind": "top"}, {"edge": {"edge": "left", "force": [0, 0, 1]}}, {}, "[load.edge] force = [0.0, 0.0, 1.0]"),
+        ({"kind": "top"}, {"wind": WIND}, {}, "[load.wind] direction = [0.0, 0.0, -2.0]"),
+        ({"kind": "top"}, {}, {"space": True}, "[solver] space = true"),
+        ({"kind": "top"}, {}, {}, ""),
+        ({"kind": "top", "move": [0.0, 1.0, 0.0]}, {"gravity": [1.0, -9.0, 0.0]}, {}, ""),
+        ({"kind": "top"}, {"wind": {"pressure": 6.0, "direction": [1.0, 0.0]}}, {}, ""),
+    ],
+)
+def test_a_scene_says_why_it_needs_a_third_coordinate(support, load, solver, why):
+    scene = read_scene(tables(support, load, solver=solver))
+    assert scene.in_space == bool(why)
+    assert scene.space_reason.startswith(why)
+    problem = make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    assert problem.fem.d == problem.force.shape[1] == scene.d == (3 if why else 2)
+
+
+@pytest.mark.parametrize("held", HELD)
+def test_held_names_the_components(held):
+    support = [{"kind": "top"}, {"kind": "edge", "edge": "bottom", "held": held}]
+    scene = read_scene(tables(support, {"wind": WIND}))
+    problem = make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    nodes = problem.supports.held[1].nodes
+    expected = [held == "both" or axis in held for axis in "xyz"]
+    assert (problem.supports.mask[nodes] == expected).all()
+    assert (problem.fem.held[nodes] == expected).all()
+
+
+def test_loads_have_the_sum_and_direction_that_are_asked_for():
+    load = {
+        "gravity": [1.0, 2.0, -3.0],
+        "wind": [WIND, {"pressure": 2.0, "direction": [3.0, 4.0]}],
+        "bar": {"mass": 2.0, "straight": False},
+        "edge": {"edge": "left", "force": [1e-3, 0.0, 2e-3]},
+    }
+    scene = read_scene(tables({"kind": "top"}, load, areal_mass=2.0))
+    force = make_problem(scene, LAW, build_mesh(scene, LAW.cell), 0.5).force.sum(axis=0)
+    area = 0.25  # m2
+    weight = (2.0 * area + 2.0) * np.array([1.0, 2.0, -3.0])
+    live = area * np.array([1.2, 1.6, -6.0]) + np.array([0.5, 0.0, 1.0])
+    assert np.allclose(force, weight + 0.5 * live, rtol=1e-12)
+
+
+def assert_same_potential(scene, law=LAW):
+    space, plane = (solve_scene(one, law) for one in forced(scene))
+    assert space.problem.fem.d == 3
+    assert plane.problem.fem.d == 2
+    assert space.status == plane.status
+    if plane.elastic or plane.status == "converged":
+        assert abs(space.primal - plane.primal) < 1e-8 * scale(plane)
+
+
+@pytest.mark.parametrize("kind", ["rigid", "elastic", "clarabel"])
+def test_a_plane_curtain_stays_in_the_plane(kind):
+    load = {"point": {"at": [250.0, 0.0], "force": [0.3, -0.5]}}
+    scene = read_scene(tables({"kind": "top", "gather": 0.9}, load, solver={"kind": kind}))
+    space, plane = (solve_scene(one, LAW) for one in forced(scene))
+    tolerance = 1e-7 if kind == "clarabel" else 1e-8
+    assert abs(space.primal - plane.primal) < tolerance * scale(plane)
+    assert np.abs(space.x[:, 2]).max() < 1e-4 * space.problem.mesh.size
+    assert np.abs(space.x[:, :2] - plane.x).max() < 1e-2 * space.problem.mesh.size
+    assert space.verdict.status == plane.verdict.status == "converged"
+
+
+@pytest.mark.parametrize("name", ["corner_hung", "round_net"])
+def test_a_coarse_example_has_the_same_potential_in_space(name):
+    scene = load_scene(next(path for path in EXAMPLES if path.stem == name))
+    assert_same_potential(replace(scene, mesh=replace(scene.mesh, cells=6)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_every_plane_example_has_the_same_potential_in_space(path):
+    scene = load_scene(path)
+    if scene.in_space:
+        pytest.skip("lies in space as it is")
+    assert_same_potential(scene)
+
+
+def test_a_scene_turned_as_a_whole_gives_the_turned_answer():
+    """Supports, gravity and loads turned about a slanted axis: the same curtain in another place."""
+    R = Rotation.from_euler("zyx", [35.0, -70.0, 110.0], degrees=True).as_matrix()
+    corners = np.array([[0.0, 500.0, 0.0], [500.0, 500.0, 0.0], [0.0, 0.0, 0.0]])
+    moves = np.array([[40.0, 0.0, 0.0], [-40.0, 0.0, 0.0], [30.0, 60.0, 80.0]])
+
+    def turned(A):
+        support = [
+            {"kind": "point", "at": X[:2].tolist(), "move": (A @ (X + move) - X).tolist()}
+            for X, move in zip(corners, moves, strict=True)
+        ]
+        load = {
+            "gravity": (A @ [0.0, -9.81, 0.0]).tolist(),
+            "point": {"at": [500.0, 0.0], "force": (A @ [0.5, -0.5, 1.0]).tolist()},
+            "wind": {"pressure": 10.0, "direction": (A @ [0.3, 0.0, -1.0]).tolist()},
+        }
+        return solve_scene(read_scene(tables(support, load)), LAW)
+
+    plain, other = turned(np.eye(3)), turned(R)
+    assert plain.status == other.status == "converged"
+    work = [float((one.problem.force * one.x).sum()) for one in (plain, other)]
+    assert abs(work[0] - work[1]) < 1e-9 * scale(plain)
+    assert np.abs(other.x - plain.x @ R.T).max() < 1e-5 * plain.problem.mesh.size
+    assert np.abs(other.reactions - plain.reactions @ R.T).max() < 1e-6 * np.abs(plain.problem.force).sum()
+    assert np.allclose(other.problem.frame, R @ plain.problem.frame, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_clarabel_agrees_and_forces_balance(name):
+    ours = solve_scene(read_scene(SMALL[name]), LAW)
+    theirs = solve_scene(read_scene(SMALL[name] | {"solver": {"kind": "clarabel"}}), LAW)
+    assert ours.problem.fem.d == theirs.problem.fem.d == 3
+    assert ours.status == theirs.status == "converged"
+    assert abs(ours.primal - theirs.primal) < 1e-7 * scale(ours)
+    force = ours.problem.force
+    assert np.abs(force.sum(axis=0) + ours.reactions.sum(axis=0)).max() < 1e-8 * np.abs(force).sum()
+    moment = np.cross(ours.x, force + ours.reactions).sum(axis=0)
+    assert np.abs(moment).max() < 1e-5 * scale(ours)
+
+
+def test_the_elastic_curtain_tends_to_the_rigid_one_in_space():
+    rigid = solve_scene(read_scene(SMALL["hammock"]), LAW)
+    elastic = solve_scene(read_scene(SMALL["hammock"] | {"solver": {"kind": "elastic"}}), LAW)
+    assert rigid.status == elastic.status == "converged"
+    stretch = float(np.trace(LAW.compliance)) * np.abs(rigid.problem.force).sum() / 500.0
+    assert 0.0 < rigid.primal - elastic.primal < stretch * scale(rigid)
+    assert (
+        np.abs(elastic.reactions.sum(axis=0) + elastic.problem.force.sum(axis=0)).max()
+        < 1e-6 * np.abs(elastic.problem.force).sum()
+    )
+
+
+def test_load_steps_end_where_one_step_does():
+    one = solve(read_scene(SMALL["hammock"]), LAW)
+    many = solve(read_scene(SMALL["hammock"] | {"load": {"steps": 3}}), LAW)
+    assert [step.status for step in many.steps] == ["converged"] * 3
+    assert abs(one.solution.primal - many.solution.primal) < 1e-8 * scale(one.solution)
+    places = [step.problem.supports.positions[:, 2].max() for step in many.steps]
+    assert np.allclose(places, [100.0, 200.0, 300.0])
+
+
+def test_supports_out_of_reach_in_space_are_refused_and_taut_ones_are_named():
+    far = tables([{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, 0.0, 100.0]}])
+    with pytest.raises(InputError, match="farther apart than the mesh can stretch"):
+        solve(read_scene(far), LAW)
+    taut = tables([{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, 200.0, 400.0]}])
+    assert solve(read_scene(taut), LAW).status == "taut"  # 300 and 400 mm make 500 mm, the length of the mesh
+
+
+def test_the_start_is_slack_and_turns_with_the_supports():
+    scene = read_scene(SMALL["net held at points"])
+    problem = make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    start = gathered_start(problem)
+    assert np.linalg.svd(problem.fem.gradient(problem.fem.unknowns(start)), compute_uv=False).max() < 1.2
+    E = green_strain(np.linalg.lstsq(problem.disc.nodes - 250.0, start - start.mean(axis=0), rcond=None)[0].T[None])
+    assert np.linalg.eigvalsh([[E[0, 0], E[0, 1]], [E[0, 1], E[0, 2]]]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("support", "load", "message"),
+    [
+        ({"kind": "edge", "edge": "top", "held": "y"}, {"wind": WIND}, "of -1.5 N along z, in which the supports let"),
+        ({"kind": "edge", "edge": "top", "held": "xy"}, {"point": {"at": [0, 0], "force": [0, 0, 1]}}, "1 N along z"),
+        ({"kind": "edge", "edge": "top", "held": "yz"}, {"wind": {"pressure": 4, "direction": [1, 0, 1]}}, "along x"),
+        ({"kind": "edge", "edge": "top", "held": "xz"}, {"wind": WIND}, "along y, in which the supports let"),
+    ],
+)  # fmt: skip
+def test_wind_on_nothing_held_is_one_sentence(support, load, message):
+    scene = read_scene(tables(support, load))
+    with pytest.raises(InputError) as error:
+        make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    assert str(error.value).startswith("scene: [load]: nothing carries the force")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_free_sliding_along_z_is_pinned_and_carries_nothing():
+    load = {"gravity": 9.81, "wind": [WIND, WIND | {"direction": [0.0, 0.0, 1.0]}]}
+    found = solve_scene(read_scene(tables({"kind": "edge", "edge": "top", "held": "xy"}, load)), LAW)
+    assert found.status == "converged"
+    assert found.problem.supports.pinned[:, 2].sum() == 1
+    assert np.abs(found.x[:, 2]).max() < 1e-3 * found.problem.mesh.size
+    assert not found.reactions[:, 2].any()
+
+
+BAD = [
+    ("[support]\nkind = 'top'\nmove = [1, 2, 3, 4]", "[support] (top) move = [1, 2, 3, 4]: is not a list of numbers"),
+    ("[support]\nkind = 'top'\nmove = [1]", "[support] (top) move = [1]: is not a list of numbers"),
+    ("[support]\nkind = 'top'\nmove = [0, 0, 1e10]", "move = [0, 0, 10000000000.0]: must be at most 1e+09"),
+    ("[support]\nkind = 'edge'\nedge = 'top'\nheld = 'zx'", "held = 'zx': is not one of both, x, y, z, xy, xz, yz"),
+    ("[support]\nkind = 'edge'\nedge = 'top'\nheld = 'z'", "held = 'z': holds nothing, as the scene lies in the plane"),
+    ("[support]\nkind = 'edge'\nedge = 'top'\nheld = 'xy'\nmove = [0, 0, 1]", "has no effect along z, as held = 'xy'"),
+    ("[support]\nkind = 'point'\nat = [0, 1, 2]", "at = [0, 1, 2]: is not a pair of numbers [x, y]"),
+    ("[load]\ngravity = [1, 2, 3, 4]", "[load] gravity = [1, 2, 3, 4]: is not a list of numbers"),
+    ("[load]\ngravity = 'down'", "[load] gravity = 'down': is not a number"),
+    ("[load]\ngravity = [0, 0, 1e7]", "[load] gravity = [0, 0, 10000000.0]: must be at most 1e+06"),
+    ("[load.point]\nat = [0, 0]\nforce = [0, 0, inf]", "force = [0, 0, inf]: is not a finite number"),
+    ("[load.wind]\npressure = 1", "[load.wind] direction: is missing"),
+    ("[load.wind]\ndirection = [0, 0, 1]", "[load.wind] pressure: is missing"),
+    ("[load.wind]\npressure = 1\ndirection = [0, 0, 0]", "direction = [0, 0, 0]: has no direction"),
+    ("[load.wind]\npressure = 1\ndirection = 'z'", "direction = 'z': is not a list of numbers"),
+    ("[load.wind]\npressure = nan\ndirection = [0, 0, 1]", "pressure = nan: is not a finite number"),
+    ("[load.wind]\npressure = 1\ndirection = [0, 0, 1]\nup = 1", "[load.wind] up = 1: unknown key"),
+    ("[solver]\nspace = 1", "[solver] space = 1: is neither true nor false"),
+]
+
+
+@pytest.mark.parametrize(("lines", "message"), BAD, ids=[message for _, message in BAD])
+def test_bad_values_are_one_sentence(lines, message, tmp_path):
+    path = tmp_path / "scene.toml"
+    hung = "" if "[support]" in lines else "[support]\nkind = 'top'\n"
+    path.write_text(f"[curtain]\nwidth = 100\nheight = 100\n{hung}{lines}\n")
+    result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path / "out"), "--no-picture"])
+    assert result.exit_code == 2
+    lines_out = result.output.strip().splitlines()
+    assert len(lines_out) == 1
+    assert str(path) in lines_out[0]
+    assert message in lines_out[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_of_a_curtain_in_space(tmp_path):
+    found = solve(read_scene(SMALL["hammock"]), LAW)
+    summary = found.save(tmp_path, picture=False)
+    x = found.solution.x
+    assert summary["out_of_plane_mm"] == np.abs(x[:, 2]).max() == 300.0
+    assert summary["lowest_point_at_mm"][1] == summary["lowest_point_mm"] == x[:, 1].min()
+    assert summary["centre_of_gravity_mm"][1] == pytest.approx(summary["mean_height_mm"])
+    assert 0.0 < summary["centre_of_gravity_mm"][2] < 300.0
+    rows = (tmp_path / "support_forces.csv").read_text().splitlines()
+    assert rows[0].endswith("force_x_N,force_y_N,force_z_N,place_x_mm,place_y_mm,place_z_mm")
+    forces = np.array([row.split(",")[4:7] for row in rows[1:]], float)
+    total = json.loads((tmp_path / "summary.json").read_text())["total_load_N"]
+    assert np.allclose(forces.sum(axis=0), -np.array(total), atol=1e-8 * np.abs(total).sum())
+    assert {row.split(",")[-1] for row in rows[1:]} == {"0.0", "300.0"}
+    told = {one.feature: one for one in decisions(found.solution, bounds=False, picture=False)}
+    assert told["third-coordinate"].used
+
+
+def test_a_vtu_of_a_curtain_in_space_has_its_places(tmp_path):
+    meshio = pytest.importorskip("meshio")
+    found = solve(read_scene(SMALL["hammock"]), LAW)
+    found.save(tmp_path, picture=False)
+    vtu = meshio.read(tmp_path / "curtain.vtu")
+    assert np.allclose(vtu.points + vtu.point_data["displacement_mm"], found.solution.x, atol=1e-9)
+    assert np.allclose(vtu.point_data["support_force_N"], found.solution.reactions, atol=1e-9)
+
+
+def test_the_table_of_a_plane_curtain_has_no_third_column():
+    table = support_table(solve(read_scene(tables({"kind": "top"})), LAW).summary["support_forces"])
+    assert table.splitlines()[0] == "support_number,support,x_mm,y_mm,force_x_N,force_y_N"
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+def test_every_element_hangs_in_space_in_balance(element):
+    scene = read_scene(SMALL["hammock"])
+    found = solve_scene(replace(scene, mesh=replace(scene.mesh, element=element, cells=3)), LAW)
+    force = found.problem.force
+    assert found.status == "converged"
+    assert np.abs(force.sum(axis=0) + found.reactions.sum(axis=0)).max() < 1e-8 * np.abs(force).sum()
+    assert np.allclose(found.x[found.problem.supports.held[1].nodes].mean(axis=0), [250.0, 400.0, 300.0])
+    assert found.mean_height() < 400.0
+
+
+RING_PIECE = {"curtain": {"width": 66.0, "height": 75.876417741}, "mesh": {"cells": 6}, "support": {"kind": "top"}}
+
+
+@pytest.mark.slow
+def test_rings_one_by_one_hang_in_the_wind_as_the_membrane_does():
+    compared = compare(read_scene(RING_PIECE | {"load": {"wind": {"pressure": 20.0, "direction": [0.0, 0.0, 1.0]}}}))
+    disk, rings = compared.disk, compared.solution
+    assert compared.summary["rings"]["status"] == disk.status == "converged"
+    assert disk.x[:, 2].max() > 40.0
+    assert compared.shape_distance() < 1.0  # mm; a ring has 10
+    assert compared.line_load_distance() < 0.1
+    held = compared.rings.groups[0][1]
+    assert np.allclose(rings.reaction[held].sum(axis=0), disk.reactions.sum(axis=0), atol=1e-6)
+
+
+def test_rings_of_a_scene_in_space_are_not_put_into_the_plane():
+    rings = ring_scene(read_scene(RING_PIECE | {"load": {"wind": WIND}}))
+    assert np.allclose(rings.force.sum(axis=0)[[0, 2]], [0.0, -6e-6 * 66.0 * 75.876417741], rtol=1e-9)
+    assert rings.held.any(axis=0).all()
+    with pytest.raises(InputError, match=r"\[load.wind\] direction = .* leaves the plane: centres cannot stay there"):
+        rings.solve(space=False)
+
+
+@pytest.mark.parametrize("name", ["wind on corners", "bar and patch"])
+def test_the_even_tension_of_slack_parts_is_taken_out_of_the_bounds(name):
+    """Both values of a curtain with it hold for the load alone, whose potential is known to 1e-9 without it."""
+    alone, spread = (
+        solve_scene(read_scene(SMALL[name] | {"solver": {"stabilising_tension": tension}}), LAW)
+        for tension in (0.0, 1e-3)
+    )
+    assert alone.relative_gap < 1e-8
+    unit = scale(alone)
+    assert spread.dual < alone.primal - 1e-4 * unit  # by what the tension may do at most
+    assert alone.primal - 1e-8 * unit < spread.primal < alone.primal + 1e-3 * unit
+    assert alone.primal - spread.dual < 1e-2 * unit

@@ -1,0 +1,155 @@
+"""A sheet between two parallel rails closer than its locked length hangs as a catenary of that length.
+
+Loads uniform per reference area, weight and dead wind together, act along their resultant: the catenary hangs in the
+plane across the rails, downwards along the resultant. Potentials converge with the square of the mesh size.
+"""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from homogenize import ClothLaw
+from homogenize.io import default_law
+from macro_fem.curtain import solve_scene
+from macro_fem.scene.schema import read_scene
+
+RINGS = default_law()
+LENGTH, WIDTH, GRAVITY, MASS = 1000.0, 250.0, 9.81, 2.0
+CASES = {
+    "y-level": ("y", [0.0, 1000.0, 600.0], 0.0),
+    "y-slanted": ("y", [0.0, 800.0, 600.0], 0.0),
+    "x-level": ("x", [0.0, 1000.0, 1000.0], 0.0),
+    "x-slanted": ("x", [0.0, 700.0, 1000.0], 0.0),
+    "y-wind": ("y", [0.0, 900.0, 700.0], 10.0),
+    "x-wind": ("x", [0.0, 1100.0, 1200.0], -12.0),
+    "cloth": ("cloth", [0.0, 950.0, 700.0], 10.0),
+}
+
+
+class Catenary:
+    """A rope of a length between two points, the second at `span` and `rise` from the first, under a unit load."""
+
+    def __init__(self, length, span, rise):
+        straight = np.sqrt(length**2 - rise**2)
+        self.a = brentq(lambda a: 2.0 * a * np.sinh(0.5 * span / a) - straight, span / 40.0, 1e4 * span, xtol=1e-12)
+        lowest = 0.5 * span - self.a * np.arctanh(rise / length)
+        x = np.linspace(-lowest, span - lowest, 2)
+        u, v = x / self.a
+        first = self.a * np.cosh(u)
+        # integral of y ds = a^2 integral of cosh^2
+        integral = self.a**2 * (0.5 * (v - u) + 0.25 * (np.sinh(2.0 * v) - np.sinh(2.0 * u)))
+        self.mean = integral / length - first
+        steepest = np.arcsinh(rise / span)  # where it is parallel to the chord, farthest below it
+        self.sag = rise / span * (lowest + self.a * steepest) - (self.a * np.cosh(steepest) - first)
+        self.low = (self.a if u < 0.0 < v else min(first, self.a * np.cosh(v))) - first
+
+
+def test_the_catenary_itself():
+    """Its mean and least height are those of a fine polygon."""
+    rope = Catenary(1000.0, 600.0, -200.0)
+    x = np.linspace(0.0, 600.0, 100_001)
+    lowest = 300.0 - rope.a * np.arctanh(-0.2)
+    y = rope.a * np.cosh((x - lowest) / rope.a)
+    ds = np.hypot(np.diff(x), np.diff(y))
+    assert ds.sum() == pytest.approx(1000.0, rel=1e-8)
+    assert (0.5 * (y[1:] + y[:-1]) * ds).sum() / ds.sum() - y[0] == pytest.approx(rope.mean, rel=1e-7)
+    assert y.min() - y[0] == pytest.approx(rope.low, rel=1e-7)
+    assert y[-1] - y[0] == pytest.approx(-200.0, rel=1e-9)
+    assert (-200.0 / 600.0 * x - (y - y[0])).max() == pytest.approx(rope.sag, rel=1e-7)
+
+
+def law_of(name):
+    """The law of a case, the angle of its weave, and its locked stretch along y. Sideways it may shrink."""
+    if name == "cloth":
+        return ClothLaw(), "y", 1.0
+    load = np.array([[1.0, 0.0, 0.0]]) if name == "x" else np.array([[0.0, 0.0, 1.0]])
+    return RINGS, name, float(np.sqrt(1.0 + 2.0 * RINGS.support(load)[0]))
+
+
+def hammock(name, cells, width=WIDTH, pattern="diagonal", **solver):
+    """The sheet of a case. Rails hold it at its reference width; with the weave along x it slides on them.
+
+    Cloth is gathered: at its full width it would be taut along the rails.
+    """
+    weave, move, wind = CASES[name]
+    law, angle, _ = law_of(weave)
+    rail = {"kind": "edge", "held": "yz" if weave == "x" else "both", "gather": 0.9 if weave == "cloth" else 1.0}
+    return solve_scene(
+        read_scene(
+            {
+                "curtain": {"width": width, "height": LENGTH, "weave_angle": angle, "areal_mass": MASS},
+                "mesh": {"cells": cells, "pattern": pattern},
+                "support": [
+                    rail | {"edge": "top"},
+                    rail | {"edge": "bottom", "move": move},
+                ],
+                "load": {"gravity": GRAVITY, "wind": {"pressure": wind, "direction": [0.0, 0.0, 1.0]}},
+                "solver": solver,
+            }
+        ),
+        law,
+    )
+
+
+def exact(name):
+    """Unit vectors across and against the resultant in (y, z), load per area in N/mm2, and the catenary."""
+    weave, move, wind = CASES[name]
+    _, _, stretch = law_of(weave)
+    load = 1e-6 * np.array([-MASS * GRAVITY, wind])
+    up = -load / np.linalg.norm(load)
+    chord = np.array([move[1] - LENGTH, move[2]])
+    across = np.array([up[1], -up[0]])
+    across *= np.sign(across @ chord)
+    return across, up, float(np.linalg.norm(load)), Catenary(stretch * LENGTH, across @ chord, up @ chord)
+
+
+def errors(name, found):
+    """Errors of the mean and the least height along the resultant over the sag, and relative of the pull across."""
+    across, up, load, rope = exact(name)
+    x, force = found.x[:, 1:] - [LENGTH, 0.0], found.problem.force[:, 1:]
+    mean = float((force * x).sum() / (force @ up).sum())
+    top = np.isclose(found.problem.disc.nodes[:, 1], LENGTH)
+    pull = -float(found.reactions[top, 1:].sum(axis=0) @ across)
+    width, (_, _, stretch) = float(np.ptp(found.problem.disc.nodes[:, 0])), law_of(CASES[name][0])
+    return np.array([(mean - rope.mean) / rope.sag, ((x @ up).min() - rope.low) / rope.sag]), pull / (
+        load * width * rope.a / stretch
+    ) - 1.0
+
+
+def assert_meets_the_catenary(name, meshes, least_order=1.9):
+    found = [hammock(name, cells) for cells in meshes]
+    assert [one.status for one in found] == ["converged"] * len(meshes)
+    mean = np.abs([errors(name, one)[0][0] for one in found])
+    order = np.log2(mean[:-1] / mean[1:])
+    assert order.min() > least_order
+    both, pull = errors(name, found[-1])
+    assert np.abs(both).max() < 1e-3
+    assert abs(pull) < 5e-3
+
+
+@pytest.mark.parametrize("name", ["y-level", "x-slanted", "y-wind"])
+def test_a_hammock_is_a_catenary(name):
+    """Eight cells of a quarter's width are 32 along the length; the order of the mean height is 2.00."""
+    assert_meets_the_catenary(name, (4, 8))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_every_hammock_is_a_catenary(name):
+    assert_meets_the_catenary(name, (2, 4, 8, 16))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["y-slanted", "x-level"])
+def test_a_square_hammock_with_the_default_mesh(name):
+    """32 cells of the aligned pattern."""
+    found = hammock(name, 32, LENGTH, "aligned")
+    assert found.status == "converged"
+    assert np.abs(errors(name, found)[0]).max() < 1e-3
+
+
+def test_clarabel_and_our_solver_agree_for_cloth():
+    ours, theirs = hammock("cloth", 2), hammock("cloth", 2, kind="clarabel")
+    assert ours.status == theirs.status == "converged"
+    unit = np.abs(ours.problem.force).sum() * ours.problem.mesh.size
+    assert abs(ours.primal - theirs.primal) < 1e-7 * unit

@@ -1,0 +1,238 @@
+"""Curtains on tracks: places and lengths in closed form, what follows from what, and what is refused."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from homogenize.io import default_law
+from macro_fem.bounds.interval import bound
+from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
+from macro_fem.scene.tables import Track
+from macro_fem.scene.tracks import track_curve, track_places
+from macro_fem.solution import make_problem
+from rve.common.errors import InputError
+
+from .conftest import STRETCH_X
+
+WHERE = "scene: [support] (track)"
+
+
+def curve_of(edge_length=3000.0, **keys):
+    return track_curve(Track(**keys), edge_length, 500.0, 2000.0, WHERE)
+
+
+@pytest.mark.parametrize("angle", [90.0, -150.0, 300.0])
+def test_an_arc_has_its_radius_length_and_ends(angle):
+    curve = curve_of(radius=800.0, angle=angle)
+    turn = math.radians(abs(angle))
+    assert curve.length == pytest.approx(800.0 * turn, rel=1e-14)
+    places = curve.at(np.linspace(0.0, curve.length, 4001))
+    centre = np.array([500.0, 2000.0, -math.copysign(800.0, angle) * math.cos(turn / 2.0)])
+    assert np.linalg.norm(places - centre, axis=1) == pytest.approx(800.0, rel=1e-12)
+    assert places[[0, -1], 2] == pytest.approx(0.0, abs=1e-9)
+    half = 800.0 * math.sin(turn / 2.0)
+    assert places[[0, -1], 0] == pytest.approx([500.0 - half, 500.0 + half], abs=1e-9)
+    assert places[2000, 2] == pytest.approx(math.copysign(800.0 * (1.0 - math.cos(turn / 2.0)), angle), abs=1e-9)
+    chords = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert chords == pytest.approx(2.0 * 800.0 * math.sin(turn / 8000.0), rel=1e-9)
+
+
+def test_a_path_is_walked_at_even_speed():
+    curve = curve_of(path=((0.0, 0.0), (300.0, 400.0), (300.0, 1000.0)), height=1500.0)
+    assert curve.length == 1100.0
+    places = curve.at(np.array([0.0, 250.0, 500.0, 800.0, 1100.0]))
+    exact = [[0, 1500, 0], [150, 1500, 200], [300, 1500, 400], [300, 1500, 700], [300, 1500, 1000]]
+    assert places == pytest.approx(np.array(exact, float), abs=1e-12)
+
+
+def test_what_is_open_follows_from_the_fullness():
+    assert curve_of(fullness=1.5).length == pytest.approx(2000.0)
+    assert curve_of(fullness=1.5).at(np.array([0.0, 2000.0]))[:, 0].tolist() == [-500.0, 1500.0]
+    assert curve_of(fullness=1.5, radius=1000.0).angle == pytest.approx(2.0)
+    assert curve_of(fullness=1.5, angle=-90.0).radius == pytest.approx(4000.0 / math.pi)
+    assert curve_of(fullness=1.5, angle=-90.0).at(np.array([1000.0]))[0, 2] < 0.0
+    assert curve_of(fullness=1.505, path=((0.0, 0.0), (2000.0, 0.0))).length == 2000.0
+
+
+@pytest.mark.parametrize("side", ["start", "end"])
+def test_a_drawn_curtain_covers_its_part_of_the_track(side):
+    item = Track(path=((0.0, 0.0), (2000.0, 0.0)), drawn=0.4, side=side)
+    curve = track_curve(item, 3000.0, 500.0, 2000.0, WHERE)
+    places = track_places(item, curve, np.array([0.0, 1500.0, 3000.0]), 3000.0)
+    begin = 0.0 if side == "start" else 1200.0
+    assert places[:, 0] == pytest.approx([begin, begin + 400.0, begin + 800.0])
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"fullness": 2.0, "path": ((0.0, 0.0), (2000.0, 0.0))}, "fullness = 2: contradicts a track of 2000 mm"),
+        ({"fullness": 0.5, "radius": 500.0}, "radius = 500: a track of 6000 mm"),
+    ],
+)
+def test_lengths_that_contradict_each_other_are_refused(keys, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        curve_of(**keys)
+
+
+def solved(scene_tables, law, support, **keys):
+    scene = read_scene({**scene_tables(solver={"stabilising_tension": 0.0}, **keys), "support": support})
+    return solve_scene(scene, law)
+
+
+WIND = {"wind": {"pressure": 20.0, "direction": [0.0, 0.0, 1.0]}}
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR"])
+@pytest.mark.parametrize("pitch", [None, 25.0])
+def test_a_straight_track_is_the_gathered_top_edge(ring_like, scene_tables, element, pitch):
+    """Fullness 1.25 is gather = 0.8, runners are hooks that do not slide."""
+    runners = {} if pitch is None else {"pitch": pitch}
+    known = {"kind": "top" if pitch is None else "hooks", "gather": 0.8, **runners}
+    supports = known, {"kind": "track", "fullness": 1.25, **runners}
+    keys = {"mesh": {"cells": 4, "element": element}, "load": WIND}
+    if element == "CR" and pitch is not None:
+        with pytest.raises(InputError, match="element 'CR' has no nodes at points"):
+            solved(scene_tables, ring_like, supports[1], **keys)
+        return
+    hung, track = (solved(scene_tables, ring_like, support, **keys) for support in supports)
+    assert track.status == "converged"
+    assert track.x == pytest.approx(hung.x, abs=1e-9)
+    assert track.problem.supports.positions == pytest.approx(hung.problem.supports.positions, abs=1e-10)
+
+
+def test_a_track_turned_in_plan_turns_the_curtain(ring_like, scene_tables):
+    """A straight path at 37 degrees to the x axis, and the wind turned with it: the same potential and heights."""
+    c, s = math.cos(math.radians(37.0)), math.sin(math.radians(37.0))
+    found = []
+    for way in ((1.0, 0.0), (c, s)):
+        path = [[10.0 * way[0], 10.0 * way[1]], [90.0 * way[0], 90.0 * way[1]]]
+        wind = {"wind": {"pressure": 20.0, "direction": [-way[1], 0.0, way[0]]}}
+        solution = solved(scene_tables, ring_like, {"kind": "track", "path": path, "pitch": 25.0}, load=wind)
+        force = solution.problem.force
+        balance = (solution.reactions + force).sum(axis=0)
+        assert np.abs(balance).max() < 1e-8 * np.abs(force.sum(axis=0)).max()
+        found.append((force * solution.x).sum() / (np.linalg.norm(force, axis=1).sum() * 100.0))
+    assert found[1] == pytest.approx(found[0], abs=1e-8)
+
+
+@pytest.mark.parametrize("drawn", [1.0, 0.4])
+def test_runners_hold_what_their_pitch_says_at_even_places(ring_like, scene_tables, drawn):
+    """100 mm of mesh at a pitch of 12 mm have 8 spaces; between runners the way along the arc is the same."""
+    support = {"kind": "track", "radius": 40.0, "angle": 90.0, "pitch": 12.0, "drawn": drawn, "height": 80.0}
+    solution = solved(scene_tables, ring_like, support, mesh={"cells": 8})
+    (held,) = solution.problem.supports.held
+    assert len(held.nodes) == 9
+    assert held.mask.all()
+    X = solution.problem.disc.nodes[held.nodes]
+    assert X[:, 0] == pytest.approx(np.linspace(0.0, 100.0, 9))
+    assert held.positions[:, 1] == pytest.approx(80.0)
+    middle = np.array([50.0, -40.0 * math.cos(math.pi / 4.0)])
+    arms = held.positions[:, [0, 2]] - middle
+    assert np.hypot(*arms.T) == pytest.approx(40.0, rel=1e-12)
+    turns = np.degrees(np.arctan2(arms[:, 0], arms[:, 1]))
+    assert turns == pytest.approx(np.linspace(-45.0, -45.0 + 90.0 * drawn, 9), abs=1e-9)
+    assert solution.x[held.nodes] == pytest.approx(held.positions, abs=1e-9)
+
+
+def test_bounds_of_a_curtain_on_an_arc_close(ring_like, scene_tables):
+    gaps = []
+    for cells in (4, 8):
+        support = {"kind": "track", "radius": 40.0, "angle": 120.0}
+        solution = solved(scene_tables, ring_like, support, mesh={"cells": cells}, load=WIND)
+        bounds = bound(solution)
+        assert bounds.status == "converged"
+        gaps.append(bounds.gap / np.linalg.norm(solution.problem.force, axis=1).sum() / 100.0)
+    assert 0.0 < gaps[1] < 0.8 * gaps[0]
+
+
+@pytest.mark.parametrize("pitch", [None, 25.0])
+def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch):
+    """Just within what the rings let the edge be, and just beyond."""
+    runners = {} if pitch is None else {"pitch": pitch}
+    limit = 100.0 * STRETCH_X
+    short = {"kind": "track", "path": [[0.0, 0.0], [0.999 * limit, 0.0]], **runners}
+    assert solved(scene_tables, ring_like, short).status == "converged"
+    beyond = {"kind": "track", "path": [[0.0, 0.0], [1.001 * limit, 0.0]], **runners}
+    with pytest.raises(InputError, match=r"scene: \[support\] \(track\): a track of 158\.5\d+ mm is too long"):
+        solved(scene_tables, ring_like, beyond)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({}, "radius: is missing"),
+        ({"radius": 50.0}, "angle: is missing"),
+        ({"path": [[0, 0]]}, "path = [[0, 0]]: is not a list of at least 2 points [x, z]"),
+        ({"path": [[0, 0], [1, 2, 3]]}, "path = [[0, 0], [1, 2, 3]]: is not a pair of numbers [x, z]"),
+        ({"path": [[0, 0], [0, 0]]}, "path: holds [0, 0] twice in a row"),
+        ({"path": [[0, 0], [50, 0]], "angle": 20.0}, "angle = 20: is not used together with path"),
+        ({"fullness": 0.0}, "fullness = 0.0: must be greater than 0"),
+        ({"fullness": 1.5, "angle": 0.0}, "angle = 0: makes no arc"),
+        ({"fullness": 1.5, "drawn": 1.2}, "drawn = 1.2: must be at most 1"),
+        ({"fullness": 1.5, "side": "left"}, "side = 'left': is not one of start, end"),
+        ({"fullness": 1.5, "side": "end"}, "side = 'end': has no effect with drawn = 1"),
+        ({"fullness": 1.5, "pitch": 0.0}, "pitch = 0.0: must be at least"),
+        ({"fullness": 1.5, "height": "top"}, "height = 'top': is not a number"),
+    ],
+)
+def test_bad_keys_of_a_track_end_in_one_sentence(scene_tables, keys, message):
+    with pytest.raises(InputError, match=re.escape(f"scene: [support] (track) {message}")):
+        read_scene({**scene_tables(), "support": {"kind": "track", **keys}})
+
+
+SPACE = {
+    "arc": {"kind": "track", "radius": 40.0, "angle": -120.0},
+    "runners": {"kind": "track", "fullness": 1.5, "radius": 60.0, "pitch": 25.0, "drawn": 0.6},
+    "path": {"kind": "track", "path": [[0.0, 0.0], [30.0, 30.0], [60.0, 0.0]], "height": 200.0},
+    "lone": {"kind": "edge", "edge": "top", "along": [[0.0, 80.0, 0.0], [60.0, 80.0, 70.0]], "sliding": True},
+    "cables": [
+        {"kind": "edge", "edge": "left", "along": [[0.0, 0.0, 5.0], [10.0, 79.0, 0.0]], "sliding": True},
+        {"kind": "edge", "edge": "right", "along": [[100.0, 0.0, -5.0], [90.0, 79.0, 0.0]], "sliding": True},
+        {"kind": "edge", "edge": "top", "along": [[10.0, 79.0, 0.0], [90.0, 79.0, 0.0]]},
+    ],
+}
+LOADS = {
+    "weight": {},
+    "wind": {"load": {"wind": {"speed": 10.0, "direction": [0.0, 0.0, 1.0]}}},
+    "bar": {"load": {"bar": {"mass": 0.1}}},
+    "point": {"load": {"point": {"at": [30.0, 20.0], "force": [0.1, -0.1, 0.2]}}},
+    "floor": {"obstacle": {"kind": "floor", "height": 10.0}},
+}
+SHAPES = {
+    "rectangle": {"width": 100.0, "height": 80.0},
+    "disk": {"shape": "disk", "radius": 50.0},
+    "hole": {"width": 100.0, "height": 80.0, "holes": [[[40, 30], [60, 30], [60, 50], [40, 50]]]},
+}
+
+
+@pytest.mark.parametrize(
+    ("shape", "element", "support", "load", "kind"),
+    [
+        ("rectangle", "Q2", "arc", "bar", "rigid"),
+        ("rectangle", "P1", "path", "wind", "elastic"),
+        ("rectangle", "Q1", "lone", "weight", "elastic"),
+        ("rectangle", "Q1", "cables", "wind", "rigid"),
+        ("rectangle", "P2", "cables", "floor", "rigid"),
+        ("rectangle", "P1", "cables", "point", "clarabel"),
+        ("rectangle", "P1", "lone", "floor", "clarabel"),
+        ("hole", "CR", "path", "wind", "elastic"),
+        ("hole", "P2", "arc", "point", "rigid"),
+        ("disk", "P1", "runners", "weight", "elastic"),
+        ("disk", "P2", "runners", "wind", "rigid"),
+    ],
+)
+def test_shapes_elements_and_solvers_go_with_supports_in_space(shape, element, support, load, kind):
+    """All forces balance, those of supports, obstacles and loads."""
+    tables = {"curtain": SHAPES[shape], "mesh": {"cells": 4, "element": element}, "support": SPACE[support]}
+    scene, law = read_scene({**tables, **LOADS[load], "solver": {"kind": kind}}), default_law()
+    solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+    assert solution.status == "converged"
+    pushes = np.zeros(3) if solution.problem.walls is None else solution.wall_forces @ solution.problem.walls.normal
+    force = solution.problem.force
+    left = force.sum(axis=0) + solution.reactions.sum(axis=0) + pushes
+    assert np.abs(left).max() < 1e-8 * np.linalg.norm(force, axis=1).sum()

@@ -1,0 +1,217 @@
+"""Views in space: scales of colours, solids, cameras, pictures and pages, down to the pixels of a real browser."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rve.common.errors import NotConverged
+from rve.common.page import STRIP, write_page
+from rve.common.render import aim, render
+from rve.common.solids import PERSON_MM, arrow, box, capsule, cylinder, person, sphere
+from rve.common.views import FRONT, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, merged, rounded_up
+
+
+def volume(points, triangles):
+    """Volume inside a closed surface whose triangles are oriented alike, mm3."""
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    return float(np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6.0)
+
+
+def test_solids_have_their_volumes():
+    centre = np.array([3.0, -2.0, 5.0])
+    assert abs(volume(*sphere(centre, 2.0, 96))) == pytest.approx(4.0 / 3.0 * np.pi * 8.0, rel=5e-3)
+    assert abs(volume(*cylinder(centre, centre + np.array([3.0, 4.0, 0.0]), 2.0, 96))) == pytest.approx(
+        20.0 * np.pi, rel=5e-3
+    )
+    ball_ended = np.pi * 4.0 * 5.0 + 4.0 / 3.0 * np.pi * 8.0
+    assert abs(volume(*capsule(centre, centre + np.array([0.0, 0.0, 5.0]), (2.0, 2.0), 96))) == pytest.approx(
+        ball_ended, rel=1e-2
+    )
+    assert volume(*box(centre, centre + np.array([1.0, 2.0, 3.0]))) == pytest.approx(6.0, rel=1e-12)
+
+
+def test_an_arrow_reaches_from_its_tail_to_its_tip():
+    points, _ = arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -50.0, 0.0]), 2.0)
+    assert (points[:, 1].max(), points[:, 1].min()) == (2.0, -48.0)
+    np.testing.assert_allclose(points[np.argmin(points[:, 1])], [1.0, -48.0, 3.0], atol=1e-12)
+
+
+def test_a_person_stands_on_the_ground_and_has_a_height():
+    points = np.concatenate([points for points, _ in person(np.array([100.0, -7.0, 20.0]))])
+    assert points[:, 1].min() == pytest.approx(-7.0, abs=0.01 * PERSON_MM)
+    assert np.ptp(points[:, 1]) == pytest.approx(PERSON_MM, rel=0.01)
+    assert points[:, 0].mean() == pytest.approx(100.0, abs=5.0)
+
+
+@pytest.mark.parametrize("spread", ["even", "root", "log"])
+def test_a_scale_goes_from_its_low_to_its_top_end(spread):
+    scale = Scale("force, N", 0.5, 8.0, 9.0, spread=spread)
+    assert scale.share(np.array([0.5, 8.0])).tolist() == [0.0, 1.0]
+    shares = scale.share(np.array(scale.ticks()))
+    assert (np.diff(shares) > 0.0).all()
+    assert (scale.ticks()[0], scale.ticks()[-1]) == (0.5, 8.0)
+    middle = {"even": 4.25, "root": 0.5 + 7.5 / 4.0, "log": 2.0}[spread]
+    assert scale.share(np.array([middle]))[0] == pytest.approx(0.5, abs=1e-12)
+    assert scale.is_exceeded
+    assert not Scale("force, N", 0.5, 8.0, 8.0).is_exceeded
+
+
+def test_a_scale_of_values_is_round_and_leaves_out_peaks():
+    values = np.append(np.full(2000, 0.21), 40.0)
+    scale = Scale.of(values, "line load")
+    assert (scale.low, scale.top, scale.largest) == (0.0, 0.25, 40.0)
+    assert Scale.of(np.zeros(5), "line load").top == 1.0
+    assert [rounded_up(x) for x in (1.0, 1.01, 9.9e-7, 3e5)] == [1.0, 1.5, 1e-6, 3e5]
+
+
+@pytest.mark.parametrize("camera", [FRONT, THREE_QUARTERS, Camera("top", (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))])
+def test_a_camera_sees_the_whole_box(camera):
+    corners = np.array([[-50.0, 0.0, 20.0], [900.0, 300.0, 700.0]])
+    seen = aim(camera, corners)
+    right = np.cross(seen.direction, seen.up)
+    every = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    away = every - seen.middle
+    assert np.abs(away @ seen.up).max() < seen.half_height
+    assert np.abs(away @ right).max() < seen.half_height * 7.0 / 6.2
+    tight = max(np.abs(away @ seen.up).max(), np.abs(away @ right).max() * 6.2 / 7.0)
+    assert tight == pytest.approx(seen.half_height, rel=0.05)
+
+
+def wave():
+    """A wavy sheet coloured by height over a scale that it exceeds, a red arrow, and blue lines."""
+    x, z = np.meshgrid(np.linspace(0.0, 100.0, 21), np.linspace(0.0, 80.0, 21))
+    y = 20.0 * np.sin(x / 15.0)
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    a = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
+    triangles = np.concatenate([np.stack([a, a + 1, a + 22], 1), np.stack([a, a + 22, a + 21], 1)])
+    values = y.ravel() + 20.0
+    scale = Scale("height, mm", 0.0, 30.0, 40.0)
+    lines = np.stack([np.array([[0.0, 30.0, z], [100.0, 30.0, z]]) for z in (0.0, 80.0)])
+    parts = (
+        Surface("sheet", points, triangles, values=values),
+        merged("force", [arrow(np.array([50.0, 20.0, 40.0]), np.array([0.0, 40.0, 0.0]), 4.0)], "#d7263d"),
+        Lines("rail", lines, 2.0, "#1f4e79", width=6.0),
+    )
+    return View("a wave <b>", parts, scale, notes=("a note",))
+
+
+def share_near(image, colour, reach):
+    """Share of the pixels of an image (h, w, 3), 0 to 255, within `reach` of a colour."""
+    return float((np.abs(image[..., :3].astype(int) - colour).max(axis=-1) <= reach).mean())
+
+
+def test_a_picture_shows_colours_arrows_and_what_is_above_the_scale(tmp_path):
+    from PIL import Image
+
+    render(tmp_path / "wave.png", [wave()])
+    assert [file.name for file in tmp_path.iterdir()] == ["wave.png"]
+    image = np.asarray(Image.open(tmp_path / "wave.png").convert("RGB"))
+    half = image.shape[1] // 2
+    for panel in (image[:800, :half], image[:800, half:]):
+        assert share_near(panel, [255, 255, 255], 2) > 0.2
+        saturated = np.ptp(panel.astype(int), axis=-1) > 60
+        assert saturated.mean() > 0.02
+        red, green, blue = panel.astype(int).transpose(2, 0, 1)
+        assert ((red > 1.6 * green) & (red > 1.2 * blue) & (red > 120)).mean() > 2e-3  # arrow, above the scale
+        assert ((blue > 1.3 * red) & (blue > 1.05 * green)).mean() > 2e-3  # rails, low values
+
+
+@pytest.mark.slow
+def test_an_animation_has_a_frame_per_view_and_one_size(tmp_path):
+    from PIL import Image
+
+    views = [replace(wave(), cameras=(THREE_QUARTERS,), title=f"step {i}") for i in range(2)]
+    low = replace(views[1].parts[0], points=views[1].parts[0].points * [1.0, 0.2, 1.0])
+    render(tmp_path / "wave.gif", [views[0], replace(views[1], parts=(low, *views[1].parts[1:]))])
+    with Image.open(tmp_path / "wave.gif") as film:
+        assert film.format == "GIF"
+        assert film.n_frames == 2
+        frames = []
+        for number in range(2):
+            film.seek(number)
+            frames.append(np.asarray(film.convert("RGB")).astype(int))
+    changed = np.abs(frames[0] - frames[1]).max(axis=-1) > 40
+    assert 0.005 < changed.mean() < 0.5
+
+
+def test_a_renderer_that_fails_leaves_no_file(tmp_path, monkeypatch):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "pyvista.py").write_text("raise RuntimeError('no screen')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "broken"))
+    with pytest.raises(NotConverged, match=r"renderer ended with code 1 \(RuntimeError: no screen\)"):
+        render(tmp_path / "wave.png", [wave()])
+    assert not (tmp_path / "wave.png").exists()
+
+
+def test_a_page_holds_the_numbers_and_loads_nothing(tmp_path):
+    write_page(tmp_path / "wave.html", wave())
+    text = (tmp_path / "wave.html").read_text(encoding="utf-8")
+    assert not re.search(r"<(script|img|iframe|link)[^>]*\b(src|href)=\"(?!data:)", text)
+    assert "<title>a wave &lt;b&gt;</title>" in text
+    packed = [json.loads(one) for one in re.findall(r'"dtype": ?"f4", ?"bdata": ?("[^"]+")', text)]
+    x, y, z, share, value = (np.frombuffer(base64.b64decode(one), "<f4") for one in packed[:5])
+    points, values = wave().parts[0].points, wave().parts[0].values
+    np.testing.assert_allclose(np.stack([y, z, x], axis=1), points, atol=1e-4)  # plotly's third axis points up
+    np.testing.assert_allclose(value, values, atol=1e-5)
+    assert share.max() == pytest.approx(1.0 + STRIP)
+    inside = values < 30.0
+    np.testing.assert_allclose(share[inside], values[inside] / 30.0, atol=1e-6)
+
+
+PROBE = """<script>
+addEventListener("load", () => {
+  const box = document.querySelector(".js-plotly-plot");
+  const turn = location.hash === "#turned" ? Plotly.relayout(box, {"scene.camera.eye": {x: -2, y: 0.5, z: 0.3}}) : null;
+  Promise.resolve(turn).then(() => setTimeout(() => {
+    document.body.dataset.seen = JSON.stringify({
+      fetched: performance.getEntriesByType("resource").map((one) => one.name),
+      parts: box.data.map((one) => one.name),
+      canvas: document.querySelectorAll("canvas").length,
+    });
+  }, 1500));
+});
+</script></body>"""
+
+
+@pytest.mark.slow
+def test_a_page_turns_in_a_browser_without_a_network(tmp_path):
+    """Chromium without any host: the sheet's colours are on the screen, another side after turning, nothing fetched."""
+    from PIL import Image
+
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    assert browser, "this test needs a browser: apt-get install chromium"
+    page = tmp_path / "wave.html"
+    write_page(page, wave())
+    page.write_text(page.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
+    flags = "--headless --no-sandbox --no-first-run --disable-background-networking --disable-sync --disable-quic"
+    flags += " --disable-component-update --use-angle=swiftshader --enable-unsafe-swiftshader --window-size=1000,800"
+    flags += f" --virtual-time-budget=6000 --user-data-dir={tmp_path / 'profile'}"
+    pictures = []
+    for side in ("", "#turned"):
+        shot = tmp_path / f"shot{len(pictures)}.png"
+        rules = "--host-resolver-rules=MAP * ~NOTFOUND"
+        run = [browser, *flags.split(), rules, f"--screenshot={shot}", "--dump-dom", page.as_uri() + side]
+        done = subprocess.run(run, capture_output=True, text=True, timeout=180, check=True)
+        seen = json.loads(re.search(r'data-seen="([^"]+)"', done.stdout)[1].replace("&quot;", '"'))
+        assert seen["fetched"] == []
+        assert seen["parts"] == ["sheet", "force", "rail"]
+        assert seen["canvas"] >= 1
+        pictures.append(np.asarray(Image.open(shot).convert("RGB")).astype(int)[80:620, 150:800])
+    for image in pictures:
+        red, green, blue = image.transpose(2, 0, 1)
+        assert ((green > 1.3 * red) & (green > 1.05 * blue)).mean() > 0.01  # the middle of the scale
+        assert ((red > 2.0 * green) & (red > 1.5 * blue)).mean() > 0.002  # the arrow, and above the scale
+    assert (np.abs(pictures[0] - pictures[1]).max(axis=-1) > 60).mean() > 0.03
+
+
+def test_the_modules_of_views_import_nothing_heavy():
+    code = "import sys, rve.common.views, rve.common.solids, rve.common.page, rve.common.render; "
+    code += "print([m for m in ('matplotlib', 'pyvista', 'plotly', 'PIL') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
