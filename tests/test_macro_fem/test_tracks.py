@@ -153,7 +153,7 @@ def test_bounds_of_a_curtain_on_an_arc_close(ring_like, scene_tables):
 
 
 def test_bounds_are_found_with_a_runner_at_every_corner_of_a_coarse_mesh():
-    """Edges around runners that are held where the coarse curtain is are out of reach; at the slack start they are not."""
+    """Edges held where the coarse curtain is are out of reach around runners; at the slack start they are not."""
     support = {"kind": "track", "radius": 60.0, "fullness": 1.5, "pitch": 25.0}
     tables = {"curtain": {"width": 100.0, "height": 80.0}, "mesh": {"cells": 4}, "load": WIND, "support": support}
     scene, law = read_scene(tables), default_law()
