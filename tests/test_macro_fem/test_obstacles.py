@@ -315,7 +315,7 @@ def test_impossible_scenes_end_in_one_sentence(fitted_law, scene_tables, more, s
 def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables):
     tables = scene_tables(mesh={"cells": 4}, support={"kind": "rail"})
     slope = {"kind": "wall", "facing": [1.0, 1.0], "point": [50.0, 10.0]}
-    with pytest.raises(InputError, match="nothing carries the force of .* N along x"):
+    with pytest.raises(InputError, match=r"nothing carries the force of .* N along x"):
         solve(read_scene(tables | {"obstacle": slope}), fitted_law)
 
 

@@ -361,3 +361,17 @@ def test_rings_of_a_scene_in_space_are_not_put_into_the_plane():
     assert rings.held.any(axis=0).all()
     with pytest.raises(InputError, match=r"\[load.wind\] direction = .* leaves the plane: centres cannot stay there"):
         rings.solve(space=False)
+
+
+@pytest.mark.parametrize("name", ["wind on corners", "bar and patch"])
+def test_the_even_tension_of_slack_parts_is_taken_out_of_the_bounds(name):
+    """Both values of a curtain with it hold for the load alone, whose potential is known to 1e-9 without it."""
+    alone, spread = (
+        solve_scene(read_scene(SMALL[name] | {"solver": {"stabilising_tension": tension}}), LAW)
+        for tension in (0.0, 1e-3)
+    )
+    assert alone.relative_gap < 1e-8
+    unit = scale(alone)
+    assert spread.dual < alone.primal - 1e-4 * unit  # by what the tension may do at most
+    assert alone.primal - 1e-8 * unit < spread.primal < alone.primal + 1e-3 * unit
+    assert alone.primal - spread.dual < 1e-2 * unit
