@@ -13,7 +13,6 @@ from rve.common.command_line import Group
 
 
 @click.group(cls=Group)
-@click.version_option(package_name="ring-mesh")
 def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
 

@@ -15,12 +15,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.scene.loads import wind_per_area
-from macro_fem.scene.obstacles import Box, Placed, placed, unit
+from macro_fem.scene.obstacles import Body, breadth, placed, unit
 from macro_fem.solution import CurtainSolution, Problem, tangent_walls
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
@@ -43,6 +44,8 @@ class ShapeOptions(Options):
     """Rounds before, of whose pressures the next one is mixed so that the changes cancel. 0 mixes none."""
     strides: int = whole(40, least=1, most=10_000)
     """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
+    pace: float = number(0.5, above=0.0, most=1e3)
+    """Largest move of a body at once, over half its least width. Larger ones may leave nodes beside it."""
     shortest: float = number(1.0 / 32, above=0.0, most=1.0)
     """Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
 
@@ -73,7 +76,7 @@ def solve_shape(
         if found.status in ("infeasible", "not_finite"):
             break
         change = following(problem, found.F, sense) - force
-        turned = [_turned(body, found.x, old) for body, old in zip(problem.bodies, normals, strict=True)]
+        turned = [body.normal(found.x) for body in problem.bodies]
         record = _record(problem, found, turned, change, rounds, options)
         if record.is_settled:
             break
@@ -100,7 +103,7 @@ def _approached(
     """
     held = np.where(problem.fem.held, first.x, 0.0)
     before = 0.0 if start is None else start.problem.factor
-    done, stride, x, last = 0.0, 1.0, first.x, start
+    done, stride, x, last = 0.0, _stride(problem, before, options), first.x, start
     while True:
         part = min(1.0, done + stride)
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
@@ -117,26 +120,45 @@ def _approached(
             done, x, last = part, found.x, found
 
 
+MIXED_FROM = 0.2
+"""Relative change of the pressure's forces from which rounds are mixed. Farther away changes are not nearly linear."""
+LEAST_SHARE = 0.25
+"""Least part of `options.damping` that is taken. Smaller shares would end the rounds without an answer."""
+
+
+def _stride(problem: Problem, before: float, options: ShapeOptions) -> float:
+    """The part of their moves that no body should exceed at once: farther, and it may pass between nodes."""
+    parts = [1.0]
+    for body in problem.bodies:
+        way = (problem.factor - before) * float(np.linalg.norm(body.obstacle.move))
+        parts.append(options.pace * breadth(cast(Body, body.obstacle)) / max(way, 1e-300))
+    return max(options.shortest, min(parts))
+
+
 class _Mixer:
     """Anderson's mixing of the forces of a fixed point f = G(f), from forces and their changes G(f) - f.
 
-    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved.
+    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved,
+    else doubled up to `options.damping`.
     """
 
     def __init__(self, options: ShapeOptions) -> None:
-        self.share, self.memory = options.damping, options.memory
+        self.share = self.most = options.damping
+        self.memory = options.memory
         self.forces: list[Array] = []
         self.changes: list[Array] = []
 
     def next(self, force: Array, change: Array) -> Array:
         """The force (n_nodes, d) to try after one that the present shape would change by `change`."""
         if self.changes and np.linalg.norm(change) > np.linalg.norm(self.changes[-1]):
-            self.share *= 0.5
+            self.share = max(LEAST_SHARE * self.most, 0.5 * self.share)
             self.forces, self.changes = [], []
+        else:
+            self.share = min(self.most, 2.0 * self.share)
         self.forces = [*self.forces, force][-self.memory - 1 :]
         self.changes = [*self.changes, change][-self.memory - 1 :]
         mixed = force + self.share * change
-        if len(self.changes) > 1:
+        if len(self.changes) > 1 and np.linalg.norm(change) < MIXED_FROM * np.linalg.norm(force):
             dg = np.stack([(change - old).ravel() for old in self.changes[:-1]], axis=1)
             df = np.stack([(force - old).ravel() for old in self.forces[:-1]], axis=1)
             weights = np.linalg.lstsq(dg, change.ravel(), rcond=1e-8)[0]
@@ -191,16 +213,6 @@ def _ploughed(problem: Problem, x: Array, before: float, after: float, options: 
     return x
 
 
-def _turned(body: Placed, x: Array, old: Array) -> Array:
-    """Normals (n_nodes, d) at the shape x; the old ones where they still touch the body at the node itself.
-
-    At an edge of a box many half-spaces touch: one that holds its node there is as good as another.
-    """
-    near = 1e-7 * float(np.linalg.norm(np.ptp(x, axis=0)))
-    holds = (np.abs(body.gap(x)) < near) & (np.abs((old * x).sum(axis=1) - body.offset(old)) < near)
-    return np.where(holds[:, None] & (body.obstacle.__class__ is Box), old, body.normal(x))
-
-
 def _sense(problem: Problem) -> list[float]:
     """1 for each following pressure that blows along F_1 x F_2 of the flat sheet where it starts, -1 against it.
 
@@ -239,15 +251,17 @@ def _record(
     """The residuals of a round: how much its reactions and the pressure turn at its own shape."""
     walls, x = found.problem.walls, found.x
     total = load_scale(found.problem.force, problem.disc.weight)
-    misfit, product, deepest = float(np.linalg.norm(change, axis=1).sum()), 0.0, 0.0
+    misfit, product, deepest, depth = float(np.linalg.norm(change, axis=1).sum()), 0.0, 0.0, 0.0
     for body, normal in zip(problem.bodies, turned, strict=True):
         assert walls is not None
         own = walls.owner == body.number
         node, push = walls.node[own], found.wall_forces[own]
         misfit += float(push @ np.linalg.norm(normal[node] - walls.normal[own], axis=1))
         product += float(push @ np.abs(body.gap(x[node])))
-        deepest = max(deepest, -float(body.gap(_between(found.problem, x)).min()))
-    return Settling(rounds, misfit / total, product / (total * problem.mesh.size), options.settled, max(0.0, deepest))
+        inside = -float(body.gap(_between(found.problem, x)).min())
+        deepest, depth = max(deepest, inside), max(depth, inside / breadth(cast(Body, body.obstacle)))
+    product /= total * problem.mesh.size
+    return Settling(rounds, misfit / total, product, options.settled, deepest, depth)
 
 
 def _between(problem: Problem, x: Array) -> Array:

@@ -15,7 +15,7 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
-from macro_fem.scene.obstacles import Placed, is_flat, placed
+from macro_fem.scene.obstacles import Placed, is_flat, placed, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.scene.tables import Wind
@@ -236,10 +236,12 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
 def _with_obstacles(problem: Problem) -> Problem:
     """The problem with floors, walls, bodies and following pressure; InputError for a support inside an obstacle."""
     scene, fem, supports = problem.scene, problem.fem, problem.supports
-    obstacles = [placed(number, item, problem.factor, fem.d) for number, item in enumerate(scene.obstacle)]
+    cell = float(np.sqrt(2.0 * problem.disc.cell_area.mean()))
+    met = [with_rounding(item, cell) for item in scene.obstacle]
+    obstacles = [placed(number, item, problem.factor, fem.d) for number, item in enumerate(met)]
     for one in obstacles:
         for held in supports.held:
-            fixed = held.nodes[supports.mask[held.nodes].all(axis=1)]
+            fixed = held.nodes[(supports.mask & fem.held)[held.nodes].all(axis=1)]
             deep = -one.gap(supports.positions[fixed]).min(initial=np.inf)
             if deep > TOUCHED * problem.mesh.size:
                 at = f" after {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""

@@ -22,6 +22,7 @@ from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
 from macro_fem.scene.tables import Hooks
+from macro_fem.scene.wind import wind_summary
 from macro_fem.solution import CurtainSolution, Problem
 from rve.common.cells import mean_at_corners
 from rve.common.files import write_text, write_whole
@@ -108,6 +109,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
+        **wind_summary(problem.scene, problem.law.cell),
         **masses(solution),
         "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
         "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.scene.tables import Corners, Hooks, Point
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles, triangle_areas
 from rve.common.types import Array
@@ -144,8 +143,7 @@ class Nearby:
 def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
     """Whether a line load belongs to a point that is held or loaded: there it depends on the mesh."""
     problem = solution.problem
-    held = zip(problem.scene.support, problem.supports.held, strict=True)
-    nodes = [one.nodes for item, one in held if isinstance(item, Corners | Hooks | Point)]
+    nodes = [held.nodes for held in problem.supports.held if not len(held.facets)]
     points = [problem.disc.nodes[np.concatenate(nodes)]] if nodes else []
     points += [np.array([load.at]) for load in problem.scene.load.point]
     if not points:

@@ -6,7 +6,7 @@ the obstacle closest to it, and the offset is the largest normal . y of the obst
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -125,19 +125,24 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Box:
-    """A box with sides along x, y and z: its `corner` of least coordinates and its `size`."""
+    """A box with sides along x, y and z: its `corner` of least coordinates and its `size`.
+
+    Its edges are rounded by the radius `rounding`, by default the length of a cell: a mesh follows no sharper edge, and
+    forces of nodes on either side of one would be those of a plane that cuts it off.
+    """
 
     corner: tuple[float, ...] = entry(_three)
     size: tuple[float, ...] = entry(_lengths)
+    rounding: float | None = length(None)
     move: tuple[float, ...] = vector(NO_MOVE)
     name: str = text("box")
 
     def normal(self, x: Array) -> Array:
-        """Normals (n, 3) for places x (n, 3); that of the nearest face inside."""
+        """Normals (n, 3) for places x (n, 3); that of the nearest face deep inside."""
         away = x - self._centre
-        out = np.abs(away) - self._half
+        out = np.abs(away) - self._core
         normal = np.sign(away) * np.maximum(out, 0.0)
-        inside = np.flatnonzero(np.abs(normal).max(axis=1) <= 1e-9 * self._half.max())
+        inside = np.flatnonzero(np.abs(normal).max(axis=1) <= 1e-9 * min(self.size))
         face = out[inside].argmax(axis=1)
         normal[inside] = 0.0
         normal[inside, face] = np.where(away[inside, face] < 0.0, -1.0, 1.0)
@@ -145,15 +150,19 @@ class Box:
 
     def support(self, normal: Array) -> Array:
         """Offsets (n,) for normals (n, 3)."""
-        return np.asarray(normal @ self._centre + np.abs(normal) @ self._half)
+        return np.asarray(normal @ self._centre + np.abs(normal) @ self._core + self._radius)
 
     @property
-    def _half(self) -> Array:
-        return 0.5 * np.array(self.size)
+    def _radius(self) -> float:
+        return min(self.rounding or 0.0, 0.5 * min(self.size))
+
+    @property
+    def _core(self) -> Array:
+        return 0.5 * np.array(self.size) - self._radius
 
     @property
     def _centre(self) -> Array:
-        return np.array(self.corner) + self._half
+        return np.array(self.corner) + 0.5 * np.array(self.size)
 
 
 def _directions(away: Array) -> Array:
@@ -184,6 +193,18 @@ class Start:
     def places(self, X: Array) -> Array:
         """Places (n, 3) of material points X (n, 2)."""
         return np.asarray(np.array(self.origin) + X @ np.array([unit(self.x_axis), unit(self.y_axis)]))
+
+
+def breadth(body: Body) -> float:
+    """Half the least width of a body, mm."""
+    return 0.5 * min(body.size) if isinstance(body, Box) else body.radius
+
+
+def with_rounding(obstacle: Obstacle, cell: float) -> Obstacle:
+    """The obstacle as a mesh with cells of this length (mm) meets it: a box has round edges."""
+    if not isinstance(obstacle, Box) or obstacle.rounding is not None:
+        return obstacle
+    return replace(obstacle, rounding=cell)
 
 
 def is_flat(obstacle: Obstacle) -> bool:

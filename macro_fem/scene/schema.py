@@ -278,7 +278,7 @@ def check_solver(scene: Scene, source: str | Path) -> None:
     bodies = [item.name for item in scene.obstacle if not is_flat(item)]
     if (solver.bounds or solver.adapt) and bodies:
         raise InputError(
-            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}, a body, with which the problem is not convex"
+            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}: outside a body the problem is not convex"
         )
     if (solver.bounds or solver.adapt) and element != "P1":
         raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")

@@ -20,6 +20,7 @@ from functools import lru_cache
 from scipy.optimize import brentq
 
 from homogenize import CellInfo
+from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Wind
 from rve import cell_of_sides
 from rve import solidity as solidity_of
@@ -34,15 +35,31 @@ def wind_pressure(wind: Wind, cell: CellInfo | None, where: str) -> float:
     if wind.speed is None:
         assert wind.pressure is not None
         return 1e-6 * wind.pressure
-    drag = wind.drag_coefficient
-    if drag is None:
-        if cell is None:
-            raise InputError(
-                f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give drag_coefficient"
-            )
-        drag = drag_coefficient(ring_solidity(cell))
     density = AIR_DENSITY if wind.air_density is None else wind.air_density
-    return 0.5e-6 * drag * density * wind.speed**2
+    return 0.5e-6 * _drag(wind, cell, where) * density * wind.speed**2
+
+
+def _drag(wind: Wind, cell: CellInfo | None, where: str) -> float:
+    if wind.drag_coefficient is not None:
+        return wind.drag_coefficient
+    if cell is None:
+        raise InputError(
+            f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give drag_coefficient"
+        )
+    return drag_coefficient(ring_solidity(cell))
+
+
+def wind_summary(scene: Scene, cell: CellInfo | None) -> dict[str, list[dict[str, float]]]:
+    """What winds with a speed press with, and by which drag; nothing without them."""
+    found = []
+    for wind in scene.load.wind:
+        if wind.speed is not None:
+            told = {"solidity": ring_solidity(cell)} if wind.drag_coefficient is None and cell is not None else {}
+            where = f"{scene.source}: [load.wind]"
+            pressure = 1e6 * wind_pressure(wind, cell, where)
+            told |= {"drag_coefficient": _drag(wind, cell, where), "pressure_N_per_m2": pressure}
+            found.append({"speed_m_per_s": wind.speed} | told)
+    return {"wind": found} if found else {}
 
 
 @lru_cache(maxsize=8)

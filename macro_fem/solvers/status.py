@@ -136,7 +136,8 @@ class Settling:
 
     misfit: forces that turned in the last round, reactions of bodies and following pressure; complementarity: reactions
     times the distance of their nodes from the body, over load times size; asked: what both must not exceed;
-    between_nodes_mm: how deep bodies are inside the mesh between its nodes, which only a finer mesh makes less.
+    between_nodes_mm: how deep bodies are inside the mesh between its nodes, which only a finer mesh makes less;
+    depth: the same over half the least width of the body.
     """
 
     rounds: int
@@ -144,6 +145,7 @@ class Settling:
     complementarity: float
     asked: float
     between_nodes_mm: float
+    depth: float
 
     @property
     def is_settled(self) -> bool:
@@ -152,11 +154,21 @@ class Settling:
 
     def verdict(self, last: Verdict) -> Verdict:
         """The verdict of the last round, or "unsettled" where that has converged and the rounds have not."""
-        if self.is_settled or last.status not in ("converged", "taut"):
+        if last.status not in ("converged", "taut"):
+            return last
+        if self.depth > PIERCED:
+            return Verdict("pierced", THROUGH.format(self))
+        if self.is_settled:
             return last
         return Verdict("unsettled", UNSETTLED.format(self))
 
 
+PIERCED = 0.5
+"""Depth of a body between nodes from which it counts as having gone through the mesh."""
+THROUGH = (
+    "an obstacle has gone through the mesh between its nodes, {0.between_nodes_mm:.4g} mm deep: take a finer mesh, or "
+    "more load steps"
+)
 UNSETTLED = (
     "contact with bodies, or pressure that follows the surface, has not settled after {0.rounds} rounds: forces of "
     "{0.misfit:.1e} of the load still turn, reactions times distances are {0.complementarity:.1e} of load times size; "

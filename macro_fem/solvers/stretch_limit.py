@@ -68,7 +68,7 @@ def reach_of(
     """
     room = least_slack(law, green_strain(fem.gradient(start)))
     if room > how.sure * 2.0 * AT_LIMIT:
-        return Reach(_stretchable(1.0, min(room, 1.0 - 1e-9)), np.inf)
+        return Reach(_stretchable(1.0, room), np.inf)
     wider = movable(fem, size)
     if wider is None:
         return FREE
@@ -91,8 +91,11 @@ def reach_of(
 
 
 def _stretchable(factor: float, room: float) -> float:
-    """How far a state at `factor` may be scaled: |F L|^2 = (1 - room) c^2 at the fullest half-space."""
-    return factor / float(np.sqrt(1.0 - room)) if factor > 0.0 else 0.0
+    """How far a state at `factor` may be scaled: |F L|^2 = (1 - room) c^2 at the fullest half-space.
+
+    A state drawn together to a point, room = 1, may be scaled without limit.
+    """
+    return factor / float(np.sqrt(1.0 - min(room, 1.0 - 1e-9))) if factor > 0.0 else 0.0
 
 
 def movable(fem: SupportedFem, size: float) -> SupportedFem | None:

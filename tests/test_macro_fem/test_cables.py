@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from macro_fem.curtain import solve_scene
+from macro_fem.every_ring import ring_scene
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 
@@ -131,3 +132,20 @@ def test_supports_that_do_not_meet_on_a_line_are_refused(ring_like, scene_tables
     point = {"kind": "point", "at": [0.0, 0.0], "held": "y", "move": [0.0, placed(TURN, 0.0, 0.0, 0.0)[1]]}
     with pytest.raises(InputError, match="holds some components of the point \\(0, 0\\), which slides"):
         solved(scene_tables, ring_like, TURN, [cable, point])
+
+
+def test_a_curtain_that_could_hang_from_a_point_is_within_reach(ring_like, scene_tables):
+    """On one sloping rail all nodes fit into a point: the supports may be as far apart as they like."""
+    top = line(np.eye(3), "top", (0.0, 100.0, 0.0), (60.0, 100.0, 80.0), sliding=True)
+    scene = read_scene({**scene_tables(mesh={"cells": 4}, solver={"kind": "clarabel"}), "support": top})
+    solution = solve_scene(scene, ring_like)
+    assert solution.status == "converged"
+    assert solution.mean_height() == pytest.approx(50.0, abs=1e-3)
+
+
+def test_rings_one_by_one_do_not_slide_on_a_sloping_line(scene_tables):
+    along = [[0.0, 25.0, 0.0], [40.0, 25.0, 30.0]]
+    top = {"kind": "edge", "edge": "top", "along": along, "sliding": True}
+    scene = read_scene({**scene_tables(width=44.0, height=25.0), "support": top})
+    with pytest.raises(InputError, match=r"scene: \[support\] sliding = true: rings slide along x, y or z"):
+        ring_scene(scene)

@@ -44,6 +44,8 @@ def test_example_runs(path, tmp_path):
     assert summary["relative_gap"] < 1e-5
     total = np.array(summary["total_load_N"])
     held = sum(np.array(support["force_N"]) for support in summary["support_forces"])
+    for obstacle in summary.get("obstacles", []):
+        held = held + np.array(obstacle["reaction_N"])[: len(total)]
     assert np.abs(total + held).max() < 1e-3 * np.abs(total).max()
     if "bounds" in summary:
         assert 0.0 < summary["bounds"]["gap_over_load_times_height"] < 0.006

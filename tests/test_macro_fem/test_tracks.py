@@ -6,12 +6,16 @@ import re
 import numpy as np
 import pytest
 
+from homogenize.io import default_law
 from macro_fem.bounds.interval import bound
-from macro_fem.curtain import solve_scene
+from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.tables import Track
 from macro_fem.scene.tracks import track_curve, track_places
+from macro_fem.solution import make_problem
 from rve.common.errors import InputError
+
 from .conftest import STRETCH_X
 
 WHERE = "scene: [support] (track)"
@@ -179,3 +183,56 @@ def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch
 def test_bad_keys_of_a_track_end_in_one_sentence(scene_tables, keys, message):
     with pytest.raises(InputError, match=re.escape(f"scene: [support] (track) {message}")):
         read_scene({**scene_tables(), "support": {"kind": "track", **keys}})
+
+
+SPACE = {
+    "arc": {"kind": "track", "radius": 40.0, "angle": -120.0},
+    "runners": {"kind": "track", "fullness": 1.5, "radius": 60.0, "pitch": 25.0, "drawn": 0.6},
+    "path": {"kind": "track", "path": [[0.0, 0.0], [30.0, 30.0], [60.0, 0.0]], "height": 200.0},
+    "lone": {"kind": "edge", "edge": "top", "along": [[0.0, 80.0, 0.0], [60.0, 80.0, 70.0]], "sliding": True},
+    "cables": [
+        {"kind": "edge", "edge": "left", "along": [[0.0, 0.0, 5.0], [10.0, 79.0, 0.0]], "sliding": True},
+        {"kind": "edge", "edge": "right", "along": [[100.0, 0.0, -5.0], [90.0, 79.0, 0.0]], "sliding": True},
+        {"kind": "edge", "edge": "top", "along": [[10.0, 79.0, 0.0], [90.0, 79.0, 0.0]]},
+    ],
+}
+LOADS = {
+    "weight": {},
+    "wind": {"load": {"wind": {"speed": 10.0, "direction": [0.0, 0.0, 1.0]}}},
+    "bar": {"load": {"bar": {"mass": 0.1}}},
+    "point": {"load": {"point": {"at": [30.0, 20.0], "force": [0.1, -0.1, 0.2]}}},
+    "floor": {"obstacle": {"kind": "floor", "height": 10.0}},
+}
+SHAPES = {
+    "rectangle": {"width": 100.0, "height": 80.0},
+    "disk": {"shape": "disk", "radius": 50.0},
+    "hole": {"width": 100.0, "height": 80.0, "holes": [[[40, 30], [60, 30], [60, 50], [40, 50]]]},
+}
+
+
+@pytest.mark.parametrize(
+    ("shape", "element", "support", "load", "kind"),
+    [
+        ("rectangle", "Q2", "arc", "bar", "rigid"),
+        ("rectangle", "P1", "path", "wind", "elastic"),
+        ("rectangle", "Q1", "lone", "weight", "elastic"),
+        ("rectangle", "Q1", "cables", "wind", "rigid"),
+        ("rectangle", "P2", "cables", "floor", "rigid"),
+        ("rectangle", "P1", "cables", "point", "clarabel"),
+        ("rectangle", "P1", "lone", "floor", "clarabel"),
+        ("hole", "CR", "path", "wind", "elastic"),
+        ("hole", "P2", "arc", "point", "rigid"),
+        ("disk", "P1", "runners", "weight", "elastic"),
+        ("disk", "P2", "runners", "wind", "rigid"),
+    ],
+)
+def test_shapes_elements_and_solvers_go_with_supports_in_space(shape, element, support, load, kind):
+    """All forces balance, those of supports, obstacles and loads."""
+    tables = {"curtain": SHAPES[shape], "mesh": {"cells": 4, "element": element}, "support": SPACE[support]}
+    scene, law = read_scene({**tables, **LOADS[load], "solver": {"kind": kind}}), default_law()
+    solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+    assert solution.status == "converged"
+    pushes = np.zeros(3) if solution.problem.walls is None else solution.wall_forces @ solution.problem.walls.normal
+    force = solution.problem.force
+    left = force.sum(axis=0) + solution.reactions.sum(axis=0) + pushes
+    assert np.abs(left).max() < 1e-8 * np.linalg.norm(force, axis=1).sum()

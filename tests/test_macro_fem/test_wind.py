@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+import macro_fem
 import rve
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
@@ -90,3 +91,12 @@ def test_a_law_without_rings_needs_a_drag_coefficient(scene_tables):
     scene, law = with_wind(scene_tables, speed=3.0), diagonal_net()
     with pytest.raises(InputError, match=r"scene: \[load.wind\] speed = 3: the law has no rings to tell the drag"):
         make_problem(scene, law, build_mesh(scene, law.cell))
+
+
+def test_the_summary_tells_drag_and_pressure(scene_tables):
+    scene = with_wind(scene_tables, speed=10.0)
+    (told,) = macro_fem.solve(scene).summary["wind"]
+    assert told["solidity"] == pytest.approx(0.3606, abs=2e-3)
+    assert told["drag_coefficient"] == drag_coefficient(told["solidity"])
+    assert told["pressure_N_per_m2"] == pytest.approx(62.5 * told["drag_coefficient"])
+    assert "wind" not in macro_fem.solve(with_wind(scene_tables, pressure=5.0)).summary

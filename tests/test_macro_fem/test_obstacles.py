@@ -1,0 +1,363 @@
+"""Floors, walls and bodies against closed forms, balance, virtual work and clarabel; sentences for what cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from macro_fem.curtain import solve_problem
+from macro_fem.job import solve
+from macro_fem.output.obstacles import obstacle_forces, pushes_of
+from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.obstacles import OBSTACLES, placed, read_obstacles
+from macro_fem.scene.schema import read_scene
+from macro_fem.shape_loop import ShapeOptions, solve_shape
+from macro_fem.solution import make_problem
+from macro_fem.solvers.walls import Walls
+from rve.common.errors import InputError
+
+DENSITY = 2.785 * 9.81e-6
+"""Weight of the small scenes, N/mm2."""
+
+
+def posed(tables, law):
+    scene = read_scene(tables)
+    return make_problem(scene, law, build_mesh(scene, law.cell))
+
+
+def answer(tables, law):
+    return solve_problem(posed(tables, law))
+
+
+def assert_balanced(solution):
+    """Supports, obstacles and loads: in sum, and at every unknown."""
+    force = solution.problem.force
+    total = np.abs(force).sum()
+    left = solution.reactions.sum(axis=0) + solution.pushes.sum(axis=0) + force.sum(axis=0)
+    assert np.abs(left).max() < 1e-8 * total
+    assert solution.residual < 1e-8
+    assert solution.wall_forces.min() > 0.0
+
+
+def on_floor(scene_tables, cells, level, **more):
+    return scene_tables(mesh={"cells": cells}, **more) | {"obstacle": {"kind": "floor", "height": level}}
+
+
+@pytest.mark.parametrize("space", [False, True])
+@pytest.mark.parametrize("kind", ["rigid", "clarabel", "elastic"])
+def test_sheet_on_the_floor_hangs_at_its_length_and_the_rest_lies_down(fitted_law, scene_tables, kind, space):
+    tables = on_floor(scene_tables, 4, 33.0, solver={"kind": kind, "space": space})
+    solution = answer(tables, fitted_law)
+    assert solution.status == "converged", solution.message
+    problem, Y = solution.problem, solution.problem.disc.nodes[:, 1]
+    assert problem.fem.d == (3 if space else 2)
+    exact = np.maximum(Y, 33.0)
+    assert np.abs(solution.x[:, 1] - exact).max() < (2e-3 if kind == "elastic" else 1e-4)
+    lying = -problem.force[Y < 33.0, 1].sum()
+    assert solution.pushes[:, 1].sum() == pytest.approx(lying, rel=2e-5)  # of which the stabilising tension is 1e-6
+    if kind != "clarabel":
+        assert_balanced(solution)
+
+
+def test_height_above_the_floor_is_of_second_order(fitted_law, scene_tables):
+    exact, errors = (0.5 * (100.0**2 - 40.0**2) + 40.0**2) / 100.0, []
+    for cells in (2, 4, 8):
+        solution = answer(on_floor(scene_tables, cells, 40.0, width=50.0), fitted_law)
+        force, Y = solution.problem.force[:, 1], solution.problem.disc.nodes[:, 1]
+        assert solution.mean_height() == pytest.approx(force @ np.maximum(Y, 40.0) / force.sum(), abs=1e-4)
+        errors.append(solution.mean_height() - exact)
+    assert errors[0] > 3.0 * errors[1] > 9.0 * errors[2] > 0.0
+
+
+def test_floor_under_a_straight_bar_levels_it(fitted_law, scene_tables):
+    tables = scene_tables(mesh={"cells": 4}, load={"bar": {"mass": 0.01}})
+    solution = answer(tables | {"obstacle": {"kind": "floor", "height": 10.0}}, fitted_law)
+    bottom = solution.problem.disc.nodes[:, 1] < 1e-9
+    assert solution.x[bottom, 1] == pytest.approx(10.0, abs=1e-5)
+    assert_balanced(solution)
+
+
+@pytest.mark.parametrize("z", [0.0, 0.3])
+def test_clarabel_agrees_on_the_program_with_walls(fitted_law, scene_tables, z):
+    obstacles = [
+        {"kind": "wall", "point": [50.0, 35.0], "facing": [-0.3, 1.0, z]},
+        {"kind": "wall", "point": [50.0, 30.0], "facing": [0.4, 1.0, z]},
+    ]
+    tables = scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.5}) | {"obstacle": obstacles}
+    problem = posed(tables, fitted_law)
+    assert problem.fem.d == (3 if z else 2)
+    other = replace(problem, scene=replace(problem.scene, solver=replace(problem.scene.solver, kind="clarabel")))
+    own, oracle = solve_problem(problem), solve_problem(other)
+    assert own.status == oracle.status == "converged"
+    assert_balanced(own)
+    assert {0, 1} == set(problem.walls.owner[own.wall_forces > 1e-4 * np.abs(problem.force).sum()])
+    scale = np.abs(problem.force).sum() * problem.mesh.size
+    assert own.primal / scale == pytest.approx(oracle.primal / scale, abs=1e-7)
+    for number in range(2):
+        push, its = (pushes_of(one, number)[1].sum(axis=0) for one in (own, oracle))
+        assert push == pytest.approx(its, abs=1e-4 * np.abs(problem.force).sum())
+
+
+def test_a_wall_that_nothing_touches_changes_nothing(fitted_law, scene_tables):
+    tables = scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.7})
+    alone = answer(tables, fitted_law)
+    walled = answer(tables | {"obstacle": {"kind": "wall", "facing": [0, 1], "point": [0, -300]}}, fitted_law)
+    scale = np.abs(alone.problem.force).sum()
+    assert walled.primal == pytest.approx(alone.primal, abs=1e-8 * scale * alone.problem.mesh.size)
+    assert walled.wall_forces.sum() < 1e-7 * scale
+    assert alone.problem.walls is None
+    assert len(alone.wall_forces) == 0
+
+
+def test_bounds_of_the_potential_contain_that_of_the_sheet_on_the_floor(fitted_law, scene_tables):
+    """The discrete potential lies between the primal and the dual value, closer than the allowance for slack parts."""
+    solution = answer(on_floor(scene_tables, 4, 33.0, solver={"stabilising_tension": 0.0}), fitted_law)
+    problem, Y = solution.problem, solution.problem.disc.nodes[:, 1]
+    exact = -float(problem.force[:, 1] @ (np.maximum(Y, 33.0) - Y))
+    scale = np.abs(problem.force).sum() * problem.mesh.size
+    assert solution.dual - 1e-9 * scale < exact < solution.primal + 1e-9 * scale
+    assert solution.primal - solution.dual < 1e-7 * scale
+
+
+R, LENGTH = 200.0, 2000.0
+
+
+def rope(cells):
+    """A strip held at (y, z) = (0, -R) that goes over a cylinder of radius R and hangs down in front of it."""
+    width = 2.0 * LENGTH / cells
+    return {
+        "curtain": {"width": width, "height": LENGTH, "areal_mass": 2.785},
+        "mesh": {"cells": 2},
+        "support": {"kind": "top", "move": [0.0, -LENGTH, -R]},
+        "obstacle": {"kind": "cylinder", "axis": [1, 0, 0], "radius": R},
+        "start": {"origin": [0.0, R, LENGTH - R], "y_axis": [0.0, 0.0, -1.0]},
+    }
+
+
+def test_strip_over_a_cylinder_is_a_rope_over_a_pulley(fitted_law):
+    """T - w y is the same everywhere and T = 0 at the free end; heights, line load, reaction, and their order."""
+    end = np.pi * R - LENGTH
+    exact = (2.0 * R**2 - 0.5 * end**2) / LENGTH
+    errors, cuts = [], []
+    for cells in (8, 16):
+        solution = answer(rope(cells), fitted_law)
+        assert solution.status == "converged", solution.message
+        assert_balanced(solution)
+        assert solution.settling.is_settled
+        problem, x = solution.problem, solution.x
+        held = problem.supports.held[0]
+        force = solution.reactions[held.nodes].sum(axis=0)
+        width = problem.scene.curtain.width
+        middle = x[problem.disc.cell_dofs].mean(axis=1)[:, 1]
+        tension = np.abs(solution.principal()[0][:, 0] - DENSITY * (middle - end)).mean() / (DENSITY * (R - end))
+        push = pushes_of(solution, 0)[1].sum(axis=0)
+        exact_push = DENSITY * width * (LENGTH - end)
+        errors.append(
+            [
+                exact - solution.mean_height(),
+                end - x[:, 1].min(),
+                abs(force[1] / (DENSITY * width * end) - 1.0),
+                tension,
+                abs(push[1] / exact_push - 1.0),
+            ]
+        )
+        distance = np.hypot(x[:, 1], x[:, 2])
+        assert distance[~problem.fem.held.all(axis=1)].min() > R - 1e-5
+        cuts.append(solution.settling.between_nodes_mm)
+    coarse, fine = np.array(errors)
+    assert np.all(fine[:2] < coarse[:2] / 3.4)
+    assert np.all(fine[:2] > 0.0)
+    assert fine[0] < 2e-3 * LENGTH
+    assert np.all(fine[2:] < [0.01, 0.03, 0.005])
+    assert fine[3] < coarse[3] / 2.0
+    assert cuts[0] / cuts[1] == pytest.approx(4.0, rel=0.1)  # chords of the circle
+
+
+def pushed(scene_tables, travel, **more):
+    sphere = {"kind": "sphere", "centre": [50.0, 40.0, -41.0], "radius": 40.0, "move": [0.0, 0.0, travel]}
+    tables = scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.8}, load={"bar": {"mass": 0.02}})
+    return tables | {"obstacle": sphere | more}
+
+
+def test_reaction_of_a_moving_sphere_is_the_slope_of_the_potential(fitted_law, scene_tables):
+    """Virtual work: what the sphere does when it goes on is what the potential rises by."""
+    step = 0.25
+    low, here, high = (answer(pushed(scene_tables, 19.5 + s * step), fitted_law) for s in (-1, 0, 1))
+    assert {one.status for one in (low, here, high)} == {"converged"}
+    slope = (high.primal - low.primal) / (2.0 * step)
+    (line,) = obstacle_forces(here)
+    assert line["reaction_N"][2] == pytest.approx(slope, rel=0.02)
+    assert line["reaction_N"][2] > 0.02 * np.abs(here.problem.force).sum()
+    assert line["nodes_touched"] >= 1
+    assert_balanced(here)
+
+
+def test_summary_tells_reaction_and_displacement_step_by_step(fitted_law, scene_tables):
+    tables = pushed(scene_tables, 45.0, name="shoulder")
+    tables["load"] = {**tables["load"], "steps": 3}
+    summary = solve(read_scene(tables), fitted_law).summary
+    (line,) = summary["obstacles"]
+    assert (line["obstacle"], line["kind"]) == ("shoulder", "sphere")
+    assert [one["displacement_mm"] for one in line["steps"]] == pytest.approx([15.0, 30.0, 45.0])
+    push = [one["reaction_N"][2] for one in line["steps"]]
+    assert 0.0 < push[0] < push[1] < push[2]
+    assert line["reaction_N"] == line["steps"][-1]["reaction_N"]
+    assert summary["settling"]["misfit"] <= summary["settling"]["asked"]
+    used = {one["feature"]: one["used"] for one in summary["features"]}
+    assert used["rounds"]
+    assert used["half-spaces-on-nodes"]
+    assert used["third-coordinate"]
+
+
+@pytest.mark.slow
+def test_in_steps_or_at_once_the_sphere_is_met_alike(fitted_law, scene_tables):
+    tables = pushed(scene_tables, 45.0)
+    once = solve(read_scene(tables), fitted_law).solution
+    tables["load"] = {**tables["load"], "steps": 3}
+    steps = solve(read_scene(tables), fitted_law).solution
+    scale = np.abs(once.problem.force).sum() * once.problem.mesh.size
+    assert steps.primal / scale == pytest.approx(once.primal / scale, abs=1e-6)
+
+
+def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
+    tables = {
+        "curtain": {"width": 250.0, "height": 1000.0, "areal_mass": 2.785},
+        "mesh": {"cells": 2},
+        "support": {"kind": "top", "move": [0.0, -1000.0, -400.0]},
+        "obstacle": {"kind": "box", "corner": [-500.0, -2000.0, -2000.0], "size": [1500.0, 2000.0, 2000.0]},
+        "start": {"origin": [0.0, 0.0, 600.0], "y_axis": [0.0, 0.0, -1.0]},
+    }
+    solution = answer(tables, fitted_law)
+    assert solution.status == "converged", solution.message
+    assert_balanced(solution)
+    x, way = solution.x, pushes_of(solution, 0)[1].sum(axis=0)
+    assert solution.problem.bodies[0].gap(x).min() > -1e-5
+    assert -way[2] == pytest.approx(solution.reactions[:, 2].sum(), rel=1e-6)
+    hanging = 600.0 * 250.0 * DENSITY
+    assert way[2] == pytest.approx(hanging, rel=0.15)  # a rope over a smooth edge; 0.4 % at 16 cells, 17 % at 4
+    assert -x[:, 1].min() == pytest.approx(600.0, rel=0.1)
+    assert way[1] == pytest.approx(1000.0 * 250.0 * DENSITY, rel=0.05)
+
+
+def test_rounds_that_are_cut_short_end_by_name(fitted_law):
+    problem = posed(rope(8), fitted_law)
+    solution = solve_shape(problem, None, solve_problem, ShapeOptions(rounds=1))
+    assert solution.status == "unsettled"
+    assert "has not settled after 1 rounds" in solution.message
+
+
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "box", "floor", "wall"])
+def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
+    rng = np.random.default_rng(7)
+    keys = {
+        "sphere": {"centre": [1.0, 2.0, 3.0], "radius": 4.0},
+        "cylinder": {"point": [1.0, 2.0, 3.0], "axis": [1.0, 2.0, 2.0], "radius": 4.0},
+        "box": {"corner": [-1.0, -2.0, -3.0], "size": [2.0, 4.0, 6.0]},
+        "floor": {"height": 1.0},
+        "wall": {"facing": [1.0, 2.0, 2.0], "point": [1.0, 0.0, 0.0]},
+    }
+    (item,) = read_obstacles({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, "scene")
+    assert isinstance(item, OBSTACLES[kind])
+    body = placed(0, item, 0.5, 3)
+    x = rng.uniform(-15.0, 15.0, (400, 3))
+    normal = body.normal(x)
+    assert np.linalg.norm(normal, axis=1) == pytest.approx(1.0)
+    gap = body.gap(x)
+    nearest = x - gap[:, None] * normal  # a point of the obstacle's surface
+    assert body.gap(nearest) == pytest.approx(0.0, abs=1e-9)
+    inside = nearest[gap < 0.0] if (gap < 0.0).any() else nearest
+    everywhere = normal @ inside.T - body.offset(normal)[:, None]
+    assert everywhere.max() < 1e-9
+    slope = (body.gap(x + 1e-6 * normal) - gap) / 1e-6
+    assert slope[gap > 1e-3] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_blocks_of_walls_enter_the_matrix_as_rows_would(scene_tables, fitted_law):
+    problem = posed(scene_tables(mesh={"cells": 2, "element": "P2"}, solver={"space": True}), fitted_law)
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(problem.disc.n_nodes, 3, 3))
+    blocks = root @ root.swapaxes(1, 2)
+    for fem in (problem.fem, problem.fem.tied()):
+        tangent = np.zeros((problem.disc.n_points, 3, 2, 3, 2))
+        pattern = fem.pattern if fem.tie is None else fem._tied[0]
+        matrix = pattern.full(fem.matrix_data(tangent, blocks))
+        z = rng.normal(size=fem.n)
+        expected = fem.gather(np.einsum("nij,nj->ni", blocks, fem.spread(z)))
+        assert matrix @ z == pytest.approx(expected, rel=1e-12)
+
+
+IMPOSSIBLE = [
+    ({"obstacle": {"kind": "floor", "height": 120.0}}, "floor: top is 20 mm inside it"),
+    ({"obstacle": {"kind": "sphere", "centre": [50.0, 100.0, 0.0], "radius": 30.0}}, "sphere: top is 30 mm inside it"),
+    (
+        {"obstacle": {"kind": "sphere", "centre": [50.0, 40.0, 5.0], "radius": 30.0}},
+        "nodes of the curtain are up to ",
+    ),
+    ({"obstacle": {"kind": "wall", "facing": [1.0, 0.0, 2.0], "point": [0.0, 0.0, 1.0]}}, "wall: top is 0.8944 mm"),
+    (
+        {
+            "support": [{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, 2.0]}],
+            "obstacle": {"kind": "sphere", "centre": [50.0, 50.0, -31.0], "radius": 30.0, "move": [0.0, 0.0, 30.0]},
+        },
+        "[obstacle]: the curtain cannot clear its obstacles",
+    ),
+]
+
+
+@pytest.mark.parametrize(("more", "sentence"), IMPOSSIBLE)
+def test_impossible_scenes_end_in_one_sentence(fitted_law, scene_tables, more, sentence):
+    with pytest.raises(InputError) as error:
+        solve(read_scene(scene_tables(mesh={"cells": 4}) | more), fitted_law)
+    assert sentence in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables):
+    tables = scene_tables(mesh={"cells": 4}, support={"kind": "rail"})
+    slope = {"kind": "wall", "facing": [1.0, 1.0], "point": [50.0, 10.0]}
+    with pytest.raises(InputError, match=r"nothing carries the force of .* N along x"):
+        solve(read_scene(tables | {"obstacle": slope}), fitted_law)
+
+
+BAD = [
+    ({"obstacle": 7}, "[obstacle] is not a table"),
+    ({"obstacle": {"kind": "cube"}}, "[obstacle] kind = 'cube': is not one of floor, wall, cylinder, sphere, box"),
+    ({"obstacle": {"kind": "sphere", "radius": 1}}, "[obstacle] (sphere) centre: is missing"),
+    ({"obstacle": {"kind": "sphere", "centre": [0, 0], "radius": 1}}, "centre = [0, 0]: is not a list of numbers"),
+    ({"obstacle": {"kind": "sphere", "centre": [0, 0, 0], "radius": -1}}, "radius = -1"),
+    ({"obstacle": {"kind": "cylinder", "axis": [0, 0, 0], "radius": 1}}, "axis = [0, 0, 0]: has no direction"),
+    ({"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [1, 0, 1]}}, "size = [1, 0, 1]: has a component"),
+    ({"obstacle": {"kind": "wall", "facing": [0, 0]}}, "facing = [0, 0]: has no direction"),
+    ({"obstacle": {"kind": "floor", "height": "low"}}, "height = 'low': is not a number"),
+    ({"obstacle": {"kind": "floor", "move": [1]}}, "move = [1]"),
+    ({"obstacle": {"kind": "floor", "radius": 1}}, "radius"),
+    ({"start": {"origin": [0, 0, 0]}}, "[start]: has no effect without bodies"),
+    (
+        {
+            "start": {"origin": [0, 0, 0], "y_axis": [1, 1, 0]},
+            "obstacle": {"kind": "sphere", "centre": [0, 0, 9], "radius": 1},
+        },
+        "[start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis",
+    ),
+    (
+        {"load": {"wind": {"pressure": 1, "direction": [0, 0, 1], "follows": 3}}},
+        "follows = 3: is neither true nor false",
+    ),
+]
+
+
+@pytest.mark.parametrize(("more", "sentence"), BAD, ids=range(len(BAD)))
+def test_bad_values_are_told_in_one_sentence(scene_tables, more, sentence):
+    with pytest.raises(InputError) as error:
+        read_scene(scene_tables() | more, "front.toml")
+    assert str(error.value).startswith("front.toml: ")
+    assert sentence in str(error.value)
+
+
+def test_walls_join_and_scale():
+    one = Walls(np.array([0]), np.array([[0.0, 1.0]]), np.array([2.0]), np.array([4]))
+    two = Walls.joined([one, one.scaled(3.0)])
+    assert Walls.joined([]) is None
+    assert two.offset.tolist() == [2.0, 6.0]
+    assert two.owner.tolist() == [4, 4]
+    assert two.gap(np.array([[0.0, 5.0]])).tolist() == [3.0, -1.0]
