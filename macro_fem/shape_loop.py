@@ -22,7 +22,7 @@ import numpy as np
 from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.obstacles import Body, breadth, placed, unit
-from macro_fem.solution import CurtainSolution, Problem, tangent_walls
+from macro_fem.solution import CurtainSolution, Problem, tangent_walls, unit_tensors
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common.errors import InputError
@@ -38,8 +38,9 @@ class ShapeOptions(Options):
     """Most rounds; one costs a convex solve."""
     settled: float = number(1e-6, above=0.0, most=1.0)
     """Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
-    damping: float = number(1.0, above=0.0, most=1.0)
-    """Part of the change of following pressure that a round takes over at first; halved when it grows."""
+    damping: float = number(0.5, above=0.0, most=1.0)
+    """Part of the way to the next shape at which following pressure is evaluated, far from the answer. Larger parts let
+    a sheet collapse before the pressure opens it, smaller ones take more rounds."""
     memory: int = whole(6, least=0, most=50)
     """Rounds before, of whose pressures the next one is mixed so that the changes cancel. 0 mixes none."""
     strides: int = whole(40, least=1, most=10_000)
@@ -68,8 +69,8 @@ def solve_shape(
     begin = time.perf_counter()
     sense = _sense(problem)
     first = start if start is not None else _first(problem, solve)
-    force = following(problem, first.F, sense)
-    mixer = _Mixer(options)
+    shape, mixer = first.F, _Mixer(options.memory)
+    force = following(problem, shape, sense)
     normals, found = _approached(problem, first, force, start, solve, options)
     record = None
     for rounds in range(1, options.rounds + 1):
@@ -81,7 +82,11 @@ def solve_shape(
         if record.is_settled:
             break
         normals = turned
-        force = mixer.next(force, change) if problem.follows else force
+        if np.linalg.norm(change) > MIXED_FROM * np.linalg.norm(force):
+            shape = shape + options.damping * (found.F - shape)
+            force = following(problem, shape, sense)
+        else:
+            shape, force = found.F, mixer.next(force, change)
         if rounds < options.rounds:
             found = solve(_posed(problem, normals, force), found)
     own = replace(found.problem, bodies=problem.bodies, follows=problem.follows)
@@ -122,8 +127,6 @@ def _approached(
 
 MIXED_FROM = 0.2
 """Relative change of the pressure's forces from which rounds are mixed. Farther away changes are not nearly linear."""
-LEAST_SHARE = 0.25
-"""Least part of `options.damping` that is taken. Smaller shares would end the rounds without an answer."""
 
 
 def _stride(problem: Problem, before: float, options: ShapeOptions) -> float:
@@ -138,32 +141,26 @@ def _stride(problem: Problem, before: float, options: ShapeOptions) -> float:
 class _Mixer:
     """Anderson's mixing of the forces of a fixed point f = G(f), from forces and their changes G(f) - f.
 
-    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared and the share of it taken is halved,
-    else doubled up to `options.damping`.
+    D. G. Anderson, J. ACM 12 (1965); where the change grows its memory is cleared.
     """
 
-    def __init__(self, options: ShapeOptions) -> None:
-        self.share = self.most = options.damping
-        self.memory = options.memory
+    def __init__(self, memory: int) -> None:
+        self.memory = memory
         self.forces: list[Array] = []
         self.changes: list[Array] = []
 
     def next(self, force: Array, change: Array) -> Array:
         """The force (n_nodes, d) to try after one that the present shape would change by `change`."""
         if self.changes and np.linalg.norm(change) > np.linalg.norm(self.changes[-1]):
-            self.share = max(LEAST_SHARE * self.most, 0.5 * self.share)
             self.forces, self.changes = [], []
-        else:
-            self.share = min(self.most, 2.0 * self.share)
         self.forces = [*self.forces, force][-self.memory - 1 :]
         self.changes = [*self.changes, change][-self.memory - 1 :]
-        mixed = force + self.share * change
-        if len(self.changes) > 1 and np.linalg.norm(change) < MIXED_FROM * np.linalg.norm(force):
-            dg = np.stack([(change - old).ravel() for old in self.changes[:-1]], axis=1)
-            df = np.stack([(force - old).ravel() for old in self.forces[:-1]], axis=1)
-            weights = np.linalg.lstsq(dg, change.ravel(), rcond=1e-8)[0]
-            mixed = mixed - ((df + self.share * dg) @ weights).reshape(force.shape)
-        return np.asarray(mixed)
+        if len(self.changes) == 1:
+            return force + change
+        dg = np.stack([(change - old).ravel() for old in self.changes[:-1]], axis=1)
+        df = np.stack([(force - old).ravel() for old in self.forces[:-1]], axis=1)
+        weights = np.linalg.lstsq(dg, change.ravel(), rcond=1e-8)[0]
+        return np.asarray(force + change - ((df + dg) @ weights).reshape(force.shape))
 
 
 def _posed(problem: Problem, normals: list[Array], force: Array) -> Problem:
@@ -187,6 +184,8 @@ def _first(problem: Problem, solve: Solve) -> CurtainSolution:
     if scene.start is not None:
         x = scene.start.places(disc.nodes)
         found = replace(found, x=x, F=gradient(disc, x))
+    elif problem.follows:
+        found = replace(found, F=unit_tensors(problem))
     for body in problem.bodies:
         here = placed(body.number, body.obstacle, 0.0, body.d)
         gap = here.gap(found.x)
@@ -218,8 +217,11 @@ def _sense(problem: Problem) -> list[float]:
 
     InputError for one that blows along the flat sheet.
     """
+    if not problem.follows:
+        return []
     start = problem.scene.start
-    normal = np.array([0.0, 0.0, 1.0]) if start is None else np.cross(unit(start.x_axis), unit(start.y_axis))
+    axes = problem.frame.T if start is None else (unit(start.x_axis), unit(start.y_axis))
+    normal = np.cross(*axes)
     signs = []
     for wind in problem.follows:
         along = float(normal @ unit(wind.direction))
