@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rve.localization.field import RingField as RingField
     from rve.localization.job import LocalizeOptions as LocalizeOptions
     from rve.localization.job import localize as localize
+    from rve.more_columns import RingOptions as RingOptions
     from rve.more_columns import with_rings as with_rings
     from rve.solve import solve_table as solve_table
     from rve.support_function import Support as Support
@@ -54,6 +55,7 @@ _MODULES = {
     "Material": "rve.common.materials",
     "NotConverged": "rve.common.errors",
     "RingField": "rve.localization.field",
+    "RingOptions": "rve.more_columns",
     "StrainTable": "rve.table",
     "Support": "rve.support_function",
     "WEAVES": "rve.geometry.weave",
@@ -91,6 +93,7 @@ __all__ = [
     "Material",
     "NotConverged",
     "RingField",
+    "RingOptions",
     "StrainTable",
     "Support",
     "Weave",

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError
+from rve.common.rings import Joint, joint_name
 from rve.common.types import Array
+from rve.common.values import Options, entry
 from rve.equilibrium.compliance import soften
 from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
@@ -21,6 +23,17 @@ from rve.solve import lattice_mm, locked_states, reference_sides, weave_sides
 from rve.table import StrainTable
 
 _SIDES = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]])
+
+
+@dataclass(frozen=True)
+class RingOptions(Options):
+    """Options of `with_rings`; InputError for senseless values.
+
+    joint: "welded", "butted:ANGLE" (open at this angle in degrees around the ring from the grain) or "butted:worst"
+    (at the worst angle for each load).
+    """
+
+    joint: str = entry(joint_name, "welded")
 
 
 def states_of(table: StrainTable, cell: Cell) -> LockedStates:
@@ -54,8 +67,8 @@ def _check_cell(table: StrainTable, cell: Cell) -> None:
             raise InputError(f"{key} = {value} of the cell: the table has {key} = {theirs}; give the table's cell")
 
 
-def with_rings(table: StrainTable, cell: Cell) -> StrainTable:
-    """The table with compliance and strength of its rings, welded rings of the cell's material.
+def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOptions()) -> StrainTable:
+    """The table with compliance and strength of its rings, by default welded ones, of the cell's material.
 
     compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
     rings give; at s N/mm the bend is to be divided by s. nan where the strain is not unique. strength: see
@@ -71,14 +84,15 @@ def with_rings(table: StrainTable, cell: Cell) -> StrainTable:
     states, material = states_of(table, cell), cell.material
     found = replace(states.found, status=np.where(_solved(table), states.found.status, "stalled"))
     equations = Equations.of(states.cell.weave, cell.wire)
-    rings = ring_states(equations, found, states.s, weave_sides(cell, _sides(table, cell)), material.poisson)
+    sides, joint = weave_sides(cell, _sides(table, cell)), Joint.of(options.joint)
+    rings = ring_states(equations, found, states.s, sides, material.poisson, joint)
     D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
     D = np.where(states.unique[:, None, None], D, np.nan)
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]
     asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
     strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
-    provenance = table.provenance | {"compliance": "rings", "joint": "welded", "material": asdict(material)}
+    provenance = table.provenance | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
     return replace(table, compliance=D, strength=strength, provenance=provenance)
 
 

@@ -52,6 +52,7 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
         "utilisation_pointwise_max": None if used is None else float(used.max()),
         "ring_material": None if known is None else known.material.name,
         "ring_yield_N_per_mm2": None if known is None else known.material.yield_N_per_mm2,
+        "ring_joint": None if known is None else known.joint,
         "strength_note": why,
     }
 

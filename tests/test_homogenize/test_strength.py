@@ -95,6 +95,9 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
+    butted = replace(table, provenance=table.provenance | {"joint": "butted:30"})
+    assert read_strength(strength_of_table(butted).to_dict(), "law.json").joint == "butted:30"
+    assert "butted:30 rings of steel" in strength_of_table(butted).text()
     b = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
     net = fit(replace(table, provenance=table.provenance | b), FitOptions(kind="net")).law
     net.save(tmp_path / "net.json")  # the strength is that of the table, whatever the kind of law
