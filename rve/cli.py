@@ -102,7 +102,7 @@ def _ring_options(rings: bool, given: dict[str, Any]) -> Any:
     from rve.common.values import checked
     from rve.more_columns import RingOptions
 
-    given = {name: value for name, value in given.items() if value}
+    given = {name: value for name, value in given.items() if value is not None}
     if given and not rings:
         raise InputError(f"--{next(iter(given)).split('_')[0]}: belongs to --rings, which is not given")
     for name in given:
@@ -169,6 +169,8 @@ def main() -> None:
 @click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
+@click.option("--load", "load_N_per_mm", type=float, help="With --rings: size S11 + S22 of the line load in N/mm.")
+@click.option("--hertz", is_flag=True, help="With --rings and --load: wires also give where they cross (Hertz).")
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm instead.")
 @_explain_options
 @_branch_options
@@ -180,6 +182,8 @@ def table(
     workers: int,
     rings: bool,
     joint: str | None,
+    load_N_per_mm: float | None,
+    hertz: bool,
     compliance: float | None,
     span: bool,
     explain: bool,
@@ -196,7 +200,7 @@ def table(
         raise InputError("--rings and --compliance both give dE/dS: choose the rings' wire, or contacts of a stiffness")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
-    how = _ring_options(rings, {"joint": joint})
+    how = _ring_options(rings, {"joint": joint, "load_N_per_mm": load_N_per_mm, "hertz": hertz or None})
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = _cell(**rest)
     direct = DirectOptions(branches=branches, reference=reference)

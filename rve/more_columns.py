@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rve.common.errors import InputError
 from rve.common.rings import Joint, joint_name
 from rve.common.types import Array
-from rve.common.values import Options, entry
+from rve.common.values import Options, entry, finite, flag, optional
 from rve.equilibrium.compliance import soften
 from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
@@ -30,10 +30,19 @@ class RingOptions(Options):
     """Options of `with_rings`; InputError for senseless values.
 
     joint: "welded", "butted:ANGLE" (open at this angle in degrees around the ring from the grain) or "butted:worst"
-    (at the worst angle for each load).
+    (at the worst angle for each load). load_N_per_mm: the size S11 + S22 of the line load for which what is not in
+    proportion to the load is found. hertz: wires also give where they cross, as much as this load presses them.
     """
 
     joint: str = entry(joint_name, "welded")
+    load_N_per_mm: float | None = entry(optional(finite(least=1e-9, most=1e9)), None)
+    hertz: bool = flag(False)
+
+    def __post_init__(self) -> None:
+        """InputError for values that do not go together, or out of range."""
+        super().__post_init__()
+        if self.hertz and self.load_N_per_mm is None:
+            raise InputError("hertz: how much crossing wires give depends on the load: give load_N_per_mm")
 
 
 def states_of(table: StrainTable, cell: Cell) -> LockedStates:
@@ -85,7 +94,8 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     found = replace(states.found, status=np.where(_solved(table), states.found.status, "stalled"))
     equations = Equations.of(states.cell.weave, cell.wire)
     sides, joint = weave_sides(cell, _sides(table, cell)), Joint.of(options.joint)
-    rings = ring_states(equations, found, states.s, sides, material.poisson, joint)
+    size = _sizes(table, cell, options.load_N_per_mm) if options.hertz else None
+    rings = ring_states(equations, found, states.s, sides, material.poisson, joint, size)
     D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
     D = np.where(states.unique[:, None, None], D, np.nan)
     if cell.grain == "x":
@@ -93,7 +103,15 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
     strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
     provenance = table.provenance | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
+    if options.hertz:
+        provenance |= {"hertz_load_N_per_mm": options.load_N_per_mm}
     return replace(table, compliance=D, strength=strength, provenance=provenance)
+
+
+def _sizes(table: StrainTable, cell: Cell, load_N_per_mm: float | None) -> Array:
+    """Sizes (n,) in E r1 of the unit Cauchy loads of the rows where S11 + S22 is `load_N_per_mm`."""
+    stiffness = cell.material.young_N_per_mm2 * cell.r1
+    return np.asarray((load_N_per_mm or 0.0) / stiffness / (table.S[:, 0] + table.S[:, 2]))
 
 
 def with_compliance(

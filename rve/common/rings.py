@@ -1,4 +1,4 @@
-"""What files say of the rings: radii, reference cell, density, areal mass, joint; their checks, and the mass that follows."""
+"""What files say of the rings: radii, reference cell, density, mass, joint; their checks, and the mass that follows."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.equilibrium.compliance import deformation
 from rve.equilibrium.interior_point import Equilibrium
-from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility
+from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility, local_flexibility
 from rve.equilibrium.system import Equations, weighted_size
 from rve.geometry.kinematics import second_pk
 from rve.geometry.pose import Pose
@@ -37,6 +37,7 @@ _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
+_ROUNDS = 40
 WELDED = Joint.of("welded")
 
 
@@ -105,12 +106,14 @@ def ring_states(
     reference: tuple[float, float],
     poisson: float,
     joint: Joint = WELDED,
+    size: Array | None = None,
 ) -> RingStates:
     """First-order elastic states and strength of the converged ones of the locked states `found` under loads s (n, 3).
 
     reference: sides of the reference cell in r1. Of butted rings with several angles, first yield and collapse are each
-    those at the worst angle, forces and compliance those at the angle that gives most. Rows that have not converged
-    have nan.
+    those at the worst angle, forces and compliance those at the angle that gives most. With size (n,), the loads' sizes
+    in E r1, wires also give where they cross, as much as these loads press them (`rve.ring.hertz`). Rows that have not
+    converged have nan.
     """
     good = np.flatnonzero(found.status == "converged")
     states = RingStates(
@@ -120,16 +123,23 @@ def ring_states(
         return states
     parts = [good[start : start + _BLOCK] for start in range(0, len(good), _BLOCK)]
     ring = Ring(1.0, equations.wire, 1.0, poisson)
-    blocks = [_block(equations, found.take(rows), s[rows], reference, ring, joint) for rows in parts]
+    size = np.full(len(s), np.nan) if size is None else size
+    blocks = [_block(equations, found.take(rows), s[rows], reference, ring, joint, size[rows]) for rows in parts]
     return states.put(good, blocks[0].join(blocks[1:]))
 
 
 def _block(
-    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ring: Ring, joint: Joint
+    equations: Equations,
+    found: Equilibrium,
+    s: Array,
+    reference: tuple[float, float],
+    ring: Ring,
+    joint: Joint,
+    size: Array,
 ) -> RingStates:
-    """`ring_states` of locked states that have all converged."""
+    """`ring_states` of locked states that have all converged; size is nan where crossing wires do not give."""
     ends = contact_ends(equations, found)
-    cells = _cells(equations, found, s, reference, ends)
+    cells = _cells(equations, found, s, reference, ends, size)
     first, *rest = [ends.joints(angle) for angle in joint.angles_deg] or [None]
     states, energy = _jointed(found, cells, ends, ring, first)
     for angles in rest:
@@ -145,7 +155,10 @@ def _jointed(
 ) -> tuple[RingStates, Array]:
     """The states of cells whose rings are open at the angles `joint` (n, k), None: welded; and lam C lam (n,)."""
     C = contact_flexibility(ends, ring, joint)
-    lam, locking, elastic = _compliances(found, cells, ends, C)
+    lam = _forces(cells, ends, C)
+    if not np.isnan(cells.size).any():
+        C, lam = _pressed(cells, ends, ring, C, lam)
+    locking, elastic = _compliances(found, cells, ends, C, lam)
     stress = np.zeros(len(lam))
     for k in range(ends.grain.shape[1]):
         phi, direction, contact = ends.on(k)
@@ -160,7 +173,7 @@ def _jointed(
 @dataclass(frozen=True)
 class _Cells:
     """Equations of n cells at the touching contacts of `Ends`: gradients G (n, c, m), load f (n, m), forces `start`
-    (n, c) of the rigid solver, loads S (n, 3), strain gradient B (n, 3, 3), area in r1^2."""
+    (n, c) of the rigid solver, loads S (n, 3) and their size (n,) in E r1, strain gradient B (n, 3, 3), area in r1^2."""
 
     dead: Equations
     G: Array
@@ -169,32 +182,55 @@ class _Cells:
     S: Array
     B: Array
     area: float
+    size: Array
 
 
-def _cells(equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends) -> _Cells:
+def _cells(
+    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends, size: Array
+) -> _Cells:
     S = second_pk(deformation(found.pose, reference), s)
     dead = replace(equations, load=DeadLoad(reference))
     system = dead.assemble(found.pose, found.contacts, found.lam, S)
     G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
     start = np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1)
     B = strain_gradient(found.pose, reference)
-    return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1])
+    return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1], size)
 
 
-def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array) -> tuple[Array, Array, Array]:
-    """Elastic contact forces (n, c) and both parts of D, (n, 3, 3) each, by the flexibility C (n, c, c)."""
-    n = len(cells.f)
+def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
+    """Elastic contact forces (n, c) by the flexibility C (n, c, c)."""
     lam = np.zeros(ends.slot.shape)
-    for i in range(n):
+    for i in range(len(lam)):
         rows = np.flatnonzero(ends.present[i])
         forces = elastic_forces(cells.G[i, rows], cells.f[i], C[i][np.ix_(rows, rows)], cells.start[i, rows])
         lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
+    return lam
+
+
+def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array]:
+    """C with what crossing wires give at their forces, and the forces that go with it, from those without it.
+
+    Where balance leaves a choice, each round leaves a third of the error, as the approach over the force falls with its
+    cube root.
+    """
+    for _ in range(_ROUNDS):
+        full = C + local_flexibility(ends, ring, lam, cells.size)[:, :, None] * np.eye(C.shape[1])
+        new = _forces(cells, ends, full)
+        change, lam = np.abs(new - lam).max(), new
+        if change < 1e-9:
+            break
+    return full, lam
+
+
+def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array, lam: Array) -> tuple[Array, Array]:
+    """Both parts of D, (n, 3, 3) each, by the flexibility C (n, c, c) and the contact forces lam (n, c)."""
+    n = len(lam)
     J = cells.dead.assemble(found.pose, found.contacts, _spread(lam, ends, found), cells.S).J
     locking, elastic = np.empty((n, 3, 3)), np.empty((n, 3, 3))
     for i in range(n):
         rows = np.flatnonzero(lam[i] > 0.0)
         locking[i], elastic[i] = _compliance(cells.G[i, rows], C[i][np.ix_(rows, rows)], -J[i], cells.B[i], cells.area)
-    return lam, locking, elastic
+    return locking, elastic
 
 
 def _split(G: Array) -> tuple[Array, Array, Array, Array]:
