@@ -140,12 +140,14 @@ def _block(
     """`ring_states` of locked states that have all converged; size is nan where crossing wires do not give."""
     ends = contact_ends(equations, found)
     cells = _cells(equations, found, s, reference, ends, size)
-    first, *rest = [ends.joints(angle) for angle in joint.angles_deg] or [None]
+    joints: list[Array | None] = [ends.joints(angle) for angle in joint.angles_deg]
+    first, *rest = joints or [None]
     states, energy = _jointed(found, cells, ends, ring, first)
     for angles in rest:
         other, more = _jointed(found, cells, ends, ring, angles)
         stress, load = np.maximum(states.first_yield, other.first_yield), np.maximum(states.collapse, other.collapse)
-        states = states.put(more > energy, other.take(more > energy))
+        softer = np.flatnonzero(more > energy)
+        states = states.put(softer, other.take(softer))
         states, energy = replace(states, first_yield=stress, collapse=load), np.maximum(energy, more)
     return states
 
@@ -173,7 +175,8 @@ def _jointed(
 @dataclass(frozen=True)
 class _Cells:
     """Equations of n cells at the touching contacts of `Ends`: gradients G (n, c, m), load f (n, m), forces `start`
-    (n, c) of the rigid solver, loads S (n, 3) and their size (n,) in E r1, strain gradient B (n, 3, 3), area in r1^2."""
+    (n, c) of the rigid solver, loads S (n, 3) and their size (n,) in E r1, strain gradient B (n, 3, 3); area in
+    r1^2."""
 
     dead: Equations
     G: Array

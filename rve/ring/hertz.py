@@ -53,7 +53,7 @@ def approach_per_force(curvature: Array, young: float, poisson: float) -> Array:
 
     >>> steel = approach_per_force(np.array([1.0, 1.0]), 210e3, 0.3)  # wires of 0.5 mm radius at right angles
     >>> float((1e3 * steel * 10.0 ** (2 / 3)).round(3))  # micrometres at 10 N
-    2.039
+    2.037
     """
     k = squared_axis_ratio(curvature)
     effective = 0.5 * young / (1.0 - poisson**2)
