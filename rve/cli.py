@@ -216,6 +216,8 @@ def table(
     if span:
         found = with_span(found, mesh)
     write_table(found, out)
+    if "loaded" in found.provenance:
+        click.echo(found.provenance["loaded"]["note"])
     if explain:
         _explain(found)
     good = int(found.converged.sum())

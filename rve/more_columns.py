@@ -12,13 +12,15 @@ from rve.common.errors import InputError
 from rve.common.rings import Joint, joint_name
 from rve.common.types import Array
 from rve.common.values import Options, entry, finite, flag, optional
-from rve.equilibrium.compliance import soften
-from rve.equilibrium.elastic_rings import ring_states
+from rve.equilibrium.compliance import deformation, soften
+from rve.equilibrium.elastic_rings import RingStates, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.loaded_rings import LARGEST_OVERLAP, loaded_states
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, green_lagrange
+from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.ring.section import Ring
 from rve.solve import lattice_mm, locked_states, reference_sides, weave_sides
 from rve.table import StrainTable
 
@@ -30,8 +32,8 @@ class RingOptions(Options):
     """Options of `with_rings`; InputError for senseless values.
 
     joint: "welded", "butted:ANGLE" (open at this angle in degrees around the ring from the grain) or "butted:worst"
-    (at the worst angle for each load). load_N_per_mm: the size S11 + S22 of the line load for which what is not in
-    proportion to the load is found. hertz: wires also give where they cross, as much as this load presses them.
+    (at the worst angle for each load). load_N_per_mm: the size S11 + S22 of a line load under which the strains
+    are found in full equilibrium. hertz: wires also give where they cross, as much as this load presses them.
     """
 
     joint: str = entry(joint_name, "welded")
@@ -105,7 +107,47 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     provenance = table.provenance | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
     if options.hertz:
         provenance |= {"hertz_load_N_per_mm": options.load_N_per_mm}
-    return replace(table, compliance=D, strength=strength, provenance=provenance)
+    full = replace(table, compliance=D, strength=strength, provenance=provenance)
+    return full if options.load_N_per_mm is None else _with_load(full, cell, states, rings, options)
+
+
+def _with_load(
+    table: StrainTable, cell: Cell, states: LockedStates, rings: RingStates, options: RingOptions
+) -> StrainTable:
+    """The table with its strains under the line load of the options, in full equilibrium, and a note in words."""
+    load, material = options.load_N_per_mm or 0.0, cell.material
+    solved = np.isfinite(rings.first_yield) & states.unique
+    rows, sides = np.flatnonzero(solved), weave_sides(cell, _sides(table, cell))
+    part = states.found.take(rows)
+    S = second_pk(deformation(part.pose, sides), states.s[rows])
+    ring, size = Ring(1.0, cell.wire, 1.0, material.poisson), _sizes(table, cell, load)[rows]
+    equations = Equations.of(states.cell.weave, cell.wire)
+    done = loaded_states(equations, part, rings.take(rows), S, sides, ring, size, hertz=options.hertz)
+    E = np.full((len(table), 3), np.nan)
+    E[rows] = done.E[:, ::-1] if cell.grain == "x" else done.E
+    record: dict[str, Any] = {"S11_plus_S22_N_per_mm": load, "hertz": options.hertz}
+    record |= {"rows": {str(name): int((done.status == name).sum()) for name in np.unique(done.status)}}
+    deepest = float(np.nanmax(done.overlap, initial=0.0))
+    record |= {"largest_overlap_over_r1": deepest, "rows_above_first_yield": None}
+    if material.yield_N_per_mm2 is not None and table.strength is not None:
+        record["rows_above_first_yield"] = int((table.strength[:, 0] * load > material.yield_N_per_mm2).sum())
+    return replace(table, loaded=E, provenance=table.provenance | {"loaded": record | {"note": load_note(record)}})
+
+
+def load_note(record: dict[str, Any]) -> str:
+    """What the strains under a load are good for, in words.
+
+    >>> load_note({"S11_plus_S22_N_per_mm": 2.0, "rows": {"converged": 3}, "rows_above_first_yield": 1})
+    'strains at 2 N/mm are those of 3 rows; rings of 1 rows would have yielded before: choose a smaller load'
+    """
+    rows, beyond = record["rows"], record["rows_above_first_yield"]
+    text = f"strains at {record['S11_plus_S22_N_per_mm']:g} N/mm are those of {rows.get('converged', 0)} rows"
+    for name, why in (
+        ("large", f"overlap by more than {LARGEST_OVERLAP:g} r1, where their change of shape, left out, matters"),
+        ("stalled", "found no equilibrium at this load and have no strain"),
+    ):
+        text += f"; {rows[name]} rows {why}: choose a smaller load" if name in rows else ""
+    return text + (f"; rings of {beyond} rows would have yielded before: choose a smaller load" if beyond else "")
 
 
 def _sizes(table: StrainTable, cell: Cell, load_N_per_mm: float | None) -> Array:

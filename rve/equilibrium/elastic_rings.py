@@ -48,7 +48,8 @@ class RingStates(Rows):
     lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of
     dE_i = D_ij dS_j under a unit line load: the bend of the locking surface, and what rings with E r1 = 1 give; nan
     where the strain is not unique. first_yield, collapse (n,): the yield stress, times r1, at which the unit load is
-    that of first yield and of plastic collapse, nan if that is not found.
+    that of first yield and of plastic collapse, nan if that is not found. angle_deg (n,): where the butted rings are
+    open that forces and compliance are for, nan for welded ones.
     """
 
     lam: Array
@@ -56,6 +57,7 @@ class RingStates(Rows):
     elastic: Array
     first_yield: Array
     collapse: Array
+    angle_deg: Array
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ def ring_states(
     """
     good = np.flatnonzero(found.status == "converged")
     states = RingStates(
-        np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), ()))
+        np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), (), ()))
     )
     if not len(good):
         return states
@@ -140,11 +142,10 @@ def _block(
     """`ring_states` of locked states that have all converged; size is nan where crossing wires do not give."""
     ends = contact_ends(equations, found)
     cells = _cells(equations, found, s, reference, ends, size)
-    joints: list[Array | None] = [ends.joints(angle) for angle in joint.angles_deg]
-    first, *rest = joints or [None]
+    first, *rest = joint.angles_deg or (np.nan,)
     states, energy = _jointed(found, cells, ends, ring, first)
-    for angles in rest:
-        other, more = _jointed(found, cells, ends, ring, angles)
+    for angle in rest:
+        other, more = _jointed(found, cells, ends, ring, angle)
         stress, load = np.maximum(states.first_yield, other.first_yield), np.maximum(states.collapse, other.collapse)
         softer = np.flatnonzero(more > energy)
         states = states.put(softer, other.take(softer))
@@ -152,10 +153,9 @@ def _block(
     return states
 
 
-def _jointed(
-    found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, joint: Array | None
-) -> tuple[RingStates, Array]:
-    """The states of cells whose rings are open at the angles `joint` (n, k), None: welded; and lam C lam (n,)."""
+def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_deg: float) -> tuple[RingStates, Array]:
+    """The states of cells whose rings are open at `angle_deg` from the grain, nan: welded; and lam C lam (n,)."""
+    joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
     C = contact_flexibility(ends, ring, joint)
     lam = _forces(cells, ends, C)
     if not np.isnan(cells.size).any():
@@ -169,7 +169,8 @@ def _jointed(
         stress = np.maximum(stress, peak_stress(phi, forces, ring, joint=open_at).stress)
     collapse = _collapse(cells, ends, lam, ring, joint)
     energy = np.einsum("nc,ncd,nd->n", lam, C, lam)
-    return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse), energy
+    angles = np.full(len(lam), angle_deg)
+    return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse, angles), energy
 
 
 @dataclass(frozen=True)

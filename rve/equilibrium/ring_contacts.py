@@ -53,10 +53,10 @@ class Ends(Rows):
         return np.take_along_axis(self.phi, column, axis=1), direction, column % self.slot.shape[1]
 
 
-def contact_ends(equations: Equations, found: Equilibrium) -> Ends:
-    """The ends of all touching contacts of locked states."""
+def contact_ends(equations: Equations, found: Equilibrium, near: float = TOUCHING) -> Ends:
+    """The ends of all contacts of locked states whose gap in r1 is less than `near`."""
     contacts, n = found.contacts, len(found.lam)
-    touching = (contacts.present & (contacts.gap < TOUCHING)).reshape(n, -1)
+    touching = (contacts.present & (contacts.gap < near)).reshape(n, -1)
     count = int(touching.sum(axis=1).max(initial=1))
     slot = np.argsort(~touching, axis=1, kind="stable")[:, :count]
     present = np.take_along_axis(touching, slot, axis=1)
