@@ -78,9 +78,9 @@ def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float
         click.echo(json.dumps(strength_at(law, parse_load(load), yield_stress)))
     if plot is not None:
         from homogenize.io import load_law
-        from homogenize.plots import plot_strength, save_picture
+        from homogenize.plots import save_picture
 
-        save_picture(plot_strength(load_law(law), yield_stress)[0].figure, plot)
+        save_picture(load_law(law).plot_strength(yield_stress)[0].figure, plot)
         click.echo(f"picture written to {plot}", err=True)
 
 

@@ -19,6 +19,7 @@ from macro_fem.scene.tables import (
     Support,
 )
 from rve.common.errors import InputError
+from rve.common.materials import described
 from rve.common.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
 
@@ -33,6 +34,7 @@ class Scene:
     load: Load
     solver: Solver
     source: Path
+    material: tuple[tuple[str, Any], ...] = ()  # of the rings, in place of the law's: `homogenize.with_material`
 
     @classmethod
     def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
@@ -65,7 +67,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
     data = with_new_names(data, source)
-    tables = ("curtain", "mesh", "support", "load", "solver")
+    tables = ("curtain", "mesh", "support", "load", "solver", "material")
     for key in data:
         if key not in tables:
             raise InputError(f"{source}: {shown_key(key)}: unknown table; known are {', '.join(tables)}")
@@ -78,6 +80,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         load=_read_load(data.get("load", {}), source),
         solver=read_record(Solver, data.get("solver", {}), f"{source}: [solver]"),
         source=Path(source),
+        material=described(data.get("material", {}), f"{source}: [material]"),
     )
     _check_shape(scene.curtain, source)
     _check_effect(scene, data, source)
