@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from rve.localization.job import localize as localize
     from rve.more_columns import RingOptions as RingOptions
     from rve.more_columns import with_rings as with_rings
+    from rve.ring.pull import PulledRing as PulledRing
+    from rve.ring.pull import pulled_ring as pulled_ring
     from rve.solve import solve_table as solve_table
     from rve.support_function import Support as Support
     from rve.support_function import support as support
@@ -54,6 +56,7 @@ _MODULES = {
     "MATERIALS": "rve.common.materials",
     "Material": "rve.common.materials",
     "NotConverged": "rve.common.errors",
+    "PulledRing": "rve.ring.pull",
     "RingField": "rve.localization.field",
     "RingOptions": "rve.more_columns",
     "StrainTable": "rve.table",
@@ -68,6 +71,7 @@ _MODULES = {
     "grid": "rve.directions",
     "localize": "rve.localization.job",
     "named_material": "rve.common.materials",
+    "pulled_ring": "rve.ring.pull",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
@@ -92,6 +96,7 @@ __all__ = [
     "LocalizeOptions",
     "Material",
     "NotConverged",
+    "PulledRing",
     "RingField",
     "RingOptions",
     "StrainTable",
@@ -105,6 +110,7 @@ __all__ = [
     "grid",
     "localize",
     "named_material",
+    "pulled_ring",
     "read_loads",
     "read_table",
     "second_pk",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from rve import Material, pulled_ring
 from rve.common.errors import InputError, NotConverged
 from rve.ring.collapse import BENDING, TORSION, checked_sections, largest_factors, plastic_collapse
 from rve.ring.kernels import internal_forces, self_stress
@@ -118,3 +119,21 @@ def test_too_few_steps_are_not_an_answer():
         plastic_collapse(phi, forces, RING, YIELD, steps=2)
     with pytest.raises(InputError, match="tolerance"):
         plastic_collapse(phi, forces, RING, YIELD, tolerance=0.0)
+
+
+def test_a_ring_between_two_hooks_has_its_closed_forms():
+    """Thin wire: first yield at F R/pi = pi r2^3/4 yield, collapse at 4 M_p/R, opening (pi/4 - 2/pi) F R^3/(E I)."""
+    found = pulled_ring(500.0, 0.5, Material(yield_N_per_mm2=YIELD, ultimate_N_per_mm2=None))
+    inertia = 0.25 * np.pi * 0.5**4
+    assert found.first_yield_N == pytest.approx(np.pi**2 * 0.5**3 * YIELD / (4.0 * 500.0), rel=3e-3)
+    assert found.collapse_N == pytest.approx(4.0 * PLASTIC / 500.0, rel=1e-6)
+    assert found.opening_mm_per_N == pytest.approx((np.pi / 4.0 - 2.0 / np.pi) * 500.0**3 / (210e3 * inertia), rel=1e-4)
+    hook = pulled_ring(500.0, 0.5, Material(yield_N_per_mm2=YIELD, ultimate_N_per_mm2=None), "butted:90")
+    assert hook.collapse_N == pytest.approx(PLASTIC / 500.0, rel=1e-6)
+    assert hook.opening_mm_per_N == pytest.approx(np.pi / 2.0 * 500.0**3 / (210e3 * inertia), rel=1e-4)
+    worst = pulled_ring(500.0, 0.5, Material(yield_N_per_mm2=YIELD, ultimate_N_per_mm2=None), "butted")
+    # wherever the ring is open, the other half bears all
+    assert (worst.first_yield_N, worst.collapse_N) == pytest.approx((hook.first_yield_N, hook.collapse_N), rel=1e-6)
+    for bad, message in ((("glued", YIELD), "joint = 'glued'"), (("welded", None), "no yield stress")):
+        with pytest.raises(InputError, match=message):
+            pulled_ring(5.0, 0.5, Material(yield_N_per_mm2=bad[1], ultimate_N_per_mm2=None), bad[0])
