@@ -57,8 +57,8 @@ def plot_strength(
 ) -> Any:
     """The locking surface in strain space, first yield and collapse in the space of line loads, and sections of both.
 
-    known: the strength of the law. axes: three, the first two of them 3D; by default those of a new figure, are returned.
-    InputError if there is no strength, or neither it nor the caller has a yield stress.
+    known: the strength of the law. axes: three, the first two of them 3D, by default those of a new figure; they are
+    returned. InputError if there is no strength, or neither it nor the caller has a yield stress.
     """
     if known is None:
         raise InputError(f"the law holds no strength; {MAKE_AGAIN}")
