@@ -105,6 +105,8 @@ def _ring_options(rings: bool, given: dict[str, Any]) -> Any:
     given = {name: value for name, value in given.items() if value is not None}
     if given and not rings:
         raise InputError(f"--{next(iter(given)).split('_')[0]}: belongs to --rings, which is not given")
+    if "hertz" in given and "load_N_per_mm" not in given:
+        raise InputError("--hertz: how much crossing wires give depends on the load: give --load")
     for name in given:
         check = RingOptions.__dataclass_fields__[name].metadata["check"]
         checked({f"--{name.split('_')[0]}": given[name]}, f"--{name.split('_')[0]}", check, "")

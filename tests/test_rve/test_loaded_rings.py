@@ -124,4 +124,4 @@ def test_the_command_writes_and_says_what_the_load_does(tmp_path):
     refused = CliRunner().invoke(main, [*words, "--load", "0"])
     assert (refused.exit_code, "--load = 0.0: must be at least" in refused.stderr) == (2, True)
     alone = CliRunner().invoke(main, [*words, "--hertz"])
-    assert (alone.exit_code, "give load_N_per_mm" in alone.stderr) == (2, True)
+    assert (alone.exit_code, "give --load" in alone.stderr) == (2, True)
