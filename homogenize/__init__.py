@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from homogenize.laws.protocol import Response as Response
     from homogenize.laws.report import ErrorReport as ErrorReport
     from homogenize.laws.stored import save_law as save_law
+    from homogenize.material import with_material as with_material
     from homogenize.query.strain import LockedStrain as LockedStrain
     from homogenize.query.strain import locked_strain as locked_strain
     from homogenize.strength import Strength as Strength
@@ -66,6 +67,7 @@ _MODULES = {
     "ring_net": "homogenize.laws.net",
     "save_law": "homogenize.laws.stored",
     "strength_of_law": "homogenize.io",
+    "with_material": "homogenize.material",
     "write_umat": "homogenize.export.umat",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -99,6 +101,7 @@ __all__ = [
     "ring_net",
     "save_law",
     "strength_of_law",
+    "with_material",
     "write_umat",
 ]
 

@@ -62,13 +62,26 @@ def support(law: Path, load: str) -> None:
 
 @main.command()
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--S", "load", required=True, help="S11,S12,S22: the direction of a tensile line load")
+@click.option("--S", "load", help="S11,S12,S22: the direction of a tensile line load")
+@click.option("--plot", type=click.Path(path_type=Path), help="picture of the strength over all loads to write, PNG")
 @click.option("--yield", "yield_stress", type=float, help="yield stress of the wire, N/mm2; default: the material's")
-def strength(law: Path, load: str, yield_stress: float | None) -> None:
+def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float | None) -> None:
     """Prints the line loads, S of unit trace times what is printed, at which rings first yield and collapse."""
     from homogenize.query.answers import strength_at
 
-    click.echo(json.dumps(strength_at(law, parse_load(load), yield_stress)))
+    if load is None and plot is None:
+        raise InputError("give --S S11,S12,S22 for the strength along a load, --plot FILE for a picture, or both")
+    if plot is not None:
+        require("matplotlib", "plots", "--plot")
+        check_out_file(plot, "--plot", inputs=[law])
+    if load is not None:
+        click.echo(json.dumps(strength_at(law, parse_load(load), yield_stress)))
+    if plot is not None:
+        from homogenize.io import load_law
+        from homogenize.plots import save_picture
+
+        save_picture(load_law(law).plot_strength(yield_stress)[0].figure, plot)
+        click.echo(f"picture written to {plot}", err=True)
 
 
 @main.command()

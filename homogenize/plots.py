@@ -14,7 +14,8 @@ from homogenize.laws.picture import colours, own_figure, surface_height
 from homogenize.laws.picture import plot_sections as sections_of
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain import locked_strain
-from rve.common.files import write_text
+from rve.common.errors import InputError
+from rve.common.files import atomic_path, write_text
 from rve.common.jobs import job
 
 if TYPE_CHECKING:
@@ -93,6 +94,15 @@ def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
     ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
     ax.legend(fontsize=8)
     return ax
+
+
+def save_picture(figure: Any, path: str | Path) -> None:
+    """Writes a figure, atomically; the ending of the name is the format. InputError for an unknown one."""
+    try:
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, dpi=DPI, format=Path(path).suffix[1:] or "png", bbox_inches="tight")
+    except ValueError as error:
+        raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
 
 
 def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:

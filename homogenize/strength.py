@@ -19,14 +19,14 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 from rve import cauchy_line_load
 from rve.common.errors import InputError
 from rve.common.materials import STRESS, Material, read_material
+from rve.common.rings import joint_name
 from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
 from rve.common.types import Array
-from rve.common.values import checked, mapping, number, numbers, one_of, read_record, whole
+from rve.common.values import checked, mapping, number, numbers, read_record, whole
 
 if TYPE_CHECKING:
     from rve import StrainTable
 
-JOINTS = ("welded",)
 FOLDS = 5
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
 _SAME = 1e-9
@@ -109,7 +109,7 @@ class Strength:
 
     S (n, 3) of unit trace; cauchy (n, 3): the Cauchy loads of these rows, of unit trace; first_yield, collapse (n,):
     yield stress over S11 + S22, 1/mm; compliance (n,): S:D S in mm/N, nan where a load has no unique strain; the
-    material of the table; the error between the loads.
+    material of the table; the error between the loads; the joint of the rings.
     """
 
     S: Array
@@ -119,6 +119,7 @@ class Strength:
     compliance: Array
     material: Material
     error: OffGrid | None = None
+    joint: str = "welded"
 
     def utilisation(self, S: Array, yield_N_per_mm2: float | None = None) -> Array:
         """Largest von Mises stress of the rings over the yield stress, (n,), under line loads S (n, 3) in N/mm.
@@ -164,7 +165,7 @@ class Strength:
 
     def text(self) -> str:
         """What is known of the error, in one line."""
-        head = f"strength of welded rings of {self.material.name}, {len(self.S)} loads"
+        head = f"strength of {self.joint} rings of {self.material.name}, {len(self.S)} loads"
         e = self.error
         if e is None:
             return f"{head}; too few to tell its error between them"
@@ -176,7 +177,7 @@ class Strength:
     def to_dict(self) -> dict[str, Any]:
         """The strength as a law file holds it."""
         return {
-            "joint": "welded",
+            "joint": self.joint,
             "material": asdict(self.material),
             "S": self.S.tolist(),
             "cauchy": self.cauchy.tolist(),
@@ -217,7 +218,8 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
     s = s / trace(s)[:, None]
-    found = Strength(S, s, table.strength[good, 0], table.strength[good, 1], along, material)
+    joint = checked({"joint": "welded"} | table.provenance, "joint", joint_name, where)
+    found = Strength(S, s, table.strength[good, 0], table.strength[good, 1], along, material, joint=joint)
     return replace(found, error=off_grid(found))
 
 
@@ -256,7 +258,7 @@ def read_strength(table: Mapping[str, Any], where: str) -> Strength:
         bad = np.flatnonzero((np.abs(trace(loads) - 1.0) > 1e-9) | (eigenvalues(loads)[0] < -1e-9))
         if len(bad):
             raise InputError(f"{where} {key}: row {bad[0]}, {loads[bad[0]].tolist()}, is no tensile load of unit trace")
-    checked(table, "joint", one_of(*JOINTS), where)
+    joint = checked(table, "joint", joint_name, where)
     material = read_material(checked(table, "material", mapping, where), f"{where} material")
     error = table.get("error")
     return Strength(
@@ -267,6 +269,7 @@ def read_strength(table: Mapping[str, Any], where: str) -> Strength:
         along,
         material,
         None if error is None else read_record(OffGrid, error, f"{where} error"),
+        joint,
     )
 
 
@@ -297,5 +300,5 @@ def strength_answer(strength: Strength | None, S: Array, yield_N_per_mm2: float 
         "compliance_mm_per_N": float(strength.compliance_along(unit)[0]),
         "error_between_rows": None if strength.error is None else asdict(strength.error),
         "material": strength.material.name,
-        "joint": "welded",
+        "joint": strength.joint,
     }

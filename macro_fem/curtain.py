@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from homogenize import MembraneLaw
+from homogenize import MembraneLaw, with_material
 from macro_fem.elastic_curtain import polished
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.supported import SupportedFem
@@ -74,6 +74,7 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
     >>> solution.status
     'converged'
     """
+    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     mesh = build_mesh(scene, law.cell)
     return solve_problem(make_problem(scene, law, mesh))
 

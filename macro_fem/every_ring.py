@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from homogenize import CellInfo, MembraneLaw, default_law, load_law
+from homogenize import CellInfo, MembraneLaw, default_law, load_law, with_material
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import in_space_of
@@ -76,8 +76,8 @@ def ring_scene(scene: Scene, law: MembraneLaw | None = None) -> RingScene:
     >>> len(rings.mesh.X), [len(held) for _, held in rings.groups]
     (8, [3])
     """
-    law = default_law() if law is None else law
-    info = law.cell
+    asked = with_material(default_law() if law is None else law, dict(scene.material), f"{scene.source}: [material]")
+    info = asked.cell
     if info is None:
         raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
     if any(bar.straight for bar in scene.load.bar):

@@ -9,7 +9,15 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from homogenize import LawInterval, MembraneLaw, default_law, interval_of_table, interval_or_law, read_law_interval
+from homogenize import (
+    LawInterval,
+    MembraneLaw,
+    default_law,
+    interval_of_table,
+    interval_or_law,
+    read_law_interval,
+    with_material,
+)
 from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.admissible import admissible_problem
@@ -28,6 +36,7 @@ from macro_fem.solution import CurtainSolution, Problem, make_problem
 from rve.common.errors import InputError, NotConverged, require
 from rve.common.files import check_out_file
 from rve.common.jobs import check_out_job, complete, job
+from rve.common.materials import material_of
 from rve.common.page import write_page
 from rve.common.types import Array
 
@@ -177,11 +186,14 @@ def solve(
     'converged'
     """
     if rings is not None:
+        metal = material_of(dict(scene.material), f"{scene.source}: [material]", base=rings.material)
+        rings = replace(rings, material=metal, density=metal.density_kg_per_mm3)
         return _on_demand(scene, law, rings, accuracy, cache, say)
     if accuracy is not None or cache is not None:
         raise InputError("accuracy and cache belong to rings: give their radii as well")
     if law is None:
         law = read_law_interval() if asks_bounds(scene) else default_law()
+    law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     count = scene.load.steps
     if not asks_bounds(scene):
         return CurtainResult(scene, tuple(_steps(scene, law.law if isinstance(law, LawInterval) else law, count, say)))

@@ -32,7 +32,10 @@ if TYPE_CHECKING:
     from rve.localization.field import RingField as RingField
     from rve.localization.job import LocalizeOptions as LocalizeOptions
     from rve.localization.job import localize as localize
+    from rve.more_columns import RingOptions as RingOptions
     from rve.more_columns import with_rings as with_rings
+    from rve.ring.pull import PulledRing as PulledRing
+    from rve.ring.pull import pulled_ring as pulled_ring
     from rve.shadow import solidity as solidity
     from rve.solve import solve_table as solve_table
     from rve.support_function import Support as Support
@@ -54,7 +57,9 @@ _MODULES = {
     "MATERIALS": "rve.common.materials",
     "Material": "rve.common.materials",
     "NotConverged": "rve.common.errors",
+    "PulledRing": "rve.ring.pull",
     "RingField": "rve.localization.field",
+    "RingOptions": "rve.more_columns",
     "StrainTable": "rve.table",
     "Support": "rve.support_function",
     "WEAVES": "rve.geometry.weave",
@@ -67,6 +72,7 @@ _MODULES = {
     "grid": "rve.directions",
     "localize": "rve.localization.job",
     "named_material": "rve.common.materials",
+    "pulled_ring": "rve.ring.pull",
     "read_loads": "rve.directions",
     "read_table": "rve.table",
     "second_pk": "rve.geometry.kinematics",
@@ -92,7 +98,9 @@ __all__ = [
     "LocalizeOptions",
     "Material",
     "NotConverged",
+    "PulledRing",
     "RingField",
+    "RingOptions",
     "StrainTable",
     "Support",
     "Weave",
@@ -104,6 +112,7 @@ __all__ = [
     "grid",
     "localize",
     "named_material",
+    "pulled_ring",
     "read_loads",
     "read_table",
     "second_pk",

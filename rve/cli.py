@@ -98,6 +98,22 @@ def _cell(r1: float, r2: float, grain: str, weave: str, **material: Any) -> Any:
     return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal)
 
 
+def _ring_options(rings: bool, given: dict[str, Any]) -> Any:
+    """The options of `with_rings` from the command line, None without --rings."""
+    from rve.common.values import checked
+    from rve.more_columns import RingOptions
+
+    given = {name: value for name, value in given.items() if value is not None}
+    if given and not rings:
+        raise InputError(f"--{next(iter(given)).split('_')[0]}: belongs to --rings, which is not given")
+    if "hertz" in given and "load_N_per_mm" not in given:
+        raise InputError("--hertz: how much crossing wires give depends on the load: give --load")
+    for name in given:
+        check = RingOptions.__dataclass_fields__[name].metadata["check"]
+        checked({f"--{name.split('_')[0]}": given[name]}, f"--{name.split('_')[0]}", check, "")
+    return RingOptions(**given) if rings else None
+
+
 def _solved(
     method: str, directions: tuple[Any, Any], mesh: Any, direct: Any, checkpoint: Path | None, workers: int
 ) -> Any:
@@ -155,6 +171,9 @@ def main() -> None:
 )
 @click.option("--span", is_flag=True, help="Also find how far free strains may move (into the JSON).")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
+@click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
+@click.option("--load", "load_N_per_mm", type=float, help="With --rings: size S11 + S22 of the line load in N/mm.")
+@click.option("--hertz", is_flag=True, help="With --rings and --load: wires also give where they cross (Hertz).")
 @click.option("--compliance", type=float, help="Add dE/dS columns for contacts of this stiffness in N/mm instead.")
 @_explain_options
 @_branch_options
@@ -165,6 +184,9 @@ def table(
     checkpoint: Path | None,
     workers: int,
     rings: bool,
+    joint: str | None,
+    load_N_per_mm: float | None,
+    hertz: bool,
     compliance: float | None,
     span: bool,
     explain: bool,
@@ -174,13 +196,14 @@ def table(
 ) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.equilibrium.interior_point import DirectOptions
-    from rve.more_columns import with_compliance, with_span
+    from rve.more_columns import with_compliance, with_rings, with_span
     from rve.table import write_table
 
     if rings and compliance is not None:
         raise InputError("--rings and --compliance both give dE/dS: choose the rings' wire, or contacts of a stiffness")
     if method not in METHODS:
         raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
+    how = _ring_options(rings, {"joint": joint, "load_N_per_mm": load_N_per_mm, "hertz": hertz or None})
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = _cell(**rest)
     direct = DirectOptions(branches=branches, reference=reference)
@@ -189,11 +212,15 @@ def table(
     if checkpoint is not None:
         check_out_folder(checkpoint, "--checkpoint")
     found = _solved(method, directions, mesh, direct, checkpoint, workers)
-    if rings or compliance is not None:
+    if how is not None:
+        found = with_rings(found, mesh, how)
+    elif compliance is not None:
         found = with_compliance(found, compliance, mesh)
     if span:
         found = with_span(found, mesh)
     write_table(found, out)
+    if "loaded" in found.provenance:
+        click.echo(found.provenance["loaded"]["note"])
     if explain:
         _explain(found)
     good = int(found.converged.sum())

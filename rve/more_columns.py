@@ -2,25 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError
+from rve.common.rings import Joint, joint_name
 from rve.common.types import Array
-from rve.equilibrium.compliance import soften
-from rve.equilibrium.elastic_rings import ring_states
+from rve.common.values import Options, entry, finite, flag, optional
+from rve.equilibrium.compliance import deformation, soften
+from rve.equilibrium.elastic_rings import RingStates, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.loaded_rings import LARGEST_OVERLAP, loaded_states
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, green_lagrange
+from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.ring.section import Ring
 from rve.solve import lattice_mm, locked_states, reference_sides, weave_sides
 from rve.table import StrainTable
 
 _SIDES = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]])
+
+
+@dataclass(frozen=True)
+class RingOptions(Options):
+    """Options of `with_rings`; InputError for senseless values.
+
+    joint: "welded", "butted:ANGLE" (open at this angle in degrees around the ring from the grain) or "butted:worst"
+    (at the worst angle for each load). load_N_per_mm: the size S11 + S22 of a line load under which the strains
+    are found in full equilibrium. hertz: wires also give where they cross, as much as this load presses them.
+    """
+
+    joint: str = entry(joint_name, "welded")
+    load_N_per_mm: float | None = entry(optional(finite(least=1e-9, most=1e9)), None)
+    hertz: bool = flag(False)
+
+    def __post_init__(self) -> None:
+        """InputError for values that do not go together, or out of range."""
+        super().__post_init__()
+        if self.hertz and self.load_N_per_mm is None:
+            raise InputError("hertz: how much crossing wires give depends on the load: give load_N_per_mm")
 
 
 def states_of(table: StrainTable, cell: Cell) -> LockedStates:
@@ -54,8 +78,8 @@ def _check_cell(table: StrainTable, cell: Cell) -> None:
             raise InputError(f"{key} = {value} of the cell: the table has {key} = {theirs}; give the table's cell")
 
 
-def with_rings(table: StrainTable, cell: Cell) -> StrainTable:
-    """The table with compliance and strength of its rings, welded rings of the cell's material.
+def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOptions()) -> StrainTable:
+    """The table with compliance and strength of its rings, by default welded ones, of the cell's material.
 
     compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
     rings give; at s N/mm the bend is to be divided by s. nan where the strain is not unique. strength: see
@@ -71,15 +95,65 @@ def with_rings(table: StrainTable, cell: Cell) -> StrainTable:
     states, material = states_of(table, cell), cell.material
     found = replace(states.found, status=np.where(_solved(table), states.found.status, "stalled"))
     equations = Equations.of(states.cell.weave, cell.wire)
-    rings = ring_states(equations, found, states.s, weave_sides(cell, _sides(table, cell)), material.poisson)
+    sides, joint = weave_sides(cell, _sides(table, cell)), Joint.of(options.joint)
+    size = _sizes(table, cell, options.load_N_per_mm) if options.hertz else None
+    rings = ring_states(equations, found, states.s, sides, material.poisson, joint, size)
     D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
     D = np.where(states.unique[:, None, None], D, np.nan)
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]
     asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
     strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
-    provenance = table.provenance | {"compliance": "rings", "joint": "welded", "material": asdict(material)}
-    return replace(table, compliance=D, strength=strength, provenance=provenance)
+    provenance = table.provenance | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
+    if options.hertz:
+        provenance |= {"hertz_load_N_per_mm": options.load_N_per_mm}
+    full = replace(table, compliance=D, strength=strength, provenance=provenance)
+    return full if options.load_N_per_mm is None else _with_load(full, cell, states, rings, options)
+
+
+def _with_load(
+    table: StrainTable, cell: Cell, states: LockedStates, rings: RingStates, options: RingOptions
+) -> StrainTable:
+    """The table with its strains under the line load of the options, in full equilibrium, and a note in words."""
+    load, material = options.load_N_per_mm or 0.0, cell.material
+    solved = np.isfinite(rings.first_yield) & states.unique
+    rows, sides = np.flatnonzero(solved), weave_sides(cell, _sides(table, cell))
+    part = states.found.take(rows)
+    S = second_pk(deformation(part.pose, sides), states.s[rows])
+    ring, size = Ring(1.0, cell.wire, 1.0, material.poisson), _sizes(table, cell, load)[rows]
+    equations = Equations.of(states.cell.weave, cell.wire)
+    done = loaded_states(equations, part, rings.take(rows), S, sides, ring, size, hertz=options.hertz)
+    E = np.full((len(table), 3), np.nan)
+    E[rows] = done.E[:, ::-1] if cell.grain == "x" else done.E
+    record: dict[str, Any] = {"S11_plus_S22_N_per_mm": load, "hertz": options.hertz}
+    record |= {"rows": {str(name): int((done.status == name).sum()) for name in np.unique(done.status)}}
+    deepest = float(np.nanmax(done.overlap, initial=0.0))
+    record |= {"largest_overlap_over_r1": deepest, "rows_above_first_yield": None}
+    if material.yield_N_per_mm2 is not None and table.strength is not None:
+        record["rows_above_first_yield"] = int((table.strength[:, 0] * load > material.yield_N_per_mm2).sum())
+    return replace(table, loaded=E, provenance=table.provenance | {"loaded": record | {"note": load_note(record)}})
+
+
+def load_note(record: dict[str, Any]) -> str:
+    """What the strains under a load are good for, in words.
+
+    >>> load_note({"S11_plus_S22_N_per_mm": 2.0, "rows": {"converged": 3}, "rows_above_first_yield": 1})
+    'strains at 2 N/mm are those of 3 rows; rings of 1 rows would have yielded before: choose a smaller load'
+    """
+    rows, beyond = record["rows"], record["rows_above_first_yield"]
+    text = f"strains at {record['S11_plus_S22_N_per_mm']:g} N/mm are those of {rows.get('converged', 0)} rows"
+    for name, why in (
+        ("large", f"overlap by more than {LARGEST_OVERLAP:g} r1, where their change of shape, left out, matters"),
+        ("stalled", "found no equilibrium at this load and have no strain"),
+    ):
+        text += f"; {rows[name]} rows {why}: choose a smaller load" if name in rows else ""
+    return text + (f"; rings of {beyond} rows would have yielded before: choose a smaller load" if beyond else "")
+
+
+def _sizes(table: StrainTable, cell: Cell, load_N_per_mm: float | None) -> Array:
+    """Sizes (n,) in E r1 of the unit Cauchy loads of the rows where S11 + S22 is `load_N_per_mm`."""
+    stiffness = cell.material.young_N_per_mm2 * cell.r1
+    return np.asarray((load_N_per_mm or 0.0) / stiffness / (table.S[:, 0] + table.S[:, 2]))
 
 
 def with_compliance(

@@ -64,8 +64,10 @@ COLUMNS = [
 ]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
+LOADED_COLUMNS = ["E11_loaded", "E12_loaded", "E22_loaded"]
+"""Strains of elastic rings under the line load that the sidecar states."""
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
-_MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
+_MOST |= dict.fromkeys(("E11", "E12", "E22", *LOADED_COLUMNS), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
 MOST_CELLS = 5_000_000
 """Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
@@ -83,7 +85,8 @@ class StrainTable:
     files, None for a table that was read. branch (n,) str or None: how the locked state was reached, "slack",
     "restart", or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`).
     strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first yield
-    and of plastic collapse.
+    and of plastic collapse. loaded (n, 3) or None: E of elastic rings under a line load of the size that the provenance
+    states, nan where it was not found or is not unique.
     """
 
     alpha_deg: Array
@@ -103,6 +106,7 @@ class StrainTable:
     branch: NDArray[np.str_] | None = None
     states: LockedStates | None = field(default=None, repr=False, compare=False)
     strength: Array | None = None
+    loaded: Array | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -125,6 +129,8 @@ class StrainTable:
             columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
         if self.strength is not None:
             columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
+        if self.loaded is not None:
+            columns |= dict(zip(LOADED_COLUMNS, self.loaded.T, strict=True))
         return columns
 
     def to_pandas(self) -> DataFrame:
@@ -269,9 +275,10 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     compliance = None
     if all(name in columns for name in COMPLIANCE_COLUMNS):
         compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
-    strength = None
-    if all(name in columns for name in STRENGTH_COLUMNS):
-        strength = np.stack([column(name) for name in STRENGTH_COLUMNS], axis=1)
+    more: list[Array | None] = [None, None]
+    for number, names in enumerate((STRENGTH_COLUMNS, LOADED_COLUMNS)):
+        if all(name in columns for name in names):
+            more[number] = np.stack([column(name) for name in names], axis=1)
     return StrainTable(
         column("alpha_deg"),
         column("beta_deg"),
@@ -288,7 +295,8 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         compliance,
         _read_provenance(Path(path)),
         np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
-        strength=strength,
+        strength=more[0],
+        loaded=more[1],
     )
 
 

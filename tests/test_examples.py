@@ -1,6 +1,7 @@
 """The whole chain, as the README runs it, on a coarse curtain."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from examples.curtain import SETTINGS, Setting, extrapolated, main, run, setting_for
+from examples.which_wire import main as wires
+from examples.which_wire import run as run_wires
 from homogenize.query.answers import strain_answer
+from macro_fem import read_scene
+from rve import Material, with_rings
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 
@@ -85,3 +90,43 @@ def test_a_file_is_no_folder_for_results(tmp_path):
     assert done.exit_code == 2
     assert "is a file" in done.output
     assert (tmp_path / "out").read_text() == "here already"
+
+
+def strip(mass):
+    """A weightless strip that bears a bar, free to narrow: S22 alone, known in closed form."""
+    return read_scene(
+        {
+            "curtain": {"width": 100.0, "height": 150.0, "areal_mass": 0.0},
+            "mesh": {"cells": 4},
+            "support": {"kind": "rail"},
+            "load": {"bar": {"mass": mass}},
+            "solver": {"stabilising_tension": 0.0},
+        }
+    )
+
+
+def test_the_factor_of_a_wire_is_that_of_its_table_row(tmp_path):
+    """The pull along the grain, at which the reference cell locks: 600 over the strength of the row times the load."""
+    metal = Material(yield_N_per_mm2=600.0, ultimate_N_per_mm2=None)
+    answer = run_wires(strip(2.0), 5.0, [1.0, 1.2], metal, 30.0, tmp_path / "wires")
+    for one in answer["wires"]:
+        cell = Cell(5.0, 0.5 * one["diameter_mm"])
+        row = with_rings(solve_table(cell, ([0.0], [90.0])), cell)
+        assert one["safety_factor"] == pytest.approx(600.0 / (2.0 * 9.81 / 100.0 * row.strength[0, 0]), rel=1e-4)
+        assert one["collapse_factor"] == pytest.approx(600.0 / (2.0 * 9.81 / 100.0 * row.strength[0, 1]), rel=1e-4)
+    thin, thick = (one["safety_factor"] for one in answer["wires"])
+    assert thin < 30.0 < thick
+    assert 1.0 < answer["least_diameter_mm"] < 1.2
+    written = json.loads((tmp_path / "wires" / "wires.json").read_text())
+    assert {key: written[key] for key in answer} == answer
+    assert len(pd.read_csv(tmp_path / "wires" / "wires.csv")) == 2
+    assert (tmp_path / "wires" / "wires.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"), [(["--material", "mithril"], "known are steel"), (["--diameters", "thick"], "thick")]
+)
+def test_bad_wires_are_one_sentence(words, message, tmp_path):
+    scene = str(Path(__file__).parents[1] / "examples" / "shop_front.toml")
+    result = CliRunner().invoke(wires, [scene, "--out", str(tmp_path / "w"), *words])
+    assert (result.exit_code, message in result.stderr) == (2, True)

@@ -1,12 +1,15 @@
-"""A picture of a law alone: cuts through the set of admissible strains. `homogenize.plots` draws laws beside tables."""
+"""Pictures of a law alone: cuts through the admissible strains, strength. `homogenize.plots` adds those of tables."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.strength import MAKE_AGAIN, Strength
+from rve.common.errors import InputError
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -15,6 +18,8 @@ if TYPE_CHECKING:
 
 SHEARS = (0.0, 0.05, 0.1, 0.15, 0.2)
 """E12 of the sections that are drawn."""
+BLUE, VERMILION = "#0072B2", "#D55E00"
+"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
 MARGIN = 0.2
 """Sections reach this strain beyond what the uniaxial supports allow."""
 
@@ -45,6 +50,95 @@ def plot_sections(
     ax.grid(alpha=0.3)
     ax.legend(fontsize=8)
     return cast("Axes", ax)
+
+
+def plot_strength(
+    law: MembraneLaw, known: Strength | None, yield_N_per_mm2: float | None = None, axes: Any = None
+) -> Any:
+    """The locking surface in strain space, first yield and collapse in the space of line loads, and sections of both.
+
+    known: the strength of the law. axes: three, the first two of them 3D, by default those of a new figure; they are
+    returned. InputError if there is no strength, or neither it nor the caller has a yield stress.
+    """
+    if known is None:
+        raise InputError(f"the law holds no strength; {MAKE_AGAIN}")
+    stress = known.yield_stress(yield_N_per_mm2)
+    axes = _three_axes() if axes is None else axes
+    _draw_locking(law, axes[0])
+    _draw_strength(known, stress, axes[1])
+    _draw_strength_sections(known, stress, axes[2])
+    axes[0].figure.suptitle(f"{known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm$^2$")
+    return axes
+
+
+def _three_axes() -> list[Any]:
+    figure = own_figure((13.5, 4.8))
+    grid = figure.add_gridspec(1, 3, width_ratios=(1.1, 1.1, 1.0))
+    solid = [figure.add_subplot(grid[k], projection="3d") for k in range(2)]
+    for ax in solid:
+        ax.set_box_aspect(None, zoom=0.82)
+        ax.zaxis.labelpad = 11.0
+        ax.locator_params(nbins=5)
+    return [*solid, figure.add_subplot(grid[2])]
+
+
+def _draw_locking(law: MembraneLaw, ax: Any) -> None:
+    """The locking surface over the strains that loads along the axes allow."""
+    along, across = law.support(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    shear = float(law.support(np.array([[0.5, 0.5, 0.5]]))[0] - law.support(np.array([[0.5, 0.0, 0.5]]))[0])
+    D, G = np.meshgrid(np.linspace(-across - 0.1, along + 0.1, 60), np.linspace(-1.0, 1.0, 61) * (shear + 0.1))
+    T = surface_height(law, D, G)
+    T = np.where(np.minimum(T + D, T - D) > -0.5, T, np.nan)
+    ax.plot_surface(T + D, G, T - D, cmap="cividis", linewidth=0.2, edgecolor="0.3", rcount=30, ccount=30)
+    ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")
+
+
+def _draw_strength(known: Strength, stress: float, ax: Any) -> None:
+    """First yield as a surface and collapse as a net over all tensile line loads."""
+    share, angle = np.meshgrid(np.linspace(0.0, 1.0, 25), np.linspace(0.0, 2.0 * np.pi, 73))
+    c, s = 0.5 * share * np.cos(angle), 0.5 * share * np.sin(angle)
+    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1).reshape(-1, 3)
+    for load, draw in (
+        (1.0 / known.utilisation(S, stress), _filled(ax)),
+        (1.0 / known.collapse_utilisation(S, stress), _net(ax)),
+    ):
+        draw(*(load[:, None] * S).T.reshape(3, *share.shape))
+    ax.set(xlabel="S11 (N/mm)", ylabel="S12 (N/mm)", zlabel="S22 (N/mm)", title="Space of line loads")
+    ax.legend(loc="upper left", fontsize=11)
+
+
+def _filled(ax: Any) -> Any:
+    return partial(ax.plot_surface, cmap="cividis", alpha=0.9, linewidth=0, rcount=73, ccount=25, label="first yield")
+
+
+def _net(ax: Any) -> Any:
+    return partial(ax.plot_wireframe, color=VERMILION, lw=0.7, rcount=24, ccount=6, label="collapse")
+
+
+def _draw_strength_sections(known: Strength, stress: float, ax: Any) -> None:
+    """First yield (lines) and collapse (dashes) over the principal line loads, for three principal directions."""
+    share = np.linspace(0.0, 1.0, 91)
+    for degrees, colour, mark in ((0, "black", "o"), (22.5, BLUE, "s"), (45, VERMILION, "^")):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        first, second = np.array([c * c, c * s, s * s]), np.array([s * s, -c * s, c * c])
+        S = share[:, None] * first + (1.0 - share[:, None]) * second
+        for load, line in (
+            (1.0 / known.utilisation(S, stress), "-"),
+            (1.0 / known.collapse_utilisation(S, stress), "--"),
+        ):
+            label = f"{degrees:g} deg, {'first yield' if line == '-' else 'collapse'}"
+            ax.plot(
+                load * share, load * (1.0 - share), line, color=colour, lw=1.8, marker=mark, markevery=15, label=label
+            )
+    ax.set(
+        xlabel="principal line load at this angle to x (N/mm)",
+        ylabel="principal line load across it (N/mm)",
+        title="Principal line loads",
+        xlim=(0.0, None),
+        ylim=(0.0, None),
+    )
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=9, loc="lower right")
 
 
 def own_figure(size: tuple[float, float] = (7.0, 5.2)) -> Figure:

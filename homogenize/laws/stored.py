@@ -46,6 +46,13 @@ class StoredLaw(MembraneLaw, Protocol):
 
         return plot_sections(self, ax=ax)
 
+    def plot_strength(self, yield_N_per_mm2: float | None = None, axes: Any = None) -> Any:
+        """Locking surface, first yield and collapse on three axes; see `homogenize.laws.picture`."""
+        require("matplotlib", "plots", "plot_strength()", "evaluate law.strength.utilisation")
+        from homogenize.laws.picture import plot_strength
+
+        return plot_strength(self, self.strength, yield_N_per_mm2, axes)
+
     def __str__(self) -> str:
         kind = self.provenance.get("kind", self.name)
         rings = "" if self.cell is None else f", r1 = {self.cell.r1_mm:g} mm, r2 = {self.cell.r2_mm:g} mm"

@@ -10,6 +10,7 @@ held or loaded point S grows as P does and so does the pointwise utilisation; th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,8 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
         "utilisation_pointwise_max": None if used is None else float(used.max()),
         "ring_material": None if known is None else known.material.name,
         "ring_yield_N_per_mm2": None if known is None else known.material.yield_N_per_mm2,
+        "material": None if known is None else asdict(known.material),
+        "ring_joint": None if known is None else known.joint,
         "strength_note": why,
     }
 

@@ -28,6 +28,7 @@ from macro_fem.scene.tables import (
 )
 from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
+from rve.common.materials import described
 from rve.common.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
 
@@ -44,6 +45,7 @@ class Scene:
     source: Path
     obstacle: tuple[Obstacle, ...] = ()
     start: Start | None = None
+    material: tuple[tuple[str, Any], ...] = ()  # of the rings, in place of the law's: `homogenize.with_material`
 
     @property
     def in_space(self) -> bool:
@@ -91,7 +93,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
     data = with_new_names(data, source)
-    tables = ("curtain", "mesh", "support", "load", "solver", "obstacle", "start")
+    tables = ("curtain", "mesh", "support", "load", "solver", "obstacle", "start", "material")
     for key in data:
         if key not in tables:
             raise InputError(f"{source}: {shown_key(key)}: unknown table; known are {', '.join(tables)}")
@@ -106,6 +108,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         source=Path(source),
         obstacle=read_obstacles(data.get("obstacle", []), source),
         start=read_start(data.get("start"), source),
+        material=described(data.get("material", {}), f"{source}: [material]"),
     )
     _check_shape(scene.curtain, source)
     _check_effect(scene, data, source)

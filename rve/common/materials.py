@@ -1,7 +1,9 @@
 """Materials of rings: density, elastic constants and strength once, with units, and a short table of named ones.
 
-Strengths are the least values of the standards for annealed wire and bars. Drawn wire may be two or three times as
-strong: take the values of the certificate of the wire at hand.
+Strengths are the least values of the standards for hot-rolled or annealed products. Drawn wire may be two or three
+times as strong, and the weld of a ring weaker than its wire: take the values of the certificate of the wire at hand.
+Elastic constants are the nominal values of the standards; measured ones differ by some 3 % (titanium: 102 to 110
+kN/mm2, Poisson's ratio 0.32 to 0.37, in data sheets).
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from typing import Any
 
 from rve.common.errors import InputError
 from rve.common.rings import DENSITY_KG_PER_M3, LEAST_KG_PER_MM3, MOST_KG_PER_MM3, STEEL_KG_PER_MM3
-from rve.common.values import Check, checked, entry, finite, optional, read_record, shown
+from rve.common.values import Check, checked, entry, finite, optional, read_record, shown, shown_key, string
 
 YOUNG = finite(least=1.0, most=2e6)
 """N/mm2: from rubber to diamond. 210 would be GPa."""
@@ -48,15 +50,15 @@ class Material:
 
 
 STEEL = Material()
-"""Steel S235, EN 10025-2: density and elastic constants are those of all unalloyed steels."""
+"""Steel S235, EN 10025-2, up to 16 mm; elastic constants as in EN 1993-1-1, density as all unalloyed steels."""
 MATERIALS = {
     material.name: material
     for material in (
         STEEL,
-        # EN 10088-1 (density, elastic constants), EN 10088-3 (strength, solution annealed).
+        # EN 10088-1 (density, Young's modulus), EN 10088-3 (least 0.2 % proof and tensile strength, solution annealed).
         Material("steel 1.4301", 7.9e-6, 200e3, 0.3, 190.0, 500.0),
         Material("steel 1.4404", 8.0e-6, 200e3, 0.3, 200.0, 500.0),
-        # ASTM B348, grade 2 (strength); ASM Handbook 2 (density, elastic constants).
+        # ASTM B348, grade 2, annealed (least strength); ASM Handbook 2 (density, elastic constants).
         Material("titanium grade 2", 4.51e-6, 105e3, 0.37, 275.0, 345.0),
     )
 }
@@ -85,9 +87,10 @@ _KEYS: dict[str, tuple[str, Check]] = {
 }
 
 
-def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "") -> Material:
+def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", base: Material = STEEL) -> Material:
     """The material that a user describes: `material` names one; density (kg/m3), young, yield, ultimate (N/mm2) and
-    poisson replace its values. Keys with the value None count as absent; `prefix` stands before keys in messages.
+    poisson replace its values, or those of `base` if no name is given. Keys with the value None count as absent;
+    `prefix` stands before keys in messages.
 
     A new density or elastic constant keeps the strength of the named material. InputError for values out of range. A
     yield stress above the named ultimate one makes that unknown, None.
@@ -96,7 +99,7 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "") -> 
     450.0
     """
     name = given.get("material")
-    base = STEEL if name is None else named_material(name, f"{where} {prefix}material".strip())
+    base = base if name is None else named_material(name, f"{where} {prefix}material".strip())
     values: dict[str, Any] = {}
     for key, (field, check) in _KEYS.items():
         if given.get(key) is not None:
@@ -106,7 +109,23 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "") -> 
     strength = values.get("yield_N_per_mm2", 0.0)
     if "ultimate_N_per_mm2" not in values and strength > (base.ultimate_N_per_mm2 or strength):
         values["ultimate_N_per_mm2"] = None
-    return replace(base, name=base.name if not values else f"{base.name}, changed", **values)
+    changed = base.name if not values or base.name.endswith(", changed") else f"{base.name}, changed"
+    return replace(base, name=changed, **values)
+
+
+def described(table: Any, where: str) -> tuple[tuple[str, Any], ...]:
+    """Keys and values of a table that describes a material for `material_of`; InputError for what it does not know."""
+    if not isinstance(table, dict):
+        raise InputError(f"{where} is not a table of names and values")
+    known = ("material", *_KEYS)
+    for key, value in table.items():
+        if key not in known:
+            raise InputError(f"{where} {shown_key(key)} = {shown(value)}: unknown key; known are {', '.join(known)}")
+    if "material" in table:
+        named_material(checked(table, "material", string, where), f"{where} material")
+    for key in _KEYS.keys() & table.keys():
+        checked(table, key, _KEYS[key][1], where)
+    return tuple(table.items())
 
 
 def read_material(table: Mapping[str, Any], where: str) -> Material:

@@ -1,9 +1,9 @@
 """Live progress: solvers tell what they do, and whoever wants to see it listens, as with logging.
 
-    with shown():                       # a line on the terminal: work, bar, time, remaining time
-        solve_table(cell, loads)
+with shown():                       # a line on the terminal: work, bar, time, remaining time
+    solve_table(cell, loads)
 
-    tell("190 loads", 0.4)              # inside solvers; nothing happens unless somebody listens
+tell("190 loads", 0.4)              # inside solvers; nothing happens unless somebody listens
 """
 
 from __future__ import annotations

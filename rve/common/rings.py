@@ -1,13 +1,14 @@
-"""What files say of the rings: radii, reference cell, density, areal mass; their checks, and the mass that follows."""
+"""What files say of the rings: radii, reference cell, density, mass, joint; their checks, and the mass that follows."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rve.common.errors import InputError
-from rve.common.values import Check, checked, finite
+from rve.common.values import BadValue, Check, checked, finite, string
 
 STEEL_KG_PER_MM3 = 7.85e-6
 LEAST_MM, MOST_MM = 1e-9, 1e9
@@ -76,3 +77,49 @@ def areal_mass(r1_mm: float, r2_mm: float, area_mm2: float, density_kg_per_mm3: 
     2.7848
     """
     return 1e6 * density_kg_per_mm3 * ring_volume(r1_mm, r2_mm) / area_mm2
+
+
+@dataclass(frozen=True)
+class Joint:
+    """How the wire of a ring is closed: `name` as files have it, and where it may be open.
+
+    name: "welded", "butted:worst" or "butted:ANGLE". angles_deg: angles at which a butted ring may be open, in degrees
+    around the ring from the grain, counterclockwise as seen from the front; () for a welded ring.
+    """
+
+    name: str
+    angles_deg: tuple[float, ...]
+
+    @staticmethod
+    def of(value: Any) -> Joint:
+        """The joint of a name; "butted" is "butted:worst". BadValue (a ValueError) for other names.
+
+        A stated angle stands for its mirror image as well: a ring may be woven with either side to the front, and the
+        mirror image of a mesh has its joints there.
+
+        >>> Joint.of("butted:30").angles_deg
+        (30.0, -30.0)
+        >>> len(Joint.of("butted").angles_deg)
+        36
+        """
+        kind, colon, angle = string(value).partition(":")
+        if kind == "welded" and not colon:
+            return Joint("welded", ())
+        if kind != "butted":
+            raise BadValue("is not welded, butted:worst or butted:ANGLE with an angle in degrees from the grain")
+        if angle == "worst" or not colon:
+            return Joint("butted:worst", tuple(float(x) for x in range(0, 360, WORST_STEP_DEG)))
+        try:
+            degrees = finite(least=-360.0, most=360.0)(float(angle))
+        except ValueError as error:
+            raise BadValue("needs an angle from -360 to 360 degrees after butted:, or worst") from error
+        return Joint(f"butted:{degrees:g}", (degrees, -degrees) if degrees % 180.0 else (degrees,))
+
+
+WORST_STEP_DEG = 10
+"""Step of the angles at which a joint is tried for the worst one; stresses between them are at most 1 % larger."""
+
+
+def joint_name(value: Any) -> str:
+    """The name of a joint as files have it: a check as in `rve.common.values`."""
+    return Joint.of(value).name

@@ -14,22 +14,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from rve.common.records import Flags, Index, Rows
+from rve.common.records import Index, Rows
+from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.equilibrium.compliance import deformation
 from rve.equilibrium.interior_point import Equilibrium
+from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility, local_flexibility
 from rve.equilibrium.system import Equations, weighted_size
-from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.kinematics import second_pk
 from rve.geometry.pose import Pose
 from rve.ring.collapse import checked_sections, largest_factors, relative_moments
-from rve.ring.kernels import flexibility, internal_forces, self_stress
+from rve.ring.kernels import internal_forces, opened_forces, self_stress
 from rve.ring.section import Ring
 from rve.ring.stress import peak_stress
 
-TOUCHING = 1e-6
-"""Gap in r1 below which a contact may carry force; working contacts end at 1e-13 over their force."""
 _LEAST_FORCE = 1e-7
 """Contacts with less of the largest force count as idle."""
 _RANK = 1e-7
@@ -38,6 +37,8 @@ _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
+_ROUNDS = 40
+WELDED = Joint.of("welded")
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,8 @@ class RingStates(Rows):
     lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of
     dE_i = D_ij dS_j under a unit line load: the bend of the locking surface, and what rings with E r1 = 1 give; nan
     where the strain is not unique. first_yield, collapse (n,): the yield stress, times r1, at which the unit load is
-    that of first yield and of plastic collapse, nan if that is not found.
+    that of first yield and of plastic collapse, nan if that is not found. angle_deg (n,): where the butted rings are
+    open that forces and compliance are for, nan for welded ones.
     """
 
     lam: Array
@@ -55,65 +57,7 @@ class RingStates(Rows):
     elastic: Array
     first_yield: Array
     collapse: Array
-
-
-@dataclass(frozen=True)
-class Ends(Rows):
-    """Where contacts act on the rings of n cells: slot (n, c) of each contact, present (n, c); of its two ends, first
-    all on ring a, then all on ring b: ring (n, 2c), angle phi (n, 2c), direction (n, 2c, 3) in the ring's local axes,
-    zero for padding."""
-
-    slot: Index
-    present: Flags
-    ring: Index
-    phi: Array
-    direction: Array
-
-    def on(self, k: int) -> tuple[Array, Array, Index]:
-        """Angles (n, e), directions (n, e, 3), contacts (n, e) of the ends on ring k; padding has no direction."""
-        mine = (self.ring == k) & (self.direction != 0.0).any(axis=2)
-        count = int(mine.sum(axis=1).max(initial=1))
-        column = np.argsort(~mine, axis=1, kind="stable")[:, :count]
-        there = np.take_along_axis(mine, column, axis=1)
-        direction = np.take_along_axis(self.direction, column[..., None], axis=1) * there[..., None]
-        return np.take_along_axis(self.phi, column, axis=1), direction, column % self.slot.shape[1]
-
-
-def contact_ends(equations: Equations, found: Equilibrium) -> Ends:
-    """The ends of all touching contacts of locked states."""
-    contacts, n = found.contacts, len(found.lam)
-    touching = (contacts.present & (contacts.gap < TOUCHING)).reshape(n, -1)
-    count = int(touching.sum(axis=1).max(initial=1))
-    slot = np.argsort(~touching, axis=1, kind="stable")[:, :count]
-    present = np.take_along_axis(touching, slot, axis=1)
-    where = np.zeros(contacts.present.size, dtype=int)
-    where[contacts.present.ravel()] = np.arange(len(contacts.minima.pair))
-    m = contacts.minima.take(where.reshape(n, -1)[np.arange(n)[:, None], slot].ravel())
-    pair = slot // contacts.gap.shape[2]
-    rings = equations.weave.pairs[pair][..., :2]
-    parts = []
-    for k, (rho, push) in enumerate(((m.rho_a, -m.normal), (m.rho_b, m.normal))):
-        normal = found.pose.normals[np.arange(n)[:, None], rings[..., k]].reshape(-1, 3)
-        phi, local = _in_ring(rho, push, normal)
-        parts.append((phi.reshape(n, count), np.where(present[..., None], local.reshape(n, count, 3), 0.0)))
-    phi, direction = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-    return Ends(slot, present, np.concatenate([rings[..., 0], rings[..., 1]], axis=1), phi, direction)
-
-
-def _in_ring(rho: Array, push: Array, normal: Array) -> tuple[Array, Array]:
-    """Angle (k,) of points rho on rings with these normals, and pushes (k, 3) in the local axes r, t, z there."""
-    e1, e2 = tangent_frame(normal)
-    radial = rho / np.sqrt(dot(rho, rho))[:, None]
-    local = np.stack([dot(push, radial), dot(push, cross(normal, radial)), dot(push, normal)], axis=1)
-    return np.arctan2(dot(rho, e2), dot(rho, e1)), local
-
-
-def contact_flexibility(ends: Ends, ring: Ring) -> Array:
-    """The flexibility C (n, c, c) between the contacts of each cell, by its rings of curved wire."""
-    full = flexibility(ends.phi, ends.direction, ring.curved())
-    full = full * (ends.ring[:, :, None] == ends.ring[:, None, :])
-    c = ends.slot.shape[1]
-    return np.asarray(full[:, :c, :c] + full[:, :c, c:] + full[:, c:, :c] + full[:, c:, c:])
+    angle_deg: Array
 
 
 @dataclass(frozen=True)
@@ -158,55 +102,95 @@ def strain_gradient(pose: Pose, reference: tuple[float, float]) -> Array:
 
 
 def ring_states(
-    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], poisson: float
+    equations: Equations,
+    found: Equilibrium,
+    s: Array,
+    reference: tuple[float, float],
+    poisson: float,
+    joint: Joint = WELDED,
+    size: Array | None = None,
 ) -> RingStates:
     """First-order elastic states and strength of the converged ones of the locked states `found` under loads s (n, 3).
 
-    reference: sides of the reference cell in r1. Rows that have not converged have nan.
+    reference: sides of the reference cell in r1. Of butted rings with several angles, first yield and collapse are each
+    those at the worst angle, forces and compliance those at the angle that gives most. With size (n,), the loads' sizes
+    in E r1, wires also give where they cross, as much as these loads press them (`rve.ring.hertz`). Rows that have not
+    converged have nan.
     """
     good = np.flatnonzero(found.status == "converged")
     states = RingStates(
-        np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), ()))
+        np.zeros(found.lam.shape), *(np.full((len(s), *shape), np.nan) for shape in ((3, 3), (3, 3), (), (), ()))
     )
     if not len(good):
         return states
     parts = [good[start : start + _BLOCK] for start in range(0, len(good), _BLOCK)]
-    blocks = [_block(equations, found.take(rows), s[rows], reference, poisson) for rows in parts]
+    ring = Ring(1.0, equations.wire, 1.0, poisson)
+    size = np.full(len(s), np.nan) if size is None else size
+    blocks = [_block(equations, found.take(rows), s[rows], reference, ring, joint, size[rows]) for rows in parts]
     return states.put(good, blocks[0].join(blocks[1:]))
 
 
 def _block(
-    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], poisson: float
+    equations: Equations,
+    found: Equilibrium,
+    s: Array,
+    reference: tuple[float, float],
+    ring: Ring,
+    joint: Joint,
+    size: Array,
 ) -> RingStates:
-    """`ring_states` of locked states that have all converged."""
-    ring, ends = Ring(1.0, equations.wire, 1.0, poisson), contact_ends(equations, found)
-    cells = _cells(equations, found, s, reference, ends, contact_flexibility(ends, ring))
-    lam, locking, elastic = _compliances(found, cells, ends)
-    stress = np.zeros(len(s))
-    for k in range(equations.weave.classes):
+    """`ring_states` of locked states that have all converged; size is nan where crossing wires do not give."""
+    ends = contact_ends(equations, found)
+    cells = _cells(equations, found, s, reference, ends, size)
+    first, *rest = joint.angles_deg or (np.nan,)
+    states, energy = _jointed(found, cells, ends, ring, first)
+    for angle in rest:
+        other, more = _jointed(found, cells, ends, ring, angle)
+        stress, load = np.maximum(states.first_yield, other.first_yield), np.maximum(states.collapse, other.collapse)
+        softer = np.flatnonzero(more > energy)
+        states = states.put(softer, other.take(softer))
+        states, energy = replace(states, first_yield=stress, collapse=load), np.maximum(energy, more)
+    return states
+
+
+def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_deg: float) -> tuple[RingStates, Array]:
+    """The states of cells whose rings are open at `angle_deg` from the grain, nan: welded; and lam C lam (n,)."""
+    joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
+    C = contact_flexibility(ends, ring, joint)
+    lam = _forces(cells, ends, C)
+    if not np.isnan(cells.size).any():
+        C, lam = _pressed(cells, ends, ring, C, lam)
+    locking, elastic = _compliances(found, cells, ends, C, lam)
+    stress = np.zeros(len(lam))
+    for k in range(ends.grain.shape[1]):
         phi, direction, contact = ends.on(k)
-        stress = np.maximum(stress, peak_stress(phi, _at_ends(lam, contact) * direction, ring).stress)
-    collapse = _collapse(cells, ends, lam, equations, ring)
-    return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse)
+        open_at = None if joint is None else joint[:, k]
+        forces = _at_ends(lam, contact) * direction
+        stress = np.maximum(stress, peak_stress(phi, forces, ring, joint=open_at).stress)
+    collapse = _collapse(cells, ends, lam, ring, joint)
+    energy = np.einsum("nc,ncd,nd->n", lam, C, lam)
+    angles = np.full(len(lam), angle_deg)
+    return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse, angles), energy
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Equations of n cells at the touching contacts of `Ends`: gradients G (n, c, m), load f (n, m), flexibility C
-    (n, c, c), forces `start` (n, c) of the rigid solver, loads S (n, 3), strain gradient B (n, 3, 3), area in r1^2."""
+    """Equations of n cells at the touching contacts of `Ends`: gradients G (n, c, m), load f (n, m), forces `start`
+    (n, c) of the rigid solver, loads S (n, 3) and their size (n,) in E r1, strain gradient B (n, 3, 3); area in
+    r1^2."""
 
     dead: Equations
     G: Array
     f: Array
-    C: Array
     start: Array
     S: Array
     B: Array
     area: float
+    size: Array
 
 
 def _cells(
-    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends, C: Array
+    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends, size: Array
 ) -> _Cells:
     S = second_pk(deformation(found.pose, reference), s)
     dead = replace(equations, load=DeadLoad(reference))
@@ -214,26 +198,43 @@ def _cells(
     G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
     start = np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1)
     B = strain_gradient(found.pose, reference)
-    return _Cells(dead, G, system.f, C, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1])
+    return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1], size)
 
 
-def _compliances(found: Equilibrium, cells: _Cells, ends: Ends) -> tuple[Array, Array, Array]:
-    """Elastic contact forces (n, c) and both parts of D, (n, 3, 3) each."""
-    n = len(cells.f)
+def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
+    """Elastic contact forces (n, c) by the flexibility C (n, c, c)."""
     lam = np.zeros(ends.slot.shape)
-    for i in range(n):
+    for i in range(len(lam)):
         rows = np.flatnonzero(ends.present[i])
-        C = cells.C[i][np.ix_(rows, rows)]
-        forces = elastic_forces(cells.G[i, rows], cells.f[i], C, cells.start[i, rows])
+        forces = elastic_forces(cells.G[i, rows], cells.f[i], C[i][np.ix_(rows, rows)], cells.start[i, rows])
         lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
+    return lam
+
+
+def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array]:
+    """C with what crossing wires give at their forces, and the forces that go with it, from those without it.
+
+    Where balance leaves a choice, each round leaves a third of the error, as the approach over the force falls with its
+    cube root.
+    """
+    for _ in range(_ROUNDS):
+        full = C + local_flexibility(ends, ring, lam, cells.size)[:, :, None] * np.eye(C.shape[1])
+        new = _forces(cells, ends, full)
+        change, lam = np.abs(new - lam).max(), new
+        if change < 1e-9:
+            break
+    return full, lam
+
+
+def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array, lam: Array) -> tuple[Array, Array]:
+    """Both parts of D, (n, 3, 3) each, by the flexibility C (n, c, c) and the contact forces lam (n, c)."""
+    n = len(lam)
     J = cells.dead.assemble(found.pose, found.contacts, _spread(lam, ends, found), cells.S).J
     locking, elastic = np.empty((n, 3, 3)), np.empty((n, 3, 3))
     for i in range(n):
         rows = np.flatnonzero(lam[i] > 0.0)
-        locking[i], elastic[i] = _compliance(
-            cells.G[i, rows], cells.C[i][np.ix_(rows, rows)], -J[i], cells.B[i], cells.area
-        )
-    return lam, locking, elastic
+        locking[i], elastic[i] = _compliance(cells.G[i, rows], C[i][np.ix_(rows, rows)], -J[i], cells.B[i], cells.area)
+    return locking, elastic
 
 
 def _split(G: Array) -> tuple[Array, Array, Array, Array]:
@@ -307,7 +308,7 @@ def _at_ends(lam: Array, contact: Index) -> Array:
     return np.take_along_axis(lam, contact, axis=1)[..., None]
 
 
-def _collapse(cells: _Cells, ends: Ends, lam: Array, equations: Equations, ring: Ring) -> Array:
+def _collapse(cells: _Cells, ends: Ends, lam: Array, ring: Ring, joint: Array | None) -> Array:
     """Yield stress (n,) at which the load is that of plastic collapse: the contact forces are free within balance."""
     working = cells.start > 1e-6 * cells.start.max(axis=1, keepdims=True)
     free = [_split(G[rows])[3] for G, rows in zip(cells.G, working, strict=True)]
@@ -315,40 +316,44 @@ def _collapse(cells: _Cells, ends: Ends, lam: Array, equations: Equations, ring:
     out = np.empty(len(lam))
     given, chosen = np.flatnonzero(width == 0), np.flatnonzero(width > 0)
     if len(given):
-        moments = _moments(ends.take(given), [lam[given]], equations, ring)
+        moments = _moments(ends.take(given), [lam[given]], ring, None if joint is None else joint[given])
         out[given] = 1.0 / np.min([largest_factors(base[..., 0], held).factor for base, held in moments], axis=0)
     if len(chosen):
         change = np.zeros((len(chosen), lam.shape[1], width.max()))
         for row, i in enumerate(chosen):
             change[row, working[i], : width[i]] = free[i]
         start = np.where(working, cells.start, 0.0)[chosen]
-        moments = _moments(ends.take(chosen), [start, *np.moveaxis(change, 2, 0)], equations, ring)
+        loads = [start, *np.moveaxis(change, 2, 0)]
+        moments = _moments(ends.take(chosen), loads, ring, None if joint is None else joint[chosen])
         out[chosen] = 1.0 / _factors(moments, start, change)
     return out
 
 
-def _moments(ends: Ends, forces: list[Array], equations: Equations, ring: Ring) -> list[tuple[Array, Array]]:
+def _moments(ends: Ends, forces: list[Array], ring: Ring, joint: Array | None) -> list[tuple[Array, Array]]:
     """For each class of rings the relative moments (n, k, 3, .) by each of the contact forces (n, c), and by the
-    self-stresses of the ring."""
+    self-stresses of the ring, of which butted rings have none."""
     found = []
-    for k in range(equations.weave.classes):
+    for k in range(ends.grain.shape[1]):
         phi, direction, contact = ends.on(k)
         at = checked_sections(phi)
         loads = np.stack([_at_ends(lam, contact) * direction for lam in forces])
-        q = np.moveaxis(internal_forces(phi, loads, at, ring.thin()), 0, -1)
-        held = relative_moments(self_stress(at, ring.r1), ring.r2)
-        found.append((relative_moments(q, ring.r2), held))
+        if joint is None:
+            q, free = internal_forces(phi, loads, at, ring.thin()), self_stress(at, ring.r1)
+        else:
+            q, free = opened_forces(phi, loads, at, joint[:, k], ring.thin()), np.zeros((*at.shape, 6, 0))
+        found.append((relative_moments(np.moveaxis(q, 0, -1), ring.r2), relative_moments(free, ring.r2)))
     return found
 
 
 def _factors(moments: list[tuple[Array, Array]], start: Array, change: Array) -> Array:
     """Factors (n,) at collapse for unit yield stress where the contact forces mu start + change z >= 0 are chosen."""
     n, c, width = change.shape
-    own = 6 * len(moments)
+    each = moments[0][1].shape[-1]
+    own = each * len(moments)
     base, free = [], []
     for k, (loaded, held) in enumerate(moments):
         columns = np.zeros((*held.shape[:3], own + width))
-        columns[..., 6 * k : 6 * k + 6] = held
+        columns[..., each * k : each * (k + 1)] = held
         columns[..., own:] = loaded[..., 1:]
         base.append(loaded[..., 0])
         free.append(columns)

@@ -95,6 +95,9 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     assert again.utilisation(S) == pytest.approx(strength.utilisation(S), rel=1e-14)
     assert again.error == strength.error
     assert again.material == Material(yield_N_per_mm2=400.0, ultimate_N_per_mm2=500.0)
+    butted = replace(table, provenance=table.provenance | {"joint": "butted:30"})
+    assert read_strength(strength_of_table(butted).to_dict(), "law.json").joint == "butted:30"
+    assert "butted:30 rings of steel" in strength_of_table(butted).text()
     b = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
     net = fit(replace(table, provenance=table.provenance | b), FitOptions(kind="net")).law
     net.save(tmp_path / "net.json")  # the strength is that of the table, whatever the kind of law
@@ -120,6 +123,32 @@ def test_the_command_prints_both_loads(law, tmp_path):
         failed = run(*words)
         assert failed.exit_code == 2
         assert name in failed.stderr
+
+
+def test_the_picture_shows_first_yield_and_collapse_where_they_are(law, tmp_path):
+    save_law(law, tmp_path / "law.json")
+    axes = law.plot_strength(800.0)
+    lines = {line.get_label(): line for line in axes[2].get_lines()}
+    assert set(lines) == {f"{a} deg, {what}" for a in ("0", "22.5", "45") for what in ("first yield", "collapse")}
+    x, y = lines["22.5 deg, first yield"].get_data()
+    c, s = np.cos(np.radians(22.5)), np.sin(np.radians(22.5))
+    loads = np.outer(x, [c * c, c * s, s * s]) + np.outer(y, [s * s, -c * s, c * c])
+    assert law.strength.utilisation(loads, 800.0) == pytest.approx(np.ones(len(x)), rel=1e-9)
+    x, y = lines["0 deg, collapse"].get_data()
+    loads = np.stack([x, 0.0 * x, y], axis=1)
+    assert law.strength.collapse_utilisation(loads, 800.0) == pytest.approx(np.ones(len(x)), rel=1e-9)
+    assert all("N/mm" in label for ax in axes[1:] for label in (ax.get_xlabel(), ax.get_ylabel()))
+    words = ["strength", str(tmp_path / "law.json"), "--plot", str(tmp_path / "s.png")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "s.png").stat().st_size > 20_000
+    for bad, message in (
+        (words[:2], "give --S"),
+        ([*words[:3], str(tmp_path / "law.json")], "--plot"),
+        ([*words, "--plot", str(tmp_path / "s.xyz")], "s.xyz"),
+    ):
+        refused = CliRunner().invoke(main, bad)
+        assert (refused.exit_code, message in refused.stderr) == (2, True)
 
 
 def test_the_fit_prints_the_error_between_rows(table, tmp_path):

@@ -1,13 +1,14 @@
 """Does the curtain hold: utilisation in closed form, units, rotation, hooks, and laws that do not know."""
 
-from dataclasses import replace
+import re
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from homogenize import default_law, ring_net, save_law
+from homogenize import default_law, ring_net, save_law, with_material
 from homogenize.io import load_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
@@ -15,6 +16,7 @@ from macro_fem.job import solve
 from macro_fem.output.files import summarize, support_forces, write_vtu
 from macro_fem.output.strength import holds_line, summary, utilisation
 from macro_fem.scene.schema import read_scene
+from rve import named_material
 from rve.common.errors import InputError
 from rve.common.vtu import read_vtu
 from rve.table import read_table
@@ -176,3 +178,65 @@ def test_the_command_line_says_whether_it_holds(tmp_path):
         (line,) = (line for line in found.output.splitlines() if line.startswith(words))
         assert "rings near support 1 (rail)" in line or "rings near load.bar 1 (bottom)" in line
         assert "(steel, " in line
+
+
+def test_a_scene_may_say_what_the_rings_are_made_of():
+    """Half the density halves the weight, twice the yield stress the utilisation; everything is in the summary."""
+    tables = {
+        "curtain": {"width": 40.0, "height": 40.0},
+        "mesh": {"cells": 4},
+        "support": {"kind": "top", "gather": 0.9},
+        "solver": {"bounds": True},
+    }
+    plain = solve(read_scene(tables))
+    titanium = solve(read_scene(tables | {"material": {"material": "titanium grade 2"}}))
+    one, other = plain.summary, titanium.summary
+    assert other["material"] == asdict(named_material("titanium grade 2"))
+    assert other["areal_mass_kg_per_m2"] / one["areal_mass_kg_per_m2"] == pytest.approx(4.51 / 7.85, rel=1e-12)
+    assert titanium.status == "converged"
+    ratio = 4.51 / 7.85 * 235.0 / 275.0
+    assert other["utilisation_max"] / one["utilisation_max"] == pytest.approx(ratio, rel=1e-2)
+    assert other["bounds"]["lower_N_mm"] / one["bounds"]["lower_N_mm"] == pytest.approx(4.51 / 7.85, rel=1e-3)
+    own = solve(read_scene(tables | {"material": {"yield": 470.0}})).summary
+    assert own["ring_material"] == "steel, changed"
+    assert own["safety_factor"] == pytest.approx(2.0 * one["safety_factor"], rel=1e-9)
+
+
+def test_elastic_curtains_follow_the_material():
+    law = default_law()
+    ours = replace(law, provenance=law.provenance | {"stiffness": "the rows' compliance"})
+    soft = with_material(ours, {"young": 105e3})
+    assert soft.stiffness == pytest.approx(0.5 * law.stiffness, rel=1e-12)
+    assert soft.strength.compliance == pytest.approx(2.0 * law.strength.compliance, rel=1e-12, nan_ok=True)
+    again = with_material(soft, {"young": 105e3})
+    assert again.stiffness == pytest.approx(soft.stiffness, rel=1e-12)
+    assert again.strength.material == soft.strength.material
+    assert with_material(law, {"young": 105e3}).stiffness == pytest.approx(law.stiffness)  # stated, not the rings'
+    assert with_material(law, {}) is law
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"material": "mithril"}, "known are steel"),
+        ({"young": 210.0, "density": 7.85}, "density = 7.85: must be at least 100"),
+        ({"yield": "high"}, "yield = 'high': is not a number"),
+        ({"poisson": 0.4}, "poisson = 0.4: is that of the law's table, 0.3"),
+        ({"colour": 1}, "colour = 1: unknown key; known are material, density"),
+        ({"yield": 400.0, "ultimate": 300.0}, "is less than yield"),
+        (3, "is not a table"),
+    ],
+)
+def test_bad_materials_of_a_scene_are_one_sentence(table, message):
+    scene = {"curtain": {"width": 40.0, "height": 40.0}, "mesh": {"cells": 4}, "support": {"kind": "top"}}
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        solve(read_scene(scene | {"material": table}))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_material_needs_a_law_that_knows_its_own():
+    scene = read_scene(
+        {"curtain": {"width": 40.0, "height": 40.0}, "support": {"kind": "top"}, "material": {"yield": 400.0}}
+    )
+    with pytest.raises(InputError, match="needs a law that knows the material of its rings; make the table again"):
+        solve(scene, replace(default_law(), strength=None))

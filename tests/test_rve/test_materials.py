@@ -74,6 +74,13 @@ def test_columns_and_material_from_the_command_line_to_the_file(tmp_path):
     assert table.compliance[1, 2, 2] > 0.0
     frame = table.to_pandas()
     assert frame["first_yield_1_per_mm"].tolist() == table.strength[:, 0].tolist()
+    butted = CliRunner().invoke(main, [*words, "--joint", "butted:90"])
+    assert butted.exit_code == 0, butted.output
+    assert json.loads((tmp_path / "t.json").read_text())["joint"] == "butted:90"
+    assert (read_table(tmp_path / "t.csv").strength > table.strength).all()
+    for more, message in ((["--joint", "glued"], "--joint = 'glued'"), ([], "--joint: belongs to --rings")):
+        refused = CliRunner().invoke(main, [*words[: 7 + len(more) // 2], "--joint", "butted", *more])
+        assert (refused.exit_code, message in refused.stderr) == (2, True)
     both = CliRunner().invoke(main, [*words, "--compliance", "1000"])
     assert both.exit_code == 2
     assert "--rings and --compliance" in both.stderr

@@ -5,25 +5,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rve.common.errors import InputError
 from rve.common.materials import Material, named_material
+from rve.common.rings import Joint
 from rve.equilibrium.compliance import deformation, soften
 from rve.equilibrium.elastic_rings import (
     DeadLoad,
-    contact_ends,
-    contact_flexibility,
     elastic_forces,
     ring_states,
     strain_gradient,
 )
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import with_limits
+from rve.equilibrium.ring_contacts import contact_ends, contact_flexibility
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
 from rve.geometry.pose import Pose, moved, reduction
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.more_columns import with_rings
+from rve.more_columns import RingOptions, with_rings
 from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
+from rve.ring.stress import peak_stress
 from rve.solve import locked, reference_sides, solve_table
 
 from .frame import frame_flexibility
@@ -258,3 +260,66 @@ def test_table_columns_follow_material_size_and_grain():
     assert turned.compliance[0] == pytest.approx(swapped, rel=1e-5, abs=1e-9)
     assert one.provenance["material"]["name"] == "steel"
     assert Cell(material=titanium).density == pytest.approx(4.51e-6)
+
+
+def jointed(name, loads=((0.0, 20.0, 20.0), (90.0, 30.0, 60.0))):
+    return with_rings(solve_table(Cell(), loads), Cell(), RingOptions(joint=name))
+
+
+def test_butted_rings_are_weaker_softer_and_worst_at_the_worst_angle():
+    welded, worst = jointed("welded"), jointed("butted")
+    assert (worst.provenance["joint"], welded.provenance["joint"]) == ("butted:worst", "welded")
+    assert (worst.strength > 2.0 * welded.strength).all()
+
+    def along(table):
+        return np.einsum("ni,nij,nj->n", table.S * WEIGHT, table.compliance, table.S)
+
+    for name in ("butted:0", "butted:45", "butted:90"):
+        stated = jointed(name)
+        assert (stated.strength > welded.strength).all()
+        assert (stated.strength <= worst.strength * 1.01).all()
+        assert (along(welded) < along(stated)).all()
+        assert (along(stated) <= along(worst) * 1.01).all()
+
+
+def test_a_stated_angle_stands_for_its_mirror_image():
+    """The mirror image of a load on the mirrored mesh; rings are symmetric under inversion, so 200 is 20 degrees."""
+    one, other = jointed("butted:20"), jointed("butted:200", ((0.0, -20.0, -20.0), (90.0, 30.0, 60.0)))
+    assert other.strength == pytest.approx(one.strength, rel=1e-6)
+    assert jointed("butted:50").strength != pytest.approx(one.strength, rel=1e-2)
+
+
+def test_joints_are_where_they_are_said_to_be():
+    """The point of each ring at the angle of its joint, in space: 0 is farthest along the grain, 90 to the left."""
+    from rve.geometry.circles import tangent_frame
+
+    s = cauchy_line_load([20.0], [30.0])
+    found = solve_equilibrium(s, EQUATIONS, DirectOptions())
+    ends = contact_ends(EQUATIONS, found)
+    e1, e2 = tangent_frame(found.pose.normals[0])
+
+    def points(angle_deg):
+        angle = ends.joints(angle_deg)[0][:, None]
+        return np.cos(angle) * e1 + np.sin(angle) * e2
+
+    top = points(0.0)
+    around = np.linspace(0.0, 2.0 * np.pi, 721)[:, None, None]
+    assert top[:, 1] == pytest.approx((np.cos(around) * e1 + np.sin(around) * e2)[..., 1].max(axis=0), abs=1e-4)
+    left = points(90.0)
+    assert np.abs((top * left).sum(axis=1)).max() < 1e-12
+    assert (np.cross(top, left)[:, 2] > 0.0).all()
+    states = ring_states(EQUATIONS, found, s, SIDES, POISSON, Joint.of("butted:0"))
+    forces = np.take_along_axis(states.lam.reshape(1, -1), ends.slot, axis=1)
+    highest = []
+    for k in range(2):
+        phi, direction, contact = ends.on(k)
+        push = np.take_along_axis(forces, contact, axis=1)[..., None] * direction
+        highest.append(peak_stress(phi, push, RING, joint=ends.joints(0.0)[:, k]).stress[0])
+    assert states.first_yield[0] == pytest.approx(max(highest), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["glued", "welded:3", "butted:", "butted:nan", "butted:400", ""])
+def test_unknown_joints_are_one_sentence(name):
+    with pytest.raises(InputError, match="joint") as caught:
+        RingOptions(joint=name)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,70 @@
+"""Laws for rings of another material than that of their table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, TypeVar, cast
+
+from homogenize.interval import LawInterval
+from homogenize.io import Law
+from homogenize.laws.net import NetLaw
+from homogenize.laws.protocol import MembraneLaw
+from homogenize.strength import MAKE_AGAIN, Strength
+from rve.common.errors import InputError
+from rve.common.materials import Material, material_of
+
+Kind = TypeVar("Kind", bound=MembraneLaw | LawInterval)
+
+
+def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
+    """The law for rings whose material is what `given` says, as `rve.common.materials.material_of` reads it.
+
+    Without a named material `given` replaces values of the law's own. Yield stress, areal mass, and the stiffness if it
+    is that of the rings, follow; strains of rigid rings do not depend on the material. Poisson's ratio of the table
+    stays in the stiffness, where it acts on the torsion of the wire only. InputError for a law that does not know its
+    rings' material, for values out of range and for a Poisson's ratio; `where` stands before the message.
+
+    >>> from homogenize.io import default_law
+    >>> law = with_material(default_law(), {"material": "titanium grade 2"})
+    >>> round(law.cell.areal_mass_kg_per_m2 / default_law().cell.areal_mass_kg_per_m2, 4), law.strength.material.name
+    (0.5745, 'titanium grade 2')
+    """
+    if not given:
+        return law
+    known = _strength(law)
+    if known is None:
+        raise InputError(f"{where} needs a law that knows the material of its rings; {MAKE_AGAIN}".lstrip())
+    if given.get("poisson") is not None:
+        raise InputError(
+            f"{where} poisson = {given['poisson']}: is that of the law's table, {known.material.poisson:g}; make the "
+            "table again with rve table --rings --poisson".lstrip()
+        )
+    old, new = known.material, material_of(given, where, base=known.material)
+    if not isinstance(law, LawInterval):
+        return cast("Kind", _changed(law, old, new))
+    inner, own, outer = (_changed(one, old, new) for one in (law.inner, law.law, law.outer))
+    changed = replace(law, inner=inner, law=inner if law.law is law.inner else own, outer=outer)
+    return cast("Kind", changed)
+
+
+def _strength(law: MembraneLaw | LawInterval) -> Strength | None:
+    laws = (law.inner, law.law) if isinstance(law, LawInterval) else (law,)
+    return next((one.strength for one in laws if isinstance(one, Law) and one.strength is not None), None)
+
+
+def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
+    """The law with areal mass, strength and stiffness of rings of `new` in place of `old`."""
+    if not isinstance(law, Law):
+        return law
+    softer = old.young_N_per_mm2 / new.young_N_per_mm2
+    cell, known = law.cell, law.strength
+    if cell is not None:
+        mass = cell.areal_mass_kg_per_m2 * new.density_kg_per_mm3 / old.density_kg_per_mm3
+        cell = replace(cell, areal_mass_kg_per_m2=mass)
+    if known is not None:
+        known = replace(known, material=new, compliance=known.compliance * softer)
+    law = replace(law, cell=cell, strength=known)
+    if isinstance(law, NetLaw) or str(law.provenance.get("stiffness", "stated")).startswith("stated"):
+        return law
+    return replace(law, stiffness=law.stiffness / softer)
