@@ -23,19 +23,25 @@ LEAST_SHARE = 1e-3
 """Eigenvalues of A below this share of the largest are raised to it: no load direction is rigid."""
 
 
-def compliance_fit(S: Array, D: Array) -> Array:
+def compliance_fit(S: Array, D: Array, is_mirrored: bool) -> Array:
     """A (3, 3) in tensor components, mm/N, from loads S (n, 3) and rows' compliances D (n, 3, 3).
 
-    Least squares of S:A S against S:D S, both relative to S:D S. InputError if no row has a finite positive S:D S.
+    Least squares of S:A S against S:D S, both relative to S:D S; of a weave that is its own mirror image A does not
+    couple shear to the other components. InputError if no row has a finite positive S:D S.
     """
     work = np.einsum("ni,nij,nj->n", S * WEIGHT, D, S)
     ok = np.isfinite(work) & (work > 0.0)
     if not ok.any():
         raise InputError("no row of the table has a compliance with S:D S > 0")
     S, work = S[ok], work[ok]
-    terms = np.stack([S[:, 0] ** 2, 2.0 * S[:, 0] * S[:, 2], S[:, 2] ** 2, S[:, 1] ** 2], axis=1)
-    a, b, d, c = np.linalg.lstsq(terms / work[:, None], np.ones(len(work)), rcond=None)[0]
-    values, vectors = np.linalg.eigh(np.array([[a, 0.0, b], [0.0, c, 0.0], [b, 0.0, d]]))
+    i, j = np.triu_indices(3)
+    if is_mirrored:
+        even = (i == 1) == (j == 1)
+        i, j = i[even], j[even]
+    terms = S[:, i] * S[:, j] * np.where(i == j, 1.0, 2.0)
+    A = np.zeros((3, 3))
+    A[i, j] = A[j, i] = np.linalg.lstsq(terms / work[:, None], np.ones(len(work)), rcond=None)[0]
+    values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, LEAST_SHARE * values.max())
     return np.asarray((vectors * values) @ vectors.T / WEIGHT[:, None])
 
@@ -46,7 +52,7 @@ def stiffness_of(table: StrainTable, stated: float) -> tuple[Array, str]:
         return stated * np.eye(3), f"stated: {stated:g} N/mm for every strain, not from the table"
     rows = table.converged & table.unique
     S, D = table.S[rows], table.compliance[rows]
-    A = compliance_fit(S, D)
+    A = compliance_fit(S, D, table.is_mirrored)
     found, exact = (np.einsum("ni,nij,nj->n", S * WEIGHT, M, S) for M in (np.broadcast_to(A, D.shape), D))
     known = np.isfinite(exact) & (exact > 0.0)
     share = found[known] / exact[known]
