@@ -2,8 +2,8 @@
 
 For each load direction it holds the yield stress that the load asks of the wire, over the size S11 + S22 of the line
 load: at first yield of the rings and at their plastic collapse. Both are positively homogeneous in S, do not depend on
-the yield stress, and are the same for S and its mirror image if the weave is its own mirror image. Beside them stands the
-compliance S:D S along each load.
+the yield stress, and are the same for S and its mirror image if the weave is its own mirror image. Beside
+them stands the compliance S:D S along each load.
 """
 
 from __future__ import annotations

@@ -227,7 +227,8 @@ def run_scene(
     check_out_job(out, RECORD, inputs=inputs)
     if table is not None and (law_path is not None or rings is None):
         raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
-    law = None if law_path is None else interval_or_law(law_path)
+    read = interval_or_law if rings is None else read_law_interval
+    law = None if law_path is None else read(law_path)
     law = law if table is None else interval_of_table(table)
     found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache, say=say)
     return found.save(out, picture=picture, inputs=inputs)

@@ -65,7 +65,7 @@ def reason(law: MembraneLaw) -> str | None:
     """Why the utilisation under a law is not known; None if it is."""
     known = strength(law)
     if known is None:
-        return "the law does not know the strength of its rings: make its table with rve table --rings and fit it again"
+        return "the law was made without it: make its table with rve table --rings and fit it again"
     if known.material.yield_N_per_mm2 is None:
         return f"{known.material.name} has no yield stress: make the table with rve table --rings --yield"
     return None if law.cell is not None else "the law has no cell to average the line load over"

@@ -16,7 +16,7 @@ import signal
 import threading
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -66,6 +66,17 @@ class Command(click.Command):
             notes = getattr(error, "__notes__", [])
             click.echo(f"Error: {'; '.join(_one_line(text) for text in (sentence, *notes))}", err=True)
             ctx.exit(code)
+
+
+def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A decorator that gives a command these options and arguments, in this order."""
+
+    def decorate(command: Any) -> Any:
+        for add in reversed(added):
+            command = add(command)
+        return command
+
+    return decorate
 
 
 class Group(click.Group):

@@ -20,6 +20,7 @@ from click.testing import CliRunner
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
+from homogenize.io import DEFAULT_LAW
 from macro_fem import job as job_module
 from macro_fem.bounds import adapt as adapt_module
 from macro_fem.bounds.adapt import levels
@@ -348,6 +349,8 @@ def test_where_answers_are_kept(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="--cache"):
         open_cache(tmp_path / "file")
+    with pytest.raises(InputError, match="--cache = /proc/none: cannot be made"):
+        open_cache("/proc/none")  # no access right tells that nothing can be made there
     assert open_cache(None) == NO_CACHE
 
 
@@ -443,6 +446,8 @@ def test_bounds_by_a_law_alone_say_so():
         (["--accuracy", "1e-3"], "belongs to --rings"),
         (["--no-cache"], "belongs to --rings"),
         (["--table", "table.csv"], "--table = table.csv"),
+        (["--rings", "8,0.5", "--law", str(DEFAULT_LAW)], "rings_10.json: r2, b_x and b_y over r1 are"),
+        (["--rings", "5,0.5", "--cache", "/proc/none"], "--cache = /proc/none: cannot be made"),
     ],
 )
 def test_options_that_make_no_sense_end_in_a_sentence(tmp_path, monkeypatch, options, sentence):
