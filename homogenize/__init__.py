@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from homogenize.io import default_law as default_law
     from homogenize.io import load_law as load_law
     from homogenize.io import strength_of_law as strength_of_law
+    from homogenize.laws.giving import GivingLaw as GivingLaw
+    from homogenize.laws.giving import elastic_law as elastic_law
     from homogenize.laws.net import NetLaw as NetLaw
     from homogenize.laws.net import diagonal_net as diagonal_net
     from homogenize.laws.net import ring_net as ring_net
@@ -42,6 +44,7 @@ _MODULES = {
     "ErrorReport": "homogenize.laws.report",
     "FitOptions": "homogenize.fitting.fit",
     "FitResult": "homogenize.fitting.fit",
+    "GivingLaw": "homogenize.laws.giving",
     "HalfSpaces": "homogenize.laws.protocol",
     "LawInterval": "homogenize.interval",
     "LockedStrain": "homogenize.query.strain",
@@ -52,6 +55,7 @@ _MODULES = {
     "Strength": "homogenize.strength",
     "cell_of": "homogenize.fitting.fit",
     "default_law": "homogenize.io",
+    "elastic_law": "homogenize.laws.giving",
     "diagonal_net": "homogenize.laws.net",
     "fit": "homogenize.fitting.fit",
     "fit_table": "homogenize.fitting.fit",
@@ -74,6 +78,7 @@ __all__ = [
     "ErrorReport",
     "FitOptions",
     "FitResult",
+    "GivingLaw",
     "HalfSpaces",
     "LawInterval",
     "LockedStrain",
@@ -85,6 +90,7 @@ __all__ = [
     "cell_of",
     "default_law",
     "diagonal_net",
+    "elastic_law",
     "fit",
     "fit_table",
     "interval_of_table",

@@ -28,7 +28,8 @@ class LawInterval:
     """`inner` contains nothing that the rings cannot do, `outer` all that they can; `law` is to be used between them.
 
     rows: what all three are made of. raised: largest work by which the strain of one row exceeds that of another under
-    the other's load; h of that row is raised by it, so that `outer` contains `inner`. source: file that it was read from, for messages.
+    the other's load; h of that row is raised by it, so that `outer` contains `inner`.
+    source: file that it was read from, for messages.
     """
 
     inner: MembraneLaw

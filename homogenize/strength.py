@@ -142,8 +142,8 @@ class Strength:
 
     def compliance_along(self, S: Array) -> Array:
         """S:D S in mm/N at unit trace, (n,), of the directions of S (n, 3): strain beyond locking along S per N/mm."""
-        rows, weights = self._stretched.at(S / trace(S)[:, None])
-        return np.asarray((weights * self.compliance[np.isfinite(self.compliance)][rows]).sum(axis=1))
+        rows, weights = self.stretched._loads.at(S / trace(S)[:, None])
+        return np.asarray((weights * self.stretched.compliance[rows]).sum(axis=1))
 
     def yield_stress(self, asked: float | None = None) -> float:
         """The yield stress in N/mm2: what is asked for, or the material's; InputError if there is none."""
@@ -166,10 +166,11 @@ class Strength:
         return Directions.of(self.S, self.cauchy, self.is_mirrored)
 
     @cached_property
-    def _stretched(self) -> Directions:
-        """Loads whose strain is unique."""
-        known = np.isfinite(self.compliance)
-        return Directions.of(self.S[known], self.cauchy[known], self.is_mirrored)
+    def stretched(self) -> Strength:
+        """The same of the loads whose compliance is known."""
+        known = np.isfinite(self.compliance) & (self.compliance > 0.0)
+        names = ("S", "cauchy", "first_yield", "collapse", "compliance")
+        return replace(self, **{name: getattr(self, name)[known] for name in names})
 
     def text(self) -> str:
         """What is known of the error, in one line."""

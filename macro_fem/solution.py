@@ -10,7 +10,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
-from macro_fem.fem.rotated import rotated
+from macro_fem.fem.rotated import elastic, rotated
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
@@ -43,6 +43,11 @@ class Problem:
     force: Array  # (n_nodes, d), N
     factor: float = 1.0  # share of live loads and moves
     cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
+
+    @cached_property
+    def elastic_law(self) -> MembraneLaw:
+        """The law of an elastic curtain, whose rings give by direction where the law knows it."""
+        return elastic(self.law)
 
 
 @dataclass(frozen=True)
