@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from homogenize.query.strain import LockedStrain as LockedStrain
     from homogenize.query.strain import locked_strain as locked_strain
     from homogenize.strength import Strength as Strength
+    from homogenize.strength import strength_of_table as strength_of_table
 
 _MODULES = {
     "CellInfo": "homogenize.laws.protocol",
@@ -68,6 +69,7 @@ _MODULES = {
     "ring_net": "homogenize.laws.net",
     "save_law": "homogenize.laws.stored",
     "strength_of_law": "homogenize.io",
+    "strength_of_table": "homogenize.strength",
     "write_umat": "homogenize.export.umat",
 }
 """Public names and the modules that hold them: imported when they are first used."""
@@ -102,6 +104,7 @@ __all__ = [
     "ring_net",
     "save_law",
     "strength_of_law",
+    "strength_of_table",
     "write_umat",
 ]
 

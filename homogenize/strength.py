@@ -235,6 +235,8 @@ def strength_of_table(table: StrainTable) -> Strength | None:
 
 def off_grid(strength: Strength) -> OffGrid | None:
     """Relative errors at rows inside the hull, each left out once with its neighbours kept; None with too few rows."""
+    if len(strength.S) < 2 * FOLDS:
+        return None
     x = disc(np.vstack([strength.S, mirror(strength.S)]) if strength.is_mirrored else strength.S)
     rim = x[ConvexHull(x).vertices]
     inner = np.flatnonzero([np.abs(rim - point).max(axis=1).min() > 1e-7 for point in disc(strength.S)])
@@ -280,7 +282,7 @@ def read_strength(table: Mapping[str, Any], where: str) -> Strength:
         along,
         material,
         None if error is None else read_record(OffGrid, error, f"{where} error"),
-        checked({"is_mirrored": True, **table}, "is_mirrored", boolean, where),
+        is_mirrored=checked({"is_mirrored": True, **table}, "is_mirrored", boolean, where),
     )
 
 

@@ -174,13 +174,15 @@ def _on_demand(
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
     from macro_fem.demand.cache import open_cache
     from macro_fem.demand.loop import DemandOptions, solve_on_demand
+    from macro_fem.demand.ring_strength import with_strength
 
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
     check_solver(bounded, scene.source)
     options = DemandOptions() if accuracy is None else DemandOptions(accuracy)
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
-    found = solve_on_demand(bounded, rings, options, known=law, cache=open_cache(cache), say=say)
+    kept = open_cache(cache)
+    found = with_strength(solve_on_demand(bounded, rings, options, known=law, cache=kept, say=say), rings, kept, say)
     early = _steps(bounded, found.law.inner, scene.load.steps - 1, say)
     return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
 

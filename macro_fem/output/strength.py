@@ -78,6 +78,20 @@ def utilisation(solution: CurtainSolution) -> Array | None:
     return None if known is None or reason(law) is not None else known.utilisation(_loads(solution))
 
 
+def critical_load(solution: CurtainSolution) -> Array | None:
+    """S (3,) in the frame of the weave, averaged over one cell where the utilisation is largest; None without any."""
+    law = solution.problem.law
+    known, cell = strength(law), law.cell
+    if known is None or cell is None or reason(law) is not None:
+        return None
+    area = cell.b_x_mm * cell.b_y_mm
+    first, _ = _largest_means(solution, known, area)
+    if not first.value > 0.0:
+        return None
+    corners, S = on_triangles(solution, _loads(solution))
+    return Nearby(corners, S, area, np.ones(len(S))).mean(first.at)
+
+
 def _loads(solution: CurtainSolution) -> Array:
     """S (n_cells, 3) in the frame of the weave, averaged over neighbours."""
     law = solution.problem.law

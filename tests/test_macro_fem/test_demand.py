@@ -34,6 +34,7 @@ from macro_fem.demand.directions import between, widest
 from macro_fem.demand.loop import DemandOptions, solve_on_demand
 from macro_fem.demand.options import ring_options
 from macro_fem.demand.ring_answers import Asked, ask, contradictions, first_directions, rounded, settled
+from macro_fem.demand.ring_strength import strength_of_rows
 from macro_fem.job import solve
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
@@ -465,6 +466,31 @@ def test_elements_without_bounds_are_refused():
     for tables in ({"mesh": {"cells": 3, "element": "Q1"}}, {"solver": {"kind": "elastic"}}):
         with pytest.raises(InputError, match="bounds"):
             solve(square(**tables), rings=Cell())
+
+
+def test_rings_tell_their_strength_at_the_loads_they_were_asked_for():
+    """Dead loads and the Cauchy loads of the law's table lock the rings in the same states."""
+    some = KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 12))
+    found, law = strength_of_rows(some, Cell()), KNOWN.law.strength
+    inside = np.hypot(*disc(some.S).T) < 0.99  # states of loads of rank one may be others
+    assert inside.sum() >= 10
+    for name in ("utilisation", "collapse_utilisation"):
+        one, other = (getattr(x, name)(some.S[inside], 235.0) for x in (found, law))
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_curtain_on_demand_knows_its_utilisation():
+    scene = square(curtain={"width": 100.0, "height": 100.0, "weave_angle": 20.0})
+    few = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 6)), cell=KNOWN.law.cell)
+    found = solve(scene, few, rings=Cell(material=named_material("steel 1.4404")), accuracy=0.2).summary
+    by_law = solve(scene, KNOWN, accuracy=None).summary
+    assert found["status"] == "converged"
+    assert found["ring_material"] == "steel 1.4404"
+    strength = found["utilisation_max"] * found["ring_yield_N_per_mm2"]
+    assert strength == pytest.approx(by_law["utilisation_max"] * by_law["ring_yield_N_per_mm2"], rel=0.1)
+    assert found["safety_factor"] == pytest.approx(1.0 / found["utilisation_max"])
+    assert found["first_yield_near"] == "support 1 (corners)"
 
 
 def test_options_of_the_command_line(monkeypatch, tmp_path):
