@@ -65,6 +65,7 @@ def test_a_strip_yields_at_the_line_load_of_its_table_row(weave, beta):
     assert told["safety_factor"] == pytest.approx(1.0 / told["utilisation_max"], rel=1e-12)
     assert told["utilisation_pointwise_max"] == pytest.approx(told["utilisation_max"], rel=1e-5)
     assert told["first_yield_near"] in ("support 1 (rail)", "load.bar 1 (bottom)")
+    assert told["utilisation_mesh_too_coarse"] is False  # an even load is its own average on any mesh
 
 
 def test_units_and_yield(strip):
@@ -88,6 +89,10 @@ def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_g
     assert fine["utilisation_max"] < 0.7 * fine["utilisation_pointwise_max"]
     assert fine["first_yield_near"] == "support 1 (corners)"
     assert "grows with every refinement" in fine["strength_note"]
+    assert [one["utilisation_mesh_too_coarse"] for one in (coarse, fine)] == [True, False]
+    told = {"support_forces": [], "strength_note": None}
+    assert "falls with refinement" in holds_line(coarse | told)
+    assert "falls with refinement" not in holds_line(fine | told)
 
 
 def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
