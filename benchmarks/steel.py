@@ -1,7 +1,7 @@
 """Curtains of the examples in steel: what the rings give, and how their utilisation converges with the mesh.
 
-`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--out DIR]` writes steel.md. The rings are those of the shipped law,
-r1 = 5 mm, r2 = 0.5 mm, S235.
+`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--out DIR]` writes steel.md. The rings are those of
+the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
 """
 
 from dataclasses import replace
