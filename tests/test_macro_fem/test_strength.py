@@ -95,6 +95,34 @@ def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_g
     assert "falls with refinement" not in holds_line(fine | told)
 
 
+def square(scale=1.0, law=None, **curtain):
+    """The summary of a small square hung by its corners, all lengths times `scale`."""
+    side = {"width": 60.0 * scale, "height": 60.0 * scale, "areal_mass": 2.785}
+    mesh = {"cells": 6, "pattern": "crossed"}
+    tables = {"curtain": side | curtain, "support": {"kind": "corners"}, "mesh": mesh}
+    return summary(solve_scene(read_scene(tables), default_law() if law is None else law))
+
+
+def test_mirror_images_and_quarter_turns_bear_the_same():
+    left, right = square(weave_angle=25.0), square(weave_angle=-25.0)
+    assert left["utilisation_pointwise_max"] == pytest.approx(right["utilisation_pointwise_max"], rel=1e-3)
+    for key in ("utilisation_max", "collapse_factor"):
+        assert left[key] == pytest.approx(right[key], rel=0.02)  # averages are known to a part in 100 (`PIECES`)
+    once, twice = square(weave_angle=90.0), square(weave_angle=270.0)
+    assert once["utilisation_max"] == pytest.approx(twice["utilisation_max"], rel=1e-6)
+    assert once["utilisation_max"] != pytest.approx(square()["utilisation_max"], rel=1e-2)
+
+
+def test_ten_times_larger_rings_in_a_ten_times_larger_curtain_of_the_same_mass_bear_the_same():
+    """Line loads are ten times as large, and so is what the wire bears."""
+    law, known = default_law(), default_law().strength
+    cell = replace(law.cell, **{key: 10.0 * value for key, value in vars(law.cell).items() if key.endswith("_mm")})
+    strength = replace(known, first_yield=0.1 * known.first_yield, collapse=0.1 * known.collapse)
+    small, large = square(), square(10.0, replace(law, cell=cell, strength=strength))
+    for key in ("utilisation_max", "utilisation_pointwise_max", "collapse_factor"):
+        assert large[key] == pytest.approx(small[key], rel=1e-3)
+
+
 def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     """The search stops early; here every corner is visited."""
     from macro_fem.output.line_load import Nearby, on_triangles
