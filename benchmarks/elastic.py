@@ -30,9 +30,9 @@ TEXT = "A square metre of rings, r1/r2 = 10, hung by its top corners or its top 
 
 
 def law_of(stiffness: float) -> MembraneLaw:
-    """The shipped ring law with another stiffness, N/mm."""
+    """The shipped ring law with one stiffness for all directions, N/mm."""
     law = default_law()
-    return replace(law, stiffness=stiffness * np.eye(3))  # type: ignore[type-var]
+    return replace(law, stiffness=stiffness * np.eye(3), strength=None)  # type: ignore[type-var]
 
 
 def solved(support: str, cells: int, stiffness: float, kind: str = "elastic") -> CurtainSolution:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from homogenize.io import load_law as load_law
     from homogenize.io import strength_of_law as strength_of_law
     from homogenize.laws.cloth import ClothLaw as ClothLaw
+    from homogenize.laws.giving import GivingLaw as GivingLaw
+    from homogenize.laws.giving import elastic_law as elastic_law
     from homogenize.laws.net import NetLaw as NetLaw
     from homogenize.laws.net import diagonal_net as diagonal_net
     from homogenize.laws.net import ring_net as ring_net
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from homogenize.query.strain import LockedStrain as LockedStrain
     from homogenize.query.strain import locked_strain as locked_strain
     from homogenize.strength import Strength as Strength
+    from homogenize.strength import strength_of_table as strength_of_table
 
 _MODULES = {
     "CellInfo": "homogenize.laws.protocol",
@@ -45,6 +48,7 @@ _MODULES = {
     "ErrorReport": "homogenize.laws.report",
     "FitOptions": "homogenize.fitting.fit",
     "FitResult": "homogenize.fitting.fit",
+    "GivingLaw": "homogenize.laws.giving",
     "HalfSpaces": "homogenize.laws.protocol",
     "LawInterval": "homogenize.interval",
     "LockedStrain": "homogenize.query.strain",
@@ -55,6 +59,7 @@ _MODULES = {
     "Strength": "homogenize.strength",
     "cell_of": "homogenize.fitting.fit",
     "default_law": "homogenize.io",
+    "elastic_law": "homogenize.laws.giving",
     "diagonal_net": "homogenize.laws.net",
     "fit": "homogenize.fitting.fit",
     "fit_table": "homogenize.fitting.fit",
@@ -67,6 +72,7 @@ _MODULES = {
     "ring_net": "homogenize.laws.net",
     "save_law": "homogenize.laws.stored",
     "strength_of_law": "homogenize.io",
+    "strength_of_table": "homogenize.strength",
     "with_material": "homogenize.material",
     "write_umat": "homogenize.export.umat",
 }
@@ -79,6 +85,7 @@ __all__ = [
     "ErrorReport",
     "FitOptions",
     "FitResult",
+    "GivingLaw",
     "HalfSpaces",
     "LawInterval",
     "LockedStrain",
@@ -90,6 +97,7 @@ __all__ = [
     "cell_of",
     "default_law",
     "diagonal_net",
+    "elastic_law",
     "fit",
     "fit_table",
     "interval_of_table",
@@ -101,6 +109,7 @@ __all__ = [
     "ring_net",
     "save_law",
     "strength_of_law",
+    "strength_of_table",
     "with_material",
     "write_umat",
 ]

@@ -29,6 +29,7 @@ class LawInterval:
 
     rows: what all three are made of. raised: largest work by which the strain of one row exceeds that of another under
     the other's load; h of that row is raised by it, so that `outer` contains `inner`.
+    source: file that it was read from, for messages.
     """
 
     inner: MembraneLaw
@@ -36,6 +37,7 @@ class LawInterval:
     outer: MembraneLaw
     rows: Rows
     raised: float = 0.0
+    source: str = "law"
 
     def width(self, S: Array) -> Array:
         """How far apart the support functions of `outer` and `inner` are at loads S (n, 3), (n,)."""
@@ -104,7 +106,8 @@ def interval_of_table(path: str | Path) -> LawInterval:
     from rve import read_table
 
     table = read_table(path)
-    return law_interval(rows_from_table(table), cell=cell_of(table), strength=strength_of_table(table))
+    found = law_interval(rows_from_table(table), cell=cell_of(table), strength=strength_of_table(table))
+    return replace(found, source=str(path))
 
 
 def interval_of_law(law: Law, source: str) -> LawInterval | None:
@@ -120,4 +123,4 @@ def interval_of_law(law: Law, source: str) -> LawInterval | None:
     except InputError as error:
         raise InputError(f"{source}: provenance table_rows: {error}") from error
     stiffness = np.asarray(np.linalg.inv(law.compliance))
-    return law_interval(rows, law, stiffness, law.cell, law.strength)
+    return replace(law_interval(rows, law, stiffness, law.cell, law.strength), source=source)

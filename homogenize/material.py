@@ -8,6 +8,7 @@ from typing import Any, TypeVar, cast
 
 from homogenize.interval import LawInterval
 from homogenize.io import Law
+from homogenize.laws.cloth import ClothLaw
 from homogenize.laws.net import NetLaw
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import MAKE_AGAIN, Strength
@@ -65,6 +66,6 @@ def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
     if known is not None:
         known = replace(known, material=new, compliance=known.compliance * softer)
     law = replace(law, cell=cell, strength=known)
-    if isinstance(law, NetLaw) or str(law.provenance.get("stiffness", "stated")).startswith("stated"):
+    if isinstance(law, NetLaw | ClothLaw) or str(law.provenance.get("stiffness", "stated")).startswith("stated"):
         return law
     return replace(law, stiffness=law.stiffness / softer)

@@ -2,7 +2,8 @@
 
 For each load direction it holds the yield stress that the load asks of the wire, over the size S11 + S22 of the line
 load: at first yield of the rings and at their plastic collapse. Both are positively homogeneous in S, do not depend on
-the yield stress, and are the same for S and its mirror image. Beside them stands the compliance S:D S along each load.
+the yield stress, and are the same for S and its mirror image if the weave is its own mirror image. Beside
+them stands the compliance S:D S along each load.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from rve.common.materials import STRESS, Material, read_material
 from rve.common.rings import joint_name
 from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
 from rve.common.types import Array
-from rve.common.values import checked, mapping, number, numbers, read_record, whole
+from rve.common.values import boolean, checked, mapping, number, numbers, read_record, whole
 
 if TYPE_CHECKING:
     from rve import StrainTable
@@ -50,7 +51,7 @@ class OffGrid:
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Load directions as points of the disc, with their mirror images, and the triangles between them.
+    """Load directions as points of the disc, and the triangles between them; with their mirror images if `is_mirrored`.
 
     slope (2, 3, t), level (3, t): the weights of each triangle's corners at a point x are x slope + level; rows (t, 3):
     the loads at its corners; hull (k, 3): the half-planes around all. Neighbours are neighbours as Cauchy loads, which
@@ -61,14 +62,17 @@ class Directions:
     level: Array
     rows: NDArray[np.intp]
     hull: Array
+    is_mirrored: bool
 
     @staticmethod
-    def of(S: Array, cauchy: Array) -> Directions:
+    def of(S: Array, cauchy: Array, is_mirrored: bool) -> Directions:
         """Those of loads S (n, 3) of unit trace and their Cauchy loads (n, 3); InputError unless they surround the
         equibiaxial load."""
-        x = disc(np.vstack([S, mirror(S)]))
+        x, s = disc(S), cauchy
+        if is_mirrored:
+            x, s = disc(np.vstack([S, mirror(S)])), np.vstack([cauchy, mirror(cauchy)])
         first = np.sort(np.unique(np.round(x / _SAME), axis=0, return_index=True)[1])
-        x, s = x[first], np.vstack([cauchy, mirror(cauchy)])[first]
+        x, s = x[first], s[first]
         try:
             triangles, hull = Delaunay(disc(s / trace(s)[:, None])).simplices, ConvexHull(x).equations
         except (QhullError, ValueError) as error:
@@ -81,16 +85,19 @@ class Directions:
         two = np.linalg.inv(sides[good])
         slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
         level = np.array([0.0, 0.0, 1.0]) - np.einsum("tij,tj->ti", slope, x[triangles[:, 2]])
-        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), first[triangles] % len(S), hull)
+        rows = first[triangles] % len(S)
+        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, hull, is_mirrored)
 
     def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
         """Rows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
 
-        A load outside of the hull is drawn towards the equibiaxial one until it lies on it. A load and its mirror image
-        have the same weights, though triangles between points on a square may not be mirror images.
+        A load outside of the hull is drawn towards the equibiaxial one until it lies on it. In a weave that is its own
+        mirror image a load and its image have the same weights, though triangles between points on a square may not be
+        mirror images.
         """
         x = disc(S)
-        x[:, 1] = np.abs(x[:, 1])
+        if self.is_mirrored:
+            x[:, 1] = np.abs(x[:, 1])
         beyond = np.maximum((x @ self.hull[:, :2].T / -self.hull[:, 2]).max(axis=1), 1.0)
         x = x / beyond[:, None]
         rows, weights = np.empty((len(x), 3), dtype=np.intp), np.empty((len(x), 3))
@@ -109,7 +116,8 @@ class Strength:
 
     S (n, 3) of unit trace; cauchy (n, 3): the Cauchy loads of these rows, of unit trace; first_yield, collapse (n,):
     yield stress over S11 + S22, 1/mm; compliance (n,): S:D S in mm/N, nan where a load has no unique strain; the
-    material of the table; the error between the loads; the joint of the rings.
+    material of the table; the error between the loads; the joint of the rings; whether the weave is its own mirror
+    image, so that every load stands for two.
     """
 
     S: Array
@@ -120,6 +128,7 @@ class Strength:
     material: Material
     error: OffGrid | None = None
     joint: str = "welded"
+    is_mirrored: bool = True
 
     def utilisation(self, S: Array, yield_N_per_mm2: float | None = None) -> Array:
         """Largest von Mises stress of the rings over the yield stress, (n,), under line loads S (n, 3) in N/mm.
@@ -134,8 +143,8 @@ class Strength:
 
     def compliance_along(self, S: Array) -> Array:
         """S:D S in mm/N at unit trace, (n,), of the directions of S (n, 3): strain beyond locking along S per N/mm."""
-        rows, weights = self._stretched.at(S / trace(S)[:, None])
-        return np.asarray((weights * self.compliance[np.isfinite(self.compliance)][rows]).sum(axis=1))
+        rows, weights = self.stretched._loads.at(S / trace(S)[:, None])
+        return np.asarray((weights * self.stretched.compliance[rows]).sum(axis=1))
 
     def yield_stress(self, asked: float | None = None) -> float:
         """The yield stress in N/mm2: what is asked for, or the material's; InputError if there is none."""
@@ -155,13 +164,14 @@ class Strength:
 
     @cached_property
     def _loads(self) -> Directions:
-        return Directions.of(self.S, self.cauchy)
+        return Directions.of(self.S, self.cauchy, self.is_mirrored)
 
     @cached_property
-    def _stretched(self) -> Directions:
-        """Loads whose strain is unique."""
-        known = np.isfinite(self.compliance)
-        return Directions.of(self.S[known], self.cauchy[known])
+    def stretched(self) -> Strength:
+        """The same of the loads whose compliance is known."""
+        known = np.isfinite(self.compliance) & (self.compliance > 0.0)
+        names = ("S", "cauchy", "first_yield", "collapse", "compliance")
+        return replace(self, **{name: getattr(self, name)[known] for name in names})
 
     def text(self) -> str:
         """What is known of the error, in one line."""
@@ -179,6 +189,7 @@ class Strength:
         return {
             "joint": self.joint,
             "material": asdict(self.material),
+            "is_mirrored": self.is_mirrored,
             "S": self.S.tolist(),
             "cauchy": self.cauchy.tolist(),
             "first_yield_1_per_mm": self.first_yield.tolist(),
@@ -225,7 +236,9 @@ def strength_of_table(table: StrainTable) -> Strength | None:
 
 def off_grid(strength: Strength) -> OffGrid | None:
     """Relative errors at rows inside the hull, each left out once with its neighbours kept; None with too few rows."""
-    x = disc(np.vstack([strength.S, mirror(strength.S)]))
+    if len(strength.S) < 2 * FOLDS:
+        return None
+    x = disc(np.vstack([strength.S, mirror(strength.S)]) if strength.is_mirrored else strength.S)
     rim = x[ConvexHull(x).vertices]
     inner = np.flatnonzero([np.abs(rim - point).max(axis=1).min() > 1e-7 for point in disc(strength.S)])
     if len(inner) < 2 * FOLDS:
@@ -235,7 +248,8 @@ def off_grid(strength: Strength) -> OffGrid | None:
     for fold in range(FOLDS):
         out = inner[fold::FOLDS]
         keep = np.setdiff1d(np.arange(len(strength.S)), out)
-        rows, weights = Directions.of(strength.S[keep], strength.cauchy[keep]).at(strength.S[out])
+        others = Directions.of(strength.S[keep], strength.cauchy[keep], strength.is_mirrored)
+        rows, weights = others.at(strength.S[out])
         guess = (weights * values[:, keep][:, rows]).sum(axis=2)
         error = np.concatenate([error, np.abs(guess / values[:, out] - 1.0)], axis=1)
     first, last = error
@@ -269,7 +283,8 @@ def read_strength(table: Mapping[str, Any], where: str) -> Strength:
         along,
         material,
         None if error is None else read_record(OffGrid, error, f"{where} error"),
-        joint,
+        joint=joint,
+        is_mirrored=checked({"is_mirrored": True, **table}, "is_mirrored", boolean, where),
     )
 
 

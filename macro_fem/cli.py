@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.command_line import Group
+from rve.common.command_line import Group, options
 from rve.common.sweeps import run_sweep, sweep_options
 
 
@@ -114,21 +113,15 @@ def _interval_line(summary: dict[str, Any]) -> str:
     )
 
 
-_ring_options = (
+_ring_options = options(
     click.argument("scene", type=click.Path(path_type=Path)),
     click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10."),
     click.option("--space/--plane", default=True, show_default=True, help="Centres free in space, or in the plane."),
 )
 
 
-def _with_ring_options(command: Callable[..., None]) -> Callable[..., None]:
-    for decorate in reversed(_ring_options):
-        command = decorate(command)
-    return command
-
-
 @main.command()
-@_with_ring_options
+@_ring_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
 def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: bool) -> None:
@@ -155,7 +148,7 @@ def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: b
 
 
 @main.command()
-@_with_ring_options
+@_ring_options
 @click.option("--out", type=click.Path(path_type=Path), help="File for the numbers, JSON.")
 def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -> None:
     """Solve SCENE as a membrane and ring by ring, and print both side by side.

@@ -189,9 +189,12 @@ def _solved(problem: Problem, reach: Reach, cones: Cones | None, x: Array) -> tu
     violation = max(PathOptions.violation, PathOptions.counted * spec.tolerance)
     options = PathOptions(gap=spec.tolerance, violation=violation, max_iterations=spec.max_iterations, cones=cones)
     if is_elastic(problem.scene):
-        options = replace(options, steps=ELASTIC_STEPS)
+        law = problem.elastic_law
+        knows = cones is not None and (cones.extra is None) == (law.half_spaces().extra is None)
+        options = replace(options, steps=ELASTIC_STEPS, cones=cones if knows else None)
+        compliance = law.compliance
         return solve_path(
-            fem, law, load, z, size, options, compliance=law.compliance, guide=tension, walls=problem.walls
+            fem, law, load, z, size, options, compliance=compliance, guide=tension, walls=problem.walls
         ), None
 
     def by_path(fem: SupportedFem, load: Array, z: Array, options: PathOptions, walls: Walls | None) -> PathResult:
@@ -256,14 +259,18 @@ def _first_cones(
 
 
 def _coarser(problem: Problem, options: CurtainOptions) -> CurtainSolution | None:
-    """The loosely solved rigid curtain on a coarser mesh; None where the scene cannot be meshed that coarsely."""
+    """The loosely solved curtain on a coarser mesh; None where the scene cannot be meshed that coarsely.
+
+    Rigid, for its half-spaces serve an elastic one as well, unless rings give by direction.
+    """
     scene = problem.scene
     law = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
     tolerance = max(options.coarse_tolerance, scene.solver.tolerance)
+    is_rigid = not is_elastic(scene) or problem.elastic_law is problem.law
     coarse = replace(
         scene,
         mesh=replace(scene.mesh, cells=scene.mesh.cells // options.coarse_ratio),
-        solver=replace(scene.solver, kind="rigid", tolerance=tolerance),
+        solver=replace(scene.solver, kind="rigid" if is_rigid else "elastic", tolerance=tolerance),
     )
     try:
         discrete = make_problem(coarse, law, build_mesh(coarse, law.cell), problem.factor)
@@ -283,7 +290,7 @@ def _solution(problem: Problem, result: PathResult, reach: Reach, give: float | 
     held_part = float((fem.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
     allowance = spread_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
-    stored = float(fem.weight @ problem.law.response(green_strain(F)).energy) if elastic else 0.0
+    stored = float(fem.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
     return CurtainSolution(
         problem=problem,
         stop=result.stop,

@@ -39,9 +39,9 @@ def polished(found: CurtainSolution, most: int, options: PolishOptions = POLISH)
     """
     problem, nodes = found.problem, found.problem.fem.reference
     how = newton.NewtonOptions(max_iterations=min(options.steps, most), idle_steps=options.idle_steps)
-    answer = newton.solve(problem.fem, problem.law, problem.force, found.displacement, how)
+    answer = newton.solve(problem.fem, problem.elastic_law, problem.force, found.displacement, how)
     F: Array = deformation_gradient(problem.disc, answer.u)
-    S = problem.law.response(green_strain(F)).S
+    S = problem.elastic_law.response(green_strain(F)).S
     history = (*found.history, *answer.history)
     better = replace(
         found,

@@ -214,13 +214,15 @@ def _on_demand(
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
     from macro_fem.demand.cache import open_cache
     from macro_fem.demand.loop import DemandOptions, solve_on_demand
+    from macro_fem.demand.ring_strength import with_strength
 
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
     check_solver(bounded, scene.source)
     options = DemandOptions() if accuracy is None else DemandOptions(accuracy)
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
-    found = solve_on_demand(bounded, rings, options, known=law, cache=open_cache(cache), say=say)
+    kept = open_cache(cache)
+    found = with_strength(solve_on_demand(bounded, rings, options, known=law, cache=kept, say=say), rings, kept, say)
     early = _steps(bounded, found.law.inner, scene.load.steps - 1, say)
     return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
 
@@ -271,7 +273,8 @@ def run_scene(
     check_out_job(out, RECORD, inputs=inputs)
     if table is not None and (law_path is not None or rings is None):
         raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
-    law = None if law_path is None else interval_or_law(law_path)
+    read = interval_or_law if rings is None else read_law_interval
+    law = None if law_path is None else read(law_path)
     law = law if table is None else interval_of_table(table)
     found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache, say=say)
     return found.save(out, picture=picture, animation=animation, html=html, inputs=inputs)

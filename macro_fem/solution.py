@@ -10,7 +10,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
-from macro_fem.fem.rotated import rotated
+from macro_fem.fem.rotated import elastic, rotated
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
@@ -68,6 +68,11 @@ class Problem:
         if size[1] < 1e-6 * size[0]:
             U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
         return np.asarray(U @ Vt)
+
+    @cached_property
+    def elastic_law(self) -> MembraneLaw:
+        """The law of an elastic curtain, whose rings give by direction where the law knows it."""
+        return elastic(self.law)
 
 
 @dataclass(frozen=True)

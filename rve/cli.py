@@ -7,67 +7,17 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.command_line import Group
+from rve.common.command_line import Group, options
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
 from rve.common.files import check_out_file, check_out_folder, check_out_table
 from rve.common.sweeps import numbers_of, run_sweep, sweep_options
 
 METHODS = ("direct", "stewart-trinkle")
-
-
-def _cell_options(command: Callable[..., None]) -> Callable[..., None]:
-    for decorate in (
-        click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
-        click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
-        click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
-        click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
-        click.option("--poisson", type=float, help="Poisson's ratio; by default the material's."),
-        click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
-        click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
-        click.option("--material", help="Named material, e.g. 'steel 1.4404'.  [default: steel]"),
-        click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
-        click.option(
-            "--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."
-        ),
-    ):
-        command = decorate(command)
-    return command
-
-
-def _branch_options(command: Callable[..., None]) -> Callable[..., None]:
-    for decorate in (
-        click.option(
-            "--reference",
-            type=click.Choice(["side-by-side", "locked"]),
-            default="side-by-side",
-            show_default=True,
-            help="Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one.",
-        ),
-        click.option(
-            "--branches",
-            type=click.Choice(["largest", "first"]),
-            default="largest",
-            show_default=True,
-            help="Where several locked states coexist: that of largest work, or the first from the slack pose.",
-        ),
-    ):
-        command = decorate(command)
-    return command
-
-
-def _explain_options(command: Callable[..., None]) -> Callable[..., None]:
-    for decorate in (
-        click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force),
-        click.option("--explain", is_flag=True, help="Say what was used and left out, and why."),
-    ):
-        command = decorate(command)
-    return command
 
 
 def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
@@ -77,6 +27,40 @@ def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str,
             "each omission saves",
             err=True,
         )
+
+
+_cell_options = options(
+    click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
+    click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
+    click.option("--material", help="Named material, e.g. 'steel 1.4404'.  [default: steel]"),
+    click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
+    click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
+    click.option("--poisson", type=float, help="Poisson's ratio; by default the material's."),
+    click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
+    click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
+    click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
+    click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
+)
+_branch_options = options(
+    click.option(
+        "--branches",
+        type=click.Choice(["largest", "first"]),
+        default="largest",
+        show_default=True,
+        help="Where several locked states coexist: that of largest work, or the first from the slack pose.",
+    ),
+    click.option(
+        "--reference",
+        type=click.Choice(["side-by-side", "locked"]),
+        default="side-by-side",
+        show_default=True,
+        help="Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one.",
+    ),
+)
+_explain_options = options(
+    click.option("--explain", is_flag=True, help="Say what was used and left out, and why."),
+    click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force),
+)
 
 
 def _explain(found: Any) -> None:

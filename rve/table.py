@@ -26,6 +26,7 @@ from rve.common.rings import check_rings
 from rve.common.types import Array
 from rve.common.values import shown, shown_key
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
+from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -115,6 +116,16 @@ class StrainTable:
     def converged(self) -> NDArray[np.bool_]:
         """Rows to rely on, (n,)."""
         return self.status == "converged"
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the weave that the provenance names is its own mirror image, so that every row stands for two.
+
+        Tables without a sidecar are of the 4-in-1 weave, which is; a weave that is not known here counts as chiral, so
+        that nothing is added to its rows.
+        """
+        name = self.provenance.get("weave", "4-in-1")
+        return isinstance(name, str) and name in WEAVES and WEAVES[name].is_mirrored
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the CSV file, by name."""

@@ -15,7 +15,7 @@ from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.refine import FINEST, RESOLUTION, RefineOptions, refined_half_spaces
 from homogenize.fitting.report import error_report, sampled_cone
 from homogenize.fitting.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table, rows_to_dict
-from homogenize.fitting.stiffness import stiffness_of
+from homogenize.fitting.stiffness import stiffness_by_direction, stiffness_of
 from homogenize.io import Law
 from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
@@ -106,6 +106,7 @@ def fit(table: StrainTable, options: FitOptions | None = None, *, stated_stiffne
         "kind": options.kind,
         "rows": len(rows),
         "stiffness": origin,
+        "stiffness_by_direction": stiffness_by_direction(law),
         "sampled_loads": sampled_cone(rows).tolist(),
         "table_rows": rows_to_dict(rows),
         "table_provenance": dict(table.provenance),

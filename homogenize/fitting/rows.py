@@ -101,19 +101,7 @@ def rows_from_table(table: StrainTable) -> Rows:
     dropped += [f"row {i}: the same load and strain as an earlier row" for i in keep[~first]]
     S, E, keep = S[first], E[first], keep[first]
     unique = np.asarray(table.unique, bool)[keep]
-    return Rows(S, E, double_dot(S, E), unique, keep, tuple(dropped), weave_is_mirrored(table.provenance))
-
-
-def weave_is_mirrored(provenance: dict[str, Any]) -> bool:
-    """Whether the weave that a table's sidecar names is its own mirror image.
-
-    Tables without a sidecar are of the 4-in-1 weave, which is; a weave that is not known here counts as chiral, so that
-    nothing is added to its rows.
-    """
-    from rve import WEAVES
-
-    name = provenance.get("weave", "4-in-1")
-    return isinstance(name, str) and name in WEAVES and WEAVES[name].is_mirrored
+    return Rows(S, E, double_dot(S, E), unique, keep, tuple(dropped), table.is_mirrored)
 
 
 def first_of_duplicates(S: Array, E: Array) -> Mask:

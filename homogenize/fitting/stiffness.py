@@ -3,7 +3,8 @@
 Rings that give, or contacts of finite stiffness, make the locked strain depend on the size of the load, E = dh/dS + A
 S. The compliance D = dE/dS of a row holds both: the bend of the locking surface, which has no part along S because h is
 homogeneous of degree one, and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted
-to these. The strength of the law keeps S:D S of every direction (`homogenize.strength`).
+to these. The strength of the law keeps S:D S of every direction (`homogenize.strength`), of which
+`homogenize.laws.giving` makes the law of elastic curtains.
 """
 
 from __future__ import annotations
@@ -12,32 +13,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from homogenize.laws.giving import constant_compliance, giving_law, work_along
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.protocol import MembraneLaw
 from rve.common.errors import InputError
-from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 
 if TYPE_CHECKING:
     from rve import StrainTable
 
-LEAST_SHARE = 1e-3
-"""Eigenvalues of A below this share of the largest are raised to it: no load direction is rigid."""
+STATED_LOAD = 1.0
+"""Size S11 + S22 in N/mm of the line load at which the compliance of elastic curtains is compared with the rows'."""
 
 
-def compliance_fit(S: Array, D: Array) -> Array:
+def compliance_fit(S: Array, D: Array, is_mirrored: bool) -> Array:
     """A (3, 3) in tensor components, mm/N, from loads S (n, 3) and rows' compliances D (n, 3, 3).
 
-    Least squares of S:A S against S:D S, both relative to S:D S. InputError if no row has a finite positive S:D S.
+    Least squares of S:A S against S:D S, both relative to S:D S; of a weave that is its own mirror image A does not
+    couple shear to the other components. InputError if no row has a finite positive S:D S.
     """
-    work = np.einsum("ni,nij,nj->n", S * WEIGHT, D, S)
+    work = work_along(S, D)
     ok = np.isfinite(work) & (work > 0.0)
     if not ok.any():
         raise InputError("no row of the table has a compliance with S:D S > 0")
-    S, work = S[ok], work[ok]
-    terms = np.stack([S[:, 0] ** 2, 2.0 * S[:, 0] * S[:, 2], S[:, 2] ** 2, S[:, 1] ** 2], axis=1)
-    a, b, d, c = np.linalg.lstsq(terms / work[:, None], np.ones(len(work)), rcond=None)[0]
-    values, vectors = np.linalg.eigh(np.array([[a, 0.0, b], [0.0, c, 0.0], [b, 0.0, d]]))
-    values = np.maximum(values, LEAST_SHARE * values.max())
-    return np.asarray((vectors * values) @ vectors.T / WEIGHT[:, None])
+    return constant_compliance(S[ok], work[ok], is_mirrored)
 
 
 def stiffness_of(table: StrainTable, stated: float) -> tuple[Array, str]:
@@ -46,11 +45,21 @@ def stiffness_of(table: StrainTable, stated: float) -> tuple[Array, str]:
         return stated * np.eye(3), f"stated: {stated:g} N/mm for every strain, not from the table"
     rows = table.converged & table.unique
     S, D = table.S[rows], table.compliance[rows]
-    A = compliance_fit(S, D)
-    found, exact = (np.einsum("ni,nij,nj->n", S * WEIGHT, M, S) for M in (np.broadcast_to(A, D.shape), D))
+    A = compliance_fit(S, D, table.is_mirrored)
+    found, exact = work_along(S, A), work_along(S, D)
     known = np.isfinite(exact) & (exact > 0.0)
     share = found[known] / exact[known]
     origin = (
         f"the rows' compliance along their own load, S:D S of the rows times {share.min():.3g} to {share.max():.3g}"
     )
     return np.asarray(np.linalg.inv(A)), origin
+
+
+def stiffness_by_direction(law: MembraneLaw) -> str | None:
+    """How well elastic curtains of a law meet S:D S of its rows, in words; None if it knows none."""
+    giving = giving_law(law) if isinstance(law, PolyhedralLaw) else None
+    if giving is None or giving.law.strength is None:
+        return None
+    known = giving.law.strength.stretched
+    share = giving.compliance_along(known.S, STATED_LOAD) / known.compliance
+    return f"elastic curtains: S:D S of the rows times {share.min():.3g} to {share.max():.3g} at {STATED_LOAD:g} N/mm"

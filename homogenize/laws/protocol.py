@@ -65,20 +65,25 @@ class CellInfo:
 class HalfSpaces:
     """Half-spaces S_i:E <= h_i with S_i positive semidefinite and of unit trace.
 
-    S (m, 3); h (m,).
+    S (m, 3); h (m,); extra (m,): by how much each is widened per unit of tau (`homogenize.laws.giving`), or None.
     """
 
     S: Array
     h: Array
+    extra: Array | None = None
 
 
 @dataclass(frozen=True)
 class Cut:
-    """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,)."""
+    """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,).
+
+    extra (n,): see `HalfSpaces`.
+    """
 
     S: Array
     h: Array
     violation: Array
+    extra: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rve import Cell
+from rve.common.errors import InputError
 from rve.common.files import check_out_folder, versions, write_text
 from rve.common.types import Array
 
@@ -83,10 +84,14 @@ NO_CACHE = RingCache(None)
 
 
 def open_cache(folder: str | Path | None) -> RingCache:
-    """The cache in a folder; InputError if it is a file or cannot be written. None: nothing is kept."""
+    """The cache in a folder, which is made; InputError if it is a file or cannot be written. None: nothing is kept."""
     if folder is None:
         return NO_CACHE
     check_out_folder(folder, "--cache")
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--cache = {folder}: cannot be made: {error.strerror}; give another folder") from error
     return RingCache(Path(folder))
 
 

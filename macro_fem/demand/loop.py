@@ -207,7 +207,7 @@ def _first(rings: _Rings, known: LawInterval | None) -> Asked:
         given, own = ([getattr(one, name) / one.r1_mm for name in names] for one in (cell, info))
         if np.abs(np.subtract(given, own)).max() > SAME_RINGS:
             text = [", ".join(f"{x:.6g}" for x in one) for one in (given, own)]
-            raise InputError(f"law: r2, b_x and b_y over r1 are {text[0]}, those of --rings are {text[1]}")
+            raise InputError(f"{known.source}: r2, b_x and b_y over r1 are {text[0]}, those of --rings are {text[1]}")
     return Asked(rounded(disc(known.rows.S)), known.rows)
 
 

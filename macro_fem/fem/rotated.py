@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from homogenize import CellInfo, Cut, HalfSpaces, MembraneLaw, Response
+from homogenize import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, elastic_law
 from rve.common.tensor import dyad
 from rve.common.types import Array
 
@@ -56,12 +56,12 @@ class RotatedLaw:
     def half_spaces(self) -> HalfSpaces:
         """Half-spaces to start with, see MembraneLaw."""
         start = self.law.half_spaces()
-        return HalfSpaces(start.S @ self.to_curtain.T, start.h)
+        return replace(start, S=start.S @ self.to_curtain.T)
 
     def cut(self, E: Array) -> Cut:
         """The most violated half-space, see MembraneLaw."""
-        cut = self.law.cut(E @ self.to_weave.T)
-        return Cut(cut.S @ self.to_curtain.T, cut.h, cut.violation)
+        cut = self.law.cut(np.column_stack([E[:, :3] @ self.to_weave.T, E[:, 3:]]))
+        return replace(cut, S=cut.S @ self.to_curtain.T)
 
     def response(self, E: Array) -> Response:
         """The elastic answer, see MembraneLaw."""
@@ -86,6 +86,11 @@ def rotation_on_triples(angle_deg: float) -> Array:
     else:
         c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     return np.array([[c * c, -2 * c * s, s * s], [c * s, c * c - s * s, -c * s], [s * s, 2 * c * s, c * c]])
+
+
+def elastic(law: MembraneLaw) -> MembraneLaw:
+    """`homogenize.elastic_law` of a law in the frame of a curtain."""
+    return replace(law, law=elastic_law(law.law)) if isinstance(law, RotatedLaw) else elastic_law(law)
 
 
 def rotated(law: MembraneLaw, angle_deg: float) -> MembraneLaw:

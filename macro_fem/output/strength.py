@@ -17,12 +17,14 @@ import numpy as np
 
 from homogenize import MembraneLaw, Strength, strength_of_law
 from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.output.line_load import LineLoad, Nearby, on_triangles
+from macro_fem.output.line_load import FINE, LineLoad, Nearby, on_triangles
 from macro_fem.scene.supports import edge_nodes
 from macro_fem.solution import CurtainSolution
 from rve.common.tensor import eigenvalues
 from rve.common.types import Array
 
+EVEN = 1.05
+"""Pointwise utilisations this many times the largest average vary over a cell of the weave."""
 _TOGETHER = 32
 """Averages whose utilisation is found at once. Larger: fewer calls, and more averages made for nothing."""
 
@@ -32,14 +34,24 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
     law = solution.problem.law
     known, why, cell = strength(law), reason(law), law.cell
     found: dict[str, Any] = dict.fromkeys(
-        ("utilisation_max", "utilisation_max_at_mm", "safety_factor", "collapse_factor", "first_yield_near")
+        (
+            "utilisation_max",
+            "utilisation_max_at_mm",
+            "utilisation_mesh_too_coarse",
+            "safety_factor",
+            "collapse_factor",
+            "first_yield_near",
+        )
     )
     used = utilisation(solution)
     if used is not None and known is not None and cell is not None:
-        first, last = _largest_means(solution, known, cell.b_x_mm * cell.b_y_mm)
+        area = cell.b_x_mm * cell.b_y_mm
+        first, last = _largest_means(solution, known, area)
+        side = _side(solution, first.at)
         found = {
             "utilisation_max": first.value,
             "utilisation_max_at_mm": first.at.tolist(),
+            "utilisation_mesh_too_coarse": bool(side > FINE * np.sqrt(area) and used.max() > EVEN * first.value),
             "safety_factor": 1.0 / first.value if first.value > 0.0 else None,
             "collapse_factor": 1.0 / last.value if last.value > 0.0 else None,
             "first_yield_near": nearest(solution, first.at) if first.value > 0.0 else None,
@@ -68,7 +80,7 @@ def reason(law: MembraneLaw) -> str | None:
     """Why the utilisation under a law is not known; None if it is."""
     known = strength(law)
     if known is None:
-        return "the law does not know the strength of its rings: make its table with rve table --rings and fit it again"
+        return "the law was made without it: make its table with rve table --rings and fit it again"
     if known.material.yield_N_per_mm2 is None:
         return f"{known.material.name} has no yield stress: make the table with rve table --rings --yield"
     return None if law.cell is not None else "the law has no cell to average the line load over"
@@ -79,6 +91,29 @@ def utilisation(solution: CurtainSolution) -> Array | None:
     law = solution.problem.law
     known = strength(law)
     return None if known is None or reason(law) is not None else known.utilisation(_loads(solution))
+
+
+def _side(solution: CurtainSolution, at: Array) -> float:
+    """Side in mm of the largest mesh cell with a corner at a place (2,) of the reference state."""
+    mesh = solution.problem.mesh.mesh
+    touching = (np.abs(mesh.p[:, mesh.t] - at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size).any(
+        axis=0
+    )
+    return float(np.sqrt(solution.problem.disc.cell_area[touching].max()))
+
+
+def critical_load(solution: CurtainSolution) -> Array | None:
+    """S (3,) in the frame of the weave, averaged over one cell where the utilisation is largest; None without any."""
+    law = solution.problem.law
+    known, cell = strength(law), law.cell
+    if known is None or cell is None or reason(law) is not None:
+        return None
+    area = cell.b_x_mm * cell.b_y_mm
+    first, _ = _largest_means(solution, known, area)
+    if not first.value > 0.0:
+        return None
+    corners, S = on_triangles(solution, _loads(solution))
+    return Nearby(corners, S, area, np.ones(len(S))).mean(first.at)
 
 
 def _loads(solution: CurtainSolution) -> Array:
@@ -162,6 +197,8 @@ def holds_line(summary: dict[str, Any]) -> str:
         head = f"strength of the rings not known: {summary['strength_note']}"
     else:
         head = "no load" if np.isinf(least) else f"holds with a factor {least:.3g}"
+    if summary.get("utilisation_mesh_too_coarse"):
+        parts.append((np.inf, "the mesh is too coarse there: the factor of the rings falls with refinement"))
     return "; ".join([head, *(text for _, text in parts)])
 
 

@@ -5,13 +5,14 @@ With D = R R^T W (W, `rve.common.tensor.WEIGHT`, weights the shear component by 
 
     minimise  -l.z + sum w eps.eps / 2   subject to   S_i:(E(F_q(z)) - R eps_q) <= h_i   at every point q,
 
-D = 0 is the rigid curtain: R has no columns and there is no eps. With S = L L^T, c^2 = 2 h + tr S and
-n = R^T W S . eps / c every half-space is a second-order cone,
+D = 0 is the rigid curtain: R has no columns and there is no eps. Rings that give by direction (`homogenize.GivingLaw`)
+have one more component tau of eps, S_i:(E - R e) - g_i tau <= h_i. With S = L L^T, c^2 = 2 h + tr S and
+n = (R^T W S . e + g tau)/c every half-space is a second-order cone,
 
-    (c + n, n, F L):   (c + n)^2 - n^2 - |F L|^2 = 2 (h + S:e - S:E),      (c, F L) for D = 0.
+    (c + n, n, F L):   (c + n)^2 - n^2 - |F L|^2 = 2 (h + c n - S:E),      (c, F L) for D = 0.
 
 The dual vectors y per reference area make the stress P_q = -sum_i y_FL L_i, in equilibrium when l = B^T (w P), and the
-strains eps_q = sum_i (y_0 + y_n) N_i, N = R^T W S / c. Mehrotra's predictor and corrector in Nesterov and Todd's
+strains eps_q = sum_i (y_0 + y_n) N_i, N = (R^T W S, g) / c. Mehrotra's predictor and corrector in Nesterov and Todd's
 scaling (see `soc`), from any start: residuals need not vanish before the end, as in CVXOPT's conelp. The strains are
 eliminated point by point, so that every Newton matrix has the pattern of the finite elements.
 
@@ -100,8 +101,8 @@ class Program:
     """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm.
 
     R (3, k) is the root of the compliance, N (nc, k) what the strains eps do to each cone, both without columns for a
-    rigid curtain; w (nc,) is the reference area of the point of each cone; `rows` are half-spaces on nodes. Arrays over
-    the cones keep every component contiguous.
+    rigid curtain; N has one more for tau where the cones have `extra`. w (nc,) is the reference area of the point of
+    each cone; `rows` are half-spaces on nodes. Arrays over the cones keep every component contiguous.
     """
 
     fem: Fem
@@ -124,8 +125,10 @@ class Program:
 
     @cached_property
     def N(self) -> Array:
-        """R^T W S / c (nc, k)."""
-        return np.asarray((self.cones.S * WEIGHT) @ self.R / self.c[:, None])
+        """R^T W S / c (nc, k), and g / c beside them where rings give by direction."""
+        N = (self.cones.S * WEIGHT) @ self.R
+        N = N if self.cones.extra is None else np.column_stack([N, self.cones.extra])
+        return np.asarray(N / self.c[:, None])
 
     @cached_property
     def w(self) -> Array:
@@ -170,8 +173,10 @@ class Program:
         return y.head + y.tail[:, 0] if self.lead else y.head
 
     def locked(self, F: Array, eps: Array) -> Array:
-        """E - R eps (nq, 3): the strain that the half-spaces limit."""
-        return green_strain(F) - eps @ self.R.T
+        """E - R eps (nq, 3): the strain that the half-spaces limit; tau beside it where there is one, (nq, 4)."""
+        k = self.R.shape[1]
+        E = green_strain(F) - eps[:, :k] @ self.R.T
+        return E if self.cones.extra is None else np.column_stack([E, eps[:, k]])
 
 
 def make_program(
@@ -265,7 +270,7 @@ class _Newton:
         self.program, self.state, self.now = program, state, now
         self.W = soc.scaling(state.s, state.y)
         self.point = self.W.apply(state.y)
-        cones, w, k = program.cones, self.W.w, program.R.shape[1]
+        cones, w, k = program.cones, self.W.w, program.N.shape[1]
         d = (w.tail.shape[1] - program.lead) // 2
         inv2 = 1.0 / self.W.eta**2
         # W^-2 seen through `map` is eta^-2 (2 q q^T + |F L|^2): the squares of the two n cancel.
@@ -411,7 +416,7 @@ def is_inside(state: State) -> bool:
 
 def first_state(program: Program, z: Array, options: StepOptions = STEPS) -> State:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
-    eps = np.zeros((len(program.fem.weight), program.R.shape[1]))
+    eps = np.zeros((len(program.fem.weight), program.N.shape[1]))
     s = program.slack(z, eps).lifted(options.lift * program.c)
     t = np.maximum(program.rows.slack(z), options.lift)
     mu = options.first_gap * program.scale / program.area

@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from homogenize import HalfSpaces, MembraneLaw
+from homogenize import Cut, HalfSpaces, MembraneLaw
 from macro_fem.fem.rotated import RotatedLaw
 from rve.common.tensor import IDENTITY
 from rve.common.types import Array
@@ -30,13 +30,15 @@ FLAT = 0.05
 class Cones:
     """Half-spaces of all points: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where each point begins.
 
-    Every point has at least one half-space.
+    Every point has at least one half-space. extra (nc,): by how much each is widened per unit of tau where rings give
+    by direction (`homogenize.GivingLaw`), else None.
     """
 
     point: np.ndarray
     S: Array
     h: Array
     first: np.ndarray
+    extra: Array | None = None
 
     def __len__(self) -> int:
         return len(self.h)
@@ -107,6 +109,7 @@ def same_cones(start: HalfSpaces, n_points: int) -> Cones:
         np.tile(start.S, (n_points, 1)),
         np.tile(start.h, n_points),
         np.arange(n_points) * m,
+        None if start.extra is None else np.tile(start.extra, n_points),
     )
 
 
@@ -127,7 +130,9 @@ def facets_of(law: MembraneLaw) -> HalfSpaces | None:
     return law.facets() if isinstance(law, Faceted) else None
 
 
-def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cones, np.ndarray]:
+def with_cuts(
+    cones: Cones, point: np.ndarray, S: Array, h: Array, extra: Array | None = None
+) -> tuple[Cones, np.ndarray]:
     """`cones` and the half-spaces S (k, 3), h (k,) at `point` (k,); and where the old and new ones (nc + k,) come from.
 
     The second array orders per-half-space data of old ones followed by new ones.
@@ -141,6 +146,7 @@ def with_cuts(cones: Cones, point: np.ndarray, S: Array, h: Array) -> tuple[Cone
             np.concatenate([cones.S, S])[order],
             np.concatenate([cones.h, h])[order],
             cones.first + np.cumsum(added) - added,
+            None if cones.extra is None or extra is None else np.concatenate([cones.extra, extra])[order],
         ),
         order,
     )
@@ -155,6 +161,7 @@ def repeated(cones: Cones, times: int) -> Cones:
         np.tile(cones.S, (times, 1)),
         np.tile(cones.h, times),
         (cones.first + nc * copies).ravel(),
+        None if cones.extra is None else np.tile(cones.extra, times),
     )
 
 
@@ -164,7 +171,7 @@ def taken_from(cones: Cones, source: np.ndarray) -> Cones:
     first = np.cumsum(count) - count
     point = np.repeat(np.arange(len(source)), count)
     old = np.repeat(cones.first[source], count) + np.arange(len(point)) - first[point]
-    return Cones(point, cones.S[old], cones.h[old], first)
+    return Cones(point, cones.S[old], cones.h[old], first, None if cones.extra is None else cones.extra[old])
 
 
 def supported(cones: Cones, law: MembraneLaw) -> Cones:
@@ -182,15 +189,22 @@ def steadied(cones: Cones, keep: np.ndarray) -> np.ndarray:
 def only(cones: Cones, keep: np.ndarray) -> Cones:
     """The half-spaces marked by `keep` (nc,); every point must retain one."""
     point = cones.point[keep]
-    return Cones(point, cones.S[keep], cones.h[keep], np.searchsorted(point, np.arange(len(cones.first))))
+    first = np.searchsorted(point, np.arange(len(cones.first)))
+    return Cones(point, cones.S[keep], cones.h[keep], first, None if cones.extra is None else cones.extra[keep])
+
+
+def all_cuts(law: MembraneLaw, E: Array) -> Cut:
+    """The half-space of the law nearest to (or most violated by) each E (n, 3), or (n, 4) with tau."""
+    parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
+    S, h, violation = (np.concatenate([getattr(part, name) for part in parts]) for name in ("S", "h", "violation"))
+    extra = [part.extra for part in parts if part.extra is not None]
+    return Cut(S, h, violation, np.concatenate(extra) if extra else None)
 
 
 def law_cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
     """The half-space of the law nearest to (or most violated by) each E (n, 3): S (n, 3), h (n,), h - S:E (n,)."""
-    parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
-    S = np.concatenate([part.S for part in parts])
-    h = np.concatenate([part.h for part in parts])
-    return S, h, -np.concatenate([part.violation for part in parts])
+    found = all_cuts(law, E)
+    return found.S, found.h, -found.violation
 
 
 def least_slack(law: MembraneLaw, E: Array) -> float:

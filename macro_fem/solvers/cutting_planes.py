@@ -14,7 +14,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import Measure, Program, State, Step, mean_product
-from macro_fem.solvers.cones import law_cut, only, steadied, with_cuts
+from macro_fem.solvers.cones import all_cuts, only, steadied, with_cuts
 from macro_fem.solvers.options import CUTS, CutOptions, StepOptions
 from macro_fem.solvers.soc import Vectors
 from rve.common.types import Array
@@ -25,25 +25,28 @@ class Found:
     """The law's nearest half-space S (nq, 3), h (nq,) at each point, by how much it is violated, and if it is missing.
 
     violation (nq,) is (S:E - h) / (h + tr S / 2) for the locked strain E, negative inside; is_missing (nq,) marks
-    points where it is not among the program's and is violated or much nearer than those.
+    points where it is not among the program's and is violated or much nearer than those; extra (nq,) as in `Cones`.
     """
 
     S: Array
     h: Array
     violation: Array
     is_missing: np.ndarray
+    extra: Array | None = None
 
 
 def find(program: Program, law: MembraneLaw, E: Array, wanted: Vectors, options: CutOptions = CUTS) -> Found:
     """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`."""
-    S, h, slack = law_cut(law, E)
+    nearest_one = all_cuts(law, E)
+    S, h, slack = nearest_one.S, nearest_one.h, -nearest_one.violation
     trace = S[:, 0] + S[:, 2]
     cones = program.cones
     known = 0.5 * (soc.row_dot(wanted.tail, wanted.tail) - wanted.head**2) / (cones.S[:, 0] + cones.S[:, 2])
     nearest = np.maximum.reduceat(known, cones.first)
     over = -slack / trace
     is_unknown = over > nearest + 1e-12 * (1.0 + np.abs(nearest))
-    return Found(S, h, -slack / (h + 0.5 * trace), is_unknown & ((over > 0.0) | (over > options.near * nearest)))
+    is_missing = is_unknown & ((over > 0.0) | (over > options.near * nearest))
+    return Found(S, h, -slack / (h + 0.5 * trace), is_missing, nearest_one.extra)
 
 
 def at_rest(program: Program, now: Measure, found: Found, options: CutOptions = CUTS) -> Found:
@@ -80,7 +83,8 @@ def joined(
     vectors of the point are then lowered together until it carries what it did, which unbalances forces least.
     """
     new = np.flatnonzero(found.is_missing)
-    cones, order = with_cuts(program.cones, new, found.S[new], found.h[new])
+    extra = None if found.extra is None else found.extra[new]
+    cones, order = with_cuts(program.cones, new, found.S[new], found.h[new], extra)
     wider = replace(program, cones=cones)
     old = len(program.c)
     fresh = np.flatnonzero(order >= old)

@@ -18,7 +18,7 @@ import signal
 import threading
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any
@@ -43,7 +43,7 @@ class Stopped(BaseException):
 
 
 class Command(click.Command):
-    """A click command that ends in one sentence, shows live progress in a terminal, and has the options of all commands."""
+    """A click command that ends in one sentence, shows live progress, and has the options of all commands."""
 
     def __init__(self, name: str | None, **kwargs: Any) -> None:
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *map(_common, _OPTIONS)], **kwargs)
@@ -64,6 +64,17 @@ class Command(click.Command):
             notes = getattr(error, "__notes__", [])
             click.echo(f"Error: {'; '.join(_one_line(text) for text in (sentence, *notes))}", err=True)
             ctx.exit(code)
+
+
+def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A decorator that gives a command these options and arguments, in this order."""
+
+    def decorate(command: Any) -> Any:
+        for add in reversed(added):
+            command = add(command)
+        return command
+
+    return decorate
 
 
 class Group(click.Group):

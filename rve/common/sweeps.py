@@ -1,8 +1,8 @@
 """One command run for many inputs: side by side on this machine, or on the workers of a Dask scheduler.
 
-Each item is a command as a user would type it, with a record that it writes. A finished item leaves a mark with the hash of
-its command, of its input files and of the versions; the same sweep started again runs only the others. Items do not depend
-on each other, so that files are the same to the bit for any number of workers, and after a worker was killed.
+Each item is a command as a user would type it, with a record that it writes. A finished item leaves a mark with the
+hash of its command, of its input files and of the versions; the same sweep started again runs only the others. Items do
+not depend on each other, so that files are the same to the bit for any number of workers, and after one was killed.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def _on_cluster(items: Sequence[Item], left: list[int], address: str) -> Iterato
 def written_sweep(
     items: Sequence[Item], out: Path, columns: Callable[[dict[str, Any]], dict[str, Any]], **how: Any
 ) -> list[dict[str, Any]]:
-    """The rows of sweep.csv, which is written into `out`: name, exit_code, message and what `columns` takes of a record."""
+    """The rows of sweep.csv, which is written into `out`: name, exit_code, message, what `columns` takes of a record."""
     check_out_folder(out, "--out")
     rows = []
     for item, ended in zip(items, sweep(items, out, **how), strict=True):

@@ -27,7 +27,15 @@ def test_compliance_is_found_under_the_bend_of_the_surface(ellipsoid):
     S = disc_grid(4, 12) * np.linspace(0.5, 2.0, 49)[:, None]
     D = row_compliance(ellipsoid, S)
     assert np.abs(D).max() > 10.0 * np.abs(A).max()  # the bend dominates
-    assert np.allclose(compliance_fit(S, D), A, atol=1e-8)
+    assert np.allclose(compliance_fit(S, D, True), A, atol=1e-8)
+
+
+def test_a_chiral_weave_couples_shear_and_stretch():
+    S = disc_grid(4, 12)
+    A = np.array([[3e-3, 1e-3, -1e-3], [1e-3, 8e-3, -2e-3], [-1e-3, -2e-3, 2e-3]]) / WEIGHT[:, None]
+    D = np.tile(A, (len(S), 1, 1))
+    assert np.allclose(compliance_fit(S, D, False), A, atol=1e-12)
+    assert np.abs(compliance_fit(S, D, True) - A).max() > 1e-4
 
 
 def test_a_table_with_compliance_gives_its_stiffness_to_the_law(ellipsoid):
@@ -44,4 +52,4 @@ def test_a_table_with_compliance_gives_its_stiffness_to_the_law(ellipsoid):
 
 def test_useless_compliance_is_refused():
     with pytest.raises(InputError, match="S:D S > 0"):
-        compliance_fit(np.eye(3)[:1], np.full((1, 3, 3), np.nan))
+        compliance_fit(np.eye(3)[:1], np.full((1, 3, 3), np.nan), True)

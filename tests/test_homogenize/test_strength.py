@@ -70,6 +70,19 @@ def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(stren
     assert strength.error.rows == 97  # all but the rim's 24
 
 
+def test_a_chiral_weave_has_its_own_strength_on_either_side(table):
+    """Rows at S and at its mirror image differ: neither stands for the other."""
+    chiral = replace(
+        table, strength=asked(S) * (1.0 + 0.5 * S[:, 1:2]), provenance=table.provenance | {"weave": "6-in-1"}
+    )
+    found = strength_of_table(chiral)
+    assert found.utilisation(S) == pytest.approx(chiral.strength[:, 0] / 400.0, rel=1e-9)
+    assert found.error.first_yield_max < 0.1
+    again = read_strength(json.loads(json.dumps(found.to_dict())), "law.json: strength")
+    assert again.utilisation(mirror(S)) == pytest.approx(found.utilisation(mirror(S)), rel=1e-12)
+    assert np.abs(found.utilisation(mirror(S)) / found.utilisation(S) - 1.0).max() > 0.5
+
+
 def test_compression_counts_as_no_load(strength):
     v = np.array([[0.6, 0.8]])
     pull = np.stack([v[:, 0] ** 2, v[:, 0] * v[:, 1], v[:, 1] ** 2], axis=1)
@@ -175,6 +188,7 @@ def test_a_law_without_strength_says_what_to_do(table, tmp_path):
         ("S", [[1.0, 0.9, 0.0]], "differ in length"),
         ("collapse_1_per_mm", [0.0] * 121, "collapse_1_per_mm"),
         ("joint", "glued", "welded"),
+        ("is_mirrored", "yes", "is_mirrored"),
         ("material", {"young_N_per_mm2": -1.0}, "young_N_per_mm2"),
         ("compliance_mm_per_N", "none", "compliance_mm_per_N"),
         ("error", {"rows": 3}, "first_yield_max"),

@@ -20,6 +20,7 @@ from click.testing import CliRunner
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
+from homogenize.io import DEFAULT_LAW
 from macro_fem import job as job_module
 from macro_fem.bounds import adapt as adapt_module
 from macro_fem.bounds.adapt import levels
@@ -33,6 +34,7 @@ from macro_fem.demand.directions import between, widest
 from macro_fem.demand.loop import DemandOptions, solve_on_demand
 from macro_fem.demand.options import ring_options
 from macro_fem.demand.ring_answers import Asked, ask, contradictions, first_directions, rounded, settled
+from macro_fem.demand.ring_strength import strength_of_rows
 from macro_fem.job import solve
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
@@ -348,6 +350,8 @@ def test_where_answers_are_kept(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="--cache"):
         open_cache(tmp_path / "file")
+    with pytest.raises(InputError, match="--cache = /proc/none: cannot be made"):
+        open_cache("/proc/none")  # no access right tells that nothing can be made there
     assert open_cache(None) == NO_CACHE
 
 
@@ -443,6 +447,8 @@ def test_bounds_by_a_law_alone_say_so():
         (["--accuracy", "1e-3"], "belongs to --rings"),
         (["--no-cache"], "belongs to --rings"),
         (["--table", "table.csv"], "--table = table.csv"),
+        (["--rings", "8,0.5", "--law", str(DEFAULT_LAW)], "rings_10.json: r2, b_x and b_y over r1 are"),
+        (["--rings", "5,0.5", "--cache", "/proc/none"], "--cache = /proc/none: cannot be made"),
     ],
 )
 def test_options_that_make_no_sense_end_in_a_sentence(tmp_path, monkeypatch, options, sentence):
@@ -460,6 +466,31 @@ def test_elements_without_bounds_are_refused():
     for tables in ({"mesh": {"cells": 3, "element": "Q1"}}, {"solver": {"kind": "elastic"}}):
         with pytest.raises(InputError, match="bounds"):
             solve(square(**tables), rings=Cell())
+
+
+def test_rings_tell_their_strength_at_the_loads_they_were_asked_for():
+    """Dead loads and the Cauchy loads of the law's table lock the rings in the same states."""
+    some = KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 12))
+    found, law = strength_of_rows(some, Cell()), KNOWN.law.strength
+    inside = np.hypot(*disc(some.S).T) < 0.99  # states of loads of rank one may be others
+    assert inside.sum() >= 10
+    for name in ("utilisation", "collapse_utilisation"):
+        one, other = (getattr(x, name)(some.S[inside], 235.0) for x in (found, law))
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_curtain_on_demand_knows_its_utilisation():
+    scene = square(curtain={"width": 100.0, "height": 100.0, "weave_angle": 20.0})
+    few = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 6)), cell=KNOWN.law.cell)
+    found = solve(scene, few, rings=Cell(material=named_material("steel 1.4404")), accuracy=0.2).summary
+    by_law = solve(scene, KNOWN, accuracy=None).summary
+    assert found["status"] == "converged"
+    assert found["ring_material"] == "steel 1.4404"
+    strength = found["utilisation_max"] * found["ring_yield_N_per_mm2"]
+    assert strength == pytest.approx(by_law["utilisation_max"] * by_law["ring_yield_N_per_mm2"], rel=0.1)
+    assert found["safety_factor"] == pytest.approx(1.0 / found["utilisation_max"])
+    assert found["first_yield_near"] == "support 1 (corners)"
 
 
 def test_options_of_the_command_line(monkeypatch, tmp_path):

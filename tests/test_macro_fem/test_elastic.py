@@ -25,8 +25,8 @@ PER_MM2 = 2.785e-6 * 9.81
 
 
 def rings(stiffness):
-    """The shipped ring law with another stiffness, N/mm."""
-    return replace(default_law(), stiffness=stiffness * np.eye(3))
+    """The shipped ring law with one stiffness for all directions, N/mm."""
+    return replace(default_law(), stiffness=stiffness * np.eye(3), strength=None)
 
 
 def hanging_strip(locked, stiffness, height, per_mm2):
@@ -106,6 +106,37 @@ def test_elastic_minus_rigid_is_proportional_to_the_compliance(scene_tables, sup
     last = elastic[1e4]
     stored = 0.5 * last.problem.disc.weight @ (last.S**2 @ [1.0, 2.0, 1.0])
     assert scaled[2] == pytest.approx(stored, rel=0.01)
+
+
+@pytest.mark.parametrize(("hang", "row"), [("y", [[0.0, 0.0, 1.0]]), ("x", [[1.0, 0.0, 0.0]])])
+def test_a_strip_of_rings_gives_as_their_wire_does_along_its_load(scene_tables, hang, row):
+    """The compliance of the rings differs by a factor of 26 between the two directions."""
+    law, row, height = default_law(), np.array(row), 1000.0
+    tables = scene_tables(hang=hang, width=height, height=height, support={"kind": "rail"}, solver=ELASTIC)
+    tables["mesh"] = {"cells": 4, "element": "P2", "pattern": "crossed"}
+    solution = solve_scene(read_scene(tables), law)
+    stiffness = 1.0 / float(law.strength.compliance_along(row)[0])
+    mean_height, potential = hanging_strip(float(law.support(row)[0]), stiffness, height, PER_MM2)
+    assert solution.status == "converged"
+    assert solution.primal / height == pytest.approx(potential, abs=1e-9 * PER_MM2 * height**2)
+    assert solution.mean_height() == pytest.approx(mean_height, abs=1e-6 * height)
+
+
+@pytest.mark.parametrize("weave_angle", [0.0, 25.0])
+def test_stiff_rings_lower_the_potential_by_half_their_compliance_along_the_stress(scene_tables, weave_angle):
+    tables = scene_tables(support={"kind": "corners"})
+    tables["curtain"]["weave_angle"] = weave_angle
+    law = default_law()
+    rigid, falls = solve_scene(read_scene(tables), law), []
+    for part in (1.0, 0.1):
+        strength = replace(law.strength, compliance=part * law.strength.compliance)
+        elastic = solve_scene(read_scene({**tables, "solver": ELASTIC}), replace(law, strength=strength))
+        assert elastic.status == "converged"
+        S = elastic.S @ getattr(elastic.problem.law, "to_weave", np.eye(3)).T
+        size = np.maximum(S[:, 0] + S[:, 2], 1e-12)
+        stored = 0.5 * elastic.problem.disc.weight @ (size**2 * strength.compliance_along(S + 1e-12 * np.eye(3)[0]))
+        falls.append((rigid.primal - elastic.primal) / stored)
+    assert falls == pytest.approx([1.0, 1.0], rel=0.1)
 
 
 @pytest.mark.parametrize("stiffness", [1e-1, 1e1, 1e3, 1e5])

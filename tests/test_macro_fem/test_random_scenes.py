@@ -9,6 +9,7 @@ import pytest
 
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
+from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
@@ -141,10 +142,18 @@ def check_agreement(found):
     if rigid.give == conic.give or max(rigid.give, conic.give) < 1.1e-4:
         assert max(rigid.dual, conic.dual) <= min(rigid.primal, conic.primal) + slack + 1e-6 * abs(rigid.primal)
     if rigid.status == "converged":
-        D, S = rigid.problem.law.compliance, rigid.S
-        stored = 0.5 * float(rigid.problem.disc.weight @ np.einsum("ni,i,ni->n", S, [1.0, 2.0, 1.0], S @ D.T))
         assert elastic.dual <= rigid.primal + slack
-        assert elastic.primal >= rigid.dual - stored * (1.0 + 1e-3) - slack
+        assert elastic.primal >= rigid.dual - 1.1 * stored(rigid) - slack  # between its rows d is known to a tenth
+
+
+def stored(rigid):
+    """Energy that rings store under the stress of a rigid curtain, half of w (S11 + S22)^2 d(S)."""
+    hung = rigid.problem.law
+    law, S = (hung.law, rigid.S @ hung.to_weave.T) if isinstance(hung, RotatedLaw) else (hung, rigid.S)
+    size = S[:, 0] + S[:, 2]
+    some = size > 1e-12 * size.max()
+    energy = 0.5 * size[some] ** 2 * law.strength.compliance_along(S[some])
+    return float(rigid.problem.disc.weight[some] @ energy)
 
 
 def check(seed, law):

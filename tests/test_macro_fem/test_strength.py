@@ -67,6 +67,7 @@ def test_a_strip_yields_at_the_line_load_of_its_table_row(weave, beta):
     assert told["safety_factor"] == pytest.approx(1.0 / told["utilisation_max"], rel=1e-12)
     assert told["utilisation_pointwise_max"] == pytest.approx(told["utilisation_max"], rel=1e-5)
     assert told["first_yield_near"] in ("support 1 (rail)", "load.bar 1 (bottom)")
+    assert told["utilisation_mesh_too_coarse"] is False  # an even load is its own average on any mesh
 
 
 def test_units_and_yield(strip):
@@ -90,6 +91,38 @@ def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_g
     assert fine["utilisation_max"] < 0.7 * fine["utilisation_pointwise_max"]
     assert fine["first_yield_near"] == "support 1 (corners)"
     assert "grows with every refinement" in fine["strength_note"]
+    assert [one["utilisation_mesh_too_coarse"] for one in (coarse, fine)] == [True, False]
+    told = {"support_forces": [], "strength_note": None}
+    assert "falls with refinement" in holds_line(coarse | told)
+    assert "falls with refinement" not in holds_line(fine | told)
+
+
+def square(scale=1.0, law=None, **curtain):
+    """The summary of a small square hung by its corners, all lengths times `scale`."""
+    side = {"width": 60.0 * scale, "height": 60.0 * scale, "areal_mass": 2.785}
+    mesh = {"cells": 6, "pattern": "crossed"}
+    tables = {"curtain": side | curtain, "support": {"kind": "corners"}, "mesh": mesh}
+    return summary(solve_scene(read_scene(tables), default_law() if law is None else law))
+
+
+def test_mirror_images_and_quarter_turns_bear_the_same():
+    left, right = square(weave_angle=25.0), square(weave_angle=-25.0)
+    assert left["utilisation_pointwise_max"] == pytest.approx(right["utilisation_pointwise_max"], rel=1e-3)
+    for key in ("utilisation_max", "collapse_factor"):
+        assert left[key] == pytest.approx(right[key], rel=0.02)  # averages are known to a part in 100 (`PIECES`)
+    once, twice = square(weave_angle=90.0), square(weave_angle=270.0)
+    assert once["utilisation_max"] == pytest.approx(twice["utilisation_max"], rel=1e-6)
+    assert once["utilisation_max"] != pytest.approx(square()["utilisation_max"], rel=1e-2)
+
+
+def test_ten_times_larger_rings_in_a_ten_times_larger_curtain_of_the_same_mass_bear_the_same():
+    """Line loads are ten times as large, and so is what the wire bears."""
+    law, known = default_law(), default_law().strength
+    cell = replace(law.cell, **{key: 10.0 * value for key, value in vars(law.cell).items() if key.endswith("_mm")})
+    strength = replace(known, first_yield=0.1 * known.first_yield, collapse=0.1 * known.collapse)
+    small, large = square(), square(10.0, replace(law, cell=cell, strength=strength))
+    for key in ("utilisation_max", "utilisation_pointwise_max", "collapse_factor"):
+        assert large[key] == pytest.approx(small[key], rel=1e-3)
 
 
 def test_the_largest_average_is_that_of_all_corners_of_the_mesh():

@@ -1,0 +1,168 @@
+"""Curtains of the examples in steel: what the rings give, and how their utilisation converges with the mesh.
+
+`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--out DIR]` writes steel.md. The rings are those of
+the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
+"""
+
+from dataclasses import replace
+from functools import partial
+from math import log2
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from benchmarks.machine import ROOT
+from benchmarks.report.files import write_page
+from benchmarks.report.measure import Row
+from benchmarks.report.records import Section, table
+from homogenize import default_law
+from homogenize.laws.giving import constant_compliance
+from homogenize.laws.polyhedral import PolyhedralLaw
+from macro_fem.curtain import solve_problem
+from macro_fem.job import solve
+from macro_fem.output.strength import summary, utilisation
+from macro_fem.scene.mesh import CurtainMesh, refine
+from macro_fem.scene.schema import Scene, load_scene
+from macro_fem.solution import CurtainSolution, make_problem
+from rve.common.tensor import trace
+
+EXAMPLES = ("corner_hung", "facade_panel", "gathered_with_bar", "passage", "round_net", "shop_front", "turned_weave")
+SIDES = (6.0, 3.0, 1.5)
+"""Sides in mm of the finest cells: half, a quarter and an eighth of the side of the averaging area."""
+HIGH = 0.7
+"""Cells are refined where the utilisation is above this part of the largest average."""
+COARSE = 0.5
+"""Cells of the mesh to begin with over those of the example."""
+ELASTIC_AT = 0.25
+"""Cells of the meshes of elastic curtains over those of the example."""
+FEWEST = 6
+TEXT = (
+    "The first table has rigid and elastic curtains on even meshes with a quarter of the cells of the scenes, and the "
+    "changes of the mean height against the rigid one. The second has the utilisation of rigid ones, which is that of "
+    "the line load averaged over one cell of the weave, 139 mm2: on the mesh of the scene, and on meshes whose finest "
+    "cells are as small as the head says, refined where the utilisation is high. Utilisation is 1 at first yield."
+)
+
+
+def with_one_compliance() -> PolyhedralLaw:
+    """The shipped law with the one compliance that fits that of its rings best, for all directions."""
+    law = default_law()
+    assert isinstance(law, PolyhedralLaw)
+    assert law.strength is not None
+    known = law.strength.stretched
+    fitted = constant_compliance(known.S, known.compliance, known.is_mirrored)
+    return replace(law, stiffness=np.linalg.inv(fitted), strength=None)
+
+
+def scene_of(name: str, part: float, kind: str = "rigid") -> Scene:
+    """An example with `part` of its cells, without bounds."""
+    scene = load_scene(ROOT / "examples" / f"{name}.toml")
+    cells = max(FEWEST, round(part * scene.mesh.cells))
+    solver = replace(scene.solver, kind=kind, bounds=False, adapt=0)
+    return replace(scene, mesh=replace(scene.mesh, cells=cells), solver=solver)
+
+
+def solved(name: str, part: float, kind: str = "rigid", law: Any = None) -> CurtainSolution:
+    """The curtain at full load."""
+    return solve(scene_of(name, part, kind), law).solution
+
+
+def giving_row(name: str) -> Row:
+    """How far the three answers of one example are apart."""
+    rigid, by_direction = (solved(name, ELASTIC_AT, kind) for kind in ("rigid", "elastic"))
+    constant = solved(name, ELASTIC_AT, "elastic", with_one_compliance())
+    S = by_direction.problem.disc.cell_mean(by_direction.S)
+    moved = [float(np.linalg.norm(one.x - rigid.x, axis=1).max()) for one in (constant, by_direction)]
+    return {
+        "example": name,
+        "cells": rigid.problem.disc.n_cells,
+        "status": ", ".join(sorted({one.status for one in (rigid, constant, by_direction)})),
+        "largest line load, N/mm": float(trace(S).max()),
+        "mean height rigid, mm": rigid.mean_height(),
+        "constant, mm": constant.mean_height() - rigid.mean_height(),
+        "by direction, mm": by_direction.mean_height() - rigid.mean_height(),
+        "farthest node, constant, mm": moved[0],
+        "farthest node, by direction, mm": moved[1],
+        "farthest node, constant to by direction, mm": float(np.linalg.norm(constant.x - by_direction.x, axis=1).max()),
+    }
+
+
+def refined(scene: Scene, mesh: CurtainMesh, side: float) -> CurtainSolution:
+    """The rigid curtain on a mesh whose cells are `side` mm small wherever the rings' utilisation is high."""
+    law = default_law()
+    while True:
+        found = solve_problem(make_problem(scene, law, mesh))
+        used = utilisation(found)
+        assert used is not None
+        is_coarse = np.sqrt(found.problem.disc.cell_area) > side
+        where = np.flatnonzero((used > HIGH * summary(found)["utilisation_max"]) & is_coarse)
+        if not len(where):
+            return found
+        mesh = refine(mesh, where, scene)
+
+
+def utilisation_row(name: str) -> Row:
+    """Utilisation of the example's own mesh and of ever finer ones, and the order that their differences show."""
+    scene = scene_of(name, 1.0)
+    own = solved(name, 1.0)
+    cells = float(np.sqrt(own.problem.disc.cell_area.mean()))
+    values, finest = [], own
+    mesh = solved(name, COARSE).problem.mesh
+    for side in SIDES:
+        finest = refined(scene, mesh, side)
+        mesh = finest.problem.mesh
+        values.append(summary(finest))
+    used = [float(one["utilisation_max"]) for one in values]
+    first, last = used[-2] - used[-3], used[-1] - used[-2]
+    return {
+        "example": name,
+        "side of its cells, mm": cells,
+        "its own mesh": float(summary(own)["utilisation_max"]),
+        **{f"{side:g} mm": value for side, value in zip(SIDES, used, strict=True)},
+        "order": log2(abs(first / last)) if first * last > 0.0 else None,
+        "last change": last / used[-1],
+        "safety factor": 1.0 / used[-1],
+        "near": values[-1]["first_yield_near"],
+        "pointwise": float(values[-1]["utilisation_pointwise_max"]),
+        "pointwise, last change": 1.0
+        - values[-2]["utilisation_pointwise_max"] / values[-1]["utilisation_pointwise_max"],
+        "cells": finest.problem.disc.n_cells,
+    }
+
+
+def measure(names: tuple[str, ...], finer: tuple[str, ...]) -> Section:
+    """Both tables."""
+    apart = [giving_row(name) for name in names]
+    fine = [utilisation_row(name) for name in finer]
+    lengths = dict.fromkeys((key for key in apart[0] if key.endswith(", mm")), ".3f")
+    return Section(
+        "Steel",
+        "",
+        (
+            table("Rigid and elastic rings", apart, lengths | {"largest line load, N/mm": ".3g"}),
+            table(
+                "Utilisation over the mesh",
+                fine,
+                {"order": ".2f", "last change": ".1%", "pointwise, last change": ".0%"},
+            ),
+        ),
+    )
+
+
+@click.command(help=__doc__)
+@click.option("--only", multiple=True, type=click.Choice(EXAMPLES), help="These examples; all by default.")
+@click.option("--fine", multiple=True, type=click.Choice(EXAMPLES), help="Refined ones; all of these by default.")
+@click.option("--out", type=click.Path(path_type=Path), default=ROOT / "docs" / "measured", help="Folder for steel.md.")
+def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path) -> None:
+    """Solve all and write steel.md."""
+    names = only or EXAMPLES
+    title = "The examples in steel: what rings give and how much they bear"
+    words = [*(f"--only {name}" for name in only), *(f"--fine {name}" for name in fine)]
+    command = " ".join(["python -m benchmarks.steel", *words])
+    write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names))
+
+
+if __name__ == "__main__":
+    main()

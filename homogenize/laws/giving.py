@@ -1,0 +1,251 @@
+"""Rings that give by direction: ideal locking with a compliance that depends on the direction of the load.
+
+Let d_i = S_i:D S_i be the compliance of the rings along the load of every half-space S_i:E <= h_i of a law. The law is
+
+    Psi(E) = min over E*, tau of  (E - E*):D0^-1:(E - E*)/2 + tau^2/2   subject to   S_i:E* - g_i tau <= h_i,
+
+with the floor D0, one compliance for all directions with S_i:D0 S_i <= FLOOR d_i, and g_i^2 = d_i - S_i:D0 S_i. Under
+t S_i the complementary energy is t h_i + t^2 d_i/2, or less where loads on both sides of S_i have less together: Psi is
+the largest convex energy that is nowhere above these. It is convex and differentiable whatever the d_i are, since D0 is
+positive definite, and its stress is a sum of the S_i, so tensile. d_i = S_i:D S_i with one D for all would be the
+constant compliance.
+
+With y = (R E, tau) as in `homogenize.laws.projection` this is the closest point of a polyhedron in four dimensions, of
+whose half-spaces at most four are active.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.projection import MAX_ROUNDS, TOLERANCE, ProjectionError, metric_of
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response
+from homogenize.laws.vertices import highest, outer_vertices
+from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT, disc, double_dot
+from rve.common.types import Array
+
+Index = NDArray[np.intp]
+
+LEAST_SHARE = 1e-3
+"""Eigenvalues of a compliance below this share of the largest are raised to it: no load direction is rigid."""
+FLOOR = 0.9
+"""The floor's largest part of the compliance along a load. Nearer to 1: the stiffest direction is left to the floor
+alone; smaller: the stress turns faster from one half-space to the next."""
+DEPENDENT = 1e-9
+"""Normals that are this near to the span of others count as dependent."""
+SAME = 1e-9
+"""Half-spaces nearer to each other than this are one."""
+BLOCK = 1024
+"""Points compared with all half-spaces at a time: 40 MB for five thousand of these."""
+LEVELS = 13
+"""Levels of tau between which support functions are interpolated."""
+SUBSETS = tuple(old for size in range(4) for old in combinations(range(4), size))
+"""Which of up to four active half-spaces stay when another one joins."""
+
+
+def constant_compliance(S: Array, work: Array, is_mirrored: bool) -> Array:
+    """A (3, 3) in tensor components, mm/N, whose S:A S is nearest to `work` (n,) > 0 in mm/N, at loads S (n, 3).
+
+    Least squares of the relative error; of a weave that is its own mirror image A does not couple shear to the other
+    components.
+    """
+    i, j = np.triu_indices(3)
+    if is_mirrored:
+        even = (i == 1) == (j == 1)
+        i, j = i[even], j[even]
+    terms = S[:, i] * S[:, j] * np.where(i == j, 1.0, 2.0)
+    A = np.zeros((3, 3))
+    A[i, j] = A[j, i] = np.linalg.lstsq(terms / work[:, None], np.ones(len(work)), rcond=None)[0]
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, LEAST_SHARE * values.max())
+    return np.asarray((vectors * values) @ vectors.T / WEIGHT[:, None])
+
+
+def work_along(S: Array, A: Array) -> Array:
+    """S:A S in mm/N for S (n, 3) and A (3, 3) or (n, 3, 3) in tensor components, (n,)."""
+    return np.asarray(double_dot(S, (A @ S[:, :, None])[:, :, 0]))
+
+
+@dataclass(frozen=True, eq=False)
+class GivingLaw:
+    """`law` whose rings give by direction: floor (3, 3) in tensor components, mm/N, and extra (m,), the roots g_i of
+    the law's half-spaces, in (mm/N)^0.5.
+
+    A membrane law for elastic curtains. Strains may have a fourth component, tau, by which `cut` widens every
+    half-space.
+    """
+
+    law: PolyhedralLaw
+    floor: Array
+    extra: Array
+
+    @property
+    def name(self) -> str:
+        """Name of the law."""
+        return self.law.name
+
+    @property
+    def cell(self) -> CellInfo | None:
+        """The rings behind the law."""
+        return self.law.cell
+
+    @property
+    def compliance(self) -> Array:
+        """The floor."""
+        return self.floor
+
+    def support(self, S: Array) -> Array:
+        """h(S) of the locked rings, see MembraneLaw."""
+        return self.law.support(S)
+
+    def half_spaces(self) -> HalfSpaces:
+        """Half-spaces to start with, see MembraneLaw."""
+        start = self.law.half_spaces()
+        return replace(start, extra=self.widening(start.S, start.h))
+
+    def widening(self, S: Array, h: Array) -> Array:
+        """g (n,) of half-spaces S (n, 3) of unit trace, h (n,): the law's own, or the largest, which holds for all."""
+        known = cKDTree(np.column_stack([disc(self.law.S), self.law.h]))
+        distance, which = known.query(np.column_stack([disc(S), h]))
+        return np.asarray(np.where(distance < SAME, self.extra[which], self.extra.max()))
+
+    def cut(self, E: Array) -> Cut:
+        """The most violated half-space of strains E (n, 3), or (n, 4) with tau, see MembraneLaw."""
+        E = E if E.shape[1] == 4 else np.column_stack([E, np.zeros(len(E))])
+        planes = np.column_stack([self.law.S * WEIGHT, -self.extra]).T
+        worst, violation = _worst(E, np.ascontiguousarray(planes), self.law.h)
+        return Cut(self.law.S[worst], self.law.h[worst], violation, self.extra[worst])
+
+    def response(self, E: Array) -> Response:
+        """Energy, stress and tangent; E_star is the strain E* of the minimum."""
+        metric = metric_of(np.asarray(np.linalg.inv(self.floor)))
+        normals = np.column_stack([self.law.S * WEIGHT @ metric.inverse, -self.extra])
+        y = np.column_stack([E @ metric.R.T, np.zeros(len(E))])
+        parts = [_projected(y[i : i + BLOCK], normals, self.law.h) for i in range(0, len(E), BLOCK)]
+        shift, span = (np.concatenate(one) for one in zip(*parts, strict=True))
+        S = shift[:, :3] @ metric.R / WEIGHT
+        C = metric.R.T @ span[:, :3, :3] @ metric.R / WEIGHT[:, None]
+        E_star = (y - shift)[:, :3] @ metric.inverse.T
+        return Response(0.5 * (shift**2).sum(axis=1), S, C, E_star)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The law, floor and roots as plain numbers; law files hold the strength, from which these follow."""
+        return self.law.to_dict() | {"floor_mm_per_N": self.floor.tolist(), "extra": self.extra.tolist()}
+
+    def compliance_along(self, S: Array, size: float) -> Array:
+        """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads
+        size S in N/mm, S (n, 3) of unit trace.
+
+        The largest of size H - tau^2/2 over tau, where H, the support function of half-spaces widened by tau, is
+        concave in tau and taken as linear between LEVELS of it.
+        """
+        tau = size * self.extra.max() * np.linspace(0.0, 1.0, LEVELS) ** 2
+        H = np.stack([highest(S, outer_vertices(self.law.S, self.law.h + one * self.extra)) for one in tau])
+        slope = np.diff(H, axis=0) / np.diff(tau)[:, None]
+        at = np.clip(size * slope, tau[:-1, None], tau[1:, None])
+        most = (size * (H[:-1] + slope * (at - tau[:-1, None])) - 0.5 * at**2).max(axis=0)
+        return np.asarray(2.0 * (most - size * H[0]) / size**2 + work_along(S, self.floor))
+
+
+def elastic_law(law: MembraneLaw) -> MembraneLaw:
+    """The law of an elastic curtain: with the compliance of its rings over the direction if it holds their strength,
+    else `law` itself, whose compliance is constant.
+
+    >>> from homogenize.laws.net import diagonal_net
+    >>> net = diagonal_net()
+    >>> elastic_law(net) is net
+    True
+    """
+    found = giving_law(law) if isinstance(law, PolyhedralLaw) else None
+    return law if found is None else found
+
+
+def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
+    """The law with the compliance that its strength holds over the direction; None if it holds none."""
+    strength = law.strength
+    if strength is None:
+        return None
+    known = strength.stretched
+    try:
+        work = strength.compliance_along(law.S)
+    except InputError:  # too few directions
+        return None
+    A = constant_compliance(known.S, known.compliance, known.is_mirrored)
+    along = work_along(law.S, A)
+    floor = FLOOR * float((work / along).min()) * A
+    return GivingLaw(law, floor, np.sqrt(work - work_along(law.S, floor)))
+
+
+def _worst(y: Array, planes: Array, h: Array) -> tuple[Index, Array]:
+    """Most violated of the half-spaces planes (4, m), h (m,) at y (n, 4), and by how much, (n,) each."""
+    index, excess = np.empty(len(y), np.intp), np.empty(len(y))
+    for start in range(0, len(y), BLOCK):
+        part = slice(start, start + BLOCK)
+        over = y[part] @ planes
+        over -= h
+        index[part] = over.argmax(axis=1)
+        excess[part] = over[np.arange(len(over)), index[part]]
+    return index, excess
+
+
+def _projected(y: Array, normals: Array, h: Array) -> tuple[Array, Array]:
+    """The way (n, 4) from the closest points to y (n, 4), and the projector (n, 4, 4) on the active normals.
+
+    ProjectionError if the iteration does not end. Each round adds the half-space that is violated most and keeps the
+    best of the subsets that hold it.
+    """
+    n, planes = len(y), np.ascontiguousarray(normals.T)
+    shift, span = np.zeros((n, 4)), np.zeros((n, 4, 4))
+    index, factor = np.zeros((n, 4), np.intp), np.zeros((n, 4))
+    todo = np.arange(n)
+    for _ in range(MAX_ROUNDS):
+        worst, excess = _worst(y[todo] - shift[todo], planes, h)
+        is_known = ((index[todo] == worst[:, None]) & (factor[todo] > 0.0)).any(axis=1)
+        out = (excess > TOLERANCE) & ~is_known
+        todo, worst = todo[out], worst[out]
+        if not todo.size:
+            return shift, span
+        chosen = _chosen(y[todo], normals, h, index[todo], factor[todo], worst)
+        grows = (chosen[0] ** 2).sum(axis=1) > (shift[todo] ** 2).sum(axis=1)  # no growth: the excess is rounding
+        todo = todo[grows]
+        for kept, found in zip((shift, span, index, factor), chosen, strict=True):
+            kept[todo] = found[grows]
+    raise ProjectionError(f"{len(todo)} closest points not found in {MAX_ROUNDS} rounds: use fewer, more distinct rows")
+
+
+def _chosen(
+    y: Array, normals: Array, h: Array, index: Index, old: Array, new: Index
+) -> tuple[Array, Array, Index, Array]:
+    """Shift, projector, half-spaces and multipliers of the best subset of index (n, 4) that holds `new` (n,)."""
+    n = len(y)
+    shift, span = np.zeros((n, 4)), np.zeros((n, 4, 4))
+    best, factor, energy = np.repeat(new[:, None], 4, axis=1), np.zeros((n, 4)), np.zeros(n)
+    for subset in SUBSETS:
+        rows = np.flatnonzero((old[:, list(subset)] > 0.0).all(axis=1))
+        if not len(rows):
+            continue
+        which = np.column_stack([index[rows][:, list(subset)], new[rows]])
+        N = normals[which].transpose(0, 2, 1)
+        Q, R = np.linalg.qr(N)
+        size = np.abs(np.einsum("nkk->nk", R))
+        good = (size > DEPENDENT * np.linalg.norm(N, axis=1)).all(axis=1)
+        R = np.where(good[:, None, None], R, np.eye(R.shape[1]))
+        excess = np.einsum("nik,ni->nk", N, y[rows]) - h[which]
+        across = np.linalg.solve(R.transpose(0, 2, 1), excess[:, :, None])
+        multiplier = np.linalg.solve(R, across)[:, :, 0]
+        s = (Q @ across)[:, :, 0]
+        work = (s**2).sum(axis=1)
+        good &= (multiplier >= 0.0).all(axis=1) & (work > energy[rows])
+        to, k = rows[good], which.shape[1]
+        shift[to], energy[to], span[to] = s[good], work[good], (Q @ Q.transpose(0, 2, 1))[good]
+        best[to], factor[to] = new[to, None], 0.0
+        best[to, :k], factor[to, :k] = which[good], multiplier[good]
+    return shift, span, best, factor

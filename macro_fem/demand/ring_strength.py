@@ -1,0 +1,93 @@
+"""The strength of rings that were asked for their law: at the directions asked, and where the curtain comes nearest to
+yield."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from homogenize import Rows, Strength, strength_of_table
+from macro_fem.demand.cache import RingCache
+from macro_fem.demand.loop import Demand
+from macro_fem.demand.ring_answers import Asked, ask
+from macro_fem.fem.rotated import RotatedLaw
+from macro_fem.output.strength import critical_load
+from macro_fem.progress import Say, silent
+from macro_fem.solution import CurtainSolution
+from rve import Cell, deformation_gradient, solve_table, with_rings
+from rve.common.errors import InputError
+from rve.common.tensor import disc, eigenvalues, mirror
+from rve.common.types import Array
+
+LOOKS = 4
+"""How often the rings are asked at the load that comes nearest to yield: the place may move with every answer."""
+NEAR = 0.01
+"""Directions of the unit disc nearer than this to a known one are not asked for."""
+
+
+def with_strength(found: Demand, cell: Cell, cache: RingCache, say: Say = silent) -> Demand:
+    """`found` with a law that knows the strength of its rings, of the cell's material; as it is if none can be made.
+
+    It is exact at the directions that were asked, and at that of the largest utilisation of the curtain.
+    """
+    rows = found.law.rows
+    strength = strength_of_rows(rows, cell)
+    for _ in range(LOOKS):
+        say(f"asking the rings for their strength, {len(strength.S)} loads known")
+        told = _told(found, strength)
+        try:
+            load = critical_load(told.level.solution)
+        except InputError:  # too few loads, or on one side
+            return found
+        if load is None or _distance(rows, load) < NEAR:
+            break
+        asked = ask(cell, cache, disc(load[None] / (load[0] + load[2])), Asked(np.zeros((0, 2))))
+        if asked.rows is None:
+            break
+        rows, strength = rows.join([asked.rows]), joined(strength, strength_of_rows(asked.rows, cell))
+    return told
+
+
+def joined(one: Strength, other: Strength) -> Strength:
+    """The strength at the loads of both, with the error of `one`."""
+    names = ("S", "cauchy", "first_yield", "collapse", "compliance")
+    both: dict[str, Any] = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
+    return replace(one, **both)
+
+
+def strength_of_rows(rows: Rows, cell: Cell) -> Strength:
+    """The strength at the loads of rows, each solved again under the Cauchy load that locks the cell in its strain."""
+    F = deformation_gradient(rows.E)
+    S = rows.S[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    s = (F @ S @ F.transpose(0, 2, 1)).reshape(-1, 4)[:, [0, 1, 3]]
+    low, high = eigenvalues(s)
+    alpha = 0.5 * np.degrees(np.arctan2(2.0 * s[:, 1], s[:, 0] - s[:, 2]))
+    beta = np.degrees(np.arctan2(np.maximum(low, 0.0), high))
+    found = strength_of_table(with_rings(solve_table(cell, (alpha, beta)), cell))
+    assert found is not None  # the table has the columns
+    return found
+
+
+def _told(found: Demand, strength: Strength) -> Demand:
+    """`found` with this strength in its law and in that of its curtain."""
+    law = replace(found.law, inner=replace(found.law.inner, strength=strength))  # type: ignore[type-var]
+    law = replace(law, law=law.inner if found.law.law is found.law.inner else law.law)
+    return replace(found, law=law, level=replace(found.level, solution=_knowing(found.level.solution, strength)))
+
+
+def _knowing(solution: CurtainSolution, strength: Strength) -> CurtainSolution:
+    hung = solution.problem.law
+    if isinstance(hung, RotatedLaw):
+        hung = replace(hung, law=replace(hung.law, strength=strength))  # type: ignore[type-var]
+    else:
+        hung = replace(hung, strength=strength)  # type: ignore[type-var]
+    return replace(solution, problem=replace(solution.problem, law=hung))
+
+
+def _distance(rows: Rows, load: Array) -> float:
+    """How far a load (3,) is from the nearest direction of the rows, in the unit disc."""
+    S = np.vstack([rows.S, mirror(rows.S)]) if rows.is_mirrored else rows.S
+    x = disc(load[None] / (load[0] + load[2]))
+    return float(np.hypot(*(disc(S) - x).T).min())
