@@ -3,4 +3,4 @@
 from macro_fem.cli import main
 
 if __name__ == "__main__":
-    main(prog_name="macro-fem")
+    main(prog_name="python -m macro_fem")

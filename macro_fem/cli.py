@@ -13,7 +13,6 @@ from rve.common.command_line import Group
 
 
 @click.group(cls=Group)
-@click.version_option(package_name="ring-mesh")
 def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
 
@@ -64,8 +63,8 @@ def run(
 
     asked = ring_options(**rings)
     with progress_line() as say:
-        looks = {"picture": picture, "animation": animation, "html": html}
-        summary = run_scene(scene, law_path, out, **looks, table=table, say=say, **asked)
+        asked |= {"picture": picture, "animation": animation, "html": html}
+        summary = run_scene(scene, law_path, out, table=table, say=say, **asked)
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "

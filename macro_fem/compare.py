@@ -11,6 +11,7 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.every_ring import RingScene, ring_scene
+from macro_fem.fem.space import padded
 from macro_fem.job import solve
 from macro_fem.progress import Say, silent
 from macro_fem.scene.schema import Scene, load_scene
@@ -85,10 +86,10 @@ class Comparison:
         """See `summary`."""
         nodes = self.disk.problem.disc.nodes
         X = self.rings.mesh.X
-        x = LinearNDInterpolator(nodes, self.disk.x[:, :2])(X)
+        x = LinearNDInterpolator(nodes, self.disk.x)(X)
         lost = ~np.isfinite(x).all(axis=1)
-        x[lost] = NearestNDInterpolator(nodes, self.disk.x[:, :2])(X[lost])
-        away = self.solution.centre - np.column_stack([x, np.zeros(len(x))])
+        x[lost] = NearestNDInterpolator(nodes, self.disk.x)(X[lost])
+        away = self.solution.centre - padded(x)
         area = self.rings.mesh.area
         return float(np.sqrt((area * (away**2).sum(axis=1)).sum() / area.sum()))
 
@@ -111,13 +112,14 @@ class Comparison:
         t = disk.problem.mesh.mesh.t
         cells = part(disk.problem.mesh.mesh.p[:, t].mean(axis=1).T)
         weight = disk.problem.disc.weight.reshape(disk.problem.disc.n_quad, -1).sum(axis=0)
-        P = disk.problem.disc.cell_mean(disk.P).reshape(len(weight), -1)
+        P = np.zeros((len(weight), 3, 2))
+        P[:, : disk.problem.fem.d] = disk.problem.disc.cell_mean(disk.P)
         total = np.bincount(cells, weight, minlength=n)
-        sums = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.T], axis=1)
+        sums = np.stack([np.bincount(cells, weight * column, minlength=n) for column in P.reshape(-1, 6).T], axis=1)
         theirs = sums / np.maximum(total, 1e-300)[:, None]
         there = (area > 0.0) & (total > 0.0)
-        away = ours[:, :2].reshape(n, 4) - theirs[:, :4]
-        own = area[there] @ (away[there] ** 2).sum(axis=1) + area[there] @ (ours[there, 2] ** 2).sum(axis=1)
+        away = ours.reshape(n, 6) - theirs
+        own = area[there] @ (away[there] ** 2).sum(axis=1)
         return float(np.sqrt(own / (area[there] @ (theirs[there] ** 2).sum(axis=1))))
 
 

@@ -52,7 +52,9 @@ class RingScene:
     groups: tuple[tuple[str, np.ndarray], ...]
 
     def solve(self, *, space: bool, options: FiniteOptions | None = None, say: Say = silent) -> FiniteSolution:
-        """The rings in equilibrium; InputError that names the scene where they cannot be."""
+        """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be."""
+        if self.scene.in_space and not space:
+            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
         count = 0
 
         def tell(record: Any) -> None:
@@ -129,7 +131,10 @@ def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
     disc = discretize(fem.mesh, "P1")
     weight = weight_per_area(scene, info)
     everything = nodal_forces(scene, fem, disc, info)
-    supports = pin_sliding(build_supports(scene, fem, disc), disc, everything, scene.source)
+    supports = build_supports(scene, fem, disc)
+    if supports.sliding is not None:
+        raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
+    supports = pin_sliding(supports, disc, everything, scene.source)
     live = everything - load_vector(disc, weight)
     ring = cKDTree(mesh.X).query(disc.nodes)[1]
     n = len(mesh.X)

@@ -3,8 +3,8 @@
 With T = (E11 + E22)/2, D = (E11 - E22)/2, G = E12 and a load of unit trace as (p, q) = (S11 - S22, 2 S12) a half-space
 reads T + p D + q G <= h. Which one is violated most depends on (D, G) alone: the highest plane p D + q G - h there. A
 grid over (D, G) lists, for each cell, every plane that is highest somewhere in it. Cells with more than FEW planes are
-cut again; those that still have more lie around a vertex and get lists of up to MANY. For points off the grid, and in
-cells with more than MANY planes, all planes are compared.
+cut again; those that still have more lie around a vertex and get lists of up to MANY. In cells with more than MANY
+planes all of these are compared, for points off the grid all planes of the law.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ FEW, MANY = 6, 32
 """Planes listed in a plain cell, and in a cell near a vertex. Longer lists cost time in every call."""
 SEARCH_BLOCK = 256
 """Points compared with all planes at a time: more need more memory."""
+OFF = np.iinfo(np.intp).min
+"""Stands for "off the grid" where others are lists of planes."""
 RECTANGLES = 64
 """Rectangles searched at a time: more do not fit into the processor's cache."""
 
@@ -35,7 +37,7 @@ class Envelope:
 
     `cut` (first cells,) is -1, or the number of the first of the smaller cells of a cell. For all cells: `few`
     (cells, FEW) lists plane numbers, `slots` (3, FEW, cells) their coefficients; `crowd` (cells,) is -1, or the row of
-    `many` (crowded, MANY) that lists the planes instead, or -2 where there are too many.
+    `many` (crowded, MANY) that lists the planes instead, or -2 - k where `most`[k] lists them, as there are too many.
     """
 
     planes: Array
@@ -46,6 +48,7 @@ class Envelope:
     slots: Array
     crowd: Index
     many: Index
+    most: tuple[Index, ...]
 
     def highest(self, E: Array) -> tuple[Index, Array]:
         """Most violated half-space and its S:E - h at E (3, n), each (n,)."""
@@ -58,9 +61,12 @@ class Envelope:
             slot[value > best] = k
             np.maximum(best, value, out=best)
         index = self.few.ravel().take(cell * FEW + slot)
-        crowd = np.where(on_grid, self.crowd.take(cell), -2)
+        crowd = np.where(on_grid, self.crowd.take(cell), OFF)
         self._look_closer(np.flatnonzero(crowd >= 0), crowd, D, G, index, best)
-        self._search(np.flatnonzero(crowd == -2), D, G, index, best)
+        wide = np.flatnonzero(crowd < -1)
+        for number in np.unique(crowd[wide]):
+            among = None if number == OFF else self.most[-2 - number]
+            self._search(wide[crowd[wide] == number], among, D, G, index, best)
         return index, T + best
 
     def _cell(self, D: Array, G: Array) -> tuple[Index, NDArray[np.bool_]]:
@@ -83,16 +89,18 @@ class Envelope:
         top, row = height.argmax(axis=1), np.arange(len(points))
         index[points], best[points] = near[row, top], height[row, top]
 
-    def _search(self, points: Index, D: Array, G: Array, index: Index, best: Array) -> None:
-        """Enters the highest of all planes into index and best."""
+    def _search(self, points: Index, among: Index | None, D: Array, G: Array, index: Index, best: Array) -> None:
+        """Enters the highest of the planes `among` (k,), or of all, into index and best."""
+        planes = self.planes if among is None else self.planes[among]
         for start in range(0, len(points), SEARCH_BLOCK):
             part = points[start : start + SEARCH_BLOCK]
             # no matrix product: three columns are not worth waking the threads of BLAS, 20 ms against 3 ms
-            height = D[part, None] * self.planes[:, 0]
-            height += G[part, None] * self.planes[:, 1]
-            height += self.planes[:, 2]
-            index[part] = height.argmax(axis=1)
-            best[part] = height[np.arange(len(part)), index[part]]
+            height = D[part, None] * planes[:, 0]
+            height += G[part, None] * planes[:, 1]
+            height += planes[:, 2]
+            top = height.argmax(axis=1)
+            index[part] = top if among is None else among[top]
+            best[part] = height[np.arange(len(part)), top]
 
 
 def envelope_of(S: Array, h: Array, box: Array) -> Envelope:
@@ -116,12 +124,18 @@ def envelope_of(S: Array, h: Array, box: Array) -> Envelope:
     few = np.array([np.resize(one, FEW) for one in lists], np.intp)
     crowd = np.full(len(lists), -1)
     many: list[Index] = []
+    most: list[Index] = []
     for cell, one in enumerate(lists):
-        if len(one) > FEW:
-            crowd[cell] = -2 if len(one) > MANY else len(many)
-            many += [np.resize(one, MANY)] if len(one) <= MANY else []
+        if len(one) > MANY:
+            crowd[cell] = -2 - len(most)
+            most.append(one)
+        elif FEW < len(one) <= MANY:
+            crowd[cell] = len(many)
+            many.append(np.resize(one, MANY))
     slots = np.ascontiguousarray(planes.T[:, few.T])
-    return Envelope(planes, box[0], 1.0 / size, cut, few, slots, crowd, np.array(many, np.intp).reshape(-1, MANY))
+    return Envelope(
+        planes, box[0], 1.0 / size, cut, few, slots, crowd, np.array(many, np.intp).reshape(-1, MANY), tuple(most)
+    )
 
 
 def corners(shape: tuple[int, int]) -> Array:

@@ -130,19 +130,10 @@ def bound(
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
     solution = linear_part(solution, factor, outer)
     problem = solution.problem
-    dual = dual_problem(solution, factor, options)
-    fem = dual.fem
-    start = fem.unknowns(_at_dual_nodes(slackened(solution, options.inward), dual.dual))
-    path = PathOptions(
-        gap=options.gap,
-        violation=options.violation,
-        max_iterations=problem.scene.solver.max_iterations,
-        cones=solution.cones,
-        drawn=False,
-    )
-    load = fem.gather(dual.force)
-    result = solve_path(fem, problem.law, load, start, problem.mesh.size, path, walls=dual.walls)
-    held = fem.positions(np.zeros(fem.n))
+    dual, result = _solved(solution, factor, options)
+    if result.stop == "infeasible":
+        dual, result = _solved(solution, factor, replace(options, inward=1.0))
+    held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
     lower = value - tether_cost - dual.point_load_cost + float((problem.force * problem.fem.reference).sum())
@@ -160,6 +151,27 @@ def bound(
         law_part=None if loads is None else min(loads.law_part, upper - lower),
         loads=loads,
     )
+
+
+def _solved(solution: CurtainSolution, factor: float, options: BoundOptions) -> tuple[DualProblem, PathResult]:
+    """The hybrid problem of a P1 solution and its answer.
+
+    Edges around points are held where the P1 curtain is, drawn `inward`. The P1 part of a P2 curtain may leave the law
+    by more than that where points are close, so that these places are out of reach; those of the slack start are not.
+    """
+    problem = solution.problem
+    dual = dual_problem(solution, factor, options)
+    fem = dual.fem
+    start = fem.unknowns(_at_dual_nodes(slackened(solution, options.inward), dual.dual))
+    path = PathOptions(
+        gap=options.gap,
+        violation=options.violation,
+        max_iterations=problem.scene.solver.max_iterations,
+        cones=solution.cones,
+        drawn=False,
+    )
+    load = fem.gather(dual.force)
+    return dual, solve_path(fem, problem.law, load, start, problem.mesh.size, path, walls=dual.walls)
 
 
 def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | None) -> CurtainSolution:

@@ -38,7 +38,8 @@ class Looks:
         self.check_packages()
         if self.animation and scene.load.steps < 2:
             raise InputError(
-                f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or leave out --animation"
+                f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or leave out "
+                "--animation"
             )
         if scene.in_space:
             for name in self._drawn:

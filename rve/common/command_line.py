@@ -69,9 +69,13 @@ class Command(click.Command):
 
 
 class Group(click.Group):
-    """A click group whose commands are all `Command`s."""
+    """A click group whose commands are all `Command`s, with `--version`."""
 
     command_class = Command
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        click.version_option(package_name="ring-mesh")(self)
 
 
 def ending(error: BaseException) -> tuple[int, str]:

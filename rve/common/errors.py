@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
 
 
@@ -30,10 +31,21 @@ SENTENCES = {
 
 
 def require(module: str, extra: str, purpose: str, instead: str = "") -> None:
-    """InputError if an optional package is missing; it says which extra brings it, and what else can be done.
+    """InputError if an optional package is missing; it says how to install it, and what else can be done.
+
+    The package is named and not our extra alone: no package index need hold this project.
 
     >>> require("numpy", "plots", "pictures")
     """
     if find_spec(module) is None:
         way_out = f", or {instead}" if instead else ""
-        raise InputError(f"{purpose} needs {module}: run pip install '.[{extra}]' in the project's folder{way_out}")
+        raise InputError(f"{purpose} needs {module}: run pip install '{_requirement(module)}' (extra {extra}){way_out}")
+
+
+def _requirement(module: str) -> str:
+    """Package and version that our metadata ask for."""
+    try:
+        asked = requires("ring-mesh") or []
+    except PackageNotFoundError:
+        return module
+    return next((one.split(";")[0].strip() for one in asked if one.startswith(module)), module)

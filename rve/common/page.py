@@ -36,7 +36,9 @@ def write_page(path: str | os.PathLike[str], view: View) -> None:
 
     settings = {"displaylogo": False, "responsive": True, "scrollZoom": True}
     figure = {"data": _traces(view), "layout": _layout(view)}
-    text = to_html(figure, config=settings, include_plotlyjs=True, full_html=True, validate=False, default_height="100vh")
+    text = to_html(
+        figure, config=settings, include_plotlyjs=True, full_html=True, validate=False, default_height="100vh"
+    )
     head = f'<head><title>{_plain(view.title)}</title><link rel="icon" href="data:,">'
     style = "<style>body{margin:0}</style>"
     write_text(path, text.replace("<head>", head + style, 1))
@@ -59,8 +61,18 @@ def _surface(part: Surface, scale: Scale | None) -> dict[str, Any]:
     i, j, k = map(_packed, part.triangles.T)
     trace = {
         **{"type": "mesh3d", "name": part.name, "x": z, "y": x, "z": y, "i": i, "j": j, "k": k},
-        **{"opacity": part.opacity if part.opacity < SEEN_THROUGH else 1.0, "showlegend": part.in_legend, "flatshading": not part.is_smooth, "showscale": False},
-        **{"lighting": _light(part), "color": part.colour, "hoverinfo": "name", "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5}},
+        **{
+            "opacity": part.opacity if part.opacity < SEEN_THROUGH else 1.0,
+            "showlegend": part.in_legend,
+            "flatshading": not part.is_smooth,
+            "showscale": False,
+        },
+        **{
+            "lighting": _light(part),
+            "color": part.colour,
+            "hoverinfo": "name",
+            "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5},
+        },
     }
     if part.values is None or scale is None:
         return trace

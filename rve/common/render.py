@@ -56,7 +56,8 @@ def render(path: str | os.PathLike[str], views: Sequence[View]) -> None:
         if run.returncode:
             last = (run.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
             raise NotConverged(
-                f"{path}: the renderer ended with code {run.returncode} ({last}); install libosmesa6 or ask for no picture"
+                f"{path}: the renderer ended with code {run.returncode} ({last}); install libosmesa6 or ask for "
+                "no picture"
             )
 
 
@@ -124,9 +125,7 @@ def _add(plotter: Any, part: Surface | Lines, scale: Scale | None) -> None:
         return
     mesh.point_data["shown"] = scale.share(values).astype(np.float32)
     style |= {"above_color": scale.over} if scale.is_exceeded else {}
-    plotter.add_mesh(
-        mesh, scalars="shown", cmap=_colour_map(scale), clim=(0.0, 1.0), show_scalar_bar=False, **style
-    )
+    plotter.add_mesh(mesh, scalars="shown", cmap=_colour_map(scale), clim=(0.0, 1.0), show_scalar_bar=False, **style)
 
 
 def _poly(points: Array, triangles: Any) -> Any:
@@ -156,7 +155,9 @@ def _tubes(part: Lines) -> Any:
     points = part.points[:, :, None] + part.radius * (np.cos(t) * e1[:, :, None] + np.sin(t) * e2[:, :, None])
     here = np.arange(k - 1)[:, None] * AROUND + np.arange(AROUND)
     right = np.roll(here, -1, axis=1)
-    one = np.concatenate([np.stack([here, right, right + AROUND], -1), np.stack([here, right + AROUND, here + AROUND], -1)])
+    one = np.concatenate(
+        [np.stack([here, right, right + AROUND], -1), np.stack([here, right + AROUND, here + AROUND], -1)]
+    )
     start = k * AROUND * np.arange(n)[:, None, None]
     return _poly(points.reshape(-1, 3), (one.reshape(1, -1, 3) + start).reshape(-1, 3))
 

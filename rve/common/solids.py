@@ -1,4 +1,7 @@
-"""Triangulated solids for pictures: spheres, cylinders, boxes, arrows, a person. Points (p, 3) in mm, triangles (t, 3)."""
+"""Triangulated solids for pictures: spheres, cylinders, boxes, arrows, a person.
+
+A solid is points (p, 3) in mm and triangles (t, 3).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,9 @@ def turned_profile(start: Array, end: Array, profile: Array, count: int = 24) ->
     points = start + profile[:, :1, None] * along + profile[:, 1:, None] * out
     here = np.arange(len(profile) - 1)[:, None] * count + np.arange(count)
     right = np.roll(here, -1, axis=1)
-    triangles = np.concatenate([np.stack([here, right, right + count], -1), np.stack([here, right + count, here + count], -1)])
+    triangles = np.concatenate(
+        [np.stack([here, right, right + count], -1), np.stack([here, right + count, here + count], -1)]
+    )
     return points.reshape(-1, 3), triangles.reshape(-1, 3)
 
 

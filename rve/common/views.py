@@ -129,7 +129,10 @@ class Lines:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Looks along `direction` (3,) with `up` (3,); what is in the box around `focus` points (p, 3) fills the picture."""
+    """Looks along `direction` (3,) with `up` (3,); the box around the points `focus` (p, 3) fills the picture.
+
+    Without focus it is the box around all parts of the view.
+    """
 
     name: str
     direction: tuple[float, float, float]

@@ -38,9 +38,10 @@ _CELL_FIELDS = {
 class Curtain:
     """A solved curtain in its own axes.
 
-    X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner numbers; cell (t,): cell of each triangle
-    (quadrilaterals are cut in two); per cell the strain E (c, 3), the line load S (c, 3) in N/mm averaged over
-    neighbours, the largest principal line load (c,) and the state (c,): 0 slack, 1 drawn in one direction, 2 taut.
+    X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner
+    numbers; cell (t,): cell of each triangle (quadrilaterals are cut in two); per cell the strain E (c, 3), the line
+    load S (c, 3) in N/mm averaged over neighbours, the largest principal line load (c,) and the state (c,): 0 slack,
+    1 drawn in one direction, 2 taut.
     """
 
     X: Array

@@ -107,9 +107,9 @@ class RingField:
     ) -> dict[str, Any]:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
-        `tubes`: write tori instead of centre lines; `html`: rings.html, which turns in a browser. All files appear together, and what they replace is gone
-        (`rve.common.jobs`). InputError where they cannot be written or would overwrite one of `inputs`; NotConverged
-        if the picture cannot be drawn, the other files are written then.
+        `tubes`: write tori instead of centre lines; `html`: rings.html, which turns in a browser. All files appear
+        together, and what they replace is gone (`rve.common.jobs`). InputError where they cannot be written or would
+        overwrite one of `inputs`; NotConverged if the picture cannot be drawn, the other files are written then.
         """
         if picture:
             require("pyvista", "three-d", "rings.png", "ask for --no-picture")

@@ -8,6 +8,7 @@ rotation, which never turns a cell over.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rve.common.cells import mean_at_corners
 from rve.common.types import Array
@@ -32,7 +33,7 @@ def rotation_angle(F: Array) -> Array:
     return np.arctan2(F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1])
 
 
-def turns(curtain: Curtain, triangle: Array, E: Array, axes: Array) -> Array:
+def turns(curtain: Curtain, triangle: NDArray[np.intp], E: Array, axes: Array) -> Array:
     """Matrices (n, 3, 3) that carry poses of strain E (n, 3), in the weave's axes and the frame of the rotation rule
     (5), into the axes of the curtain, along with the triangles (n,).
 
@@ -59,7 +60,7 @@ def about_normal(angle: Array) -> Array:
     return np.stack([np.stack([c, -s, zero], 1), np.stack([s, c, zero], 1), np.stack([zero, zero, one], 1)], 1)
 
 
-def _frames(curtain: Curtain, triangle: Array, axes: Array) -> Array:
+def _frames(curtain: Curtain, triangle: NDArray[np.intp], axes: Array) -> Array:
     """Rotations R (n, 3, 3) of the triangles, seen from the weave's axes."""
     F = deformation(curtain)
     if F.shape[1] == 2:

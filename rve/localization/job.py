@@ -28,8 +28,8 @@ from rve.localization.curtain import (
 )
 from rve.localization.field import RECORD, RingField, WorstCell
 from rve.localization.forces import cauchy_of, cell_forces, largest_forces
-from rve.localization.poses import LockedArrangements, PoseOptions, locked_arrangements, nearest_poses
 from rve.localization.frames import turns
+from rve.localization.poses import LockedArrangements, PoseOptions, locked_arrangements, nearest_poses
 from rve.localization.rings import Sites, axes_of_weave, find_sites, fit_of, place_rings
 
 

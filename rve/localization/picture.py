@@ -143,7 +143,7 @@ def draw(folder: Path) -> None:
     radii = (summary["r1_mm"], summary["r2_mm"])
     force = np.asarray(data["contact_force_N"], dtype=float)
     top = top_force(force)
-    at = np.argmin(((data["reference_mm"][:, :2] - summary["worst_cell"]["reference_mm"]) ** 2).sum(axis=1))
+    at = int(np.argmin(((data["reference_mm"][:, :2] - summary["worst_cell"]["reference_mm"]) ** 2).sum(axis=1)))
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=[1600, 800], border=False)
     plotter.set_background("white")
     plotter.subplot(0, 0)

@@ -14,6 +14,7 @@ import meshio
 import numpy as np
 
 from homogenize.io import load_law, save_law
+from homogenize.laws.cloth import ClothLaw
 from homogenize.laws.net import ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
 from macro_fem.scene.mesh import build_mesh
@@ -111,8 +112,33 @@ tolerance = 1e-8
 """
 
 
+SPACE = """
+[curtain]
+width = 100.0
+height = 80.0
+[mesh]
+cells = 4
+[[support]]
+kind = "rail"
+[[support]]
+kind = "edge"
+edge = "bottom"
+held = "yz"
+move = [0.0, 80.0, 50.0]
+[load]
+gravity = [0.5, -9.81, -1.0]
+point = {at = [50, 40], force = [0.0, 0.1, 0.2]}
+[[load.wind]]
+pressure = 20.0
+direction = [0.0, 0.0, 1.0]
+[solver]
+space = true
+"""
+
+
 def make_scenes(folder):
     (folder / "outline.toml").write_text(SCENE)
+    (folder / "space.toml").write_text(SPACE)
     for path in (ROOT / "examples").glob("*.toml"):
         (folder / path.name).write_bytes(path.read_bytes())
 
@@ -297,6 +323,10 @@ TARGETS = {
     "table": Target(make_table, lambda folder: read_table(folder / "table.csv")),
     "law-polyhedral": Target(
         lambda folder: save_law(law(), folder / "law.json"), lambda folder: load_law(folder / "law.json")
+    ),
+    "law-cloth": Target(
+        lambda folder: save_law(ClothLaw(law().cell), folder / "law.json"),
+        lambda folder: load_law(folder / "law.json"),
     ),
     "law-net": Target(
         lambda folder: save_law(ring_net(law().cell), folder / "law.json"),

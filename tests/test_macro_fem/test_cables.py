@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from macro_fem.curtain import solve_scene
+from macro_fem.every_ring import ring_scene
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 
@@ -140,3 +141,11 @@ def test_a_curtain_that_could_hang_from_a_point_is_within_reach(ring_like, scene
     solution = solve_scene(scene, ring_like)
     assert solution.status == "converged"
     assert solution.mean_height() == pytest.approx(50.0, abs=1e-3)
+
+
+def test_rings_one_by_one_do_not_slide_on_a_sloping_line(scene_tables):
+    along = [[0.0, 25.0, 0.0], [40.0, 25.0, 30.0]]
+    top = {"kind": "edge", "edge": "top", "along": along, "sliding": True}
+    scene = read_scene({**scene_tables(width=44.0, height=25.0), "support": top})
+    with pytest.raises(InputError, match=r"scene: \[support\] sliding = true: rings slide along x, y or z"):
+        ring_scene(scene)

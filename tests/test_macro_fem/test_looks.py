@@ -1,5 +1,7 @@
 """What a curtain is looked at by: views in space against the solution, and which files are written."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -9,7 +11,11 @@ import rve
 from macro_fem.cli import main
 from macro_fem.output import looks
 from macro_fem.output.looks import frames
-from macro_fem.output.space_view import Frame, curtain_view, patches, pulls, summed_up
+from macro_fem.output.space_bodies import SHRUNK, ground_level, obstacles
+from macro_fem.output.space_forces import patches, pulls, pushes, summed_up
+from macro_fem.output.space_view import PUSH, Frame, curtain_view
+from macro_fem.scene.obstacles import Box, Cylinder, Floor, Sphere, Wall
+from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError, NotConverged
 
 HAMMOCK = {
@@ -82,6 +88,62 @@ def test_patches_hold_every_point_once():
     found = patches(points, 14)
     assert len(found) == 14
     assert sorted(np.concatenate(found).tolist()) == list(range(57))
+
+
+def among(solution, *obstacles, factor=1.0):
+    """The solution as if these obstacles were in its scene, after `factor` of their moves."""
+    scene = replace(solution.problem.scene, obstacle=obstacles)
+    return replace(solution, problem=replace(solution.problem, scene=scene, factor=factor))
+
+
+def test_obstacles_are_drawn_where_they_are_at_this_load_step(hammock):
+    """A little smaller than they are, moved by their share, and cut off at the ground and far from the curtain."""
+    move, room, ground = (10.0, -20.0, 30.0), np.array([[0.0, 0.0, 0.0], [240.0, 300.0, 150.0]]), -40.0
+    less = SHRUNK * float(np.linalg.norm(room[1]))
+    shift = 0.5 * np.array(move)
+    bodies = (
+        Sphere((50.0, 60.0, 70.0), 25.0, move, "ball"),
+        Cylinder((0.0, 0.0, 2.0), 15.0, (1.0, 2.0, 3.0), move, "rod"),
+        Box((-9000.0, -500.0, 20.0), (9100.0, 600.0, 30.0), move, "house"),
+        Wall((0.0, 0.0, 3.0), (0.0, 0.0, -5.0), move, "back"),
+        Floor(-40.0),
+    )
+    drawn = obstacles(among(hammock.solution, *bodies, factor=0.5), room, ground)
+    assert [one.name for one in drawn] == ["ball", "rod", "house", "back"]
+    ball, rod, house, back = (one.points for one in drawn)
+    np.testing.assert_allclose(np.linalg.norm(ball - [50.0, 60.0, 70.0] - shift, axis=1), 25.0 - less, atol=1e-9)
+    away = np.linalg.norm((rod - [1.0, 2.0, 3.0] - shift)[:, :2], axis=1)
+    np.testing.assert_allclose(away[away > 1.0], 15.0 - min(less, 1.5), atol=1e-9)
+    assert rod[:, 2].min() < 0.0 < 150.0 < rod[:, 2].max() < 200.0
+    low, high = house.min(axis=0), house.max(axis=0)
+    np.testing.assert_allclose(high, np.array([100.0, 100.0, 50.0]) + shift - less, atol=1e-9)
+    assert low[0] > -240.0
+    assert low[1:].tolist() == pytest.approx([ground, 20.0 + shift[2] + less])
+    np.testing.assert_allclose(back[:, 2], -5.0 + shift[2] - less, atol=1e-9)
+    assert ground_level(among(hammock.solution, Floor(-3.0, (0.0, 8.0)), factor=0.5), room) == 1.0
+    assert "ground is drawn" not in " ".join(curtain_view(among(hammock.solution, Floor(-40.0))).notes)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """An obstacle of a kind that has no drawing."""
+
+    name: str = "cone"
+    move: tuple[float, ...] = (0.0, 0.0)
+
+
+def test_an_unknown_obstacle_is_shown_where_it_pushes_and_arrows_add_up(hammock):
+    solution = among(hammock.solution, Cone())
+    nodes = np.arange(5, 25)
+    normal = np.tile([0.6, 0.8, 0.0], (20, 1))
+    walls = Walls(nodes, normal, np.zeros(20))
+    force = np.linspace(0.0, 3.0, 20)
+    pushed = replace(solution, problem=replace(solution.problem, walls=walls), wall_forces=force)
+    assert np.linalg.norm(pushes(pushed)[1].sum(axis=0)) == pytest.approx(30.0)
+    plates = part(curtain_view(pushed), "cone").points.reshape(19, -1, 3)  # the first node is not pushed
+    np.testing.assert_allclose(np.linalg.norm(plates.mean(axis=1) - pushed.x[nodes[1:]], axis=1), 0.0, atol=2.0)
+    assert part(curtain_view(pushed), "force of obstacles").colour == PUSH
+    assert pushes(solution)[0].shape == (0, 3)
 
 
 def test_the_shadow_lies_on_the_ground_below_everything(hammock):
@@ -189,7 +251,9 @@ def test_a_renderer_that_fails_leaves_the_other_files(hammock, tmp_path, monkeyp
 
 def test_one_load_step_cannot_be_animated(tmp_path):
     (tmp_path / "scene.toml").write_text('[curtain]\nwidth = 50\nheight = 50\n[support]\nkind = "top"\n')
-    done = CliRunner().invoke(main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--animation"])
+    done = CliRunner().invoke(
+        main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--animation"]
+    )
     assert done.exit_code == 2
     assert "[load] steps = 1: there is nothing to animate" in done.stderr
     assert not (tmp_path / "out").exists()

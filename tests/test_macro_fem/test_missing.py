@@ -15,6 +15,7 @@ from macro_fem.solvers.cone_program import first_state, make_program, mean_produ
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
 from macro_fem.solvers.cutting_planes import find, joined, pruned, widened
 from macro_fem.solvers.options import PathOptions, StepOptions
+from rve.common.tensor import double_dot, trace
 
 
 @pytest.fixture(scope="module")

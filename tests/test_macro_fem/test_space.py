@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from homogenize.io import default_law
 from macro_fem.cli import main
+from macro_fem.compare import compare
 from macro_fem.curtain import solve_scene
+from macro_fem.every_ring import ring_scene
 from macro_fem.job import solve
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import support_table
@@ -325,3 +327,51 @@ def test_a_vtu_of_a_curtain_in_space_has_its_places(tmp_path):
 def test_the_table_of_a_plane_curtain_has_no_third_column():
     table = support_table(solve(read_scene(tables({"kind": "top"})), LAW).summary["support_forces"])
     assert table.splitlines()[0] == "support_number,support,x_mm,y_mm,force_x_N,force_y_N"
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+def test_every_element_hangs_in_space_in_balance(element):
+    scene = read_scene(SMALL["hammock"])
+    found = solve_scene(replace(scene, mesh=replace(scene.mesh, element=element, cells=3)), LAW)
+    force = found.problem.force
+    assert found.status == "converged"
+    assert np.abs(force.sum(axis=0) + found.reactions.sum(axis=0)).max() < 1e-8 * np.abs(force).sum()
+    assert np.allclose(found.x[found.problem.supports.held[1].nodes].mean(axis=0), [250.0, 400.0, 300.0])
+    assert found.mean_height() < 400.0
+
+
+RING_PIECE = {"curtain": {"width": 66.0, "height": 75.876417741}, "mesh": {"cells": 6}, "support": {"kind": "top"}}
+
+
+@pytest.mark.slow
+def test_rings_one_by_one_hang_in_the_wind_as_the_membrane_does():
+    compared = compare(read_scene(RING_PIECE | {"load": {"wind": {"pressure": 20.0, "direction": [0.0, 0.0, 1.0]}}}))
+    disk, rings = compared.disk, compared.solution
+    assert compared.summary["rings"]["status"] == disk.status == "converged"
+    assert disk.x[:, 2].max() > 40.0
+    assert compared.shape_distance() < 1.0  # mm; a ring has 10
+    assert compared.line_load_distance() < 0.1
+    held = compared.rings.groups[0][1]
+    assert np.allclose(rings.reaction[held].sum(axis=0), disk.reactions.sum(axis=0), atol=1e-6)
+
+
+def test_rings_of_a_scene_in_space_are_not_put_into_the_plane():
+    rings = ring_scene(read_scene(RING_PIECE | {"load": {"wind": WIND}}))
+    assert np.allclose(rings.force.sum(axis=0)[[0, 2]], [0.0, -6e-6 * 66.0 * 75.876417741], rtol=1e-9)
+    assert rings.held.any(axis=0).all()
+    with pytest.raises(InputError, match=r"\[load.wind\] direction = .* leaves the plane: centres cannot stay there"):
+        rings.solve(space=False)
+
+
+@pytest.mark.parametrize("name", ["wind on corners", "bar and patch"])
+def test_the_even_tension_of_slack_parts_is_taken_out_of_the_bounds(name):
+    """Both values of a curtain with it hold for the load alone, whose potential is known to 1e-9 without it."""
+    alone, spread = (
+        solve_scene(read_scene(SMALL[name] | {"solver": {"stabilising_tension": tension}}), LAW)
+        for tension in (0.0, 1e-3)
+    )
+    assert alone.relative_gap < 1e-8
+    unit = scale(alone)
+    assert spread.dual < alone.primal - 1e-4 * unit  # by what the tension may do at most
+    assert alone.primal - 1e-8 * unit < spread.primal < alone.primal + 1e-3 * unit
+    assert alone.primal - spread.dual < 1e-2 * unit

@@ -22,6 +22,7 @@ from rve.localization.field import draw
 from rve.localization.files import tubes, write_ring_vtu
 from rve.localization.forces import cauchy_of, cell_forces, directions, largest_forces
 from rve.localization.frames import turns
+from rve.localization.picture import axes_of_sheet, ring_view
 from rve.localization.poses import PoseOptions, locked_arrangements, nearest_poses, shares
 from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
 from rve.localization.springs import lattice_strain
@@ -274,6 +275,35 @@ def test_a_cell_drawn_to_a_line_takes_the_normal_of_its_neighbours():
     np.testing.assert_allclose(normal[4:], [[1.0, 0.0, 0.0]] * 2, atol=1e-12)
     assert np.abs(normal[2:4, 1]).max() < 1e-12
     assert normal[2:4, [0, 2]].min() > 0.1
+
+
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.48, -0.6, 0.64]])
+def test_a_close_up_looks_at_the_sheet_from_its_front(normal):
+    """The axes of the picture are a rotation whose third one is the normal, towards the viewer."""
+    axes = axes_of_sheet(np.array(normal))
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert abs(axes[:, 2] @ normal) == pytest.approx(1.0)
+    assert axes[2, 2] >= 0.0
+    assert axes[1, 1] >= -1e-12  # up stays up
+
+
+@pytest.mark.parametrize("count", [5, 1001])
+def test_rings_of_a_page_are_tori_if_few_and_lines_if_many(count):
+    rng = np.random.default_rng(3)
+    centre, normal = rng.normal(size=(count, 3)) * 99.0, rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    force = np.linspace(0.0, 7.0, count)
+    view = ring_view("rings", (centre, normal), (5.0, 0.5), force)
+    rings = view.parts[0]
+    each = rings.points.reshape(count, -1, 3)
+    if count > 1000:
+        each = each[:, :-1]
+        np.testing.assert_allclose(rings.points[:, 0], rings.points[:, -1], atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(each - centre[:, None], axis=2), 5.0, atol=1e-9)
+    assert (rings.values.reshape(count, -1) == force[:, None]).all()
+    np.testing.assert_allclose(each.mean(axis=1), centre, atol=1e-9)
+    assert (view.scale.spread, view.scale.largest) == ("log", 7.0)
 
 
 def test_every_lattice_point_belongs_to_one_triangle():

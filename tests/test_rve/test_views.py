@@ -27,10 +27,14 @@ def volume(points, triangles):
 def test_solids_have_their_volumes():
     centre = np.array([3.0, -2.0, 5.0])
     assert abs(volume(*sphere(centre, 2.0, 96))) == pytest.approx(4.0 / 3.0 * np.pi * 8.0, rel=5e-3)
-    assert abs(volume(*cylinder(centre, centre + [3.0, 4.0, 0.0], 2.0, 96))) == pytest.approx(20.0 * np.pi, rel=5e-3)
+    assert abs(volume(*cylinder(centre, centre + np.array([3.0, 4.0, 0.0]), 2.0, 96))) == pytest.approx(
+        20.0 * np.pi, rel=5e-3
+    )
     ball_ended = np.pi * 4.0 * 5.0 + 4.0 / 3.0 * np.pi * 8.0
-    assert abs(volume(*capsule(centre, centre + [0.0, 0.0, 5.0], (2.0, 2.0), 96))) == pytest.approx(ball_ended, rel=1e-2)
-    assert volume(*box(centre, centre + [1.0, 2.0, 3.0])) == pytest.approx(6.0, rel=1e-12)
+    assert abs(volume(*capsule(centre, centre + np.array([0.0, 0.0, 5.0]), (2.0, 2.0), 96))) == pytest.approx(
+        ball_ended, rel=1e-2
+    )
+    assert volume(*box(centre, centre + np.array([1.0, 2.0, 3.0]))) == pytest.approx(6.0, rel=1e-12)
 
 
 def test_an_arrow_reaches_from_its_tail_to_its_tip():

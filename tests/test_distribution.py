@@ -1,0 +1,74 @@
+"""Wheel and sdist hold what they must, and the packages work from the wheel alone."""
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+IN_BOTH = ("README.md", "CHANGELOG.md", "CITATION.cff", "theory.md", "tutorial.md", "corner_hung.toml", "curtain.py")
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory):
+    out = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)]
+    subprocess.run(command, check=True, capture_output=True, cwd=out)
+    return out
+
+
+def names_in(dist):
+    """Names of the files in wheel and sdist."""
+    wheel, sdist = next(dist.glob("*.whl")), next(dist.glob("*.tar.gz"))
+    with zipfile.ZipFile(wheel) as inside, tarfile.open(sdist) as packed:
+        return inside.namelist(), packed.getnames()
+
+
+def test_one_version_everywhere():
+    version = PROJECT["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    latest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert latest is not None
+    assert latest[1] in (version, "Unreleased")
+
+
+@pytest.mark.slow
+def test_wheel_and_sdist_hold_docs_examples_and_licence(dist):
+    wheel, sdist = names_in(dist)
+    for names in (wheel, sdist):
+        for name in (*IN_BOTH, "LICENSE", "py.typed", "rings_10.json"):
+            assert any(one.endswith(f"/{name}") for one in names), name
+    assert any("/tests/test_rve/" in name for name in sdist)
+    assert not any(part in name for name in wheel for part in ("tests/", "benchmarks/", "__pycache__"))
+
+
+@pytest.mark.slow
+def test_the_wheel_alone_makes_table_law_and_curtain(dist, tmp_path):
+    place = tmp_path / "site"
+    command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(place)]
+    subprocess.run([*command, str(next(dist.glob("*.whl")))], check=True, capture_output=True)
+    scene = next(place.rglob("corner_hung.toml"))
+    environment = os.environ | {"PYTHONPATH": str(place)}
+
+    def run(*arguments):
+        done = subprocess.run(
+            [sys.executable, "-m", *map(str, arguments)], cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    where = subprocess.run([sys.executable, "-c", "import rve; print(rve.__file__)"], env=environment, cwd=tmp_path,
+                           capture_output=True, text=True, check=True)  # fmt: skip
+    assert Path(where.stdout.strip()).is_relative_to(place)
+    assert PROJECT["version"] in run("rve", "--version")
+    run("rve", "table", "--out", "table.csv", "--alpha", "0:45:15", "--beta", "0:90:15")
+    run("homogenize", "fit", "table.csv", "--out", "law.json")
+    run("macro_fem", "run", scene, "--law", "law.json", "--out", "curtain", "--no-picture")
+    assert (tmp_path / "curtain" / "summary.json").exists()
