@@ -12,7 +12,7 @@ from macro_fem.fem.space import padded
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall
 from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
-from rve.common.solids import Solid, box, cylinder, rectangle, sphere
+from rve.common.solids import Solid, box, cylinder, rectangle, rounded_box, sphere
 from rve.common.types import Array
 from rve.common.views import Surface, merged
 
@@ -30,7 +30,9 @@ def ground_level(solution: CurtainSolution, room: Array) -> float:
 def _obstacles(solution: CurtainSolution) -> list[tuple[Obstacle, Array]]:
     """The obstacles of the scene and how far each is moved (3,) at this load step, mm."""
     problem = solution.problem
-    return [(item, problem.factor * np.array(in_3d(item.move))) for item in problem.scene.obstacle]
+    as_solved = {body.number: body.obstacle for body in problem.bodies}  # with the rounding of boxes
+    items = [as_solved.get(number, item) for number, item in enumerate(problem.scene.obstacle)]
+    return [(item, problem.factor * np.array(in_3d(item.move))) for item in items]
 
 
 def obstacles(solution: CurtainSolution, room: Array, ground: float) -> list[Surface]:
@@ -85,10 +87,9 @@ def _box(item: Box, shift: Array, beside: Beside) -> Solid:
     reach = 0.25 * beside.size
     corner = np.array(item.corner) + shift
     low = np.maximum(corner + beside.less, [-np.inf, beside.ground, -np.inf])
-    return box(
-        np.maximum(low, beside.room[0] - reach),
-        np.minimum(corner + np.array(item.size) - beside.less, beside.room[1] + reach),
-    )
+    low = np.maximum(low, beside.room[0] - reach)
+    high = np.minimum(corner + np.array(item.size) - beside.less, beside.room[1] + reach)
+    return rounded_box(low, high, item.rounding) if item.rounding else box(low, high)
 
 
 def _wall(item: Wall, shift: Array, beside: Beside) -> Solid:

@@ -72,6 +72,27 @@ def box(low: Array, high: Array) -> Solid:
     return points, quads_cut(np.arange(24).reshape(6, 4))
 
 
+def rounded_box(low: Array, high: Array, radius: float) -> Solid:
+    """A box with faces along the axes whose edges and corners have a radius: eight parts of a sphere, pulled apart."""
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    radius = min(radius, 0.499 * float((high - low).min()))
+    quarter = np.linspace(0.0, 0.5 * np.pi, 7)
+    around = (0.5 * np.pi * np.arange(4)[:, None] + quarter).ravel()  # ends of quarters twice: faces lie between them
+    height = np.concatenate([quarter - 0.5 * np.pi, quarter])
+    side = np.repeat(np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]), 7, axis=0)
+    sign = np.stack(np.broadcast_arrays(side[:, 0], np.repeat([-1.0, 1.0], 7)[:, None], side[:, 1]), axis=-1)
+    c, s = np.cos(height)[:, None], np.sin(height)[:, None]
+    out = np.stack(np.broadcast_arrays(c * np.cos(around), s, c * np.sin(around)), axis=-1)
+    points = 0.5 * (low + high) + sign * (0.5 * (high - low) - radius) + radius * out
+    count = len(around)
+    here = np.arange(len(height) - 1)[:, None] * count + np.arange(count)
+    right = np.roll(here, -1, axis=1)
+    sides = np.stack([here, here + count, right + count, right], axis=-1).reshape(-1, 4)
+    corners = np.array([0, 7, 14, 21])
+    ends = np.stack([corners, (len(height) - 1) * count + corners[::-1]])
+    return points.reshape(-1, 3), quads_cut(np.concatenate([sides, ends]))
+
+
 def rectangle(centre: Array, first: Array, second: Array) -> Solid:
     """A plane rectangle with half sides `first` and `second` (3,)."""
     corners = np.array([-first - second, first - second, first + second, second - first])

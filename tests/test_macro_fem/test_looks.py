@@ -102,11 +102,11 @@ def test_obstacles_are_drawn_where_they_are_at_this_load_step(hammock):
     less = SHRUNK * float(np.linalg.norm(room[1]))
     shift = 0.5 * np.array(move)
     bodies = (
-        Sphere((50.0, 60.0, 70.0), 25.0, move, "ball"),
-        Cylinder((0.0, 0.0, 2.0), 15.0, (1.0, 2.0, 3.0), move, "rod"),
-        Box((-9000.0, -500.0, 20.0), (9100.0, 600.0, 30.0), move, "house"),
-        Wall((0.0, 0.0, 3.0), (0.0, 0.0, -5.0), move, "back"),
-        Floor(-40.0),
+        Sphere(centre=(50.0, 60.0, 70.0), radius=25.0, move=move, name="ball"),
+        Cylinder(axis=(0.0, 0.0, 2.0), radius=15.0, point=(1.0, 2.0, 3.0), move=move, name="rod"),
+        Box(corner=(-9000.0, -500.0, 20.0), size=(9100.0, 600.0, 30.0), move=move, name="house"),
+        Wall(facing=(0.0, 0.0, 3.0), point=(0.0, 0.0, -5.0), move=move, name="back"),
+        Floor(height=-40.0),
     )
     drawn = obstacles(among(hammock.solution, *bodies, factor=0.5), room, ground)
     assert [one.name for one in drawn] == ["ball", "rod", "house", "back"]
@@ -120,8 +120,8 @@ def test_obstacles_are_drawn_where_they_are_at_this_load_step(hammock):
     assert low[0] > -240.0
     assert low[1:].tolist() == pytest.approx([ground, 20.0 + shift[2] + less])
     np.testing.assert_allclose(back[:, 2], -5.0 + shift[2] - less, atol=1e-9)
-    assert ground_level(among(hammock.solution, Floor(-3.0, (0.0, 8.0)), factor=0.5), room) == 1.0
-    assert "ground is drawn" not in " ".join(curtain_view(among(hammock.solution, Floor(-40.0))).notes)
+    assert ground_level(among(hammock.solution, Floor(height=-3.0, move=(0.0, 8.0)), factor=0.5), room) == 1.0
+    assert "ground is drawn" not in " ".join(curtain_view(among(hammock.solution, Floor(height=-40.0))).notes)
 
 
 @dataclass(frozen=True)

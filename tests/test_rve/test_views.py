@@ -14,7 +14,7 @@ import pytest
 from rve.common.errors import NotConverged
 from rve.common.page import STRIP, write_page
 from rve.common.render import aim, render
-from rve.common.solids import PERSON_MM, arrow, box, capsule, cylinder, person, sphere
+from rve.common.solids import PERSON_MM, arrow, box, capsule, cylinder, person, rounded_box, sphere
 from rve.common.views import FRONT, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, merged, rounded_up
 
 
@@ -34,7 +34,14 @@ def test_solids_have_their_volumes():
     assert abs(volume(*capsule(centre, centre + np.array([0.0, 0.0, 5.0]), (2.0, 2.0), 96))) == pytest.approx(
         ball_ended, rel=1e-2
     )
-    assert volume(*box(centre, centre + np.array([1.0, 2.0, 3.0]))) == pytest.approx(6.0, rel=1e-12)
+    size = np.array([4.0, 6.0, 9.0])
+    assert volume(*box(centre, centre + size)) == pytest.approx(4.0 * 6.0 * 9.0, rel=1e-12)
+    # an inner box, its faces and edges thickened by the radius 1, and a ball: Steiner's formula
+    a, b, c = size - 2.0
+    steiner = a * b * c + 2.0 * (a * b + b * c + c * a) + np.pi * (a + b + c) + 4.0 / 3.0 * np.pi
+    points, triangles = rounded_box(centre, centre + size, 1.0)
+    assert abs(volume(points, triangles)) == pytest.approx(steiner, rel=1e-2)
+    np.testing.assert_allclose(np.ptp(points, axis=0), size, rtol=1e-3)
 
 
 def test_an_arrow_reaches_from_its_tail_to_its_tip():
