@@ -38,6 +38,7 @@ from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
 from macro_fem.solvers.options import STEPS, StepOptions
 from macro_fem.solvers.soc import Vectors
+from macro_fem.solvers.strains import Strains
 from macro_fem.solvers.walls import NO_ROWS, Rows, longest
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
@@ -284,7 +285,7 @@ class _Newton:
             H[:, a, a + 1] += S[:, 1]
             H[:, a + 1, a] += S[:, 1]
             H[:, a + 1, a + 1] += S[:, 2]
-        self.strains = _Strains(H, k) if k else None
+        self.strains = Strains(H, k) if k else None
         A = H if self.strains is None else self.strains.reduced
         self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.rows.blocks(state.u / state.t))
 
@@ -310,37 +311,6 @@ class _Newton:
         dt = rows.change(dz) - r_t
         du = (row_aim - u * dt) / t
         return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
-
-
-class _Strains:
-    """The strains' part of the matrices H (nq, k + 2 d, k + 2 d), eliminated point by point.
-
-    By Cholesky's factor, for an explicit inverse would lose the square of its digits.
-    """
-
-    def __init__(self, H: Array, k: int) -> None:
-        H = np.ascontiguousarray(H)
-        H[:, range(k), range(k)] += 1.0
-        self.root: Array = np.asarray(np.linalg.cholesky(H[:, :k, :k]))
-        self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :k, k:]))
-        self.reduced: Array = H[:, k:, k:] - self.couple.swapaxes(1, 2) @ self.couple
-
-    def half(self, strain: Array) -> Array:
-        """root^-1 strain (nq, k)."""
-        return _solved(self.root, strain)
-
-    def onto_gradient(self, half: Array, shape: tuple[int, ...]) -> Array:
-        """What strains that follow at once take from the right-hand side (nq, d, 2)."""
-        return np.einsum("nij,ni->nj", self.couple, half).reshape(shape)
-
-    def whole(self, half: Array, dF: Array) -> Array:
-        """The change of the strains (nq, k) that goes with that of the gradient (nq, d, 2)."""
-        moved = np.einsum("nij,nj->ni", self.couple, dF.reshape(len(dF), -1))
-        return _solved(self.root.swapaxes(1, 2), half - moved)
-
-
-def _solved(A: Array, b: Array) -> Array:
-    return np.asarray(np.linalg.solve(A, b[:, :, None]))[:, :, 0]
 
 
 def step_lengths(program: Program, state: State, step: Step, boundary: float) -> tuple[float, float]:
