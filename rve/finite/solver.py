@@ -30,7 +30,7 @@ _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
-_ENDS = 3
+_ENDS = 2
 """Times that the end is tried again without, or with, points beside minima."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
@@ -46,6 +46,7 @@ def solve_rings(
     force = central(touching.gap, options.mu_start, options.reach)
     state = State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
     history: list[Record] = []
+    least, finest = np.inf, state
     idle, best, status, is_minimum, turns = 0, np.inf, "iterations", False, 0
     for _ in range(options.max_iterations):
         G = gradients(state.placed, state.touching)
@@ -55,6 +56,8 @@ def solve_rings(
             status = "converged"
             break
         merit = max(residual, product)
+        if has_arrived and state.mu <= options.mu_end and merit < least:
+            least, finest = merit, state
         idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
         is_calm = state.mu > options.mu_end and _is_calm(history, state, options)
         if has_arrived and (is_calm or idle >= options.patience):
@@ -77,9 +80,12 @@ def solve_rings(
         if _is_stuck(history):
             status = "stalled" if has_arrived else "out-of-reach"
             break
-    G = gradients(state.placed, state.touching)
-    residual = max(kkt(state.touching, G, state.force, task))
-    return Found(state.placed, state.touching, state.force, status, is_minimum, residual, tuple(history))
+    return _answer(finest if np.isfinite(least) and status != "converged" else state, task, status, history)
+
+
+def _answer(state: State, task: Task, status: str, history: list[Record]) -> Found:
+    residual = max(kkt(state.touching, gradients(state.placed, state.touching), state.force, task))
+    return Found(state.placed, state.touching, state.force, status, residual, tuple(history))
 
 
 def _nearer(state: State, task: Task, options: FiniteOptions) -> tuple[State, FiniteOptions]:
