@@ -167,7 +167,8 @@ def or_none(value: float | Array) -> Any:
 
 def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any]:
     """The numbers of summary.json: lengths in mm, forces in N; null for forces and residual where there are none."""
-    largest = float(solution.force.max(initial=0.0))
+    has_forces = bool(np.isfinite(solution.force).all())
+    largest = float(solution.force.max(initial=0.0)) if has_forces else math.nan
     return {
         "status": solution.status,
         "message": solution.message,
@@ -182,7 +183,7 @@ def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any
         "links_intact": solution.links_intact,
         "kkt_residual": or_none(solution.kkt_residual),
         "way_left_mm": solution.way_left_mm,
-        "contacts": int((solution.force > 1e-6 * largest).sum()) if math.isfinite(largest) else None,
+        "contacts": int((solution.force > 1e-6 * largest).sum()) if has_forces else None,
         "largest_contact_force_N": or_none(largest),
         "total_load_N": solution.load.sum(axis=0).tolist(),
         "support_forces": [
