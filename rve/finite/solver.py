@@ -30,7 +30,7 @@ _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
-_ENDS = 2
+_ENDS = 20
 """Times that the end is tried again without, or with, points beside minima."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))

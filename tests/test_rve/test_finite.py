@@ -295,7 +295,7 @@ def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_goo
     found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0))
     assert found.status == "stalled"
     assert found.kkt_residual < 1e-8
-    assert found.iterations < 200
+    assert found.iterations < 400
     assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
 
 
@@ -406,29 +406,34 @@ def test_contacts_that_are_followed_are_those_of_a_whole_search():
     assert (least[some] <= deepest[some] + 1e-9).mean() > 0.9
 
 
-def spread_of(seeds):
-    """Potentials, over weight times r1, of a small mesh from random starts in space; each is checked."""
+def from_random_starts(seeds):
+    """Solutions of a small mesh in space from random starts, and its weight times r1."""
     mesh = FiniteMesh.rectangle(Cell(), 2, 1)
     corners = top_of(mesh) & (np.isclose(mesh.X[:, 0], 0.0) | np.isclose(mesh.X[:, 0], mesh.X[:, 0].max()))
     force, held, at = hung(mesh, corners)
     at[corners, 0] = 11.0 + 0.8 * (at[corners, 0] - 11.0)
-    out = []
-    for seed in seeds:
-        found = mesh.solve(force, held, at, options=FiniteOptions(seed=seed, disturbance=0.1))
-        check(found)
-        out.append(found.potential / (np.abs(force).sum() * 5.0))
-    return np.array(out)
+    options = (FiniteOptions(seed=seed, disturbance=0.1) for seed in seeds)
+    return [mesh.solve(force, held, at, options=one) for one in options], np.abs(force).sum() * 5.0
 
 
-def test_random_starts_keep_the_links_and_end_near_each_other():
-    found = spread_of(range(2))
-    assert np.ptp(found) < 0.3
+def test_random_starts_end_at_one_potential():
+    found, scale = from_random_starts(range(2))
+    for one in found:
+        check(one)
+    assert found[0].potential == pytest.approx(found[1].potential, abs=1e-5 * scale)
 
 
 @pytest.mark.slow
 def test_no_ring_tunnels_from_a_hundred_random_starts():
-    found = spread_of(range(100))
-    assert np.ptp(found) < 0.3
+    found, scale = from_random_starts(range(100))
+    for one in found:
+        assert one.links_intact
+        assert one.min_gap_mm >= -1e-9
+        assert one.status in ("converged", "stalled")
+    settled = [one for one in found if one.status == "converged"]
+    assert len(settled) >= 95
+    assert max(one.kkt_residual for one in settled) < 1e-8
+    assert np.ptp([one.potential for one in settled]) < 0.05 * scale
 
 
 def test_a_vtu_file_has_the_places_of_the_answer_to_the_last_digit(tmp_path):
