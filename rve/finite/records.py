@@ -12,8 +12,8 @@ from rve.finite.touching import Index, Placed, Touching
 
 SENTENCES = {
     "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
-    "out-of-reach": "held rings did not reach their places: the mesh locks before; move the supports closer together",
-    "stalled": "no step leads further down; start from another disturbance, or allow a larger residual",
+    "out-of-reach": "held rings or walls did not reach their places: the mesh locks before; move them closer together",
+    "stalled": "no step lowers the residual further; start from another disturbance, or allow a larger residual",
     "iterations": "the limit of iterations was reached before the residual; allow more iterations",
 }
 
@@ -80,12 +80,14 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where the rings are, their contacts and forces (m,), status, whether the matrix there is positive definite."""
+    """Where the rings are, their contacts and forces (m,), status, residual.
+
+    Of iterates that do not converge, the one of least residual.
+    """
 
     placed: Placed
     touching: Touching
     force: Array
     status: str
-    is_minimum: bool
     residual: float
     history: tuple[Record, ...]
