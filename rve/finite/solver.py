@@ -25,10 +25,10 @@ from rve.finite.touching import (
     Placed,
     Touching,
     find_touching,
+    followed_gaps,
     handed_on,
     is_passage_safe,
     links_intact,
-    nearest,
     of_pairs,
     safe_parts,
 )
@@ -39,6 +39,8 @@ _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
+_TURNS = 3
+"""Trials of a step: as it is, and corrected for what gaps fell short of."""
 _FARTHEST = 0.995
 """Part of a gap that the linear forecast of a step may close."""
 _LEAST = 0.002
@@ -78,6 +80,7 @@ class _Work:
     damping: float
     local: Array
     trials: int = 0
+    searches: int = 0
     factors: int = 0
     why: str = ""
 
@@ -304,19 +307,34 @@ def _corrected(
     None where it is no good; then the keys of the pairs whose gaps would close.
     """
     con, n = state.touching, len(task.force)
-    q = length * step.q
-    for turn in range(3):
+    q, forecast = length * step.q, con.gap + length * step.dgap
+    least = _LEAST * np.minimum(con.deepest, options.reach)[con.minima.pair]
+    closed: Index = con.key[:0]
+    for turn in range(_TURNS):
         work.trials += 1
         placed = state.placed.moved(q)
-        found = find_touching(placed, task.linked, task.wire, options.reach, beside=task.beside)
-        work.why = _fault(state, task, placed, found, q, options)
-        if not work.why:
-            return replace(state, placed=placed, touching=found), found.key[:0]
-        if work.why != "gap" or turn == 2:
+        gap = followed_gaps(con, placed, task.wire)
+        bad = gap < least
+        if not bad.any():
+            return _found_safe(state, task, placed, q, options, work)
+        work.why = "gap"
+        last, closed = closed, np.unique(con.key[con.minima.pair[bad]])
+        if turn == _TURNS - 1 or (turn and len(closed) >= len(last)):
             break
-        missed = _missed(con, found, length * step.dgap)
-        back = spread(con, line.G, -line.stiff * missed, n)
+        back = spread(con, line.G, -line.stiff * np.minimum(gap - forecast, 0.0), n)
         q = q + step.solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
+    return None, closed
+
+
+def _found_safe(
+    state: _State, task: Task, placed: Placed, q: Array, options: FiniteOptions, work: _Work
+) -> tuple[_State | None, Index]:
+    """The iterate at a trial whose known contacts stay open, after a whole search; None as in `_corrected`."""
+    found = find_touching(placed, task.linked, task.wire, options.reach, beside=task.beside)
+    work.searches += 1
+    work.why = _fault(state, task, placed, found, q, options)
+    if not work.why:
+        return replace(state, placed=placed, touching=found), found.key[:0]
     return None, found.key[found.deepest <= 0.0]
 
 
@@ -330,13 +348,6 @@ def _fault(state: _State, task: Task, placed: Placed, found: Touching, q: Array,
     if (found.deepest < _LEAST * before).any():
         return "gap"
     return "" if links_intact(placed, found, task.keys) else "link"
-
-
-def _missed(old: Touching, found: Touching, forecast: Array) -> Array:
-    """By how much gaps (m,) fall short of their linear forecast, <= 0; 0 where a contact has gone."""
-    heir, far = nearest(old, found)
-    short = np.minimum(found.gap[heir] - old.gap - forecast, 0.0)
-    return np.where((heir >= 0) & (far < 0.1), short, 0.0)
 
 
 def _fell(old: _State, new: _State, line: _Linear, slope: float, task: Task, options: FiniteOptions) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rve.common.types import Array
-from rve.geometry.circles import Minima, are_linked, cross, dot, foot_on_circle, local_minima, tangent_frame
+from rve.geometry.circles import Minima, are_linked, cross, dot, followed_minima, foot_on_circle, local_minima, tangent_frame
 
 Index = NDArray[np.intp]
 
@@ -85,6 +85,20 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
     deepest = np.full(len(a), np.inf)
     np.minimum.at(deepest, minima.pair, gap)
     return Touching(a, b, key, minima, fixed, gap, deepest)
+
+
+def followed_gaps(old: Touching, placed: Placed, wire: float) -> Array:
+    """Gaps (m,) beside the contacts of `old` after a step, inf at fixed points; none is less than the gap of its pair.
+
+    Cheaper than `find_touching` by far, and enough to refuse a step.
+    """
+    out = np.full(len(old.gap), np.inf)
+    real = np.flatnonzero(~old.fixed)
+    a, b = old.a, old.b
+    near = old.minima.take(real)
+    found = followed_minima(near, placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b], 1.0)
+    out[real] = found.distance - 2.0 * wire
+    return out
 
 
 SOFT = 0.3

@@ -222,6 +222,23 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     return _with_twins(found, near, soft, around, reach, (d, n_a, n_b), r1)
 
 
+def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, r1: float, *, width: float = 0.2) -> Minima:
+    """The minima (m,) that rings which have moved a little have beside those of before; a fraction of a search's work.
+
+    near: minima of before; d, n_a, n_b (n, 3) of the moved pairs as in `local_minima`. Each row is a pair of points
+    within `width` radians of the old point of ring a, and a local minimum if there is one: its distance is never less
+    than the distance of the circles.
+
+    >>> import numpy as np
+    >>> d, n_a, n_b = np.array([[9.0, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[0, 1.0, 0]])
+    >>> followed_minima(local_minima(d, n_a, n_b, 5.0), d + [0.25, 0, 0], n_a, n_b, 5.0).distance.round(12)
+    array([0.75])
+    """
+    e1, e2 = tangent_frame(n_a[near.pair])
+    angle = np.arctan2(dot(near.rho_a, e2), dot(near.rho_a, e1))
+    return _polish(near.pair, angle, width, d, n_a, n_b, r1)[1]
+
+
 def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple[Index, Array]:
     """Pairs (k,) and angles (k,) between samples (n, m) where the slope keeps its sign but has its least size.
 
