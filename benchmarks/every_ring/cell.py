@@ -22,7 +22,7 @@ DIRECTIONS = (
     (45.0, 75.0),
 )
 """alpha and beta in degrees."""
-FAR = 4
+FAR = 3
 """Cells from the edge that count as away from it."""
 MIDDLE, OUTER = "error of E in the middle", "error of E in cells on the edge"
 AWAY = f"largest error {FAR} or more cells away"
@@ -30,7 +30,7 @@ AWAY = f"largest error {FAR} or more cells away"
 
 def measure(full: bool, folder: Path) -> Section:
     """The section."""
-    size = (12, 10) if full else (6, 4)
+    size = (10, 8) if full else (6, 4)
     cases = []
     for alpha, beta in DIRECTIONS if full else DIRECTIONS[2:3]:
         name, asked = f"edge_{alpha:g}_{beta:g}_{size[0]}", {"size": size, "far": FAR}
@@ -60,10 +60,10 @@ def measure(full: bool, folder: Path) -> Section:
 def _case(alpha: float, beta: float, size: tuple[int, int]) -> Case:
     cell = Cell()
     row = solve_table(cell, ([alpha], [beta]))
-    F = np.column_stack([row.x2_mm[0] / row.b_x_mm, row.x3_mm[0] / row.b_y_mm])
+    mesh = FiniteMesh.rectangle(cell, *size)
+    F = np.column_stack([row.x2_mm[0], row.x3_mm[0]]) / mesh.sides
     S11, S12, S22 = row.S[0]
     P = F @ np.array([[S11, S12], [S12, S22]])
-    mesh = FiniteMesh.rectangle(cell, *size)
     n = len(mesh.X)
     force = np.zeros((n, 3))
     force[:, :2] = edge_forces(mesh, P)
