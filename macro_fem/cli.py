@@ -123,11 +123,17 @@ def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: b
     click.echo(f"{summary['status']}: {summary['message']}")
     click.echo(
         f"{summary['rings']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
-        f"{summary['lowest_point_mm']:.3f} mm, largest contact force {summary['largest_contact_force_N']:.4g} N"
+        f"{summary['lowest_point_mm']:.3f} mm"
     )
+    if summary["status"] == "out-of-reach":
+        click.echo(f"supports are up to {summary['way_left_mm']:.3f} mm from their places")
+    else:
+        click.echo(
+            f"largest contact force {summary['largest_contact_force_N']:.4g} N, residual {summary['kkt_residual']:.1e}"
+        )
     click.echo(
-        f"smallest gap {summary['min_gap_mm']:.1e} mm, residual {summary['kkt_residual']:.1e}, "
-        f"{summary['iterations']} iterations, {summary['wall_s']:.2f} s; written to {out}"
+        f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations, "
+        f"{summary['wall_s']:.2f} s; written to {out}"
     )
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)

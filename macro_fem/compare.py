@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from homogenize import MembraneLaw, default_law, load_law
-from macro_fem.every_ring import RingScene, ring_scene
+from macro_fem.every_ring import RingScene, or_none, ring_scene
 from macro_fem.job import solve
 from macro_fem.progress import Say, silent
 from macro_fem.scene.schema import Scene, load_scene
@@ -47,7 +47,7 @@ class Comparison:
             "mean_height_difference_mm": difference,
             "mean_height_difference_over_height": difference / height,
             "shape_distance_mm": self.shape_distance(),
-            "line_load_distance": self.line_load_distance(),
+            "line_load_distance": or_none(self.line_load_distance()),
             "line_load_averaged_over_cells": ACROSS**2,
         }
 
@@ -74,10 +74,10 @@ class Comparison:
             "potential_N_mm": solution.potential,
             "mean_height_mm": solution.mean_height,
             "lowest_point_mm": float(solution.centre[:, 1].min()),
-            "support_forces_N": [solution.reaction[held].sum(axis=0).tolist() for _, held in self.rings.groups],
+            "support_forces_N": [or_none(solution.reaction[held].sum(axis=0)) for _, held in self.rings.groups],
             "min_gap_mm": solution.min_gap_mm,
             "links_intact": solution.links_intact,
-            "kkt_residual": solution.kkt_residual,
+            "kkt_residual": or_none(solution.kkt_residual),
             "wall_s": solution.wall_s,
         }
 
@@ -148,5 +148,5 @@ def side_by_side(summary: dict[str, Any]) -> list[str]:
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
-        return "; ".join(" ".join(f"{x:.3g}" for x in force[:2]) for force in value)
+        return "; ".join("-" if force is None else " ".join(f"{x:.3g}" for x in force[:2]) for force in value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -155,8 +155,15 @@ def _groups(supports: tuple[Held, ...], ring: np.ndarray) -> tuple[tuple[str, np
     return tuple(groups)
 
 
+def or_none(value: float | Array) -> Any:
+    """The number, or list of numbers, None where it is not finite: JSON has neither nan nor inf."""
+    array = np.asarray(value)
+    return array.tolist() if np.isfinite(array).all() else None
+
+
 def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any]:
-    """The numbers of summary.json: lengths in mm, forces in N."""
+    """The numbers of summary.json: lengths in mm, forces in N; null for forces and residual where there are none."""
+    largest = float(solution.force.max(initial=0.0))
     return {
         "status": solution.status,
         "message": solution.message,
@@ -169,20 +176,25 @@ def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any
         "min_gap_mm": solution.min_gap_mm,
         "links": len(rings.mesh.linked),
         "links_intact": solution.links_intact,
-        "kkt_residual": solution.kkt_residual,
-        "contacts": int((solution.force > 1e-6 * solution.force.max(initial=0.0)).sum()),
-        "largest_contact_force_N": float(solution.force.max(initial=0.0)),
+        "kkt_residual": or_none(solution.kkt_residual),
+        "way_left_mm": solution.way_left_mm,
+        "contacts": int((solution.force > 1e-6 * largest).sum()) if math.isfinite(largest) else None,
+        "largest_contact_force_N": or_none(largest),
         "total_load_N": solution.load.sum(axis=0).tolist(),
         "support_forces": [
             {
                 "support": name,
-                "sum_N": solution.reaction[held].sum(axis=0).tolist(),
+                "sum_N": or_none(solution.reaction[held].sum(axis=0)),
                 "points": [
-                    {"at_mm": X.tolist(), "force_N": f.tolist()}
+                    {"at_mm": X.tolist(), "force_N": or_none(f)}
                     for X, f in zip(rings.mesh.X[held], solution.reaction[held], strict=True)
                 ],
             }
             for name, held in rings.groups
+        ],
+        "wall_forces": [
+            {"wall": wall.name, "sum_N": or_none(force)}
+            for wall, force in zip(solution.walls, solution.wall_force, strict=True)
         ],
         "r1_mm": rings.mesh.cell.r1,
         "r2_mm": rings.mesh.cell.r2,

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rve.finite.layout import cell_of_sides as cell_of_sides
     from rve.finite.records import FiniteOptions as FiniteOptions
     from rve.finite.solution import FiniteSolution as FiniteSolution
+    from rve.finite.walls import HalfSpace as HalfSpace
     from rve.geometry.cell import Cell as Cell
     from rve.geometry.kinematics import cauchy_line_load as cauchy_line_load
     from rve.geometry.kinematics import deformation_gradient as deformation_gradient
@@ -47,6 +48,7 @@ _MODULES = {
     "FiniteMesh": "rve.finite.layout",
     "FiniteOptions": "rve.finite.records",
     "FiniteSolution": "rve.finite.solution",
+    "HalfSpace": "rve.finite.walls",
     "InputError": "rve.common.errors",
     "LoadDirections": "rve.directions",
     "LocalizeOptions": "rve.localization.job",
@@ -85,6 +87,7 @@ __all__ = [
     "FiniteMesh",
     "FiniteOptions",
     "FiniteSolution",
+    "HalfSpace",
     "InputError",
     "LoadDirections",
     "LocalizeOptions",

@@ -12,6 +12,7 @@ from scipy import sparse
 
 from rve.common.types import Array
 from rve.finite.touching import Placed, Touching
+from rve.finite.walls import wall_derivatives
 from rve.geometry.circles import distance_gradient, distance_hessian, tangent_frame
 
 BLOCK = 5
@@ -25,7 +26,16 @@ def gradients(placed: Placed, touching: Touching) -> Array:
     out[:, 0:3], out[:, 5:8] = -g[:, :3], g[:, :3]
     out[:, 3:5] = (g[:, 3:6, None] * Ea).sum(axis=1)
     out[:, 8:10] = (g[:, 6:9, None] * Eb).sum(axis=1)
+    if placed.walls:
+        out[touching.at_wall] = _of_walls(placed, touching, touching.at_wall)[0]
     return out
+
+
+def _of_walls(placed: Placed, touching: Touching, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """First and second derivative of the gaps of contacts `rows` (m,), which are with half-spaces."""
+    pair = touching.minima.pair[rows]
+    ring, wall = touching.a[pair], touching.b[pair]
+    return wall_derivatives(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall])
 
 
 def _frames(placed: Placed, touching: Touching) -> tuple[Array, Array]:
@@ -60,7 +70,11 @@ def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Ar
     for k in range(3):
         B[:, k, k], B[:, k, BLOCK + k] = -1.0, 1.0
     B[:, 3:6, 3:5], B[:, 6:9, 8:10] = frame[touching.a[rows]], frame[touching.b[rows]]
-    per[curved] -= force[curved, None, None] * np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
+    second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
+    if placed.walls:
+        at_wall = touching.at_wall & (force > idle)
+        second[at_wall[curved]] = _of_walls(placed, touching, at_wall)[1]
+    per[curved] -= force[curved, None, None] * second
     first = np.searchsorted(pair, np.arange(len(touching.a)))
     some = np.flatnonzero(np.append(first[1:], len(pair)) > first)
     out = np.zeros((len(touching.a), 10, 10))

@@ -27,6 +27,7 @@ from rve.localization.rings import axes_of_weave
 if TYPE_CHECKING:
     from rve.finite.records import FiniteOptions, Record
     from rve.finite.solution import FiniteSolution
+    from rve.finite.walls import HalfSpace
 
 Index = NDArray[np.intp]
 
@@ -115,14 +116,16 @@ class FiniteMesh:
         at: Array,
         *,
         space: bool = True,
+        walls: Sequence[HalfSpace] = (),
         options: FiniteOptions | None = None,
         say: Callable[[Record], None] | None = None,
     ) -> FiniteSolution:
         """The rings under dead forces (n, 3) in N, coordinates `held` (n, 3) kept at the places `at` (n, 3) in mm.
 
-        In space, or with all centres in the plane z = 0. Starts from the slack weave; a local minimum of the potential
-        is found, which need not be the lowest. An answer that has not converged is returned with its status; `say` is
-        told of every iteration. InputError for other shapes, no load, and pieces that nothing holds.
+        In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
+        from the slack weave; held rings and half-spaces that cut it travel to their places. A local minimum of the
+        potential is found, which need not be the lowest. An answer that has not converged is returned with its status;
+        `say` is told of every iteration. InputError for other shapes, no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
@@ -130,9 +133,12 @@ class FiniteMesh:
         >>> mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False).status
         'converged'
         """
-        from rve.finite.solution import solve_mesh
+        from rve.finite.solution import Problem, solve_mesh
 
-        return solve_mesh(self, force, held, at, space=space, options=options, say=say)
+        held = np.asarray(held, dtype=bool) | np.array([False, False, not space])
+        at = np.asarray(at, dtype=float)
+        problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls))
+        return solve_mesh(problem, options, say)
 
 
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:

@@ -12,8 +12,8 @@ from rve.finite.touching import Index, Placed, Touching
 
 SENTENCES = {
     "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
-    "out-of-reach": "held rings did not reach their places: the mesh locks before; move the supports closer together",
-    "stalled": "no step leads further down; start from another disturbance, or allow a larger residual",
+    "out-of-reach": "held rings or walls did not reach their places: the mesh locks before; move them closer together",
+    "stalled": "no step lowers the residual further; start from another disturbance, or allow a larger residual",
     "iterations": "the limit of iterations was reached before the residual; allow more iterations",
 }
 

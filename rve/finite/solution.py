@@ -20,6 +20,7 @@ from rve.finite.layout import FiniteMesh
 from rve.finite.records import SENTENCES, FiniteOptions, Found, Record, Task
 from rve.finite.solver import solve_rings
 from rve.finite.touching import Placed, find_touching, links_intact
+from rve.finite.walls import HalfSpace
 from rve.geometry.circles import tangent_frame
 from rve.localization.files import LINE, write_ring_vtu
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _TINY = 1e-9
+_CLEAR = 0.3
+"""Distance in r1 of the start from half-spaces that would cut it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +38,12 @@ class FiniteSolution:
 
     centre, normal (n, 3): centres in mm and unit normals; load, reaction (n, 3): dead forces and forces of the supports
     in N; pairs (m, 2): rings a < b of each contact, with its unit normal from a to b (m, 3), the force (m,) in N with
-    which they push each other apart, and the gap (m,) in mm.
+    which they push each other apart, and the gap (m,) in mm; walls: half-spaces, with the force wall_force (k, 3) in N
+    of each on the rings. way_left_mm: how far a held ring or a half-space is from its place.
 
     status "converged": a local minimum of the potential. `message` says what each status means. kkt_residual: the
-    largest of unbalanced force over load, force times gap over (links times mean force), and overlap over r1.
+    largest of unbalanced force over load, force times gap over (links times mean force), and overlap over r1. Where
+    supports or half-spaces are out of reach there is no equilibrium: forces are nan and kkt_residual is inf.
     """
 
     mesh: FiniteMesh
@@ -50,10 +55,13 @@ class FiniteSolution:
     contact_normal: Array
     force: Array
     gap: Array
+    walls: tuple[HalfSpace, ...]
+    wall_force: Array
     status: str
     is_space: bool
     links_intact: bool
     min_gap_mm: float
+    way_left_mm: float
     kkt_residual: float
     iterations: int
     wall_s: float
@@ -97,16 +105,18 @@ class FiniteSolution:
         return np.asarray(out / area[:, None, None])
 
     def write_vtu(self, path: Path) -> None:
-        """Centre lines of all rings with numbers per ring, for ParaView."""
+        """Centre lines of all rings with numbers per ring in double precision, for ParaView."""
         data: dict[str, Any] = {
             "ring": np.arange(len(self.centre)),
             "class_i_j": self.mesh.index,
+            "centre_mm": self.centre,
+            "normal": self.normal,
             "contact_force_N": self.largest_force,
             "support_force_N": self.reaction,
             "reference_mm": np.column_stack([self.mesh.X, np.zeros(len(self.centre))]),
         }
         cell = self.mesh.cell
-        write_ring_vtu(path, (self.centre, self.normal), (cell.r1, cell.r2), data, LINE)
+        write_ring_vtu(path, (self.centre, self.normal), (cell.r1, cell.r2), data, LINE, precise=True)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every ring in the plane x, y, coloured by its largest contact force, on `ax` or axes of their own."""
@@ -130,95 +140,128 @@ class FiniteSolution:
         return f"FiniteSolution: {self.status}, {len(self.centre)} rings, mean height {self.mean_height:.3f} mm"
 
 
-def solve_mesh(
-    mesh: FiniteMesh,
-    force: Array,
-    held: NDArray[np.bool_],
-    at: Array,
-    *,
-    space: bool = True,
-    options: FiniteOptions | None = None,
-    say: Callable[[Record], None] | None = None,
-) -> FiniteSolution:
-    """See `FiniteMesh.solve`."""
-    began = time.perf_counter()
-    options = options or FiniteOptions()
-    n, r1 = len(mesh.X), mesh.cell.r1
-    force, at = np.asarray(force, dtype=float), np.asarray(at, dtype=float)
-    held = np.asarray(held, dtype=bool) | (np.array([False, False, not space]))
-    _check(mesh, force, held, at)
-    at = at if space else at * [1.0, 1.0, 0.0]
-    size = float(np.hypot(*np.ptp(mesh.X, axis=0)))
-    unit = np.abs(force).sum() * size / (len(mesh.linked) * r1)
-    free = np.ones((n, 5), dtype=bool)
-    free[:, :3] = ~held
-    task = Task(mesh.linked, mesh.cell.wire, force / unit, held, at / r1, free)
-    found = solve_rings(task, _start(mesh, held, at, space, options), options, say)
-    return _solution(mesh, task, found, unit, space, time.perf_counter() - began)
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a mesh is asked for, see `FiniteMesh.solve`; force, held, at (n, 3) in N and mm."""
 
+    mesh: FiniteMesh
+    force: Array
+    held: NDArray[np.bool_]
+    at: Array
+    is_space: bool
+    walls: tuple[HalfSpace, ...] = ()
 
-def _start(mesh: FiniteMesh, held: NDArray[np.bool_], at: Array, space: bool, options: FiniteOptions) -> Placed:
-    """The slack weave, as near to the held places as a translation brings it; in space with a disturbance in z."""
-    centre, normal = mesh.slack()
-    for axis in range(3):
-        rows = held[:, axis]
-        if rows.any():
-            centre[:, axis] += (at[rows, axis] - centre[rows, axis]).mean()
-    x = centre / mesh.cell.r1
-    if space:
-        shift = options.disturbance * np.random.default_rng(options.seed).uniform(-1.0, 1.0, len(x))
-        x[:, 2] += np.where(held[:, 2], 0.0, shift)
-    return Placed(x, normal)
+    def check(self) -> None:
+        """InputError for arrays of other shapes, no load, or a piece that nothing holds against its load."""
+        mesh, force, n = self.mesh, self.force, len(self.mesh.X)
+        for name, array in (("force", force), ("held", self.held), ("at", self.at)):
+            if array.shape != (n, 3):
+                raise InputError(f"{name}: has shape {array.shape}, it must be ({n}, 3), one row per ring")
+        if not (np.isfinite(force).all() and np.isfinite(self.at[self.held]).all()):
+            raise InputError("force and places must be finite numbers")
+        if not np.abs(force).sum() > 0.0:
+            raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
+        graph = coo_matrix((np.ones(len(mesh.linked)), mesh.linked.T), shape=(n, n))
+        count, label = connected_components(graph, directed=False)
+        for piece in range(count):
+            self._check_piece(np.flatnonzero(label == piece))
 
-
-def _check(mesh: FiniteMesh, force: Array, held: NDArray[np.bool_], at: Array) -> None:
-    """InputError for arrays of other shapes, no load, or a piece that nothing holds against its load."""
-    n = len(mesh.X)
-    for name, array in (("force", force), ("held", held), ("at", at)):
-        if array.shape != (n, 3):
-            raise InputError(f"{name}: has shape {array.shape}, it must be ({n}, 3), one row per ring")
-    if not (np.isfinite(force).all() and np.isfinite(at[held]).all()):
-        raise InputError("force and places must be finite numbers")
-    total = np.abs(force).sum()
-    if not total > 0.0:
-        raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
-    graph = coo_matrix((np.ones(len(mesh.linked)), mesh.linked.T), shape=(n, n))
-    count, label = connected_components(graph, directed=False)
-    for piece in range(count):
-        rings = np.flatnonzero(label == piece)
+    def _check_piece(self, rings: NDArray[np.intp]) -> None:
         for axis in range(3):
-            push = float(force[rings, axis].sum())
-            if abs(push) > _TINY * total and not held[rings, axis].any():
-                x, y = mesh.X[rings].mean(axis=0)
+            push = float(self.force[rings, axis].sum())
+            stopped = any(wall.unit[axis] * push < 0.0 for wall in self.walls)
+            if abs(push) > _TINY * np.abs(self.force).sum() and not (self.held[rings, axis].any() or stopped):
+                x, y = self.mesh.X[rings].mean(axis=0)
                 raise InputError(
                     f"nothing carries the force of {push:.6g} N along {'xyz'[axis]} on the piece around "
                     f"({x:g}, {y:g}) mm, it would move for ever; hold one of its rings"
                 )
 
+    def start(self, options: FiniteOptions) -> Placed:
+        """The slack weave, as near to the held places as a translation brings it; in space with a disturbance in z.
 
-def _solution(mesh: FiniteMesh, task: Task, found: Found, unit: float, space: bool, wall: float) -> FiniteSolution:
-    r1, con = mesh.cell.r1, found.touching
+        Half-spaces that it cuts begin farther back.
+        """
+        mesh, r1 = self.mesh, self.mesh.cell.r1
+        centre, normal = mesh.slack()
+        for axis in range(3):
+            rows = self.held[:, axis]
+            if rows.any():
+                centre[:, axis] += (self.at[rows, axis] - centre[rows, axis]).mean()
+        x = centre / r1
+        if self.is_space:
+            shift = options.disturbance * np.random.default_rng(options.seed).uniform(-1.0, 1.0, len(x))
+            x[:, 2] += np.where(self.held[:, 2], 0.0, shift)
+        places, units = self.planes()
+        for place, m in zip(places, units, strict=True):
+            lowest = float(((x - place) @ m - np.sqrt(1.0 - np.minimum((normal @ m) ** 2, 1.0))).min())
+            place += min(0.0, lowest - _CLEAR) * m
+        return Placed(np.concatenate([x, places]), np.concatenate([normal, units]), len(self.walls))
+
+    def planes(self) -> tuple[Array, Array]:
+        """Points (k, 3) in units of r1, r2 off the half-spaces, and unit normals (k, 3)."""
+        units = np.array([wall.unit for wall in self.walls]).reshape(-1, 3)
+        cell = self.mesh.cell
+        off = np.array([wall.offset + cell.r2 for wall in self.walls]) / cell.r1
+        return off[:, None] * units, units
+
+    def task(self) -> tuple[Task, float]:
+        """The equations without units, half-spaces as held rows after the rings; the unit of force in N."""
+        mesh, r1, n, k = self.mesh, self.mesh.cell.r1, len(self.mesh.X), len(self.walls)
+        unit = np.abs(self.force).sum() * float(np.hypot(*np.ptp(mesh.X, axis=0))) / (len(mesh.linked) * r1)
+        free = np.zeros((n + k, 5), dtype=bool)
+        free[:n] = True
+        free[:n, :3] = ~self.held
+        at = self.at if self.is_space else self.at * [1.0, 1.0, 0.0]
+        force = np.concatenate([self.force / unit, np.zeros((k, 3))])
+        held = np.concatenate([self.held, np.ones((k, 3), dtype=bool)])
+        return Task(mesh.linked, mesh.cell.wire, force, held, np.concatenate([at / r1, self.planes()[0]]), free), unit
+
+
+def solve_mesh(
+    problem: Problem, options: FiniteOptions | None = None, say: Callable[[Record], None] | None = None
+) -> FiniteSolution:
+    """The answer to a problem; see `FiniteMesh.solve`."""
+    began = time.perf_counter()
+    options = options or FiniteOptions()
+    problem.check()
+    task, unit = problem.task()
+    found = solve_rings(task, problem.start(options), options, say)
+    return _solution(problem, task, found, unit, time.perf_counter() - began)
+
+
+def _solution(problem: Problem, task: Task, found: Found, unit: float, wall_s: float) -> FiniteSolution:
+    mesh, con = problem.mesh, found.touching
+    r1, n = mesh.cell.r1, len(mesh.X)
     check = find_touching(found.placed, task.linked, task.wire, 0.1)
     lowest = r1 * float(check.deepest.min(initial=np.inf))
-    G = gradients(found.placed, con)
-    total = spread(con, G, found.force, len(mesh.X))[:, :3] + task.force
+    total = spread(con, gradients(found.placed, con), found.force, len(task.force))[:, :3] + task.force
+    reaction = np.where(task.held, -unit * total, 0.0)
     pair = con.minima.pair
+    ring = ~con.at_wall
+    residual = max(found.residual, -lowest / r1)
+    if found.status == "out-of-reach":
+        unit, residual, reaction = np.nan, np.inf, np.full_like(reaction, np.nan)
+    missing = np.where(task.held, task.at - found.placed.x, 0.0)
     return FiniteSolution(
         mesh=mesh,
-        centre=r1 * found.placed.x,
-        normal=found.placed.normal,
-        load=unit * task.force,
-        reaction=np.where(task.held, -unit * total, 0.0),
-        pairs=np.column_stack([con.a[pair], con.b[pair]]),
-        contact_normal=con.minima.normal,
-        force=unit * found.force,
-        gap=r1 * con.gap,
+        centre=r1 * found.placed.x[:n],
+        normal=found.placed.normal[:n],
+        load=problem.force,
+        reaction=reaction[:n],
+        pairs=np.column_stack([con.a[pair], con.b[pair]])[ring],
+        contact_normal=con.minima.normal[ring],
+        force=unit * found.force[ring],
+        gap=r1 * con.gap[ring],
+        walls=problem.walls,
+        wall_force=reaction[n:],
         status=found.status,
-        is_space=space,
+        is_space=problem.is_space,
         links_intact=links_intact(found.placed, check, task.keys),
         min_gap_mm=lowest,
-        kkt_residual=max(found.residual, -lowest / r1),
+        way_left_mm=r1 * float(np.sqrt((missing**2).sum(axis=1)).max()),
+        kkt_residual=residual,
         iterations=len(found.history),
-        wall_s=wall,
+        wall_s=wall_s,
         history=found.history,
     )

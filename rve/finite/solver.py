@@ -40,7 +40,8 @@ _IDLE = 1e-6
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
 _TURNS = 3
-"""Trials of a step: as it is, and corrected for what gaps fell short of."""
+"""Trials of a step, as it is and corrected for what gaps fell short of; times that the end is tried with and without
+points beside minima."""
 _FARTHEST = 0.995
 """Part of a gap that the linear forecast of a step may close."""
 _LEAST = 0.002
@@ -108,7 +109,7 @@ def solve_rings(
     force = central(touching.gap, options.mu_start, options.reach)
     state = _State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
     history: list[Record] = []
-    idle, best, status, is_minimum = 0, np.inf, "iterations", False
+    idle, best, status, is_minimum, turns = 0, np.inf, "iterations", False, 0
     for _ in range(options.max_iterations):
         G = gradients(state.placed, state.touching)
         residual, product = kkt(state.touching, G, state.force, task)
@@ -122,6 +123,10 @@ def solve_rings(
         if has_arrived and (is_calm or idle >= options.patience):
             if state.mu <= options.mu_end and idle >= options.patience:
                 # Points beside a minimum move with it and may keep a last residual: the end goes without them.
+                turns += 1
+                if turns > _TURNS:
+                    status = "stalled"
+                    break
                 task = replace(task, beside=not task.beside)
                 state = _found_again(state, task, options.reach)
             lower = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rve.common.types import Array
+from rve.finite.walls import wall_gaps
 from rve.geometry.circles import Minima, are_linked, cross, dot, followed_minima, foot_on_circle, local_minima, tangent_frame
 
 Index = NDArray[np.intp]
@@ -22,10 +23,19 @@ _CHUNK = 4096
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Rings in space in units of r1: centres x (n, 3) and unit normals (n, 3)."""
+    """Rings in space in units of r1: centres x (n, 3) and unit normals (n, 3).
+
+    The last `walls` rows are half-spaces instead: a point of the plane and the unit normal, towards the rings.
+    """
 
     x: Array
     normal: Array
+    walls: int = 0
+
+    @property
+    def rings(self) -> int:
+        """How many rows are rings."""
+        return len(self.x) - self.walls
 
     def moved(self, q: Array) -> Placed:
         """Rings after the step q (n, 5): centres move by the first three, normals turn by the exponential map of the
@@ -34,7 +44,7 @@ class Placed:
         omega = q[:, 3:4] * e1 + q[:, 4:] * e2
         angle = np.sqrt(dot(omega, omega))[:, None]
         normal = np.cos(angle) * self.normal + np.sinc(angle / np.pi) * cross(omega, self.normal)
-        return Placed(self.x + q[:, :3], normal / np.sqrt(dot(normal, normal))[:, None])
+        return Placed(self.x + q[:, :3], normal / np.sqrt(dot(normal, normal))[:, None], self.walls)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +52,8 @@ class Touching:
     """Contacts of a placement.
 
     a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
-    and b; gap (m,); deepest (p,): smallest gap of each pair, inf where it has none within reach.
+    and b; fixed (m,): contacts that keep their point of ring a, and those with half-spaces; gap (m,); deepest (p,):
+    smallest gap of each pair, inf where it has none within reach. A pair with b >= rings is one with a half-space.
     """
 
     a: Index
@@ -52,6 +63,12 @@ class Touching:
     fixed: NDArray[np.bool_]
     gap: Array
     deepest: Array
+    rings: int
+
+    @property
+    def at_wall(self) -> NDArray[np.bool_]:
+        """Contacts (m,) with half-spaces."""
+        return np.asarray(self.b[self.minima.pair] >= self.rings)
 
     @property
     def count(self) -> Index:
@@ -59,10 +76,10 @@ class Touching:
         return np.bincount(self.minima.pair, minlength=len(self.a))
 
 
-def near_pairs(x: Array, limit: float, linked: Index) -> tuple[Index, Index, Index]:
+def near_pairs(placed: Placed, limit: float, linked: Index) -> tuple[Index, Index, Index]:
     """a, b, key (p,) of all pairs of rings with centres nearer than 2 + limit, and of the linked pairs (m, 2)."""
-    n = len(x)
-    pairs = cKDTree(x).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
+    n = len(placed.x)
+    pairs = cKDTree(placed.x[: placed.rings]).query_pairs(2.0 + limit, output_type="ndarray").astype(np.int64)
     key = np.unique(np.concatenate([pairs.min(axis=1) * n + pairs.max(axis=1), linked[:, 0] * n + linked[:, 1]]))
     return key // n, key % n, key
 
@@ -70,7 +87,7 @@ def near_pairs(x: Array, limit: float, linked: Index) -> tuple[Index, Index, Ind
 def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, beside: bool = True) -> Touching:
     """All contacts whose gap is below `reach` (r1), and points beside soft ones; wire = r2/r1."""
     limit = 2.0 * wire + reach
-    a, b, key = near_pairs(placed.x, limit, linked)
+    a, b, key = near_pairs(placed, limit, linked)
     d, na, nb = placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b]
     parts = []
     for first in range(0, max(len(a), 1), _CHUNK):
@@ -81,10 +98,39 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
     minima, fixed = real, np.zeros(len(real.pair), dtype=bool)
     if beside:
         minima, fixed = with_neighbours(real, d, na, nb, wire, limit)
+    if placed.walls:
+        a, b, key, minima, fixed = _with_walls(placed, (a, b, key), minima, fixed, wire, reach)
     gap = minima.distance - 2.0 * wire
     deepest = np.full(len(a), np.inf)
     np.minimum.at(deepest, minima.pair, gap)
-    return Touching(a, b, key, minima, fixed, gap, deepest)
+    return Touching(a, b, key, minima, fixed, gap, deepest, placed.rings)
+
+
+def _with_walls(
+    placed: Placed,
+    pairs: tuple[Index, Index, Index],
+    minima: Minima,
+    fixed: NDArray[np.bool_],
+    wire: float,
+    reach: float,
+) -> tuple[Index, Index, Index, Minima, NDArray[np.bool_]]:
+    """The pairs a, b, key and contacts with those of rings and half-spaces within reach, sorted again."""
+    n, x, normal = placed.rings, placed.x, placed.normal
+    ring, wall = np.repeat(np.arange(n), placed.walls), np.tile(np.arange(n, len(x)), n)
+    g = wall_gaps(x[ring], normal[ring], x[wall], normal[wall])
+    near = g < reach
+    ring, wall, g = ring[near], wall[near], g[near]
+    rows, zero = len(pairs[0]) + np.arange(len(ring)), np.zeros((len(ring), 3))
+    more = Minima(rows, -normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring)))
+    key = np.concatenate([pairs[2], ring * len(x) + wall])
+    order = np.argsort(key)
+    place = np.argsort(order)
+    both = minima.join([more])
+    both = replace(both, pair=place[both.pair])
+    fixed = np.concatenate([fixed, np.ones(len(ring), dtype=bool)])
+    sort = np.argsort(both.pair, kind="stable")
+    a, b = (np.concatenate(column)[order] for column in zip(pairs[:2], (ring, wall), strict=True))
+    return a, b, key[order], both.take(sort), fixed[sort]
 
 
 def followed_gaps(old: Touching, placed: Placed, wire: float) -> Array:
@@ -157,9 +203,10 @@ def nearest(old: Touching, new: Touching) -> tuple[Index, Array]:
 
 def links_intact(placed: Placed, touching: Touching, linked_keys: Index) -> bool:
     """Whether exactly the linked pairs interlink among all near pairs; far pairs cannot."""
-    a, b = touching.a, touching.b
+    rings = touching.b < touching.rings
+    a, b = touching.a[rings], touching.b[rings]
     found = are_linked(placed.x[b] - placed.x[a], placed.normal[a], placed.normal[b], 1.0)
-    return bool((found == np.isin(touching.key, linked_keys)).all())
+    return bool((found == np.isin(touching.key[rings], linked_keys)).all())
 
 
 def ways(touching: Touching, q: Array) -> Array:
@@ -176,7 +223,8 @@ def safe_parts(touching: Touching, q: Array, wire: float, reach: float, share: f
     one as seen from the other. D(1) >= 2 wire, so less than D(0) + 2 wire is safe; `share` of it is allowed.
     """
     distance = np.minimum(touching.deepest, reach) + 2.0 * wire
-    return np.asarray(np.minimum(1.0, share * (distance + 2.0 * wire) / np.maximum(ways(touching, q), 1e-300)))
+    part = share * (distance + 2.0 * wire) / np.maximum(ways(touching, q), 1e-300)
+    return np.asarray(np.where(touching.b < touching.rings, np.minimum(1.0, part), 1.0))
 
 
 def is_passage_safe(
@@ -191,21 +239,22 @@ def is_passage_safe(
     start = np.minimum(old.deepest + 2.0 * wire, limit)
     rows = of_pairs(new.key, old.key)
     end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * wire, limit), limit)
-    if (ways(old, q) >= start + np.maximum(end, 2.0 * wire)).any():
+    if ((ways(old, q) >= start + np.maximum(end, 2.0 * wire)) & (old.b < old.rings)).any():
         return False
     return not _far_pairs_meet(before, after, old.key)
 
 
 def _far_pairs_meet(before: Placed, after: Placed, near: Index) -> bool:
-    n = len(before.x)
-    step = after.x - before.x
+    n, rings = len(before.x), before.rings
+    x0, x1 = before.x[:rings], after.x[:rings]
+    step = x1 - x0
     step = step - 0.5 * (step.max(axis=0) + step.min(axis=0))
     longest = float(np.sqrt(dot(step, step)).max())
-    pairs = cKDTree(0.5 * (before.x + after.x)).query_pairs(2.0 + longest, output_type="ndarray").astype(np.int64)
+    pairs = cKDTree(0.5 * (x0 + x1)).query_pairs(2.0 + longest, output_type="ndarray").astype(np.int64)
     a, b = pairs.min(axis=1), pairs.max(axis=1)
     far = of_pairs(near, a * n + b) < 0
     a, b = a[far], b[far]
-    way, d0, d1 = (u[b] - u[a] for u in (step, before.x, after.x))
+    way, d0, d1 = (u[b] - u[a] for u in (step, x0, x1))
     beyond = np.maximum(np.sqrt(dot(d0, d0)) - 2.0, 0.0) + np.maximum(np.sqrt(dot(d1, d1)) - 2.0, 0.0)
     return bool((dot(way, way) >= beyond**2).any())
 

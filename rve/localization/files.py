@@ -51,11 +51,13 @@ def write_ring_vtu(
     radii: tuple[float, float],
     data: dict[str, Array],
     around: tuple[int, int],
+    *,
+    precise: bool = False,
 ) -> None:
     """Rings as VTU: closed lines of around[0] points, one cell per ring, or tubes if around[1] > 0.
 
     placed: centres and unit normals (n, 3) of the rings; radii (r1, r2) in mm; data: numbers per ring (n,) or (n, w).
-    Tubes repeat a ring's numbers on each of its quadrilaterals.
+    Tubes repeat a ring's numbers on each of its quadrilaterals. precise: points and numbers in double precision.
     """
     centre, normal = placed
     n, (along, across) = len(centre), around
@@ -67,15 +69,15 @@ def write_ring_vtu(
         points = circles(centre, normal, radii[0], along)[0].reshape(-1, 3)
         cells = np.concatenate([np.arange(n * along).reshape(n, along), along * np.arange(n)[:, None]], axis=1)
         size, kind = along + 1, _POLY_LINE
-    count = len(cells)
+    count, real = len(cells), "f8" if precise else "f4"
     arrays = [
-        "<Points>" + _array("Points", points.astype("f4")) + "</Points>",
+        "<Points>" + _array("Points", points.astype(real)) + "</Points>",
         "<Cells>"
         + _array("connectivity", cells.astype("i4"), flat=True)
         + _array("offsets", (size * np.arange(1, count + 1)).astype("i4"))
         + _array("types", np.full(count, kind, dtype="u1"))
         + "</Cells>",
-        "<CellData>" + "".join(_array(name, _compact(values)) for name, values in data.items()) + "</CellData>",
+        "<CellData>" + "".join(_array(name, _compact(values, real)) for name, values in data.items()) + "</CellData>",
     ]
     head = '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
     head += 'header_type="UInt32" compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>'
@@ -83,8 +85,8 @@ def write_ring_vtu(
     write_text(path, head + piece + "\n".join(arrays) + "\n</Piece></UnstructuredGrid></VTKFile>\n")
 
 
-def _compact(values: Array) -> NDArray[np.generic]:
-    return values.astype("i4") if np.issubdtype(values.dtype, np.integer) else values.astype("f4")
+def _compact(values: Array, real: str) -> NDArray[np.generic]:
+    return values.astype("i4" if np.issubdtype(values.dtype, np.integer) else real)
 
 
 def _array(name: str, values: NDArray[np.generic], *, flat: bool = False) -> str:
