@@ -1,4 +1,4 @@
-"""Distances and links of circles by brute force: sampled angles, golden section, linking integrals. No part of `rve`."""
+"""Distances and links of circles by brute force, without `rve`: samples, golden section, linking integrals."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -31,7 +31,7 @@ ACROSS = 3
 @dataclass(frozen=True)
 class Sheet:
     """A scene of any size: its support, the angle of its weave in degrees, and a pull in the middle of its width at a
-    third of its height, as multiples of the weight along x and y."""
+    third of its height, as multiples of the weight along x and y; `sizes`: the multiples k that the full report solves."""
 
     key: str
     title: str
@@ -41,6 +41,7 @@ class Sheet:
     pull: tuple[float, float] = (0.0, 0.0)
     columns: int = 4
     rows: int = 3
+    sizes: tuple[int, ...] = (1, 2, 3, 4)
 
     def sides(self, k: int) -> tuple[float, float]:
         """Width and height in mm."""
@@ -67,7 +68,7 @@ class Sheet:
 
 
 SHEETS = (
-    Sheet("corners", "hung by its corners, 90 % apart", "corners", 0.9),
+    Sheet("corners", "hung by its corners, 90 % apart", "corners", 0.9, sizes=(1, 2, 3, 4, 6)),
     Sheet("gathered", "top gathered to 70 %, hung across the grain", "top", 0.7, 90.0),
     Sheet("turned", "weave turned by 45 degrees, hung by its corners, 90 % apart", "corners", 0.9, 45.0),
     Sheet("pull", "top gathered to 90 %, a sideways pull of its weight at a point", "top", 0.9, 0.0, (1.0, 0.0)),
@@ -100,7 +101,8 @@ def kept(folder: Path, name: str, asked: dict[str, Any], make: Callable[[], Case
 def rings_case(sheet: Sheet, k: int, space: bool, folder: Path) -> Case:
     """Every ring of a sheet. Arrays: X, centre, normal, load, reaction, area, P (n, 2, 2) of each ring."""
     name = f"{sheet.key}_{k}_{'space' if space else 'plane'}"
-    return kept(folder, name, asdict(sheet) | {"k": k, "space": space}, lambda: _solved_rings(sheet, k, space))
+    asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"}
+    return kept(folder, name, asked | {"k": k, "space": space}, lambda: _solved_rings(sheet, k, space))
 
 
 def _solved_rings(sheet: Sheet, k: int, space: bool) -> Case:
@@ -151,7 +153,7 @@ def neighbours(X: Array, half: float) -> list[list[int]]:
 
 def disk_case(sheet: Sheet, cells: int, folder: Path) -> Case:
     """The disk of a sheet with k = 1, with bounds. Arrays: X, x (n, 2) of nodes; middle, P, area of triangles."""
-    asked = asdict(sheet) | {"cells": cells}
+    asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"} | {"cells": cells}
     return kept(folder, f"{sheet.key}_disk_{cells}", asked, lambda: _solved_disk(sheet, cells))
 
 

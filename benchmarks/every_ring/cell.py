@@ -22,7 +22,7 @@ DIRECTIONS = (
     (45.0, 75.0),
 )
 """alpha and beta in degrees."""
-FAR = 3
+FAR = 4
 """Cells from the edge that count as away from it."""
 MIDDLE, OUTER = "error of E in the middle", "error of E in cells on the edge"
 AWAY = f"largest error {FAR} or more cells away"
@@ -30,7 +30,7 @@ AWAY = f"largest error {FAR} or more cells away"
 
 def measure(full: bool, folder: Path) -> Section:
     """The section."""
-    size = (10, 8) if full else (6, 4)
+    size = (12, 10) if full else (6, 4)
     cases = []
     for alpha, beta in DIRECTIONS if full else DIRECTIONS[2:3]:
         name, asked = f"edge_{alpha:g}_{beta:g}_{size[0]}", {"size": size, "far": FAR}
@@ -38,9 +38,9 @@ def measure(full: bool, folder: Path) -> Section:
     rows = [case.numbers for case in cases]
     text = (
         f"A mesh of {size[0]} x {size[1]} reference cells in the plane, r1/r2 = 10, no weight. Rings on the boundary "
-        "carry the dead forces P N of a homogeneous line load, P = F S with F and S of the periodic cell under the same "
-        "load direction (`rve.solve_table`). E of each reference cell follows from the centres of its four corner rings. "
-        "The error is the largest component of the difference to the periodic cell's E."
+        "carry the dead forces P N of a homogeneous line load, P = F S with F and S of the periodic cell under the "
+        "same load direction (`rve.solve_table`). E of each reference cell follows from the centres of the rings at "
+        "its four corners. The error is the largest component of the difference to the periodic cell's E."
     )
     worst = max(row[MIDDLE] for row in rows)
     conclusion = (
@@ -53,7 +53,9 @@ def measure(full: bool, folder: Path) -> Section:
         for row, case in zip(rows, cases, strict=True)
         if len(values := np.maximum(case.arrays["error"], 1e-12))
     )
-    diagram = Diagram("edge", "Error of E by distance from the edge", "row of cells from the edge", "error of E", curves)
+    diagram = Diagram(
+        "edge", "Error of E by distance from the edge", "row of cells from the edge", "error of E", curves
+    )
     return Section("The periodic cell", text, (table("Homogeneous edge load", rows, forms),), (diagram,), conclusion)
 
 

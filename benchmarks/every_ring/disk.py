@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.every_ring.cases import ACROSS, GRAVITY, SHEETS, Array, Case, Sheet, disk_case, neighbours, rings_case
+from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, disk_case, rings_case
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Curve, Diagram, Section, Table, table
 
-SIZES = (1, 2, 3, 4, 6)
 QUICK_SIZES = (1, 2)
 LEAST_FITTED = 8
 """Cells across of the smallest sheet that the extrapolation uses."""
@@ -27,19 +26,19 @@ def measure(full: bool, folder: Path) -> Section:
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
     names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
     text = (
-        f"{names}. All have rings of r1/r2 = 10 and sides in the ratio of 4 to 3 cells; a sheet is as many cells across "
-        "as the table says. Loads grow with the weight, so that the disk's answer over the height is one number for all "
-        f"sizes. The disk has {CELLS} columns of finite elements and certified bounds (`[solver] bounds`). `mean "
-        "height`, `lowest point`: rings less disk, over the height. `potential`: rings less the middle of the disk's "
-        "interval, over weight times height. `line load`: root mean square of the difference of P averaged over "
-        f"{ACROSS} x {ACROSS} cells, over that of the disk."
+        f"{names}. All have rings of r1/r2 = 10 and sides in the ratio of 4 to 3 cells; a sheet is as many cells "
+        "across as the table says. Loads grow with the weight, so that the disk's answer over the height is one "
+        f"number for all sizes. The disk has {CELLS} columns of finite elements and certified bounds (`[solver] "
+        "bounds`). `mean height`, `lowest point`: rings less disk, over the height. `potential`: rings less the "
+        "middle of the disk's interval, over weight times height. `line load`: root mean square of the difference of "
+        f"P averaged over {ACROSS} x {ACROSS} cells, over that of the disk."
     )
     limit_forms = {"order": ".2f", "limit, %": ".2f", "disk from, %": ".2f", "disk to, %": ".2f", "error, %": ".2f"}
     note = (
         "The potential over weight times height, fitted by a + b / N over the converged sizes with N >= "
         f"{LEAST_FITTED} cells across; `limit` is a, `error` its standard error. `order`: of the difference from the "
-        "middle of the disk's certified interval, fitted by N^-order. `inside`: whether the limit lies in the interval, "
-        "give or take twice its error."
+        "middle of the disk's certified interval, fitted by N^-order. `inside`: whether the limit lies in the "
+        "interval, give or take twice its error."
     )
     tables = (
         table("Rings less disk", rows, forms),
@@ -52,7 +51,7 @@ def measure(full: bool, folder: Path) -> Section:
 def sheet_rows(sheet: Sheet, full: bool, folder: Path) -> list[Row]:
     """A row for each size, in the plane and in space."""
     return [
-        compared(sheet, k, space, folder) for space in (False, True) for k in (SIZES if full else QUICK_SIZES)
+        compared(sheet, k, space, folder) for space in (False, True) for k in (sheet.sizes if full else QUICK_SIZES)
     ]
 
 
@@ -88,7 +87,7 @@ def interval(sheet: Sheet, disk: Case) -> tuple[float, float]:
 
 
 def line_loads(sheet: Sheet, rings: Case, disk: Case, k: int) -> tuple[Array, Array]:
-    """P (n, 2, 2) around each ring, of the rings and of the disk, averaged over the same squares, over weight / width."""
+    """P (n, 2, 2) around each ring, of the rings and of the disk, averaged over the same squares, by weight / width."""
     from scipy.spatial import cKDTree
 
     scale = sheet.weight(k) / sheet.sides(k)[0]
@@ -96,7 +95,9 @@ def line_loads(sheet: Sheet, rings: Case, disk: Case, k: int) -> tuple[Array, Ar
     tree = cKDTree(k * disk.arrays["middle"])
     area, P = disk.arrays["area"], disk.arrays["P"]
     theirs = np.zeros((len(rings.arrays["X"]), 2, 2))
-    for ring, rows in enumerate(tree.query_ball_point(rings.arrays["X"], max(side, 0.75 * _disk_side(sheet, k)), p=np.inf)):
+    for ring, rows in enumerate(
+        tree.query_ball_point(rings.arrays["X"], max(side, 0.75 * _disk_side(sheet, k)), p=np.inf)
+    ):
         theirs[ring] = np.average(P[rows], axis=0, weights=area[rows]) if rows else np.nan
     ours = rings.arrays["P"][:, :2] / scale
     return ours, theirs * sheet.sides(1)[0] / sheet.weight(1)
@@ -156,7 +157,7 @@ RULE = "cells across, at least"
 
 
 def constant(rows: Sequence[Row]) -> float:
-    """The least C with |difference of the mean height| <= C / N for all converged rows in space, in % of the height."""
+    """The least C in % with |difference of the mean height| <= C / N for all converged rows in space."""
     good = [row for row in rows if row["status"] == "converged" and row["centres"] == "space"]
     return max(abs(row[HEIGHT]) * row["cells across"] for row in good)
 
@@ -198,13 +199,14 @@ def conclusion(rows: Sequence[Row], limits: Sequence[Row]) -> str:
         if row["status"] == "converged":
             both[row["scene"], row["cells across"]][row["centres"]] = row["_potential"]
     cost = [pair["plane"] - pair["space"] for pair in both.values() if len(pair) == 2]
-    most = max(row["cells across"] for row in rows)
-    last = [abs(row[HEIGHT]) for row in rows if row["cells across"] == most and row["centres"] == "space"]
+    good = [row for row in rows if row["status"] == "converged" and row["centres"] == "space"]
+    most = min(max(row["cells across"] for row in good if row["scene"] == sheet.key) for sheet in SHEETS)
+    last = [abs(row[HEIGHT]) for row in good if row["cells across"] == most]
     C = constant(rows)
     return (
-        f"A curtain of at least {int(np.ceil(C / 2.0))} cells across hangs within 2 % of its height where the disk does, "
-        f"one of {int(np.ceil(C))} within 1 % (mean height, centres free in space). At {most} cells across the four "
-        f"scenes differ by {min(last):.2g} to {max(last):.2g} %. The extrapolated potential is inside the disk's "
-        f"interval, give or take twice the error, in {len(inside)} of {len(fitted_rows)} rows. Confinement to the plane "
-        f"raises the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
+        f"A curtain of at least {int(np.ceil(C / 2.0))} cells across hangs within 2 % of its height where the disk "
+        f"does, one of {int(np.ceil(C))} within 1 % (mean height, centres free in space). At {most} cells across the "
+        f"four scenes differ by {min(last):.2g} to {max(last):.2g} %. The extrapolated potential is inside the disk's "
+        f"interval, give or take twice the error, in {len(inside)} of {len(fitted_rows)} rows. Confinement to the "
+        f"plane raises the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
     )

@@ -1,11 +1,12 @@
 """Where the disk is wrong: differences of line load and place by the distance from edges, supports and point loads."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.every_ring.cases import SHEETS, Array, Case, Sheet, disk_case, rings_case
-from benchmarks.every_ring.disk import CELLS, QUICK_SIZES, SIZES, line_loads
+from benchmarks.every_ring.disk import CELLS, QUICK_SIZES, line_loads
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
 
@@ -16,8 +17,8 @@ NEAR = "near"
 
 def measure(full: bool, folder: Path) -> Section:
     """The section."""
-    k = (SIZES if full else QUICK_SIZES)[-1]
     rows, places = [], []
+    k = 4 if full else QUICK_SIZES[-1]
     for sheet in SHEETS:
         rings, disk = rings_case(sheet, k, True, folder), disk_case(sheet, CELLS, folder)
         if rings.numbers["status"] != "converged":
@@ -25,11 +26,11 @@ def measure(full: bool, folder: Path) -> Section:
         rows += _rows(sheet, rings, _line_difference(sheet, rings, disk, k))
         places += _rows(sheet, rings, _place_difference(sheet, rings, disk, k))
     text = (
-        f"Sheets {k * SHEETS[0].columns} cells across, centres free in space. Root mean square over the rings of a band, "
-        "by the distance from the nearest support or point load, and, for rings 6 or more from these, by the distance "
-        "from the nearest free edge. A ring is a step of the square root of the reference area per ring, 8.3 mm. Line "
-        "loads P are averaged over 3 x 3 cells, and given over the root mean square of the disk's in the scene. Places: "
-        "distance in the plane from the point of the disk that belongs to the ring, over the height."
+        f"Sheets {k * SHEETS[0].columns} cells across, centres free in space. Root mean square over the rings of a "
+        "band, by the distance from the nearest support or point load, and, for rings 6 or more from these, by the "
+        "distance from the nearest free edge. A ring is a step of the square root of the reference area per ring, 8.3 "
+        "mm. Line loads P are averaged over 3 x 3 cells, and given over the root mean square of the disk's in the "
+        "scene. Places: distance in the plane from the point of the disk that belongs to the ring, over the height."
     )
     tables = (
         table("Line load: difference, % of the disk's", rows, dict.fromkeys(_heads(), ".1f")),
@@ -39,7 +40,7 @@ def measure(full: bool, folder: Path) -> Section:
 
 
 def _heads() -> list[str]:
-    return [f"{a:g} to {b:g} rings" if np.isfinite(b) else f"{a:g} and more" for a, b in zip(BANDS, BANDS[1:], strict=False)]
+    return [f"{a:g} to {b:g} rings" if np.isfinite(b) else f"{a:g} and more" for a, b in pairwise(BANDS)]
 
 
 def _rows(sheet: Sheet, rings: Case, away: Array) -> list[Row]:
@@ -51,7 +52,7 @@ def _rows(sheet: Sheet, rings: Case, away: Array) -> list[Row]:
         ("free edges", edges, np.isfinite(away) & (points >= 6.0)),
     ):
         row: Row = {"scene": sheet.key, NEAR: name}
-        for head, low, high in zip(_heads(), BANDS, BANDS[1:], strict=False):
+        for head, (low, high) in zip(_heads(), pairwise(BANDS), strict=True):
             rows = some & (distance >= low) & (distance < high)
             row[head] = 100.0 * float(np.sqrt((away[rows] ** 2).mean())) if rows.sum() >= 5 else None
         out.append(row)

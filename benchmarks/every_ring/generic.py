@@ -1,11 +1,13 @@
 """A mesh of 2 x 2 cells in IPOPT: the same potential from a generic nonlinear solver with gaps of its own.
 
 A ring has its centre and two tilts as unknowns. A constraint is a fixed direction, projected into the plane of ring a,
-whose point keeps its distance from circle b, in closed form; CasADi differentiates it. Directions are those of all local
-minima that brute force finds, in this round and the ones before, and evenly spaced ones. Each round solves the program
-in a box smaller than the wire.
+whose point keeps its distance from circle b, in closed form; CasADi differentiates it. Directions are those of all
+local minima that brute force finds, in this round and the ones before, and evenly spaced ones. Each round solves the
+program in a box smaller than the wire, and boxes shrink.
 """
 
+import importlib.util
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from rve import Cell, FiniteMesh
 BOX = 0.06
 """Largest change of any unknown in a round, lengths in r1."""
 PROXIMITY = 1e-3
-"""Cost of a step squared, in weight times r1: rings that nothing holds stay where they are. It vanishes with the step."""
+"""Cost of a step squared, in weight times r1, so that loose rings stay where they are; it vanishes with the step."""
 SHRINK = 0.8
 ROUNDS = 120
 EVEN = 16
@@ -133,33 +135,34 @@ def _round(
     return centre + q[: 3 * n].reshape(n, 3), turned / np.linalg.norm(turned, axis=1)[:, None]
 
 
+TITLE = "A generic nonlinear solver"
 SUPPORTS = ("corners", "top")
 
 
 def measure(full: bool, folder: Path) -> Section:
-    """The section."""
+    """The section; without CasADi, one that says so."""
+    if importlib.util.find_spec("casadi") is None:
+        return Section(TITLE, "CasADi is not installed (`pip install casadi`): nothing was compared.")
     rows = []
     for hung in SUPPORTS if full else SUPPORTS[:1]:
         for space in (False, True) if full else (False,):
             name = f"generic_{hung}_{'space' if space else 'plane'}"
             rows.append(kept(folder, name, {}, lambda h=hung, s=space: Case(compared(h, s), {})).numbers)
     text = (
-        "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % of "
-        "their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
-        "(`generic.py`). It starts from our answer with all rings moved and tilted by up to 0.01 at random, so that it overlaps, "
-        "and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1. Potentials are compared "
-        "with that of `rve.FiniteMesh`."
+        "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
+        "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
+        "(`generic.py`). It starts from our answer with all rings moved and tilted by up to 0.01 at random, so that "
+        "it overlaps, and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1. "
+        "Potentials are compared with that of `rve.FiniteMesh`."
     )
     near = [row for row in rows if abs(row[DIFFERENCE]) < 1e-6]
     conclusion = f"IPOPT's potential is ours to 1e-6 of weight times r1 in {len(near)} of {len(rows)} rows."
     forms = {DIFFERENCE: "signed 1e-9 2", "least gap of IPOPT, r1": "at_most 1e-12", "s of IPOPT": ".0f timed"}
-    return Section("A generic nonlinear solver", text, (table("2 x 2 cells in IPOPT", rows, forms),), (), conclusion)
+    return Section(TITLE, text, (table("2 x 2 cells in IPOPT", rows, forms),), (), conclusion)
 
 
 def compared(hung: str, space: bool) -> Row:
     """Our answer, and that of IPOPT from a start near ours."""
-    import time
-
     mesh = FiniteMesh.rectangle(Cell(), 2, 2)
     n, r1, wire = len(mesh.X), mesh.cell.r1, mesh.cell.wire
     force = np.zeros((n, 3))

@@ -15,7 +15,8 @@ from rve.support_function import Support
 
 RATIOS = {"4-in-1": (5.0, 10.0, 20.0, 50.0), "6-in-1": (7.0, 10.0, 20.0, 50.0)}
 LOADS = np.array([[0.5, 0.0, 0.5], [0.8, 0.0, 0.2], [0.03, 0.0, 0.97], [0.6, 0.2, 0.4]])
-LARGEST = 3
+LARGEST, THICK = 3, 10.0
+"""Largest cells along each side, for r1/r2 up to `THICK`; 2 x 2 for thinner wire."""
 DISTURBANCE = 0.05
 """Of centres across the plane at the start, in r1."""
 MORE, RISE, DEPTH = "more work than in the plane", "largest S:E - h", "largest depth of those, r1"
@@ -23,31 +24,32 @@ MORE, RISE, DEPTH = "more work than in the plane", "largest S:E - h", "largest d
 
 def measure(full: bool, folder: Path) -> Section:
     """The section: weaves, ratios of radii, sizes of the periodic cell, loads, starts."""
-    sizes = range(1, (LARGEST if full else 1) + 1)
     rows = []
     for weave in (FOUR_IN_ONE, SIX_IN_ONE):
         for ratio in RATIOS[weave.name] if full else (10.0,):
-            for size in sizes:
+            for size in range(1, (LARGEST if ratio <= THICK else 2) + 1) if full else (1,):
                 name = f"cell_{weave.name}_{ratio:g}_{size}"
                 asked = {"loads": LOADS.tolist(), "disturbance": DISTURBANCE}
                 rows.append(kept(folder, name, asked, lambda w=weave, r=ratio, k=size: _case(w, r, k)).numbers)
     text = (
         "Cells of 1 x 1 to 3 x 3 primitive cells whose rings may move along z, by sequential quadratic programming "
         "(`space_cell.py`, a solver of its own), under four dead loads S of unit trace. Each load has two starts: the "
-        f"slack weave with centres disturbed across the plane by up to {DISTURBANCE} r1 at random, every ring on its own, "
-        "and the locked state of the planar cell with a fifth of that; 3 x 3 cells have the second start only. The work S:E that is reached is compared with h(S) of the "
-        "planar two-ring cell (`rve.support`). Ends within 1e-6 of h are the planar state; lower ones are other "
-        "locked states, or places where the method stalled."
+        f"slack weave with centres disturbed across the plane by up to {DISTURBANCE} r1 at random, every ring on its "
+        "own, and the locked state of the planar cell with a fifth of that; 3 x 3 cells have the second start only. "
+        "The work S:E that is reached is compared with h(S) of the planar two-ring cell (`rve.support`). Ends within "
+        "1e-6 of h are the planar state; lower ones are other locked states, or places where the method stalled."
     )
     forms = {RISE: "signed 1e-6", "r1/r2": "g", DEPTH: ".1e", "worst overlap, r1": "at_most 1e-12"}
     found = [row for row in rows if row[MORE]]
     where = ", ".join(f"{row['weave']} at {row['r1/r2']:g}, {row['cells']}" for row in found)
     conclusion = (
-        f"More work in space than in the plane: {where or 'nowhere'} "
-        f"({count_of([bool(row[MORE]) for row in rows])} cells). "
-        f"{sum(row['at h'] for row in rows)} of {sum(row['runs'] for row in rows)} runs end at h of the planar cell."
+        f"More work in space than in the plane: {where or 'nowhere'} ({count_of([bool(row[MORE]) for row in rows])} "
+        f"cells). {sum(row['at h'] for row in rows)} of {sum(row['runs'] for row in rows)} runs end at h of the planar "
+        "cell, so that confinement to the plane costs these cells no strain."
     )
-    return Section("Does a weave leave the plane?", text, (table("Periodic cells in space", rows, forms),), (), conclusion)
+    return Section(
+        "Does a weave leave the plane?", text, (table("Periodic cells in space", rows, forms),), (), conclusion
+    )
 
 
 def _case(weave: Weave, ratio: float, size: int) -> Case:

@@ -1,4 +1,4 @@
-"""Random admissible starts of one scene: how far apart the potentials end, and whether any ring passed through another."""
+"""Random admissible starts: how far apart the potentials end, and whether any ring passed through another."""
 
 from pathlib import Path
 
@@ -20,14 +20,14 @@ SWEEPS, STRIDE = 40, 0.08
 
 def measure(full: bool, folder: Path) -> Section:
     """The section."""
-    # k, number of starts, whether in space
-    plan = ((1, 35, False), (1, 35, True), (2, 30, True)) if full else ((1, 3, True),)
+    # sheet, k, number of starts, whether in space
+    plan = ((0, 1, 35, False), (0, 1, 35, True), (2, 1, 20, True), (0, 2, 10, True)) if full else ((0, 1, 3, True),)
     rows = []
-    for k, count, space in plan:
-        name = f"starts_{k}_{'space' if space else 'plane'}_{count}"
-        rows.append(kept(folder, name, {}, lambda k=k, c=count, s=space: Case(_row(k, c, s), {})).numbers)
+    for i, k, count, space in plan:
+        name = f"starts_{SHEETS[i].key}_{k}_{'space' if space else 'plane'}_{count}"
+        rows.append(kept(folder, name, {}, lambda i=i, k=k, c=count, s=space: Case(_row(i, k, c, s), {})).numbers)
     text = (
-        f"{SHEETS[0].title[0].upper()}{SHEETS[0].title[1:]}. A start is the slack weave after {SWEEPS} rounds in which "
+        f"Scenes as in the first section. A start is the slack weave after {SWEEPS} rounds in which "
         f"every ring is moved and tilted at random by up to {STRIDE} r1 and {STRIDE} rad, and goes back where it would "
         "overlap another; in the plane it keeps z = 0. At the end the links of all pairs are found by Gauss's integral "
         "over both circles, and the least gap by sampling (`brute.py`), independently of the solver. The potential is "
@@ -46,8 +46,8 @@ def measure(full: bool, folder: Path) -> Section:
     return Section("Random starts", text, (table("Random admissible starts", rows, forms),), (), conclusion)
 
 
-def _row(k: int, count: int, space: bool) -> Row:
-    rings = ring_scene(SHEETS[0].scene(k, 8))
+def _row(sheet: int, k: int, count: int, space: bool) -> Row:
+    rings = ring_scene(SHEETS[sheet].scene(k, 8))
     scale = float(np.abs(rings.force).sum()) * float(np.ptp(rings.mesh.X[:, 1]))
     woven = {(int(a), int(b)) for a, b in rings.mesh.linked}
     r1, wire = rings.mesh.cell.r1, rings.mesh.cell.wire
@@ -62,6 +62,7 @@ def _row(k: int, count: int, space: bool) -> Row:
     own = rings.solve(space=space)
     good = np.array(potential)[np.array(status) == "converged"]
     return {
+        "scene": SHEETS[sheet].key,
         "rings": len(rings.mesh.X),
         "centres": "space" if space else "plane",
         "starts": count,

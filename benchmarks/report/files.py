@@ -1,6 +1,6 @@
 """A report as files: `key.json` (data), `key.md`, one SVG for each diagram, and its part of `report.html`.
 
-Markdown is the source of the page: `report.html` is the Markdown files of all reports through markdown-it with the pictures
+Markdown is the source of the page: `report.html` is the Markdown of all reports through markdown-it with the pictures
 inline, so that it depends on no other file and no network.
 """
 
