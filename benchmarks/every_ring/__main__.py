@@ -15,8 +15,7 @@ REPORT = Report(
     "Every ring and the disk",
     "The finite mesh, in which every ring is a rigid body, against the homogenized disk, the periodic cell and a "
     "generic solver; what its answer depends on, and what it leaves undetermined. Every solved case is kept as a "
-    "file: the seconds "
-    "below a section are those of its making from the cases that were there.",
+    "file: the seconds below a section are those of its making from the cases that were there.",
     "OMP_NUM_THREADS=1 python -m benchmarks.every_ring --full",
 )
 SECTIONS = (disk, edges, cell, generic, starts, leaving, loose)

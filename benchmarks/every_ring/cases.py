@@ -31,7 +31,7 @@ ACROSS = 3
 @dataclass(frozen=True)
 class Sheet:
     """A scene of any size: its support, the angle of its weave in degrees, and a pull in the middle of its width at a
-    third of its height, as multiples of the weight along x and y; `sizes`: the multiples k that the full report solves."""
+    third of its height, as multiples of the weight along x and y; `sizes`: the k that the full report solves."""
 
     key: str
     title: str
@@ -69,7 +69,7 @@ class Sheet:
 
 SHEETS = (
     Sheet("corners", "hung by its corners, 90 % apart", "corners", 0.9, sizes=(1, 2, 3, 4, 6)),
-    Sheet("gathered", "top gathered to 70 %, hung across the grain", "top", 0.7, 90.0),
+    Sheet("gathered", "top gathered to 70 %, hung across the grain", "top", 0.7, 90.0, sizes=(1, 2, 3, 4, 6)),
     Sheet("turned", "weave turned by 45 degrees, hung by its corners, 90 % apart", "corners", 0.9, 45.0),
     Sheet("pull", "top gathered to 90 %, a sideways pull of its weight at a point", "top", 0.9, 0.0, (1.0, 0.0)),
 )

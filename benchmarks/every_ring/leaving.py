@@ -45,8 +45,10 @@ def measure(full: bool, folder: Path) -> Section:
     conclusion = (
         f"More work in space than in the plane: {where or 'nowhere'} ({count_of([bool(row[MORE]) for row in rows])} "
         f"cells). {sum(row['at h'] for row in rows)} of {sum(row['runs'] for row in rows)} runs end at h of the planar "
-        "cell, so that confinement to the plane costs these cells no strain."
+        "cell."
     )
+    if not found:
+        conclusion += " Confinement to the plane costs these cells no strain."
     return Section(
         "Does a weave leave the plane?", text, (table("Periodic cells in space", rows, forms),), (), conclusion
     )

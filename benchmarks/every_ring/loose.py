@@ -34,8 +34,9 @@ def measure(full: bool, folder: Path) -> Section:
         f"of the contacts times their forces) is below {SOFT:g} of the largest. A ring has five coordinates; its spin "
         "about its own axis is none, since it moves no wire, so every ring has one more free motion than is counted. "
         "`loose rings` touch others without force: their centre and tilts are free as far as gaps allow. The other "
-        "free motions are split by their squared size in r1 and radians: of tilts, and of centres along and across the "
-        "plane."
+        "free motions are split by their squared size in r1 and radians: of tilts, and of centres along and across "
+        "the plane; `rings in these`: rings that carry more than a hundredth of one, and those of them that link two "
+        "others only."
     )
     share = [row["free"] / row["coordinates"] for row in rows]
     conclusion = (
@@ -76,7 +77,7 @@ def _counted(found: Found, task: Task, scene: str, space: bool) -> Row:
     soft = values < SOFT * max(float(np.abs(values).max(initial=0.0)), 1e-300)
     modes = np.zeros((n, BLOCK, int(soft.sum())))
     modes[free] = Z @ vectors[:, soft]
-    part = (modes**2).sum(axis=0)
+    part = modes**2
     loose = int((task.free & ~touched[:, None]).sum())
     return {
         "scene": scene,
@@ -89,9 +90,11 @@ def _counted(found: Found, task: Task, scene: str, space: bool) -> Row:
         "of loose rings": loose,
         "loose rings": int((~touched).sum()),
         "others": int(soft.sum()),
-        "tilts, %": _percent(part[3:], part),
-        "centres in the plane, %": _percent(part[:2], part),
-        "centres across, %": _percent(part[2:3], part),
+        "rings in these": int((moving := part.sum(axis=(1, 2)) > 0.01).sum()),
+        "with two links": int((moving & (np.bincount(task.linked.ravel(), minlength=n) == 2)).sum()),
+        "tilts, %": _percent(part[:, 3:], part),
+        "centres in the plane, %": _percent(part[:, :2], part),
+        "centres across, %": _percent(part[:, 2:3], part),
     }
 
 
