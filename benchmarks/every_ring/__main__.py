@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from benchmarks.every_ring import cell, disk, edges, generic, leaving, loose, starts
+from benchmarks.every_ring.cases import Store
 from benchmarks.machine import ROOT
 from benchmarks.report.files import FOLDER, OUT, make
 from benchmarks.report.records import Report
@@ -33,9 +34,13 @@ NAMES = tuple(module.__name__.split(".")[-1] for module in SECTIONS)
     default=KEPT,
     help="folder of solved cases, which are not solved again  [default: build/every_ring]",
 )
-def main(full: bool, only: tuple[str, ...], out: Path, cases: Path) -> None:
+@click.option("--solve/--no-solve", default=True, help="solve cases that are not there, or leave them out")
+def main(full: bool, only: tuple[str, ...], out: Path, cases: Path, solve: bool) -> None:
     """The report; every solved case is kept as a file, so that a run that was stopped goes on where it was."""
-    measures = {name: partial(module.measure, folder=cases) for name, module in zip(NAMES, SECTIONS, strict=True)}
+    measures = {
+        name: partial(module.measure, store=Store(cases, is_closed=not solve))
+        for name, module in zip(NAMES, SECTIONS, strict=True)
+    }
     make(REPORT, measures, full, only, out)
 
 

@@ -5,10 +5,10 @@ grow with the weight. So the disk's answer over the height is the same number fo
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from rve import FiniteSolution
 from rve.common.files import write_text
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 AREAL_MASS = 2.8
 GRAVITY = 9.81
 ACROSS = 3
@@ -83,26 +84,51 @@ class Case:
     arrays: dict[str, Array]
 
 
-def kept(folder: Path, name: str, asked: dict[str, Any], make: Callable[[], Case]) -> Case:
+class NotThere(LookupError):
+    """A case that was not solved, where nothing is to be solved."""
+
+
+@dataclass(frozen=True)
+class Store:
+    """The folder of solved cases; `is_closed`: nothing is added, and cases that are missing are left out."""
+
+    folder: Path
+    is_closed: bool = False
+
+
+def those_there(calls: Iterable[Callable[[], T]]) -> list[T]:
+    """What the calls return, without those whose case is not there."""
+    out = []
+    for call in calls:
+        try:
+            out.append(call())
+        except NotThere:
+            continue
+    return out
+
+
+def kept(store: Store, name: str, asked: dict[str, Any], make: Callable[[], Case]) -> Case:
     """The case in the folder if it was made for what is asked; else it is made and written there."""
-    path = folder / f"{name}.json"
+    path = store.folder / f"{name}.json"
     asked = json.loads(json.dumps(asked))
     if path.exists():
         data = json.loads(path.read_text(encoding="utf-8"))
         if data["asked"] == asked:
             return Case(data["numbers"], {key: np.array(value) for key, value in data["arrays"].items()})
+    if store.is_closed:
+        raise NotThere(name)
     case = make()
-    folder.mkdir(parents=True, exist_ok=True)
+    store.folder.mkdir(parents=True, exist_ok=True)
     arrays = {key: value.tolist() for key, value in case.arrays.items()}
     write_text(path, json.dumps({"asked": asked, "numbers": case.numbers, "arrays": arrays}) + "\n")
     return case
 
 
-def rings_case(sheet: Sheet, k: int, space: bool, folder: Path) -> Case:
+def rings_case(sheet: Sheet, k: int, space: bool, store: Store) -> Case:
     """Every ring of a sheet. Arrays: X, centre, normal, load, reaction, area, P (n, 2, 2) of each ring."""
     name = f"{sheet.key}_{k}_{'space' if space else 'plane'}"
     asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"}
-    return kept(folder, name, asked | {"k": k, "space": space}, lambda: _solved_rings(sheet, k, space))
+    return kept(store, name, asked | {"k": k, "space": space}, lambda: _solved_rings(sheet, k, space))
 
 
 def _solved_rings(sheet: Sheet, k: int, space: bool) -> Case:
@@ -151,10 +177,10 @@ def neighbours(X: Array, half: float) -> list[list[int]]:
     return found
 
 
-def disk_case(sheet: Sheet, cells: int, folder: Path) -> Case:
+def disk_case(sheet: Sheet, cells: int, store: Store) -> Case:
     """The disk of a sheet with k = 1, with bounds. Arrays: X, x (n, 2) of nodes; middle, P, area of triangles."""
     asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"} | {"cells": cells}
-    return kept(folder, f"{sheet.key}_disk_{cells}", asked, lambda: _solved_disk(sheet, cells))
+    return kept(store, f"{sheet.key}_disk_{cells}", asked, lambda: _solved_disk(sheet, cells))
 
 
 def _solved_disk(sheet: Sheet, cells: int) -> Case:

@@ -1,10 +1,10 @@
 """A large mesh loaded homogeneously at its edge against the periodic cell: the sanity check of the paper."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from benchmarks.every_ring.cases import Array, Case, kept
+from benchmarks.every_ring.cases import Array, Case, Store, kept, those_there
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Curve, Diagram, Section, table
 from rve import Cell, FiniteMesh, solve_table
@@ -28,13 +28,14 @@ MIDDLE, OUTER = "error of E in the middle", "error of E in cells on the edge"
 AWAY = f"largest error {FAR} or more cells away"
 
 
-def measure(full: bool, folder: Path) -> Section:
+def measure(full: bool, store: Store) -> Section:
     """The section."""
     size = (12, 10) if full else (6, 4)
-    cases = []
+    calls = []
     for alpha, beta in DIRECTIONS if full else DIRECTIONS[2:3]:
         name, asked = f"edge_{alpha:g}_{beta:g}_{size[0]}", {"size": size, "far": FAR}
-        cases.append(kept(folder, name, asked, lambda a=alpha, b=beta: _case(a, b, size)))
+        calls.append(partial(kept, store, name, asked, partial(_case, alpha, beta, size)))
+    cases = those_there(calls)
     rows = [case.numbers for case in cases]
     text = (
         f"A mesh of {size[0]} x {size[1]} reference cells in the plane, r1/r2 = 10, no weight. Rings on the boundary "

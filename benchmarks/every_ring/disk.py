@@ -1,11 +1,11 @@
 """The rings against the disk: mean height, potential, lowest point, line load, by the number of rings across."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, disk_case, rings_case
+from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, Store, disk_case, rings_case, those_there
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Curve, Diagram, Section, Table, table
 
@@ -18,10 +18,10 @@ HEIGHT, POTENTIAL = "mean height, %", "potential, %"
 LOWEST, LINE = "lowest point, %", "line load, %"
 
 
-def measure(full: bool, folder: Path) -> Section:
+def measure(full: bool, store: Store) -> Section:
     """The section."""
-    rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full, folder)]
-    limits = [limit_row(sheet, space, rows, folder) for sheet in SHEETS for space in (False, True)]
+    rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full, store)]
+    limits = [limit_row(sheet, space, rows, store) for sheet in SHEETS for space in (False, True)]
     forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f timed"}
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
     names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
@@ -48,16 +48,15 @@ def measure(full: bool, folder: Path) -> Section:
     return Section("The rings and the disk", text, tables, diagrams(rows), conclusion(rows, limits))
 
 
-def sheet_rows(sheet: Sheet, full: bool, folder: Path) -> list[Row]:
+def sheet_rows(sheet: Sheet, full: bool, store: Store) -> list[Row]:
     """A row for each size, in the plane and in space."""
-    return [
-        compared(sheet, k, space, folder) for space in (False, True) for k in (sheet.sizes if full else QUICK_SIZES)
-    ]
+    sizes = sheet.sizes if full else QUICK_SIZES
+    return those_there(partial(compared, sheet, k, space, store) for space in (False, True) for k in sizes)
 
 
-def compared(sheet: Sheet, k: int, space: bool, folder: Path) -> Row:
+def compared(sheet: Sheet, k: int, space: bool, store: Store) -> Row:
     """Rings of one size against the disk."""
-    rings, disk = rings_case(sheet, k, space, folder), disk_case(sheet, CELLS, folder)
+    rings, disk = rings_case(sheet, k, space, store), disk_case(sheet, CELLS, store)
     found, H = rings.numbers, sheet.sides(k)[1]
     low, high = (100.0 * part for part in interval(sheet, disk))
     potential = 100.0 * found["potential_N_mm"] / (sheet.weight(k) * H)
@@ -136,12 +135,12 @@ def fitted(N: Array, value: Array) -> tuple[float, float]:
     return float(x[0]), float(np.sqrt(spread[0, 0]))
 
 
-def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], folder: Path) -> Row:
+def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], store: Store) -> Row:
     """The extrapolated potential of a scene against the disk's interval."""
     which = sheet.key, "space" if space else "plane", "converged"
     rows = [row for row in rows if (row["scene"], row["centres"], row["status"]) == which]
     rows = [row for row in rows if row["cells across"] >= LEAST_FITTED]
-    low, high = (100.0 * part for part in interval(sheet, disk_case(sheet, CELLS, folder)))
+    low, high = (100.0 * part for part in interval(sheet, disk_case(sheet, CELLS, store)))
     row: Row = {"scene": sheet.key, "centres": "space" if space else "plane", "sizes": len(rows)}
     if len(rows) < 3:
         return row

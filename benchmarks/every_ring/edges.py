@@ -1,11 +1,11 @@
 """Where the disk is wrong: differences of line load and place by the distance from edges, supports and point loads."""
 
+from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.every_ring.cases import SHEETS, Array, Case, Sheet, disk_case, rings_case
+from benchmarks.every_ring.cases import SHEETS, Array, Case, Sheet, Store, disk_case, rings_case, those_there
 from benchmarks.every_ring.disk import CELLS, QUICK_SIZES, line_loads
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
@@ -15,14 +15,15 @@ BANDS = (0.0, 2.0, 4.0, 6.0, 9.0, np.inf)
 NEAR = "near"
 
 
-def measure(full: bool, folder: Path) -> Section:
+def measure(full: bool, store: Store) -> Section:
     """The section."""
     rows, places = [], []
     k = 4 if full else QUICK_SIZES[-1]
     for sheet in SHEETS:
-        rings, disk = rings_case(sheet, k, True, folder), disk_case(sheet, CELLS, folder)
-        if rings.numbers["status"] != "converged":
+        found = those_there([partial(rings_case, sheet, k, True, store)])
+        if not found or found[0].numbers["status"] != "converged":
             continue
+        rings, disk = found[0], disk_case(sheet, CELLS, store)
         rows += _rows(sheet, rings, _line_difference(sheet, rings, disk, k))
         places += _rows(sheet, rings, _place_difference(sheet, rings, disk, k))
     text = (

@@ -9,14 +9,14 @@ program in a box smaller than the wire, and boxes shrink.
 import importlib.util
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, minima, near_pairs, to_circle
-from benchmarks.every_ring.cases import GRAVITY, Case, kept
+from benchmarks.every_ring.cases import GRAVITY, Case, Store, kept, those_there
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
 from rve import Cell, FiniteMesh
@@ -136,18 +136,19 @@ def _round(
 
 
 TITLE = "A generic nonlinear solver"
-SUPPORTS = ("corners", "top")
+CASES = (("corners", False), ("corners", True), ("top", False))
+"""Support, and whether in space."""
 
 
-def measure(full: bool, folder: Path) -> Section:
+def measure(full: bool, store: Store) -> Section:
     """The section; without CasADi, one that says so."""
     if importlib.util.find_spec("casadi") is None:
         return Section(TITLE, "CasADi is not installed (`pip install casadi`): nothing was compared.")
-    rows = []
-    for hung in SUPPORTS if full else SUPPORTS[:1]:
-        for space in (False, True) if full else (False,):
-            name = f"generic_{hung}_{'space' if space else 'plane'}"
-            rows.append(kept(folder, name, {}, lambda h=hung, s=space: Case(compared(h, s), {})).numbers)
+    calls = []
+    for hung, space in CASES if full else CASES[:1]:
+        name = f"generic_{hung}_{'space' if space else 'plane'}"
+        calls.append(partial(kept, store, name, {}, partial(_case, hung, space)))
+    rows = [case.numbers for case in those_there(calls)]
     text = (
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
         "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
@@ -159,6 +160,10 @@ def measure(full: bool, folder: Path) -> Section:
     conclusion = f"IPOPT's potential is ours to 1e-6 of weight times r1 in {len(near)} of {len(rows)} rows."
     forms = {DIFFERENCE: "signed 1e-9 2", "least gap of IPOPT, r1": "at_most 1e-12", "s of IPOPT": ".0f timed"}
     return Section(TITLE, text, (table("2 x 2 cells in IPOPT", rows, forms),), (), conclusion)
+
+
+def _case(hung: str, space: bool) -> Case:
+    return Case(compared(hung, space), {})
 
 
 def compared(hung: str, space: bool) -> Row:

@@ -1,11 +1,11 @@
 """What rolling without friction leaves undetermined: motions of the rings that cost nothing, counted and named."""
 
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from scipy.linalg import null_space
 
-from benchmarks.every_ring.cases import SHEETS, Array, Case, Sheet, kept
+from benchmarks.every_ring.cases import SHEETS, Array, Case, Sheet, Store, kept, those_there
 from benchmarks.every_ring.starts import slack_start, solved_from, task_of
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
@@ -20,15 +20,16 @@ SOFT = 1e-7
 """Stiffness, over the largest, below which a motion costs nothing."""
 
 
-def measure(full: bool, folder: Path) -> Section:
+def measure(full: bool, store: Store) -> Section:
     """The section."""
     sizes = (1, 2) if full else (1,)
-    rows = [
-        kept(folder, f"loose_{sheet.key}_{k}_{s}", {}, lambda h=sheet, k=k, s=s: Case(_row(h, k, s), {})).numbers
+    calls = [
+        partial(kept, store, f"loose_{sheet.key}_{k}_{space}", {}, partial(_case, sheet, k, space))
         for sheet in (SHEETS if full else SHEETS[:1])
         for k in sizes
-        for s in (False, True)
+        for space in (False, True)
     ]
+    rows = [case.numbers for case in those_there(calls)]
     text = (
         "Motions that keep all loaded contacts closed, on which the second derivative of the potential (the curvature "
         f"of the contacts times their forces) is below {SOFT:g} of the largest. A ring has five coordinates; its spin "
@@ -44,6 +45,10 @@ def measure(full: bool, folder: Path) -> Section:
         "spin of every ring; the potential and the line loads are not among them."
     )
     return Section("What is undetermined", text, (table("Free motions of the rings", rows, {}),), (), conclusion)
+
+
+def _case(sheet: Sheet, k: int, space: bool) -> Case:
+    return Case(_row(sheet, k, space), {})
 
 
 def _row(sheet: Sheet, k: int, space: bool) -> Row:

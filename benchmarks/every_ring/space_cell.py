@@ -134,10 +134,12 @@ class Climbed:
     radius: float
 
 
-def climb(cell: SpaceCell, S: Array, sides: Array, *, steps: int = 300, end: float = 1e-7) -> Climbed:
+def climb(
+    cell: SpaceCell, S: Array, sides: Array, *, steps: int = 300, end: float = 1e-7, stride: float = 0.75
+) -> Climbed:
     """From an admissible cell to a local maximum of S:E; ends where steps are shorter than `end`."""
     wire = cell.wire
-    radius = widest = 0.75 * wire
+    radius = widest = stride * wire
     minima = cell.minima()
     work, slope = cell.work(S, sides)
     overlap, force, count = _overlap(minima, wire), np.zeros(len(minima.pair)), 0
