@@ -151,26 +151,25 @@ def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], store: Store) -> R
     return row | {"inside": low - 2.0 * error <= a <= high + 2.0 * error}
 
 
-PERCENTS = (10.0, 5.0, 2.0, 1.0)
-RULE = "cells across, at least"
+AT_LEAST, WEIGHT, PULL = "cells across, at least", "weight alone, %", "with a point pull, %"
 
 
-def constant(rows: Sequence[Row]) -> float:
-    """The least C in % with |difference of the mean height| <= C / N for all converged rows in space."""
-    good = [row for row in rows if row["status"] == "converged" and row["centres"] == "space"]
-    return max(abs(row[HEIGHT]) * row["cells across"] for row in good)
+def worst_from(rows: Sequence[Row], least: int, pulled: bool) -> float | None:
+    """The largest |difference of the mean height| in % of converged rows in space from that many cells across on."""
+    keys = [sheet.key for sheet in SHEETS if any(sheet.pull) == pulled]
+    good = [row for row in rows if row["status"] == "converged" and row["centres"] == "space" and row["scene"] in keys]
+    return max((abs(row[HEIGHT]) for row in good if row["cells across"] >= least), default=None)
 
 
 def rule_table(rows: Sequence[Row]) -> Table:
-    """How many cells across make the mean height good to so many per cent of the height."""
-    C = constant(rows)
-    made = [{"mean height within, % of the height": p, RULE: int(np.ceil(C / p))} for p in PERCENTS]
-    largest = max(row["cells across"] for row in rows if row["status"] == "converged" and row["centres"] == "space")
+    """How near the mean height of curtains of that many cells across and more comes to the disk's."""
+    sizes = sorted({row["cells across"] for row in rows})
+    made = [{AT_LEAST: n, WEIGHT: worst_from(rows, n, False), PULL: worst_from(rows, n, True)} for n in sizes]
     note = (
-        f"From |difference| <= {C:.3g} % / N, the least such bound over all converged sizes of all scenes in space; "
-        f"sizes beyond {largest} cells across extrapolate it."
+        "The largest difference of the mean height, in % of the height, over all converged scenes in space of that "
+        "many cells across or more. Nothing is extrapolated."
     )
-    return table("How many rings make a curtain large", made, {}, note)
+    return table("How many rings make a curtain large", made, {WEIGHT: ".2f", PULL: ".2f"}, note)
 
 
 def diagrams(rows: Sequence[Row]) -> tuple[Diagram, ...]:
@@ -198,14 +197,11 @@ def conclusion(rows: Sequence[Row], limits: Sequence[Row]) -> str:
         if row["status"] == "converged":
             both[row["scene"], row["cells across"]][row["centres"]] = row["_potential"]
     cost = [pair["plane"] - pair["space"] for pair in both.values() if len(pair) == 2]
-    good = [row for row in rows if row["status"] == "converged" and row["centres"] == "space"]
-    most = min(max(row["cells across"] for row in good if row["scene"] == sheet.key) for sheet in SHEETS)
-    last = [abs(row[HEIGHT]) for row in good if row["cells across"] == most]
-    C = constant(rows)
+    least = [n for n in sorted({row["cells across"] for row in rows}) if worst_from(rows, n, False) is not None]
+    rule = "; ".join(f"{n} cells across: {worst_from(rows, n, False):.1f} %" for n in least)
     return (
-        f"A curtain of at least {int(np.ceil(C / 2.0))} cells across hangs within 2 % of its height where the disk "
-        f"does, one of {int(np.ceil(C))} within 1 % (mean height, centres free in space). At {most} cells across the "
-        f"four scenes differ by {min(last):.2g} to {max(last):.2g} %. The extrapolated potential is inside the disk's "
-        f"interval, give or take twice the error, in {len(inside)} of {len(fitted_rows)} rows. Confinement to the "
-        f"plane raises the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
+        "Under its weight a curtain with centres free in space hangs where the disk does, in mean height and as a "
+        f"part of the height, if it has at least {rule}. The extrapolated potential is inside the disk's interval, "
+        f"give or take twice the error, in {len(inside)} of {len(fitted_rows)} rows. Confinement to the plane raises "
+        f"the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
     )

@@ -46,15 +46,15 @@ def measure(full: bool, store: Store) -> Section:
     more = [row for row in rows if row[MORE]]
     left = [row for row in more if row[DEPTH] > FLAT]
     conclusion = (
-        f"Leaves the plane with more work than h: {_names(left)}. "
+        f"Ends out of the plane with more work than h: {_names(left)}. "
         f"{sum(row['at h'] for row in rows)} of {sum(row['runs'] for row in rows)} runs end at h of the planar cell."
     )
     if not left:
         conclusion += " Confinement to the plane costs these cells no strain."
     if flat := [row for row in more if row not in left]:
         conclusion += (
-            f" In the plane a state of more work than `rve.support` finds exists for {_names(flat)}: S:E is larger by up "
-            f"to {max(row[RISE] for row in flat):.2g}."
+            f" In the plane a state of more work than `rve.support` finds exists for {_names(flat)}: S:E is larger by "
+            f"up to {max(row[RISE] for row in flat):.2g}."
         )
     return Section(
         "Does a weave leave the plane?", text, (table("Periodic cells in space", rows, forms),), (), conclusion

@@ -96,7 +96,7 @@ def _counted(found: Found, task: Task, scene: str, space: bool) -> Row:
         "loose rings": int((~touched).sum()),
         "others": int(soft.sum()),
         "rings in these": int((moving := part.sum(axis=(1, 2)) > 0.01).sum()),
-        "with two links": int((moving & (np.bincount(task.linked.ravel(), minlength=n) == 2)).sum()),
+        "with one or two links": int((moving & (np.bincount(task.linked.ravel(), minlength=n) <= 2)).sum()),
         "tilts, %": _percent(part[:, 3:], part),
         "centres in the plane, %": _percent(part[:, :2], part),
         "centres across, %": _percent(part[:, 2:3], part),

@@ -11,7 +11,7 @@ from benchmarks.every_ring.__main__ import NAMES, main
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima
 from benchmarks.every_ring.cases import SHEETS, Case, Store, kept, those_there
 from benchmarks.every_ring.cell import cell_strains, depths, edge_forces
-from benchmarks.every_ring.disk import HEIGHT, constant, fitted, rule_table
+from benchmarks.every_ring.disk import HEIGHT, fitted, rule_table, worst_from
 from benchmarks.every_ring.edges import distances
 from benchmarks.every_ring.leaving import locked_cell, slack_cell
 from benchmarks.every_ring.space_cell import climb
@@ -128,11 +128,15 @@ def test_a_case_is_made_once_and_again_when_asked_otherwise(tmp_path):
     assert len(made) == 2
 
 
-def test_the_rule_is_the_least_that_holds_for_all_rows():
-    row = {"status": "converged", "centres": "space", "cells across": 10, HEIGHT: -3.0}
-    rows = [row, row | {"cells across": 20, HEIGHT: 1.0}, row | {"status": "stalled", HEIGHT: 90.0}]
-    assert constant(rows) == 30.0
-    assert rule_table(rows).rows[-1] == (1.0, 30)
+def test_the_rule_is_the_worst_of_the_rows():
+    row = {"scene": "corners", "status": "converged", "centres": "space", "cells across": 8, HEIGHT: -3.0}
+    more = [row | {"cells across": 16, HEIGHT: 1.0}, row | {"status": "stalled", HEIGHT: 90.0}]
+    rows = [row, *more, row | {"scene": "pull", HEIGHT: 5.0}, row | {"centres": "plane", HEIGHT: 70.0}]
+    assert worst_from(rows, 9, False) == 1.0
+    assert rule_table(rows).rows == ((8, 3.0, 5.0), (16, 1.0, None))
+
+
+def test_the_limit_of_many_rings():
     N = np.array([8.0, 12.0, 16.0, 24.0])
     limit, error = fitted(N, 1.0 - 3.0 / N + 0.01 * np.array([1.0, -1.0, 1.0, -1.0]))
     assert abs(limit - 1.0) < 3.0 * error < 0.1
