@@ -25,7 +25,7 @@ from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.outline import regular_polygon
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.scene.supports import Held, build_supports, pin_sliding
-from rve import FiniteMesh, FiniteOptions, FiniteSolution, cell_of_sides
+from rve import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides
 from rve.common.errors import InputError, require
 from rve.common.files import versions, write_text, write_whole
 from rve.common.jobs import check_out_job, job
@@ -41,6 +41,7 @@ class RingScene:
     """A scene as a finite mesh: rings, dead forces (n, 3) in N, held coordinates (n, 3), their places (n, 3) in mm.
 
     groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
+    walls: half-spaces that the rings stay out of.
     """
 
     scene: Scene
@@ -49,6 +50,7 @@ class RingScene:
     held: np.ndarray
     at: Array
     groups: tuple[tuple[str, np.ndarray], ...]
+    walls: tuple[HalfSpace, ...] = ()
 
     def solve(self, *, space: bool, options: FiniteOptions | None = None, say: Say = silent) -> FiniteSolution:
         """The rings in equilibrium; InputError that names the scene where they cannot be."""
@@ -60,7 +62,9 @@ class RingScene:
             say(f"{len(self.mesh.X)} rings, iteration {count}, force x gap {record.mu:.0e}")
 
         try:
-            return self.mesh.solve(self.force, self.held, self.at, space=space, options=options, say=tell)
+            return self.mesh.solve(
+                self.force, self.held, self.at, space=space, walls=self.walls, options=options, say=tell
+            )
         except InputError as error:
             raise InputError(f"{self.scene.source}: {error}") from error
 
@@ -163,7 +167,8 @@ def or_none(value: float | Array) -> Any:
 
 def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any]:
     """The numbers of summary.json: lengths in mm, forces in N; null for forces and residual where there are none."""
-    largest = float(solution.force.max(initial=0.0))
+    has_forces = bool(np.isfinite(solution.force).all())
+    largest = float(solution.force.max(initial=0.0)) if has_forces else math.nan
     return {
         "status": solution.status,
         "message": solution.message,
@@ -178,7 +183,7 @@ def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any
         "links_intact": solution.links_intact,
         "kkt_residual": or_none(solution.kkt_residual),
         "way_left_mm": solution.way_left_mm,
-        "contacts": int((solution.force > 1e-6 * largest).sum()) if math.isfinite(largest) else None,
+        "contacts": int((solution.force > 1e-6 * largest).sum()) if has_forces else None,
         "largest_contact_force_N": or_none(largest),
         "total_load_N": solution.load.sum(axis=0).tolist(),
         "support_forces": [

@@ -80,12 +80,14 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where the rings are, their contacts and forces (m,), status, whether the matrix there is positive definite."""
+    """Where the rings are, their contacts and forces (m,), status, residual.
+
+    Of iterates that do not converge, the one of least residual.
+    """
 
     placed: Placed
     touching: Touching
     force: Array
     status: str
-    is_minimum: bool
     residual: float
     history: tuple[Record, ...]

@@ -85,7 +85,9 @@ class FiniteSolution:
 
     @property
     def largest_force(self) -> Array:
-        """Largest contact force (n,) in N on each ring."""
+        """Largest contact force (n,) in N on each ring; nan where the solution has no forces."""
+        if not np.isfinite(self.force).all():
+            return np.full(len(self.centre), np.nan)
         out = np.zeros(len(self.centre))
         for side in self.pairs.T:
             np.maximum.at(out, side, self.force)
@@ -129,11 +131,15 @@ class FiniteSolution:
         e1, e2 = tangent_frame(self.normal)
         t = np.linspace(0.0, 2.0 * np.pi, 25)[None, :, None]
         lines = self.centre[:, None] + self.mesh.cell.r1 * (np.cos(t) * e1[:, None] + np.sin(t) * e2[:, None])
-        rings = LineCollection(list(lines[:, :, :2]), array=self.largest_force, cmap="viridis", linewidths=0.8)
+        force = np.ma.masked_invalid(self.largest_force)
+        rings = LineCollection(list(lines[:, :, :2]), array=force, cmap="viridis", linewidths=0.8)
         ax.add_collection(rings)
         ax.autoscale()
         ax.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
-        ax.figure.colorbar(rings, ax=ax, label="largest contact force on the ring (N)")
+        if force.count():
+            ax.figure.colorbar(rings, ax=ax, label="largest contact force on the ring (N)")
+        else:
+            rings.set(array=None, color="0.5")
         return ax
 
     def __str__(self) -> str:

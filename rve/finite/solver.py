@@ -12,26 +12,17 @@ missed; where that is not enough, the two rings of the pair are damped against e
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rve.common.types import Array
 from rve.finite.equations import BLOCK, blocks, gradients, matrix, metric, pair_vectors, spread, times
-from rve.finite.factor import Factorizer, Solve
+from rve.finite.factor import Factorizer
+from rve.finite.iterate import Linear, State, Step, Work, barrier, central
 from rve.finite.records import FiniteOptions, Found, Record, Task
-from rve.finite.touching import (
-    Index,
-    Placed,
-    Touching,
-    find_touching,
-    followed_gaps,
-    handed_on,
-    is_passage_safe,
-    links_intact,
-    of_pairs,
-    safe_parts,
-)
+from rve.finite.search import searched
+from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
 
 _SOFT = 1e-10
 """Stiffness of every coordinate: rings that nothing touches stay where they are."""
@@ -39,65 +30,11 @@ _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
-_TURNS = 3
-"""Trials of a step, as it is and corrected for what gaps fell short of; times that the end is tried with and without
-points beside minima."""
-_FARTHEST = 0.995
-"""Part of a gap that the linear forecast of a step may close."""
-_LEAST = 0.002
-"""Part of a pair's gap that must be left after a step."""
+_ENDS = 2
+"""Times that the end is tried again without, or with, points beside minima."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it."""
-
-    placed: Placed
-    touching: Touching
-    force: Array
-    mu: float
-    damping: float
-    local: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A Newton step q (n, 5), forecast of the gaps and forces, slope of the barrier function along it."""
-
-    q: Array
-    dgap: Array
-    dforce: Array
-    slope: float
-    solve: Solve
-
-
-@dataclass
-class _Work:
-    """Counts of one iteration, and the damping as it is raised."""
-
-    damping: float
-    local: Array
-    trials: int = 0
-    searches: int = 0
-    factors: int = 0
-    why: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """The equations of an iterate: gap gradients, stiffness of contacts, blocks, right-hand side, held step (n, 5)."""
-
-    G: Array
-    stiff: Array
-    blocks: Array
-    rhs: Array
-    held: Array
-    heavy: Array
-    barrier: float
-    is_moving: bool = field(default=False)
 
 
 def solve_rings(
@@ -107,8 +44,9 @@ def solve_rings(
     factorize = Factorizer(options.method)
     touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
     force = central(touching.gap, options.mu_start, options.reach)
-    state = _State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
+    state = State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
     history: list[Record] = []
+    least, finest = np.inf, state
     idle, best, status, is_minimum, turns = 0, np.inf, "iterations", False, 0
     for _ in range(options.max_iterations):
         G = gradients(state.placed, state.touching)
@@ -118,13 +56,15 @@ def solve_rings(
             status = "converged"
             break
         merit = max(residual, product)
+        if has_arrived and state.mu <= options.mu_end and merit < least:
+            least, finest = merit, state
         idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
         is_calm = state.mu > options.mu_end and _is_calm(history, state, options)
         if has_arrived and (is_calm or idle >= options.patience):
             if state.mu <= options.mu_end and idle >= options.patience:
                 # Points beside a minimum move with it and may keep a last residual: the end goes without them.
                 turns += 1
-                if turns > _TURNS:
+                if turns > _ENDS:
                     status = "stalled"
                     break
                 task = replace(task, beside=not task.beside)
@@ -140,12 +80,15 @@ def solve_rings(
         if _is_stuck(history):
             status = "stalled" if has_arrived else "out-of-reach"
             break
-    G = gradients(state.placed, state.touching)
-    residual = max(kkt(state.touching, G, state.force, task))
-    return Found(state.placed, state.touching, state.force, status, is_minimum, residual, tuple(history))
+    return _answer(finest if np.isfinite(least) and status != "converged" else state, task, status, history)
 
 
-def _nearer(state: _State, task: Task, options: FiniteOptions) -> tuple[_State, FiniteOptions]:
+def _answer(state: State, task: Task, status: str, history: list[Record]) -> Found:
+    residual = max(kkt(state.touching, gradients(state.placed, state.touching), state.force, task))
+    return Found(state.placed, state.touching, state.force, status, residual, tuple(history))
+
+
+def _nearer(state: State, task: Task, options: FiniteOptions) -> tuple[State, FiniteOptions]:
     """The state with the contacts that count at its mu: the smaller mu, the nearer they are."""
     part = next(part for least, part in _NEARER if state.mu >= least)
     reach = min(options.reach, part)
@@ -154,17 +97,12 @@ def _nearer(state: _State, task: Task, options: FiniteOptions) -> tuple[_State, 
     return _found_again(state, task, reach), replace(options, reach=reach)
 
 
-def _found_again(state: _State, task: Task, reach: float) -> _State:
+def _found_again(state: State, task: Task, reach: float) -> State:
     """The state with its contacts looked for again, forces handed on."""
     con = find_touching(state.placed, task.linked, task.wire, reach, beside=task.beside)
     force = handed_on(state.touching, state.force, con, central(con.gap, state.mu, reach))
     rows = of_pairs(state.touching.key, con.key)
     return replace(state, touching=con, force=force, local=np.where(rows >= 0, state.local[rows], 0.0))
-
-
-def central(gap: Array, mu: float, reach: float) -> Array:
-    """Forces (m,) on the central path, a little more than none where a gap is at the reach."""
-    return np.asarray(mu * np.maximum(1.0 / gap - 1.0 / reach, 1e-8))
 
 
 def kkt(touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, float]:
@@ -175,11 +113,11 @@ def kkt(touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, 
     return float(unbalanced / np.abs(task.force).sum()), float((force * touching.gap).sum() / len(task.linked))
 
 
-def _way_to_go(state: _State, task: Task) -> float:
+def _way_to_go(state: State, task: Task) -> float:
     return float(np.abs(np.where(task.held, task.at - state.placed.x, 0.0)).max(initial=0.0))
 
 
-def _is_calm(history: list[Record], state: _State, options: FiniteOptions) -> bool:
+def _is_calm(history: list[Record], state: State, options: FiniteOptions) -> bool:
     """Whether the last step of Newton's method at this mu could have gained next to nothing."""
     if not history or history[-1].mu != state.mu:
         return False
@@ -190,12 +128,7 @@ def _is_stuck(history: list[Record]) -> bool:
     return len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:])
 
 
-def _barrier(placed: Placed, touching: Touching, task: Task, mu: float, reach: float) -> float:
-    gap = np.minimum(touching.gap / reach, 1.0)
-    return float(-(task.force * placed.x).sum() + mu * (gap - 1.0 - np.log(gap)).sum())
-
-
-def _linearized(state: _State, task: Task, G: Array, options: FiniteOptions) -> _Linear:
+def _linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> Linear:
     con, gap, mu, reach = state.touching, state.touching.gap, state.mu, options.reach
     stiff = (state.force + mu / reach) / gap
     rhs = spread(con, G, mu * (1.0 / gap - 1.0 / reach), len(task.force))
@@ -208,13 +141,13 @@ def _linearized(state: _State, task: Task, G: Array, options: FiniteOptions) -> 
     # Damping is measured in the force that a pair carries: pairs near supports need more of it.
     carried = np.bincount(con.minima.pair, state.force, minlength=len(con.key))
     heavy = np.maximum(carried, 0.1 * mu * np.isin(con.key, task.keys))
-    barrier = _barrier(state.placed, con, task, mu, reach)
-    return _Linear(G, stiff, K, rhs, held, heavy, barrier, far > 0.0)
+    value = barrier(state.placed, con, task, mu, reach)
+    return Linear(G, stiff, K, rhs, held, heavy, value, far > 0.0)
 
 
 def _newton(
-    state: _State, task: Task, line: _Linear, options: FiniteOptions, factorize: Factorizer, work: _Work
-) -> _Step | None:
+    state: State, task: Task, line: Linear, options: FiniteOptions, factorize: Factorizer, work: Work
+) -> Step | None:
     """The step of the damped equations, with more damping where their matrix is not positive definite."""
     con, n = state.touching, len(task.force)
     while True:
@@ -233,21 +166,21 @@ def _newton(
     dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
     dforce = (state.mu * (1.0 - gap / options.reach) - state.force * gap) / gap - line.stiff * dgap
     slope = -float((np.where(task.free, line.rhs, 0.0) * q).sum())
-    return _Step(q, dgap, dforce, slope, solve)
+    return Step(q, dgap, dforce, slope, solve)
 
 
 def _advanced(
-    state: _State, task: Task, G: Array, options: FiniteOptions, factorize: Factorizer
-) -> tuple[_State, Record, bool]:
+    state: State, task: Task, G: Array, options: FiniteOptions, factorize: Factorizer
+) -> tuple[State, Record, bool]:
     """The next iterate, its record, and whether the matrix was positive definite without damping."""
     line = _linearized(state, task, G, options)
-    work = _Work(state.damping, state.local.copy())
+    work = Work(state.damping, state.local.copy())
     new, step, length = None, None, 0.0
     for attempt in range(_TRIES + 1):
         step = _newton(state, task, line, options, factorize, work)
         if step is None:
             break
-        new, length = _searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
+        new, length = searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
         if new is not None:
             break
     is_minimum = work.factors == 1 and state.damping < 1e-6 and state.local.max(initial=0.0) < 1e-2
@@ -259,125 +192,7 @@ def _advanced(
     return _accepted(state, new, step, length, options, work), record, is_minimum
 
 
-def _searched(
-    state: _State,
-    task: Task,
-    line: _Linear,
-    step: _Step,
-    options: FiniteOptions,
-    work: _Work,
-    *,
-    is_last: bool,
-) -> tuple[_State | None, float]:
-    """The iterate after the longest good part of the step; None where more damping was asked for instead."""
-    con, gap = state.touching, state.touching.gap
-    safe = safe_parts(con, step.q, task.wire, options.reach)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        open_ = np.where(step.dgap < 0.0, -_FARTHEST * gap / step.dgap, 1.0)
-    length = min(1.0, float(safe.min()), float(open_.min(initial=1.0)))
-    new = None
-    while length > 1e-9:
-        new, bad = _corrected(state, task, line, step, length, options, work)
-        if new is not None and not line.is_moving and not _fell(state, new, line, length * step.slope, task, options):
-            new, work.why = None, "rise"
-        if new is not None:
-            break
-        if work.why == "gap" and not is_last:
-            _damp_pairs(con, bad, work)
-            return None, 0.0
-        if work.why == "rise" and not is_last and length < 0.3:
-            work.damping = max(4.0 * work.damping, 1e-3)
-            return None, 0.0
-        length *= 0.5
-    tight = safe < 0.5
-    work.local = np.where(tight, np.maximum(2.0 * work.local, 0.1), 0.4 * work.local)
-    work.local[work.local < 1e-3] = 0.0
-    return new, length
-
-
-def _damp_pairs(con: Touching, bad: Index, work: _Work) -> None:
-    """More damping for the pairs whose gaps would close; for all where one of them was not near before."""
-    rows = of_pairs(con.key, bad)
-    known = rows >= 0
-    work.local[rows[known]] = np.maximum(8.0 * work.local[rows[known]], 1.0)
-    if not known.all() or not len(bad):
-        work.damping = max(4.0 * work.damping, 1e-2)
-
-
-def _corrected(
-    state: _State, task: Task, line: _Linear, step: _Step, length: float, options: FiniteOptions, work: _Work
-) -> tuple[_State | None, Index]:
-    """The iterate after a part of the step, corrected up to twice for gaps that fell short of the forecast.
-
-    None where it is no good; then the keys of the pairs whose gaps would close.
-    """
-    con, n = state.touching, len(task.force)
-    q, forecast = length * step.q, con.gap + length * step.dgap
-    least = _LEAST * np.minimum(con.deepest, options.reach)[con.minima.pair]
-    closed: Index = con.key[:0]
-    for turn in range(_TURNS):
-        work.trials += 1
-        placed = state.placed.moved(q)
-        gap = followed_gaps(con, placed, task.wire)
-        bad = gap < least
-        if not bad.any():
-            return _found_safe(state, task, placed, q, options, work)
-        work.why = "gap"
-        last, closed = closed, np.unique(con.key[con.minima.pair[bad]])
-        if turn == _TURNS - 1 or (turn and len(closed) >= len(last)):
-            break
-        back = spread(con, line.G, -line.stiff * np.minimum(gap - forecast, 0.0), n)
-        q = q + step.solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
-    return None, closed
-
-
-def _found_safe(
-    state: _State, task: Task, placed: Placed, q: Array, options: FiniteOptions, work: _Work
-) -> tuple[_State | None, Index]:
-    """The iterate at a trial whose known contacts stay open, after a whole search; None as in `_corrected`."""
-    found = find_touching(placed, task.linked, task.wire, options.reach, beside=task.beside)
-    work.searches += 1
-    work.why = _fault(state, task, placed, found, q, options)
-    if not work.why:
-        return replace(state, placed=placed, touching=found), found.key[:0]
-    return None, found.key[found.deepest <= 0.0]
-
-
-def _fault(state: _State, task: Task, placed: Placed, found: Touching, q: Array, options: FiniteOptions) -> str:
-    """What is wrong with a trial: "way", "gap", "link", or nothing."""
-    old = state.touching
-    if not is_passage_safe(state.placed, old, placed, found, q, task.wire, options.reach):
-        return "way"
-    rows = of_pairs(old.key, found.key)
-    before = np.where(rows >= 0, np.minimum(old.deepest[rows], options.reach), options.reach)
-    if (found.deepest < _LEAST * before).any():
-        return "gap"
-    return "" if links_intact(placed, found, task.keys) else "link"
-
-
-def _fell(old: _State, new: _State, line: _Linear, slope: float, task: Task, options: FiniteOptions) -> bool:
-    """Whether the barrier function fell enough, to rounding."""
-    after = _barrier(new.placed, new.touching, task, old.mu, options.reach)
-    after += old.mu * _split(old.touching, new.touching, options.reach)
-    return after <= line.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(line.barrier))
-
-
-def _split(old: Touching, new: Touching, reach: float) -> float:
-    """What the barrier rose by where the number of a pair's contacts changed, its deepest one left out, negative."""
-
-    def parts(con: Touching) -> tuple[Array, Array]:
-        g, d = (np.minimum(x / reach, 1.0) for x in (con.gap, con.deepest))
-        total = np.bincount(con.minima.pair, g - 1.0 - np.log(g), minlength=len(con.key))
-        return np.asarray(total), d - 1.0 - np.log(d)
-
-    (all_old, one_old), (all_new, one_new) = parts(old), parts(new)
-    i = of_pairs(old.key, new.key)
-    changed = (i >= 0) & (old.count[i] != new.count) & (old.count[i] > 0) & (new.count > 0)
-    i = i[changed]
-    return float(((one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])).sum())
-
-
-def _accepted(state: _State, new: _State, step: _Step, length: float, options: FiniteOptions, work: _Work) -> _State:
+def _accepted(state: State, new: State, step: Step, length: float, options: FiniteOptions, work: Work) -> State:
     """The new iterate with its forces and the damping for the next step."""
     force = state.force
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -13,7 +13,16 @@ from scipy.spatial import cKDTree
 
 from rve.common.types import Array
 from rve.finite.walls import wall_gaps
-from rve.geometry.circles import Minima, are_linked, cross, dot, followed_minima, foot_on_circle, local_minima, tangent_frame
+from rve.geometry.circles import (
+    Minima,
+    are_linked,
+    cross,
+    dot,
+    followed_minima,
+    foot_on_circle,
+    local_minima,
+    tangent_frame,
+)
 
 Index = NDArray[np.intp]
 

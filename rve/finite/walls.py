@@ -1,8 +1,9 @@
 """Half-spaces that rings stay out of, with the closed form of a torus over a plane.
 
 The lowest point of a ring over the plane m.(x - p) = 0 has the height h - s, with h = m.(c - p) and s the sine of the
-angle between its normal n and m (lengths in units of r1; p is r2 off the half-space, so that wires are bare lines). s has a kink where a ring lies flat on the plane. The
-constraint is g = h - s^2/h >= 0 for h > 0, which is the same and smooth; (h - s) <= g <= 2 (h - s).
+angle between its normal n and m. Lengths are in units of r1; p lies r2 off the half-space, so that wires are bare
+lines. s has a kink where a ring lies flat on the plane. The constraint is g = h - s^2/h >= 0 for h > 0, which is the
+same and smooth; (h - s) <= g <= 2 (h - s).
 
 A half-space is kept as one more row of `Placed`: p and m.
 """

@@ -69,6 +69,23 @@ def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     assert sorted(file.name for file in out.iterdir()) == ["rings.png", "rings.vtu", "summary.json"]
 
 
+def test_supports_out_of_reach_are_said_to_be_so(tmp_path):
+    path, out = tmp_path / "scene.toml", tmp_path / "out"
+    size = f"[curtain]\nwidth = {B_X}\nheight = {B_Y}\n[mesh]\ncells = 8\n"
+    path.write_text(size + '[[support]]\nkind = "corners"\ngather = 3.0\n')
+    result = CliRunner().invoke(main, ["rings", str(path), "--out", str(out), "--plane"])
+    assert result.exit_code == 1, result.output
+    assert "mm from their places" in result.output
+    assert "nan" not in result.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["status"] == "out-of-reach"
+    assert summary["kkt_residual"] is None
+    assert summary["largest_contact_force_N"] is None
+    assert summary["support_forces"][0]["sum_N"] is None
+    assert summary["way_left_mm"] > 1.0
+    assert (out / "rings.png").exists()
+
+
 def test_compare_puts_both_side_by_side(tmp_path):
     path, out = toml(tmp_path / "scene.toml"), tmp_path / "both.json"
     result = CliRunner().invoke(main, ["compare", str(path), "--plane", "--out", str(out)])

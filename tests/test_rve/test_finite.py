@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from rve import Cell, FiniteMesh, FiniteOptions, InputError, cell_of_sides, solve_table
+from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
 from rve.finite.equations import blocks, gradients, matrix, spread, times
 from rve.finite.factor import Factorizer
-from rve.finite.touching import Placed, find_touching, is_passage_safe, links_intact
+from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact
+from rve.finite.walls import wall_derivatives, wall_gaps
+from rve.geometry.circles import tangent_frame
 
 G = 9.81
 
@@ -266,8 +268,180 @@ def test_moved_supports_and_their_limit():
     solution = mesh.solve(force, held, at, space=False)
     check(solution)
     assert solution.centre[corners] == pytest.approx(at[corners], abs=1e-9)
-    at[corners, 0] *= 3.0
-    assert mesh.solve(force, held, at, space=False, options=FiniteOptions(max_iterations=60)).status != "converged"
+
+
+def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    force, held, at = hung(mesh, top_of(mesh))
+    at[:, 0] *= 3.0
+    found = mesh.solve(force, held, at, space=False)
+    assert found.status == "out-of-reach"
+    assert "closer together" in found.message
+    assert found.kkt_residual == np.inf
+    assert np.isnan(found.force).all()
+    assert np.isnan(found.reaction).all()
+    # two rings with one between them are as far apart as a straight chain of three
+    ends = held[:, 0]
+    apart = np.linalg.norm(np.diff(found.centre[ends], axis=0))
+    assert apart < 4 * (5.0 - 0.5)
+    short = np.abs((at - found.centre)[ends]).max(axis=0)[0]
+    assert found.way_left_mm == pytest.approx(np.linalg.norm((at - found.centre)[ends], axis=1).max(), abs=1e-9)
+    assert 0.5 * (33.0 - 4 * 4.5) < short < 11.0
+
+
+def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_good():
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    problem = hung(mesh, top_of(mesh))
+    found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0))
+    assert found.status == "stalled"
+    assert found.kkt_residual < 1e-8
+    assert found.iterations < 200
+    assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
+
+
+def random_pairs(seed, n=40):
+    """Rings in random positions over planes through random points."""
+    rng = np.random.default_rng(seed)
+    normal, m = (v / np.linalg.norm(v, axis=1)[:, None] for v in rng.standard_normal((2, n, 3)))
+    place = rng.standard_normal((n, 3))
+    return place + rng.uniform(1.2, 2.0, (n, 1)) * m, normal, place, m
+
+
+def test_the_gap_of_a_ring_over_a_plane_has_the_sign_of_its_lowest_point():
+    x, normal, place, m = random_pairs(1)
+    t = np.linspace(0.0, 2.0 * np.pi, 2001)[:, None]
+    for shift in (0.0, -0.8, -1.5):
+        at = x + shift * m
+        gap = wall_gaps(at, normal, place, m)
+        for one in range(len(x)):
+            e1, e2 = (e[one] for e in tangent_frame(normal))
+            lowest = ((at[one] + np.cos(t) * e1 + np.sin(t) * e2 - place[one]) @ m[one]).min()
+            assert np.sign(gap[one]) == np.sign(lowest)
+            if lowest > 0.0:
+                assert lowest - 1e-5 <= gap[one] <= 2.0 * lowest + 1e-5
+
+
+def test_derivatives_over_a_plane_are_those_of_differences():
+    x, normal, place, m = random_pairs(2)
+    q = np.random.default_rng(3).standard_normal((len(x), 10))
+    q[:, 8:] = 0.0  # half-spaces do not turn
+    step = 1e-4
+
+    def at(t):
+        moved = Placed(x, normal).moved(t * q[:, :5])
+        return wall_gaps(moved.x, moved.normal, place + t * q[:, 5:8], m)
+
+    jac, H = wall_derivatives(x, normal, place, m)
+    assert (jac * q).sum(axis=1) == pytest.approx((at(step) - at(-step)) / (2 * step), abs=1e-5)
+    second = (at(step) - 2 * at(0.0) + at(-step)) / step**2
+    assert np.einsum("ni,nij,nj->n", q, H, q) == pytest.approx(second, abs=1e-4)
+
+
+def over(solution, wall):
+    """Distances (n,) in mm of the rings, wires included, from a half-space."""
+    cell, m = solution.mesh.cell, wall.unit
+    return solution.centre @ m - cell.r1 * np.sqrt(1.0 - (solution.normal @ m) ** 2) - cell.r2 - wall.offset
+
+
+def test_a_floor_carries_what_rests_on_it_and_a_far_one_nothing():
+    mesh = FiniteMesh.rectangle(Cell(), 2, 2)
+    problem = hung(mesh, top_of(mesh))
+    free = mesh.solve(*problem, space=False)
+    floor, far = HalfSpace((0.0, 3.0, 0.0), 6.0, "floor"), HalfSpace((0.0, 1.0, 0.0), -40.0)
+    for space in (False, True):
+        found = mesh.solve(*problem, space=space, walls=(floor, far))
+        check(found)
+        low = over(found, floor)
+        assert low.min() == pytest.approx(0.0, abs=1e-6)
+        assert low.min() > -1e-9
+        assert found.wall_force[0, 1] > 0.1 * np.abs(found.load).sum()
+        assert found.wall_force[:, [0, 2]] == pytest.approx(0.0, abs=1e-12)
+        assert found.wall_force[1] == pytest.approx(0.0, abs=1e-9)
+        whole = found.reaction.sum(axis=0) + found.wall_force.sum(axis=0) + found.load.sum(axis=0)
+        assert whole == pytest.approx(np.zeros(3), abs=1e-9)
+        assert found.potential > free.potential
+    assert mesh.solve(*problem, space=False, walls=(far,)).potential == pytest.approx(free.potential, rel=1e-8)
+
+
+def test_a_mesh_comes_to_lie_flat_on_a_floor_that_carries_all_of_it():
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    n = len(mesh.X)
+    force, held = np.zeros((n, 3)), np.zeros((n, 3), dtype=bool)
+    force[:, 2] = -G * mesh.mass
+    held[0, :2] = True
+    floor = HalfSpace((0.0, 0.0, 1.0), -20.0, "floor")
+    found = mesh.solve(force, held, np.column_stack([mesh.X, np.zeros(n)]), walls=(floor,))
+    check(found)
+    assert found.wall_force[0] == pytest.approx(-force.sum(axis=0), abs=1e-9)
+    assert np.abs(over(found, floor)).max() < 1e-6
+
+
+def test_a_floor_above_the_supports_is_out_of_reach():
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    floor = HalfSpace((0.0, 1.0, 0.0), 40.0, "floor")
+    found = mesh.solve(*hung(mesh, top_of(mesh)), space=False, walls=(floor,))
+    assert found.status == "out-of-reach"
+    assert np.isnan(found.wall_force).all()
+    assert found.way_left_mm > 40.0 - mesh.X[:, 1].max()
+
+
+def test_half_spaces_that_are_none_are_refused():
+    for normal, offset in (((0.0, 0.0, 0.0), 0.0), ((0.0, np.nan, 1.0), 0.0), ((0.0, 0.0, 1.0), np.inf), ((1.0,), 0.0)):
+        with pytest.raises(InputError, match="not a half-space"):
+            HalfSpace(normal, offset)
+
+
+def test_contacts_that_are_followed_are_those_of_a_whole_search():
+    mesh, placed, rng = disturbed(3, 0.03)
+    con = find_touching(placed, mesh.linked, 0.1, 0.6)
+    after = placed.moved(0.02 * rng.uniform(-1.0, 1.0, (len(mesh.X), 5)))
+    new, gap = find_touching(after, mesh.linked, 0.1, 3.0, beside=False), followed_gaps(con, after, 0.1)
+    real = ~con.fixed
+    assert np.isinf(gap[con.fixed]).all()
+    least = np.full(len(con.key), np.inf)
+    np.minimum.at(least, con.minima.pair[real], gap[real])
+    deepest = new.deepest[np.searchsorted(new.key, con.key)]
+    some = np.isfinite(least)
+    assert (least[some] >= deepest[some] - 1e-9).all()
+    assert (least[some] <= deepest[some] + 1e-9).mean() > 0.9
+
+
+def spread_of(seeds):
+    """Potentials, over weight times r1, of a small mesh from random starts in space; each is checked."""
+    mesh = FiniteMesh.rectangle(Cell(), 2, 1)
+    corners = top_of(mesh) & (np.isclose(mesh.X[:, 0], 0.0) | np.isclose(mesh.X[:, 0], mesh.X[:, 0].max()))
+    force, held, at = hung(mesh, corners)
+    at[corners, 0] = 11.0 + 0.8 * (at[corners, 0] - 11.0)
+    out = []
+    for seed in seeds:
+        found = mesh.solve(force, held, at, options=FiniteOptions(seed=seed, disturbance=0.1))
+        check(found)
+        out.append(found.potential / (np.abs(force).sum() * 5.0))
+    return np.array(out)
+
+
+def test_random_starts_keep_the_links_and_end_near_each_other():
+    found = spread_of(range(2))
+    assert np.ptp(found) < 0.3
+
+
+@pytest.mark.slow
+def test_no_ring_tunnels_from_a_hundred_random_starts():
+    found = spread_of(range(100))
+    assert np.ptp(found) < 0.3
+
+
+def test_a_vtu_file_has_the_places_of_the_answer_to_the_last_digit(tmp_path):
+    import pyvista
+
+    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
+    found = mesh.solve(*hung(mesh, top_of(mesh)), space=False)
+    found.write_vtu(tmp_path / "rings.vtu")
+    read = pyvista.read(tmp_path / "rings.vtu")
+    assert np.array_equal(read.cell_data["centre_mm"], found.centre)
+    assert np.array_equal(read.cell_data["normal"], found.normal)
+    points = np.asarray(read.points).reshape(len(found.centre), -1, 3)
+    assert np.linalg.norm(points - found.centre[:, None], axis=2) == pytest.approx(5.0, abs=1e-12)
 
 
 def test_too_few_iterations_have_a_name():

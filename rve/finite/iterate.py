@@ -1,0 +1,71 @@
+"""An iterate of the solver of finite meshes, its equations and its step. Lengths in units of r1, see `solver`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rve.common.types import Array
+from rve.finite.factor import Solve
+from rve.finite.records import Task
+from rve.finite.touching import Placed, Touching
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it."""
+
+    placed: Placed
+    touching: Touching
+    force: Array
+    mu: float
+    damping: float
+    local: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A Newton step q (n, 5), forecast of the gaps and forces, slope of the barrier function along it, and a
+    function that solves with its matrix."""
+
+    q: Array
+    dgap: Array
+    dforce: Array
+    slope: float
+    solve: Solve
+
+
+@dataclass
+class Work:
+    """Counts of one iteration, and the damping as it is raised."""
+
+    damping: float
+    local: Array
+    trials: int = 0
+    factors: int = 0
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The equations of an iterate: gap gradients, stiffness of contacts, blocks, right-hand side, held step (n, 5)."""
+
+    G: Array
+    stiff: Array
+    blocks: Array
+    rhs: Array
+    held: Array
+    heavy: Array
+    barrier: float
+    is_moving: bool = field(default=False)
+
+
+def central(gap: Array, mu: float, reach: float) -> Array:
+    """Forces (m,) on the central path, a little more than none where a gap is at the reach."""
+    return np.asarray(mu * np.maximum(1.0 / gap - 1.0 / reach, 1e-8))
+
+
+def barrier(placed: Placed, touching: Touching, task: Task, mu: float, reach: float) -> float:
+    gap = np.minimum(touching.gap / reach, 1.0)
+    return float(-(task.force * placed.x).sum() + mu * (gap - 1.0 - np.log(gap)).sum())
