@@ -1,6 +1,6 @@
 """A report as files: `key.json` (data), `key.md`, one SVG for each diagram, and its part of `report.html`.
 
-Markdown is the source of the page: `report.html` is the three Markdown files through markdown-it with the pictures
+Markdown is the source of the page: `report.html` is the Markdown of all reports through markdown-it with the pictures
 inline, so that it depends on no other file and no network.
 """
 
@@ -21,7 +21,7 @@ from rve.common.files import write_text
 
 FOLDER = ROOT / "docs" / "reports"
 OUT = click.Path(path_type=Path, file_okay=False)
-ORDER = ("work_precision", "stability", "omissions")
+ORDER = ("work_precision", "stability", "omissions", "every_ring")
 STYLE = """
 :root { color-scheme: light dark; --line: #8884; --head: #8882; }
 body { font: 16px/1.55 system-ui, sans-serif; margin: 0 auto; max-width: 72rem; padding: 1rem 1.5rem 4rem; }
@@ -81,7 +81,7 @@ def write(report: Report, folder: Path) -> None:
 
 
 def write_page(path: Path, title: str, text: str, command: str, measure: Callable[[], Section]) -> None:
-    """A page of one section outside of the three reports: its Markdown and pictures."""
+    """A page of one section outside of the reports: its Markdown and pictures."""
     write_markdown(Report(path.stem, title, text, command, (measured(measure),)), path.parent)
 
 
@@ -130,15 +130,20 @@ def command(report: Report, measures: Mapping[str, Measure]) -> click.Command:
     @click.option("--only", multiple=True, type=click.Choice(list(measures)), help="these sections; others are kept")
     @click.option("--out", type=OUT, default=FOLDER, help="folder  [default: docs/reports]")
     def main(full: bool, only: tuple[str, ...], out: Path) -> None:
-        before = read(report.key, out)
-        kept = {section.key: section for section in before.sections} if before else {}
-        for key in only or measures:
-            kept[key] = measured(partial(measures[key], full), key)
-            write(replace(report, sections=tuple(kept[name] for name in measures if name in kept)), out)
-            click.echo(f"{report.key} {key}: {kept[key].seconds:.1f} s")
-        click.echo(f"{out / report.key}.md")
+        make(report, measures, full, only, out)
 
     return main
+
+
+def make(report: Report, measures: Mapping[str, Measure], full: bool, only: tuple[str, ...], out: Path) -> None:
+    """Measures the sections (`only` these; others are kept) and writes the report after every one."""
+    before = read(report.key, out)
+    kept = {section.key: section for section in before.sections} if before else {}
+    for key in only or measures:
+        kept[key] = measured(partial(measures[key], full), key)
+        write(replace(report, sections=tuple(kept[name] for name in measures if name in kept)), out)
+        click.echo(f"{report.key} {key}: {kept[key].seconds:.1f} s")
+    click.echo(f"{out / report.key}.md")
 
 
 def measured(measure: Callable[[], Section], key: str = "") -> Section:

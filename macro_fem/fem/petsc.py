@@ -30,7 +30,7 @@ NEGATIVE_PIVOTS = 12
 MULTIGRID_RTOL = 1e-10
 """Relative residual of conjugate gradients; `macro_fem.fem.supported` refines the rest away."""
 MULTIGRID_STEPS = 300
-"""Most steps of conjugate gradients. Matrices that need more, near the end of a rigid curtain's path, are factorized."""
+"""Most steps of conjugate gradients. Matrices that need more, near the end of a rigid curtain's path, are factored."""
 
 
 def petsc() -> Any:

@@ -167,7 +167,7 @@ def _on_cluster(items: Sequence[Item], left: list[int], address: str) -> Iterato
 def written_sweep(
     items: Sequence[Item], out: Path, columns: Callable[[dict[str, Any]], dict[str, Any]], **how: Any
 ) -> list[dict[str, Any]]:
-    """The rows of sweep.csv, which is written into `out`: name, exit_code, message, what `columns` takes of a record."""
+    """The rows of sweep.csv, which is written into `out`: name, exit_code, message, what `columns` takes."""
     check_out_folder(out, "--out")
     rows = []
     for item, ended in zip(items, sweep(items, out, **how), strict=True):

@@ -146,7 +146,7 @@ def test_browser_shows_the_page(tmp_path):
             seen = json.loads(re.search(r'data-seen="([^"]+)"', done.stdout)[1].replace("&quot;", '"'))
     reports = [read(path.stem, FOLDER) for path in sorted(Path(FOLDER).glob("*.json"))]
     sections = [section for report in reports for section in report.sections]
-    assert len(reports) == 3
+    assert len(reports) == 4
     assert seen["tables"] == sum(len(section.tables) for section in sections)
     assert seen["pictures"] == sum(len(section.diagrams) for section in sections)
     assert seen["rows"] >= 1

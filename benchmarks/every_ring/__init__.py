@@ -1,0 +1,1 @@
+"""Every ring against the homogenized disk, the periodic cell and other solvers."""

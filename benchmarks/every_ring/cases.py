@@ -1,0 +1,202 @@
+"""Scenes at several sizes, solved as rings and as the disk. Each answer is a JSON file, so that a run can be continued.
+
+A sheet has `columns` k by `rows` k reference cells, k = 1, 2, ...; all its sizes are geometrically similar, and loads
+grow with the weight. So the disk's answer over the height is the same number for all of them.
+"""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from homogenize import default_law
+from macro_fem import read_scene
+from macro_fem.every_ring import ring_scene
+from macro_fem.job import solve
+from macro_fem.scene.schema import Scene
+from rve import FiniteSolution
+from rve.common.files import write_text
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+AREAL_MASS = 2.8
+GRAVITY = 9.81
+ACROSS = 3
+"""Line loads are averaged over squares of this many reference cells along each side."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A scene of any size: its support, the angle of its weave in degrees, and a pull in the middle of its width at a
+    third of its height, as multiples of the weight along x and y; `sizes`: the k that the full report solves."""
+
+    key: str
+    title: str
+    support: str
+    gather: float
+    weave_angle: float = 0.0
+    pull: tuple[float, float] = (0.0, 0.0)
+    columns: int = 4
+    rows: int = 3
+    sizes: tuple[int, ...] = (1, 2, 3, 4)
+
+    def sides(self, k: int) -> tuple[float, float]:
+        """Width and height in mm."""
+        info = default_law().cell
+        assert info is not None
+        across = (info.b_y_mm, info.b_x_mm) if self.weave_angle == 90.0 else (info.b_x_mm, info.b_y_mm)
+        return k * self.columns * across[0], k * self.rows * across[1]
+
+    def weight(self, k: int) -> float:
+        """In N."""
+        W, H = self.sides(k)
+        return 1e-6 * AREAL_MASS * GRAVITY * W * H
+
+    def scene(self, k: int, cells: int, *, bounds: bool = False) -> Scene:
+        """The scene; `cells` of the finite elements across."""
+        W, H = self.sides(k)
+        curtain = {"width": W, "height": H, "weave_angle": self.weave_angle, "areal_mass": AREAL_MASS}
+        force = [part * self.weight(k) for part in self.pull]
+        load = {"point": {"at": [0.5 * W, H / 3.0], "force": force}} if any(force) else {}
+        support = {"kind": self.support, "gather": self.gather}
+        solver = {"bounds": True} if bounds else {}
+        tables = {"curtain": curtain, "mesh": {"cells": cells}, "support": support, "load": load, "solver": solver}
+        return read_scene(tables)
+
+
+SHEETS = (
+    Sheet("corners", "hung by its corners, 90 % apart", "corners", 0.9, sizes=(1, 2, 3, 4, 6)),
+    Sheet("gathered", "top gathered to 70 %, hung across the grain", "top", 0.7, 90.0, sizes=(1, 2, 3, 4, 6)),
+    Sheet("turned", "weave turned by 45 degrees, hung by its corners, 90 % apart", "corners", 0.9, 45.0),
+    Sheet("pull", "top gathered to 90 %, a sideways pull of its weight at a point", "top", 0.9, 0.0, (1.0, 0.0)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """An answer: its numbers, and its arrays by name."""
+
+    numbers: dict[str, Any]
+    arrays: dict[str, Array]
+
+
+class NotThere(LookupError):
+    """A case that was not solved, where nothing is to be solved."""
+
+
+@dataclass(frozen=True)
+class Store:
+    """The folder of solved cases; `is_closed`: nothing is added, and cases that are missing are left out."""
+
+    folder: Path
+    is_closed: bool = False
+
+
+def those_there(calls: Iterable[Callable[[], T]]) -> list[T]:
+    """What the calls return, without those whose case is not there."""
+    out = []
+    for call in calls:
+        try:
+            out.append(call())
+        except NotThere:
+            continue
+    return out
+
+
+def kept(store: Store, name: str, asked: dict[str, Any], make: Callable[[], Case]) -> Case:
+    """The case in the folder if it was made for what is asked; else it is made and written there."""
+    path = store.folder / f"{name}.json"
+    asked = json.loads(json.dumps(asked))
+    if path.exists():
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data["asked"] == asked:
+            return Case(data["numbers"], {key: np.array(value) for key, value in data["arrays"].items()})
+    if store.is_closed:
+        raise NotThere(name)
+    case = make()
+    store.folder.mkdir(parents=True, exist_ok=True)
+    arrays = {key: value.tolist() for key, value in case.arrays.items()}
+    write_text(path, json.dumps({"asked": asked, "numbers": case.numbers, "arrays": arrays}) + "\n")
+    return case
+
+
+def rings_case(sheet: Sheet, k: int, space: bool, store: Store) -> Case:
+    """Every ring of a sheet. Arrays: X, centre, normal, load, reaction, area, P (n, 2, 2) of each ring."""
+    name = f"{sheet.key}_{k}_{'space' if space else 'plane'}"
+    asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"}
+    return kept(store, name, asked | {"k": k, "space": space}, lambda: _solved_rings(sheet, k, space))
+
+
+def _solved_rings(sheet: Sheet, k: int, space: bool) -> Case:
+    rings = ring_scene(sheet.scene(k, 8))
+    solution = rings.solve(space=space)
+    mesh = rings.mesh
+    numbers = {
+        "status": solution.status,
+        "rings": len(mesh.X),
+        "links": len(mesh.linked),
+        "links_intact": solution.links_intact,
+        "min_gap_mm": solution.min_gap_mm,
+        "kkt_residual": solution.kkt_residual,
+        "mean_height_mm": solution.mean_height,
+        "potential_N_mm": solution.potential,
+        "lowest_mm": float(solution.centre[:, 1].min()),
+        "depth_mm": float(np.ptp(solution.centre[:, 2])),
+        "iterations": solution.iterations,
+        "wall_s": solution.wall_s,
+    }
+    arrays = {
+        "X": mesh.X,
+        "area": mesh.area,
+        "centre": solution.centre,
+        "normal": solution.normal,
+        "load": solution.load,
+        "reaction": solution.reaction,
+        "P": _line_load(solution),
+    }
+    return Case(numbers, arrays)
+
+
+def _line_load(solution: FiniteSolution) -> Array:
+    """P (n, 3, 2) in N/mm around each ring: virial of the contacts of all rings in a square of `ACROSS` cells."""
+    mesh = solution.mesh
+    own = solution.line_load(np.arange(len(mesh.X)), mesh.area) * mesh.area[:, None, None]
+    near = neighbours(mesh.X, 0.5 * ACROSS * float(np.mean(mesh.sides)))
+    return np.array([own[rows].sum(axis=0) / mesh.area[rows].sum() for rows in near])
+
+
+def neighbours(X: Array, half: float) -> list[list[int]]:
+    """The points in the square of this half side around each point, itself among them."""
+    from scipy.spatial import cKDTree
+
+    found: list[list[int]] = cKDTree(X).query_ball_point(X, half * (1.0 + 1e-9), p=np.inf).tolist()
+    return found
+
+
+def disk_case(sheet: Sheet, cells: int, store: Store) -> Case:
+    """The disk of a sheet with k = 1, with bounds. Arrays: X, x (n, 2) of nodes; middle, P, area of triangles."""
+    asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"} | {"cells": cells}
+    return kept(store, f"{sheet.key}_disk_{cells}", asked, lambda: _solved_disk(sheet, cells))
+
+
+def _solved_disk(sheet: Sheet, cells: int) -> Case:
+    result = solve(sheet.scene(1, cells, bounds=True))
+    solution = result.solution
+    disc, summary = solution.problem.disc, result.summary["bounds"]
+    count = len(solution.problem.mesh.mesh.t.T)
+    P = disc.cell_mean(solution.P).reshape(count, -1)[:, :4].reshape(count, 2, 2)
+    numbers = {
+        "status": solution.status,
+        "cells": count,
+        "mean_height_mm": solution.mean_height(),
+        "potential_N_mm": [summary["lower_N_mm"], summary["upper_N_mm"]],
+        "lowest_mm": float(solution.x[:, 1].min()),
+        "wall_s": summary["wall_s"],
+    }
+    middle = solution.problem.mesh.mesh.p[:, solution.problem.mesh.mesh.t].mean(axis=1).T
+    area = disc.weight.reshape(disc.n_quad, -1).sum(axis=0)
+    return Case(numbers, {"X": disc.nodes, "x": solution.x[:, :2], "middle": middle, "P": P, "area": area})

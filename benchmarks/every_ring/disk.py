@@ -1,0 +1,207 @@
+"""The rings against the disk: mean height, potential, lowest point, line load, by the number of rings across."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, Store, disk_case, rings_case, those_there
+from benchmarks.report.measure import Row
+from benchmarks.report.records import Curve, Diagram, Section, Table, table
+
+QUICK_SIZES = (1, 2)
+LEAST_FITTED = 8
+"""Cells across of the smallest sheet that the extrapolation uses."""
+CELLS = 32
+"""Of the disk's mesh across."""
+HEIGHT, POTENTIAL = "mean height, %", "potential, %"
+LOWEST, LINE = "lowest point, %", "line load, %"
+
+
+def measure(full: bool, store: Store) -> Section:
+    """The section."""
+    rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full, store)]
+    limits = [limit_row(sheet, space, rows, store) for sheet in SHEETS for space in (False, True)]
+    forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f timed"}
+    forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
+    names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
+    text = (
+        f"{names}. All have rings of r1/r2 = 10 and sides in the ratio of 4 to 3 cells; a sheet is as many cells "
+        "across as the table says. Loads grow with the weight, so that the disk's answer over the height is one "
+        f"number for all sizes. The disk has {CELLS} columns of finite elements and certified bounds (`[solver] "
+        "bounds`). `mean height`, `lowest point`: rings less disk, over the height. `potential`: rings less the "
+        "middle of the disk's interval, over weight times height. `line load`: root mean square of the difference of "
+        f"P averaged over {ACROSS} x {ACROSS} cells, over that of the disk."
+    )
+    limit_forms = {"order": ".2f", "limit, %": ".2f", "disk from, %": ".2f", "disk to, %": ".2f", "error, %": ".2f"}
+    note = (
+        "The potential over weight times height, fitted by a + b / N over the converged sizes with N >= "
+        f"{LEAST_FITTED} cells across; `limit` is a, `error` its standard error. `order`: of the difference from the "
+        "middle of the disk's certified interval, fitted by N^-order. `inside`: whether the limit lies in the "
+        "interval, give or take twice its error."
+    )
+    tables = (
+        table("Rings less disk", rows, forms),
+        table("Extrapolated to many rings", limits, limit_forms, note),
+        rule_table(rows),
+    )
+    return Section("The rings and the disk", text, tables, diagrams(rows), conclusion(rows, limits))
+
+
+def sheet_rows(sheet: Sheet, full: bool, store: Store) -> list[Row]:
+    """A row for each size, in the plane and in space."""
+    sizes = sheet.sizes if full else QUICK_SIZES
+    return those_there(partial(compared, sheet, k, space, store) for space in (False, True) for k in sizes)
+
+
+def compared(sheet: Sheet, k: int, space: bool, store: Store) -> Row:
+    """Rings of one size against the disk."""
+    rings, disk = rings_case(sheet, k, space, store), disk_case(sheet, CELLS, store)
+    found, H = rings.numbers, sheet.sides(k)[1]
+    low, high = (100.0 * part for part in interval(sheet, disk))
+    potential = 100.0 * found["potential_N_mm"] / (sheet.weight(k) * H)
+    return {
+        "scene": sheet.key,
+        "centres": "space" if space else "plane",
+        "cells across": k * sheet.columns,
+        "rings": found["rings"],
+        "status": found["status"],
+        HEIGHT: 100.0 * (found["mean_height_mm"] - k * disk.numbers["mean_height_mm"]) / H,
+        POTENTIAL: potential - 0.5 * (low + high),
+        LOWEST: 100.0 * (found["lowest_mm"] - k * disk.numbers["lowest_mm"]) / H,
+        LINE: 100.0 * line_load_distance(sheet, rings, disk, k),
+        "KKT residual": found["kkt_residual"],
+        "least gap, mm": min(0.0, found["min_gap_mm"]),
+        "links intact": found["links_intact"],
+        "s": found["wall_s"],
+        "_potential": potential,
+    }
+
+
+def interval(sheet: Sheet, disk: Case) -> tuple[float, float]:
+    """The certified interval of the disk's potential over weight times height."""
+    scale = sheet.weight(1) * sheet.sides(1)[1]
+    low, high = disk.numbers["potential_N_mm"]
+    return low / scale, high / scale
+
+
+def line_loads(sheet: Sheet, rings: Case, disk: Case, k: int) -> tuple[Array, Array]:
+    """P (n, 2, 2) around each ring, of the rings and of the disk, averaged over the same squares, by weight / width."""
+    from scipy.spatial import cKDTree
+
+    scale = sheet.weight(k) / sheet.sides(k)[0]
+    side = 0.5 * ACROSS * _cell_side(sheet) * (1.0 + 1e-9)
+    tree = cKDTree(k * disk.arrays["middle"])
+    area, P = disk.arrays["area"], disk.arrays["P"]
+    theirs = np.zeros((len(rings.arrays["X"]), 2, 2))
+    for ring, rows in enumerate(
+        tree.query_ball_point(rings.arrays["X"], max(side, 0.75 * _disk_side(sheet, k)), p=np.inf)
+    ):
+        theirs[ring] = np.average(P[rows], axis=0, weights=area[rows]) if rows else np.nan
+    ours = rings.arrays["P"][:, :2] / scale
+    return ours, theirs * sheet.sides(1)[0] / sheet.weight(1)
+
+
+def _cell_side(sheet: Sheet) -> float:
+    W, H = sheet.sides(1)
+    return 0.5 * (W / sheet.columns + H / sheet.rows)
+
+
+def _disk_side(sheet: Sheet, k: int) -> float:
+    return k * sheet.sides(1)[0] / CELLS
+
+
+def line_load_distance(sheet: Sheet, rings: Case, disk: Case, k: int) -> float:
+    """Root mean square over the area of the difference of P, over that of the disk's."""
+    ours, theirs = line_loads(sheet, rings, disk, k)
+    good = np.isfinite(theirs).all(axis=(1, 2))
+    area = rings.arrays["area"][good]
+    away, own = (area @ (part[good] ** 2).sum(axis=(1, 2)) for part in (ours - theirs, theirs))
+    return float(np.sqrt(away / own))
+
+
+def fitted(N: Array, value: Array) -> tuple[float, float]:
+    """a and its standard error, of value = a + b / N by least squares.
+
+    >>> N = np.array([4.0, 8.0, 16.0])
+    >>> a, error = fitted(N, 2.0 + 3.0 / N)
+    >>> round(a, 6), error < 1e-9
+    (2.0, True)
+    """
+    A = np.column_stack([np.ones(len(N)), 1.0 / N])
+    x = np.linalg.lstsq(A, value, rcond=None)[0]
+    left = A @ x - value
+    spread = float(left @ left) / max(len(N) - 2, 1) * np.linalg.inv(A.T @ A)
+    return float(x[0]), float(np.sqrt(spread[0, 0]))
+
+
+def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], store: Store) -> Row:
+    """The extrapolated potential of a scene against the disk's interval."""
+    which = sheet.key, "space" if space else "plane", "converged"
+    rows = [row for row in rows if (row["scene"], row["centres"], row["status"]) == which]
+    rows = [row for row in rows if row["cells across"] >= LEAST_FITTED]
+    low, high = (100.0 * part for part in interval(sheet, disk_case(sheet, CELLS, store)))
+    row: Row = {"scene": sheet.key, "centres": "space" if space else "plane", "sizes": len(rows)}
+    if len(rows) < 3:
+        return row
+    N = np.array([float(one["cells across"]) for one in rows])
+    a, error = fitted(N, np.array([one["_potential"] for one in rows]))
+    order = -np.polyfit(np.log(N), np.log([abs(one[POTENTIAL]) for one in rows]), 1)[0]
+    row |= {"order": float(order), "limit, %": a, "error, %": error, "disk from, %": low, "disk to, %": high}
+    return row | {"inside": low - 2.0 * error <= a <= high + 2.0 * error}
+
+
+AT_LEAST, WEIGHT, PULL = "cells across, at least", "weight alone, %", "with a point pull, %"
+
+
+def worst_from(rows: Sequence[Row], least: int, pulled: bool) -> float | None:
+    """The largest |difference of the mean height| in % of converged rows in space from that many cells across on."""
+    keys = [sheet.key for sheet in SHEETS if any(sheet.pull) == pulled]
+    good = [row for row in rows if row["status"] == "converged" and row["centres"] == "space" and row["scene"] in keys]
+    return max((abs(row[HEIGHT]) for row in good if row["cells across"] >= least), default=None)
+
+
+def rule_table(rows: Sequence[Row]) -> Table:
+    """How near the mean height of curtains of that many cells across and more comes to the disk's."""
+    sizes = sorted({row["cells across"] for row in rows})
+    made = [{AT_LEAST: n, WEIGHT: worst_from(rows, n, False), PULL: worst_from(rows, n, True)} for n in sizes]
+    note = (
+        "The largest difference of the mean height, in % of the height, over all converged scenes in space of that "
+        "many cells across or more. Nothing is extrapolated."
+    )
+    return table("How many rings make a curtain large", made, {WEIGHT: ".2f", PULL: ".2f"}, note)
+
+
+def diagrams(rows: Sequence[Row]) -> tuple[Diagram, ...]:
+    """The differences of height and line load, in space and in the plane."""
+    out = []
+    for key, name, head in (("height", "mean height", HEIGHT), ("line_load", "line load", LINE)):
+        lines = []
+        for sheet in SHEETS:
+            for centres in ("plane", "space"):
+                mine = [r for r in rows if (r["scene"], r["centres"], r["status"]) == (sheet.key, centres, "converged")]
+                x = tuple(float(row["cells across"]) for row in mine)
+                lines.append(Curve(f"{sheet.key}, {centres}", x, tuple(abs(float(row[head])) for row in mine)))
+        label = "% of the height" if head == HEIGHT else "% of the disk's"
+        title = f"Difference of the {name}, rings to disk"
+        out.append(Diagram(key, title, "cells across", label, tuple(line for line in lines if line.x)))
+    return tuple(out)
+
+
+def conclusion(rows: Sequence[Row], limits: Sequence[Row]) -> str:
+    """What the numbers say."""
+    inside = [row for row in limits if row.get("inside")]
+    fitted_rows = [row for row in limits if "inside" in row]
+    both = {(row["scene"], row["cells across"]): {} for row in rows}
+    for row in rows:
+        if row["status"] == "converged":
+            both[row["scene"], row["cells across"]][row["centres"]] = row["_potential"]
+    cost = [pair["plane"] - pair["space"] for pair in both.values() if len(pair) == 2]
+    least = [n for n in sorted({row["cells across"] for row in rows}) if worst_from(rows, n, False) is not None]
+    rule = "; ".join(f"{n} cells across: {worst_from(rows, n, False):.1f} %" for n in least)
+    return (
+        "Under its weight a curtain with centres free in space hangs where the disk does, in mean height and as a "
+        f"part of the height, if it has at least {rule}. The extrapolated potential is inside the disk's interval, "
+        f"give or take twice the error, in {len(inside)} of {len(fitted_rows)} rows. Confinement to the plane raises "
+        f"the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
+    )

@@ -1,0 +1,134 @@
+"""Random admissible starts: how far apart the potentials end, and whether any ring passed through another."""
+
+from functools import partial
+
+import numpy as np
+
+from benchmarks.every_ring.brute import least_gap, linked_pairs
+from benchmarks.every_ring.cases import SHEETS, Array, Case, Store, kept, those_there
+from benchmarks.report.measure import Row, outcomes
+from benchmarks.report.records import Section, table
+from macro_fem.every_ring import RingScene, ring_scene
+from rve import FiniteMesh, FiniteOptions
+from rve.finite.records import Found, Task
+from rve.finite.solver import solve_rings
+from rve.finite.touching import Placed, find_touching, links_intact
+
+SWEEPS, STRIDE = 40, 0.08
+"""Rounds of random motion that make a start, and the largest motion of a round in r1 and radians."""
+
+
+def measure(full: bool, store: Store) -> Section:
+    """The section."""
+    # sheet, k, number of starts, whether in space
+    plan = ((0, 1, 35, False), (0, 1, 35, True), (2, 1, 20, True), (0, 2, 10, True)) if full else ((0, 1, 3, True),)
+    calls = []
+    for i, k, count, space in plan:
+        name = f"starts_{SHEETS[i].key}_{k}_{'space' if space else 'plane'}_{count}"
+        calls.append(partial(kept, store, name, {}, partial(_case, i, k, count, space)))
+    rows = [case.numbers for case in those_there(calls)]
+    text = (
+        f"Scenes as in the first section. A start is the slack weave after {SWEEPS} rounds in which "
+        f"every ring is moved and tilted at random by up to {STRIDE} r1 and {STRIDE} rad, and goes back where it would "
+        "overlap another; in the plane it keeps z = 0. At the end the links of all pairs are found by Gauss's integral "
+        "over both circles, and the least gap by sampling (`brute.py`), independently of the solver. The potential is "
+        "given over the weight times the height; its spread is that of the converged runs."
+    )
+    kept_links, runs = sum(row["links as woven"] for row in rows), sum(row["starts"] for row in rows)
+    conclusion = (
+        f"Links are as woven in {kept_links} of {runs} runs. Potentials of one scene spread by up to "
+        f"{max(row['spread, %'] for row in rows):.2g} % of weight times height; the solver's own start (the slack "
+        "weave) ends "
+        + ", ".join(f"{row['own start above the best, %']:.2g} %" for row in rows)
+        + " above the best that was found."
+    )
+    percent = dict.fromkeys(("best, %", "spread, %", "standard deviation, %", "own start above the best, %"), ".3f")
+    forms = percent | {"least gap, r1": "at_most 1e-9"}
+    return Section("Random starts", text, (table("Random admissible starts", rows, forms),), (), conclusion)
+
+
+def _case(sheet: int, k: int, count: int, space: bool) -> Case:
+    return Case(_row(sheet, k, count, space), {})
+
+
+def _row(sheet: int, k: int, count: int, space: bool) -> Row:
+    rings = ring_scene(SHEETS[sheet].scene(k, 8))
+    scale = float(np.abs(rings.force).sum()) * float(np.ptp(rings.mesh.X[:, 1]))
+    woven = {(int(a), int(b)) for a, b in rings.mesh.linked}
+    r1, wire = rings.mesh.cell.r1, rings.mesh.cell.wire
+    status, potential, intact, gaps = [], [], 0, []
+    for seed in range(count):
+        found = solved_from(rings, random_start(rings, space, seed), space)
+        placed = found.placed
+        status.append(found.status)
+        potential.append(_potential(rings, placed.x * r1) / scale)
+        intact += linked_pairs(placed.x, placed.normal, 1.0) == woven
+        gaps.append(least_gap(placed.x, placed.normal, 1.0, wire))
+    own = rings.solve(space=space)
+    good = np.array(potential)[np.array(status) == "converged"]
+    return {
+        "scene": SHEETS[sheet].key,
+        "rings": len(rings.mesh.X),
+        "centres": "space" if space else "plane",
+        "starts": count,
+        "status": outcomes(status),
+        "links as woven": intact,
+        "least gap, r1": min(0.0, *gaps),
+        "best, %": 100.0 * good.min(),
+        "spread, %": 100.0 * np.ptp(good),
+        "standard deviation, %": 100.0 * good.std(),
+        "own start above the best, %": 100.0 * (own.potential / scale - good.min()),
+    }
+
+
+def _potential(rings: RingScene, centre: Array) -> float:
+    X = np.column_stack([rings.mesh.X, np.zeros(len(centre))])
+    return float(-(rings.force * (centre - X)).sum())
+
+
+def task_of(rings: RingScene, space: bool) -> Task:
+    """What the solver solves, in its units: see `rve.finite.solution.solve_mesh`."""
+    mesh = rings.mesh
+    held = rings.held | np.array([False, False, not space])
+    size = float(np.hypot(*np.ptp(mesh.X, axis=0)))
+    unit = np.abs(rings.force).sum() * size / (len(mesh.linked) * mesh.cell.r1)
+    free = np.ones((len(mesh.X), 5), dtype=bool)
+    free[:, :3] = ~held
+    return Task(mesh.linked, mesh.cell.wire, rings.force / unit, held, rings.at / mesh.cell.r1, free)
+
+
+def solved_from(rings: RingScene, start: Placed, space: bool) -> Found:
+    """The equilibrium from a start."""
+    return solve_rings(task_of(rings, space), start, FiniteOptions())
+
+
+def slack_start(rings: RingScene) -> Placed:
+    """The slack weave, moved to where its supports are on average."""
+    mesh: FiniteMesh = rings.mesh
+    centre, normal = mesh.slack()
+    for axis in range(2):
+        rows = rings.held[:, axis]
+        centre[:, axis] += (rings.at[rows, axis] - centre[rows, axis]).mean()
+    return Placed(centre / mesh.cell.r1, normal)
+
+
+def random_start(rings: RingScene, space: bool, seed: int) -> Placed:
+    """An admissible placement far from the slack weave."""
+    rng = np.random.default_rng(seed)
+    mesh, wire = rings.mesh, rings.mesh.cell.wire
+    keys = mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1]
+    placed = slack_start(rings)
+    for _ in range(SWEEPS):
+        q = STRIDE * rng.uniform(-1.0, 1.0, (len(mesh.X), 5))
+        if not space:
+            q[:, 2] = 0.0
+        for _ in range(30):
+            trial = placed.moved(q)
+            con = find_touching(trial, mesh.linked, wire, 0.1, beside=False)
+            bad = con.deepest < 0.01
+            if not bad.any():
+                break
+            q[con.a[bad]] = q[con.b[bad]] = 0.0
+        if not bad.any() and links_intact(trial, con, keys):
+            placed = trial
+    return placed
