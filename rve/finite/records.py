@@ -25,9 +25,9 @@ class FiniteOptions:
     tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
     power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
     ring, or after `patience` iterations without progress. retries: how often the
-    last mu is tried again without, or with, points beside minima before the status is `stalled`. reach: gap beyond which
-    a contact has no force. step: largest way of a held ring in one iteration. method: "cholmod", "superlu", or "auto"
-    for the first that is installed.
+    last mu is tried again without, or with, points beside minima before `stalled`. reach: gap beyond which a contact
+    has no force. step: largest way of a held ring in one iteration. method: "cholmod", "superlu", or "auto" for the
+    first that is installed.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
 
