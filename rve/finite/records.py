@@ -24,8 +24,10 @@ class FiniteOptions:
 
     tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
     power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
-    ring, or after `patience` iterations without progress. reach: gap beyond which a contact has no force. step: largest
-    way of a held ring in one iteration. method: "cholmod", "superlu", or "auto" for the first that is installed.
+    ring, or after `patience` iterations without progress. retries: how often the
+    last mu is tried again without, or with, points beside minima before `stalled`. reach: gap beyond which a contact
+    has no force. step: largest way of a held ring in one iteration. method: "cholmod", "superlu", or "auto" for the
+    first that is installed.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
 
@@ -36,6 +38,7 @@ class FiniteOptions:
     power: float = 1.15
     calm: float = 0.2
     patience: int = 12
+    retries: int = 20
     reach: float = 0.6
     step: float = 0.3
     max_iterations: int = 1000

@@ -30,8 +30,6 @@ _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
-_ENDS = 20
-"""Times that the end is tried again without, or with, points beside minima."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
@@ -64,7 +62,7 @@ def solve_rings(
             if state.mu <= options.mu_end and idle >= options.patience:
                 # Points beside a minimum move with it and may keep a last residual: the end goes without them.
                 turns += 1
-                if turns > _ENDS:
+                if turns > options.retries:
                     status = "stalled"
                     break
                 task = replace(task, beside=not task.beside)

@@ -292,10 +292,10 @@ def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
 def test_an_impossible_tolerance_stalls_in_bounded_work_at_an_answer_that_is_good():
     mesh = FiniteMesh.rectangle(Cell(), 1, 1)
     problem = hung(mesh, top_of(mesh))
-    found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0))
+    found = mesh.solve(*problem, space=False, options=FiniteOptions(tolerance=0.0, patience=6, retries=2))
     assert found.status == "stalled"
     assert found.kkt_residual < 1e-8
-    assert found.iterations < 400
+    assert found.iterations < 200
     assert found.potential == pytest.approx(mesh.solve(*problem, space=False).potential, rel=1e-6)
 
 
