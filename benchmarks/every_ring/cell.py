@@ -11,6 +11,7 @@ from rve import Cell, FiniteMesh, solve_table
 
 DIRECTIONS = (
     (0.0, 90.0),
+    (0.0, 75.0),
     (0.0, 60.0),
     (0.0, 45.0),
     (0.0, 30.0),

@@ -167,7 +167,7 @@ def rule_table(rows: Sequence[Row]) -> Table:
     made = [{AT_LEAST: n, WEIGHT: worst_from(rows, n, False), PULL: worst_from(rows, n, True)} for n in sizes]
     note = (
         "The largest difference of the mean height, in % of the height, over all converged scenes in space of that "
-        "many cells across or more. Nothing is extrapolated."
+        "many cells across or more; scenes without such a size are not in it. Nothing is extrapolated."
     )
     return table("How many rings make a curtain large", made, {WEIGHT: ".2f", PULL: ".2f"}, note)
 

@@ -40,7 +40,8 @@ def measure(full: bool, store: Store) -> Section:
         f"slack weave with centres disturbed across the plane by up to {DISTURBANCE} r1 at random, every ring on its "
         "own, and the locked state of the planar cell with a fifth of that; 3 x 3 cells have the second start only. "
         "The work S:E that is reached is compared with h(S) of the planar two-ring cell (`rve.support`). Ends within "
-        "1e-6 of h are the planar state; lower ones are other locked states, or places where the method stalled."
+        "1e-6 of h are the planar state; lower ones are other locked states, or places where the method stalled. More "
+        "work than h out of the plane does not exclude a planar state of the same size that does as much."
     )
     forms = {RISE: "signed 1e-6", "r1/r2": "g", DEPTH: ".1e", "worst overlap, r1": "at_most 1e-12"}
     more = [row for row in rows if row[MORE]]

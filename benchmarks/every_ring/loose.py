@@ -36,8 +36,8 @@ def measure(full: bool, store: Store) -> Section:
         "about its own axis is none, since it moves no wire, so every ring has one more free motion than is counted. "
         "`loose rings` touch others without force: their centre and tilts are free as far as gaps allow. The other "
         "free motions are split by their squared size in r1 and radians: of tilts, and of centres along and across "
-        "the plane; `rings in these`: rings that carry more than a hundredth of one, and those of them that link two "
-        "others only."
+        "the plane; `rings in these`: rings that carry more than a hundredth of one, and those of them that link at "
+        "most two others."
     )
     share = [row["free"] / row["coordinates"] for row in rows]
     conclusion = (
