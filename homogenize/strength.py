@@ -230,7 +230,8 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
     s = s / trace(s)[:, None]
     joint = checked({"joint": "welded"} | table.provenance, "joint", joint_name, where)
-    found = Strength(S, s, table.strength[good, 0], table.strength[good, 1], along, material, joint=joint)
+    first, last = table.strength[good].T
+    found = Strength(S, s, first, last, along, material, joint=joint, is_mirrored=table.is_mirrored)
     return replace(found, error=off_grid(found))
 
 

@@ -35,10 +35,10 @@ class Watched(SupportedFem):
 
     seen: list[Any] = field(default_factory=list)
 
-    def factorize(self, tangent: Any) -> Any:
+    def factorize(self, tangent: Any, nodal: Any = None) -> Any:
         """The factor; the tangent is kept."""
         self.seen[:] = [tangent]
-        return super().factorize(tangent)
+        return super().factorize(tangent, nodal)
 
 
 def condition_numbers(fem: Watched) -> tuple[float, float]:

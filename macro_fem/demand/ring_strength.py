@@ -44,6 +44,8 @@ def with_strength(found: Demand, cell: Cell, cache: RingCache, say: Say = silent
         if load is None or _distance(rows, load) < NEAR:
             break
         asked = ask(cell, cache, disc(load[None] / (load[0] + load[2])), Asked(np.zeros((0, 2))))
+        both = replace(found.asked, solves=found.asked.solves + asked.solves, hits=found.asked.hits + asked.hits)
+        found, told = replace(found, asked=both), replace(told, asked=both)
         if asked.rows is None:
             break
         rows, strength = rows.join([asked.rows]), joined(strength, strength_of_rows(asked.rows, cell))
