@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.scene.tables import MAX_ENTRIES, NO_MOVE, Vector, in_3d, leaves_plane, length, vector
+from macro_fem.scene.tables import NO_MOVE, Vector, in_3d, leaves_plane, length, vector
 from rve.common.errors import InputError
 from rve.common.types import Array
-from rve.common.values import entry, finite, read_record, shown, text
+from rve.common.values import entry, finite, read_record, text
 
 MOST = 1e9
 """Largest coordinate, mm."""
@@ -245,25 +245,6 @@ class Placed:
 def placed(number: int, obstacle: Obstacle, factor: float, d: int) -> Placed:
     """An obstacle after `factor` of its move."""
     return Placed(number, obstacle, tuple(factor * way for way in in_3d(obstacle.move)), d)
-
-
-def read_obstacles(tables: Any, source: str | Path) -> tuple[Obstacle, ...]:
-    """The obstacles of [[obstacle]]; InputError for a kind, key or value that makes no sense."""
-    tables = [tables] if isinstance(tables, dict) else tables
-    if not isinstance(tables, list):
-        raise InputError(f"{source}: [obstacle] is not a table")
-    if len(tables) > MAX_ENTRIES:
-        raise InputError(f"{source}: [obstacle]: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
-    found: list[Obstacle] = []
-    for table in tables:
-        if not isinstance(table, dict):
-            raise InputError(f"{source}: [obstacle] = {shown(table)}: is not a table")
-        kind = table.get("kind")
-        if not isinstance(kind, str) or kind not in OBSTACLES:
-            raise InputError(f"{source}: [obstacle] kind = {shown(kind)}: is not one of {', '.join(OBSTACLES)}")
-        rest = {key: value for key, value in table.items() if key != "kind"}
-        found.append(read_record(OBSTACLES[kind], rest, f"{source}: [obstacle] ({kind})"))
-    return tuple(found)
 
 
 def read_start(table: Any, source: str | Path) -> Start | None:

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from macro_fem.scene.obstacles import Obstacle, Start, is_flat, is_in_plane, read_obstacles, read_start
+from macro_fem.scene.obstacles import OBSTACLES, Obstacle, Start, is_flat, is_in_plane, read_start
 from macro_fem.scene.old_names import with_new_names
 from macro_fem.scene.tables import (
     LIVE_LOADS,
     MAX_CORNERS,
-    MAX_ENTRIES,
     NO_MOVE,
     SUPPORTS,
     Curtain,
@@ -23,8 +22,10 @@ from macro_fem.scene.tables import (
     Support,
     Track,
     Wind,
+    entries,
     in_3d,
     leaves_plane,
+    read_kinds,
 )
 from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
@@ -106,7 +107,7 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         load=_read_load(data.get("load", {}), source),
         solver=read_record(Solver, data.get("solver", {}), f"{source}: [solver]"),
         source=Path(source),
-        obstacle=read_obstacles(data.get("obstacle", []), source),
+        obstacle=read_kinds(data.get("obstacle", []), OBSTACLES, "obstacle", source),
         start=read_start(data.get("start"), source),
         material=described(data.get("material", {}), f"{source}: [material]"),
     )
@@ -147,24 +148,10 @@ def _out_of_plane(scene: Scene) -> Iterator[str]:
 
 
 def _read_supports(tables: Any, source: str | Path) -> tuple[Support, ...]:
-    if isinstance(tables, dict):
-        tables = [tables]
-    if not isinstance(tables, list):
-        raise InputError(f"{source}: [support] is not a table")
-    if not tables:
+    supports = read_kinds(tables, SUPPORTS, "support", source)
+    if not supports:
         raise InputError(f"{source}: [support]: is missing, so nothing holds the curtain")
-    if len(tables) > MAX_ENTRIES:
-        raise InputError(f"{source}: [support]: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
-    supports = []
-    for table in tables:
-        if not isinstance(table, dict):
-            raise InputError(f"{source}: [support] = {shown(table)}: is not a table")
-        kind = table.get("kind")
-        if not isinstance(kind, str) or kind not in SUPPORTS:
-            raise InputError(f"{source}: [support] kind = {shown(kind)}: is not one of {', '.join(SUPPORTS)}")
-        rest = {key: value for key, value in table.items() if key != "kind"}
-        supports.append(read_record(SUPPORTS[kind], rest, f"{source}: [support] ({kind})"))
-    return tuple(supports)
+    return supports
 
 
 def _read_load(table: Any, source: str | Path) -> Load:
@@ -172,12 +159,7 @@ def _read_load(table: Any, source: str | Path) -> Load:
         raise InputError(f"{source}: [load] is not a table")
     live: dict[str, tuple[Any, ...]] = {}
     for name, cls in LIVE_LOADS.items():
-        items = table.get(name, [])
-        items = [items] if isinstance(items, dict) else items
-        if not isinstance(items, list):
-            raise InputError(f"{source}: [load] {name} = {shown(items)}: is not a table")
-        if len(items) > MAX_ENTRIES:
-            raise InputError(f"{source}: [load] {name}: has {len(items)} entries, at most {MAX_ENTRIES} are allowed")
+        items = entries(table.get(name, []), f"{source}: [load] {name}")
         live[name] = tuple(read_record(cls, item, f"{source}: [load.{name}]") for item in items)
     plain = {key: value for key, value in table.items() if key not in LIVE_LOADS}
     known = ("gravity", "steps", *LIVE_LOADS)

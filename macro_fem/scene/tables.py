@@ -7,11 +7,26 @@ three components and are kept as given; a third one that is not 0 takes the curt
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from macro_fem.scene.edges import canonical
-from rve.common.values import MISSING, choice, entry, finite, flag, list_of, number, text, whole
+from rve.common.errors import InputError
+from rve.common.values import (
+    MISSING,
+    choice,
+    entry,
+    finite,
+    flag,
+    list_of,
+    number,
+    read_record,
+    shown,
+    text,
+    whole,
+)
 
 WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
 ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
@@ -343,3 +358,27 @@ class Solver:
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
     space: bool = flag(False)
+
+
+def entries(tables: Any, where: str) -> list[Any]:
+    """The entries of an array of tables, one of which may stand alone; InputError for anything else, or too many."""
+    tables = [tables] if isinstance(tables, dict) else tables
+    if not isinstance(tables, list):
+        raise InputError(f"{where} = {shown(tables)}: is not a table")
+    if len(tables) > MAX_ENTRIES:
+        raise InputError(f"{where}: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
+    return tables
+
+
+def read_kinds(tables: Any, kinds: Mapping[str, type[Any]], name: str, source: str | Path) -> tuple[Any, ...]:
+    """The records of [[name]], whose class each `kind` says; InputError for a kind, key or value without sense."""
+    found = []
+    for table in entries(tables, f"{source}: [{name}]"):
+        if not isinstance(table, dict):
+            raise InputError(f"{source}: [{name}] = {shown(table)}: is not a table")
+        kind = table.get("kind")
+        if not isinstance(kind, str) or kind not in kinds:
+            raise InputError(f"{source}: [{name}] kind = {shown(kind)}: is not one of {', '.join(kinds)}")
+        rest = {key: value for key, value in table.items() if key != "kind"}
+        found.append(read_record(kinds[kind], rest, f"{source}: [{name}] ({kind})"))
+    return tuple(found)

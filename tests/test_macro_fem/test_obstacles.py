@@ -9,8 +9,9 @@ from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.obstacles import obstacle_forces, pushes_of
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.obstacles import OBSTACLES, placed, read_obstacles
+from macro_fem.scene.obstacles import OBSTACLES, placed
 from macro_fem.scene.schema import read_scene
+from macro_fem.scene.tables import read_kinds
 from macro_fem.shape_loop import ShapeOptions, solve_shape
 from macro_fem.solution import make_problem
 from macro_fem.solvers.walls import Walls
@@ -256,7 +257,7 @@ def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
         "floor": {"height": 1.0},
         "wall": {"facing": [1.0, 2.0, 2.0], "point": [1.0, 0.0, 0.0]},
     }
-    (item,) = read_obstacles({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, "scene")
+    (item,) = read_kinds({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, OBSTACLES, "obstacle", "scene")
     assert isinstance(item, OBSTACLES[kind])
     body = placed(0, item, 0.5, 3)
     x = rng.uniform(-15.0, 15.0, (400, 3))
@@ -320,7 +321,7 @@ def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables)
 
 
 BAD = [
-    ({"obstacle": 7}, "[obstacle] is not a table"),
+    ({"obstacle": 7}, "[obstacle] = 7: is not a table"),
     ({"obstacle": {"kind": "cube"}}, "[obstacle] kind = 'cube': is not one of floor, wall, cylinder, sphere, box"),
     ({"obstacle": {"kind": "sphere", "radius": 1}}, "[obstacle] (sphere) centre: is missing"),
     ({"obstacle": {"kind": "sphere", "centre": [0, 0], "radius": 1}}, "centre = [0, 0]: is not a list of numbers"),
