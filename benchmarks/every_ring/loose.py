@@ -42,7 +42,7 @@ def measure(full: bool, store: Store) -> Section:
     share = [row["free"] / row["coordinates"] for row in rows]
     conclusion = (
         f"Between {100 * min(share):.0f} and {100 * max(share):.0f} % of the coordinates are undetermined, besides the "
-        "spin of every ring; the potential and the line loads are not among them."
+        "spin of every ring."
     )
     return Section("What is undetermined", text, (table("Free motions of the rings", rows, {}),), (), conclusion)
 
