@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import skfem
 
-from macro_fem import read_scene, solve
+import macro_fem
 from macro_fem.fem.assembly import stiffness
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.linear import NotPositiveDefiniteError, analyze, has_cholmod
@@ -74,11 +74,11 @@ def test_unknown_methods_are_refused(problem):
 def test_a_method_that_is_not_installed_is_one_sentence_of_the_scene(monkeypatch):
     monkeypatch.setattr("macro_fem.fem.linear.find_spec", lambda name: None)
     tables = {"curtain": {"width": 100.0, "height": 80.0}, "support": {"kind": "top"}}
-    scene = read_scene(tables | {"solver": {"linear_solver": "mumps"}})
+    scene = macro_fem.read_scene(tables | {"solver": {"linear_solver": "mumps"}})
     with pytest.raises(InputError, match="linear_solver: method = 'mumps' needs petsc4py, which is not installed"):
-        solve(scene)
+        macro_fem.solve(scene)
     with pytest.raises(InputError, match="linear_solver = 'superlu': has no effect with kind = 'clarabel'"):
-        read_scene(tables | {"solver": {"kind": "clarabel", "linear_solver": "superlu"}})
+        macro_fem.read_scene(tables | {"solver": {"kind": "clarabel", "linear_solver": "superlu"}})
 
 
 def test_no_unknowns_no_trouble():
