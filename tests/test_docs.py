@@ -5,12 +5,9 @@ import re
 import subprocess
 import sys
 import tomllib
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
-
-from macro_fem.scene import tables
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"^```(bash|toml|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -58,12 +55,3 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
     for page in tmp_path.rglob("*.html"):
         loaded = re.findall(r"<(?:script|img|link)[^>]*(?:src|href)=[\"'](https?:[^\"']+)", page.read_text("utf-8"))
         assert not loaded, page.name
-
-
-def test_every_scene_key_is_on_the_page_of_scenes():
-    records = {"curtain": tables.Curtain, "mesh": tables.Mesh, "load": tables.Load, "solver": tables.Solver}
-    records |= tables.SUPPORTS | tables.LIVE_LOADS
-    told = set(re.findall(r"`([a-z_0-9]+)`", (DOCS / "reference" / "scenes.md").read_text("utf-8")))
-    for name, record in records.items():
-        missing = {field.name for field in fields(record)} - told - set(tables.LIVE_LOADS)
-        assert not missing, f"{name}: {missing}"
