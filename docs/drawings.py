@@ -78,7 +78,7 @@ def reference_width() -> Any:
     fig, (ax,) = bare(7.2, 3.6)
     left = 0.0
     for name, width, height in (
-        ("pulled along the grain\nreference: width × height", 1.0, 1.0),
+        ("pulled along the grain\nreference: width x height", 1.0, 1.0),
         ("pulled evenly", 1.192, 0.888),
         ("pulled across", 1.584, 0.337),
     ):
@@ -92,7 +92,7 @@ def reference_width() -> Any:
         else:
             arrow(ax, (left, -0.5 * height), (left - 0.2, -0.5 * height), RED)
             arrow(ax, (left + width, -0.5 * height), (left + width + 0.2, -0.5 * height), RED)
-            words(ax, (middle, -0.5 * height), f"{width:.2f} × {height:.2f}")
+            words(ax, (middle, -0.5 * height), f"{width:.2f} x {height:.2f}")
         words(ax, (middle, 0.24), name)
         left += width + 0.62
     arrow(ax, (0, -0.12), (1, -0.12), both=True, width=1)
@@ -116,7 +116,7 @@ def alpha_and_beta() -> Any:
     turn.plot([0, 2.0], [0, 0], color=GREY, lw=1, ls="--")
     t = np.linspace(0, a, 20)
     turn.plot(1.5 * np.cos(t), 1.5 * np.sin(t), color=BLUE)
-    words(turn, (1.72, 0.36), "α", color=BLUE)
+    words(turn, (1.72, 0.36), r"$\alpha$", color=BLUE)
     words(turn, (2.15, 0), "x")
     arrow(turn, (-2.2, -2.0), (-2.2, -1.0), width=1)
     words(turn, (-2.0, -0.95), "y")
@@ -130,11 +130,11 @@ def alpha_and_beta() -> Any:
     for angle, note in ((0, "β = 0: s1 alone"), (45, "β = 45: both alike"), (90, "β = 90: s2 alone")):
         at = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
         share.plot(*at, "o", color=BLUE)
-        words(share, at + [0.08, 0.1], note, ha="left", color=BLUE)
+        words(share, at + np.array([0.08, 0.1]), note, ha="left", color=BLUE)
     arrow(share, (0, 0), np.array([np.cos(1.1), np.sin(1.1)]), RED)
     t = np.linspace(0, 1.1, 30)
     share.plot(0.4 * np.cos(t), 0.4 * np.sin(t), color=BLUE)
-    words(share, (0.52, 0.3), "β", color=BLUE)
+    words(share, (0.52, 0.3), r"$\beta$", color=BLUE)
     share.set(xlim=(-0.2, 2.1), ylim=(-0.25, 1.5))
     return fig
 
@@ -158,7 +158,7 @@ def two_line_loads() -> Any:
     words(before, (0.5, -0.3), "per reference length: T/L")
     words(before, (0.5, -0.5), "(files: line load; S after turning back)", fontsize=SIZE - 1.5)
     words(after, (0.72, -0.3), "per present length: T/l = s")
-    words(after, (0.72, -0.5), "(tables: Cauchy line load, α and β)", fontsize=SIZE - 1.5)
+    words(after, (0.72, -0.5), r"(tables: Cauchy line load, $\alpha$ and $\beta$)", fontsize=SIZE - 1.5)
     return fig
 
 
