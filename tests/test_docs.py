@@ -55,3 +55,9 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
     for page in tmp_path.rglob("*.html"):
         loaded = re.findall(r"<(?:script|img|link)[^>]*(?:src|href)=[\"'](https?:[^\"']+)", page.read_text("utf-8"))
         assert not loaded, page.name
+
+
+def test_explanations_name_files_of_the_code_only_where_developers_read():
+    for page in sorted((DOCS / "explanation").glob("*.md")):
+        text = page.read_text(encoding="utf-8").split("## For developers")[0]
+        assert not re.findall(r"`(?!examples/)[\w/]+\.py`|`test_\w+", text), page.name
