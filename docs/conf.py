@@ -26,6 +26,7 @@ root_doc = "index"
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_click"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
+smartquotes = False  # quotes in tables are those of TOML
 html_title = f"ring-mesh {release}"
 
 myst_heading_anchors = 4

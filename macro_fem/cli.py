@@ -58,10 +58,12 @@ def run(
     supports at the largest stretch of the mesh); 2: bad input.
     """
     from macro_fem.demand.options import ring_options
+    from macro_fem.fem.petsc import first_writes
     from macro_fem.job import run_scene
     from macro_fem.output.strength import holds_line
     from macro_fem.progress import progress_line
 
+    out = click.get_current_context().with_resource(first_writes(out))
     asked = ring_options(**rings)
     with progress_line() as say:
         asked |= {"picture": picture, "animation": animation, "html": html}

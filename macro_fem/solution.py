@@ -10,6 +10,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.linear import chosen
 from macro_fem.fem.rotated import elastic, rotated
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
@@ -229,12 +230,17 @@ def make_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: floa
         raise InputError(
             f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
         )
+    try:
+        chosen(scene.solver.linear_solver)
+    except ValueError as error:
+        raise InputError(f"{scene.source}: [solver] linear_solver: {error}") from error
     force = nodal_forces(scene, mesh, disc, law.cell, factor)
     supports = pin_sliding(build_supports(scene, mesh, disc, factor), disc, force, scene.source)
     hung = rotated(law, scene.curtain.weave_angle)
     if scene.solver.kind != "elastic":
         check_tracks(scene, mesh, hung)
-    problem = Problem(scene, mesh, disc, hung, supports, supports.fem(disc), force, factor)
+    fem = supports.fem(disc, scene.solver.linear_solver)
+    problem = Problem(scene, mesh, disc, hung, supports, fem, force, factor)
     return _with_obstacles(problem) if scene.obstacle or any(wind.follows for wind in scene.load.wind) else problem
 
 

@@ -5,12 +5,9 @@ import re
 import subprocess
 import sys
 import tomllib
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
-
-from macro_fem.scene import tables
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"^```(bash|toml|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -60,10 +57,7 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
         assert not loaded, page.name
 
 
-def test_every_scene_key_is_on_the_page_of_scenes():
-    records = {"curtain": tables.Curtain, "mesh": tables.Mesh, "load": tables.Load, "solver": tables.Solver}
-    records |= tables.SUPPORTS | tables.LIVE_LOADS
-    told = set(re.findall(r"`([a-z_0-9]+)`", (DOCS / "reference" / "scenes.md").read_text("utf-8")))
-    for name, record in records.items():
-        missing = {field.name for field in fields(record)} - told - set(tables.LIVE_LOADS)
-        assert not missing, f"{name}: {missing}"
+def test_explanations_name_files_of_the_code_only_where_developers_read():
+    for page in sorted((DOCS / "explanation").glob("*.md")):
+        text = page.read_text(encoding="utf-8").split("## For developers")[0]
+        assert not re.findall(r"`(?!examples/)[\w/]+\.py`|`test_\w+", text), page.name

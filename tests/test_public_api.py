@@ -201,18 +201,60 @@ def test_the_lines_of_the_readme_lead_back_to_the_rings():
     assert float(printed_by_the_readme()) == pytest.approx(420.26, abs=0.05)
 
 
-def test_the_notebook_runs(answer, rings, tmp_path, monkeypatch):
+@pytest.fixture
+def executed(tmp_path, monkeypatch):
+    """The outputs of a notebook of examples/, run in a kernel of its own."""
     import nbformat
     from nbclient import NotebookClient
 
     for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "IPYTHONDIR", "MPLCONFIGDIR"):
         monkeypatch.setenv(name, str(tmp_path))
     monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel draws inline
-    page = nbformat.read(ROOT / "examples" / "five_lines.ipynb", as_version=4)
-    assert not any(cell.get("outputs") for cell in page.cells)  # results are made anew, not stored
-    done = NotebookClient(page, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
-    found = [output.data for cell in done.cells for output in cell.get("outputs", ()) if "data" in output]
+
+    def run(name):
+        page = nbformat.read(ROOT / "examples" / name, as_version=4)
+        assert not any(cell.get("outputs") for cell in page.cells)  # results are made anew, not stored
+        done = NotebookClient(page, timeout=300, resources={"metadata": {"path": str(ROOT)}}).execute()
+        return [output for cell in done.cells for output in cell.get("outputs", ())]
+
+    return run
+
+
+def data_of(outputs):
+    return [output.data for output in outputs if "data" in output]
+
+
+def test_the_notebook_runs(answer, rings, executed):
+    found = data_of(executed("five_lines.ipynb"))
     assert sum("image/png" in data for data in found) == 3  # law, curtain, rings
     tables = "".join(data.get("text/html", "") for data in found)
     assert format(answer.summary["mean_height_mm"]) in tables
     assert str(rings) in tables
+
+
+@pytest.mark.slow
+def test_the_curtain_of_titanium_hangs_from_its_hooks(executed):
+    outputs = executed("own_curtain.ipynb")
+    text = "".join(output.get("text", "") for output in outputs)
+    hooks, weight = map(float, re.search(r"all hooks ([\d.]+) N, weight ([\d.]+) N", text).groups())
+    assert hooks == pytest.approx(weight, abs=0.02)
+    mesh, bar = map(float, re.search(r"mesh ([\d.]+) kg, bar ([\d.]+) kg", text).groups())
+    assert (bar, mesh + bar) == (12.0, pytest.approx(weight / 9.81, abs=0.06))
+    found = data_of(outputs)
+    assert sum("image/png" in data for data in found) == 2  # line loads, utilisation
+    assert any("safety_factor" in data["text/plain"] and "titanium grade 2" in data["text/plain"] for data in found)
+
+
+@pytest.mark.slow
+def test_the_notebook_of_the_law_shows_both_weaves(executed):
+    found = data_of(executed("law.ipynb"))
+    assert sum("image/png" in data for data in found) == 3  # locking surface, strength, weaves
+    (table,) = [data["text/plain"] for data in found if "kg/m2" in data["text/plain"]]
+    assert {"4-in-1", "6-in-1"} <= set(table.split())
+
+
+def test_every_notebook_is_run_by_a_test_and_is_a_page():
+    names = {path.stem for path in (ROOT / "examples").glob("*.ipynb")}
+    text = Path(__file__).read_text("utf-8")
+    assert all(f'executed("{name}.ipynb")' in text for name in names)
+    assert all(f"notebooks/{name}" in (ROOT / "docs" / "index.md").read_text("utf-8") for name in names)

@@ -35,7 +35,7 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
     if problem.walls is not None:
         return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
     disc = at_corners(problem.disc)
-    return replace(problem, disc=disc, fem=problem.supports.fem(disc))
+    return replace(problem, disc=disc, fem=problem.supports.fem(disc, problem.fem.method))
 
 
 def at_corners(disc: Discretization) -> Discretization:

@@ -226,7 +226,7 @@ def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions
     supports = pin_sliding(supports, dual.disc, force, scene.source)
     parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
     empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))
-    fem, walls = supports.fem(dual.disc), _walls(problem.walls, dual)
+    fem, walls = supports.fem(dual.disc, problem.fem.method), _walls(problem.walls, dual)
     return DualProblem(dual, fem, force, Tethers(*parts) if parts else empty, cost, walls)
 
 

@@ -64,17 +64,27 @@ def has_cholmod() -> bool:
     return find_spec("sksparse") is not None
 
 
-def analyze(pattern: Pattern, method: str = "auto") -> LinearSolver:
-    """The solver for all matrices of a pattern. Raises ValueError for a method that is unknown or not installed."""
+def chosen(method: str) -> str:
+    """The method that is used: that of "auto", else itself. ValueError for one that is unknown or not installed.
+
+    >>> chosen("superlu")
+    'superlu'
+    """
     if method not in METHODS:
         raise ValueError(f"method = {method!r} is not one of {', '.join(METHODS)}")
     if method == "auto":
         is_spread = petsc.processes()[1] > 1 and find_spec("petsc4py") is not None
-        method = "mumps" if is_spread else "cholmod" if has_cholmod() else "superlu"
+        return "mumps" if is_spread else "cholmod" if has_cholmod() else "superlu"
     if method == "cholmod" and not has_cholmod():
         raise ValueError("method = 'cholmod' needs scikit-sparse, which is not installed; take 'auto' or 'superlu'")
     if method in ("mumps", "multigrid") and find_spec("petsc4py") is None:
         raise ValueError(f"method = {method!r} needs petsc4py, which is not installed; take 'auto' or 'superlu'")
+    return method
+
+
+def analyze(pattern: Pattern, method: str = "auto") -> LinearSolver:
+    """The solver for all matrices of a pattern. Raises ValueError for a method that is unknown or not installed."""
+    method = chosen(method)
     if pattern.n == 0:
         return LinearSolver(method, lambda data: lambda b: np.zeros(0))
     made = {"cholmod": _cholmod, "superlu": _superlu, "mumps": petsc.mumps, "multigrid": petsc.multigrid}

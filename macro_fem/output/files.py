@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
+from macro_fem.fem.linear import chosen
 from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -106,6 +107,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "dofs": int(problem.fem.n),
         "element": disc.element,
         "pattern": problem.mesh.pattern,
+        "linear_solver": None if problem.scene.solver.kind == "clarabel" else chosen(problem.fem.method),
         "law": problem.law.name,
         "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),

@@ -256,6 +256,10 @@ def check_solver(scene: Scene, source: str | Path) -> None:
     element, shape, solver = scene.mesh.element, scene.curtain.shape, scene.solver
     if element in ("Q1", "Q2") and (shape not in ("rectangle", "file") or scene.curtain.holes):
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
+    if solver.kind == "clarabel" and solver.linear_solver != "auto":
+        raise InputError(
+            f"{source}: [solver] linear_solver = {solver.linear_solver!r}: has no effect with kind = 'clarabel'"
+        )
     if solver.kind == "elastic" and (solver.bounds or solver.adapt):
         raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
     if (solver.bounds or solver.adapt) and any(wind.follows for wind in scene.load.wind):

@@ -65,10 +65,10 @@ class Supports:
     tie: sparse.csc_matrix | None = field(default=None, repr=False)
     sliding: Sliding | None = field(default=None, repr=False)
 
-    def fem(self, disc: Discretization) -> SupportedFem:
-        """The discretisation with these supports."""
+    def fem(self, disc: Discretization, method: str = "auto") -> SupportedFem:
+        """The discretisation with these supports; `method` of `macro_fem.fem.linear` factorizes its matrices."""
         fixed = self.mask | self.pinned
-        return SupportedFem(disc, np.where(fixed, self.positions, 0.0), ~fixed.ravel(), self.tie)
+        return SupportedFem(disc, np.where(fixed, self.positions, 0.0), ~fixed.ravel(), self.tie, method)
 
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:

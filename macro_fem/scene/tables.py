@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from macro_fem.fem.linear import METHODS
 from macro_fem.scene.edges import canonical
 from rve.common.errors import InputError
 from rve.common.values import (
@@ -348,7 +349,7 @@ class Solver:
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
     summary allow for it, 0 switches it off; an elastic curtain is only guided by it. `bounds` asks for bounds of the
     continuous curtain, `adapt` for this number of refinements where the bounds differ. `space` gives a plane scene the
-    third coordinate that it does not need.
+    third coordinate that it does not need. `linear_solver`: the method of `macro_fem.fem.linear` that factorizes.
     """
 
     kind: str = choice("rigid", "elastic", "clarabel", default="rigid")
@@ -358,6 +359,7 @@ class Solver:
     bounds: bool = flag(False)
     adapt: int = whole(0, least=0, most=12)
     space: bool = flag(False)
+    linear_solver: str = choice(*METHODS, default="auto")
 
 
 def entries(tables: Any, where: str) -> list[Any]:

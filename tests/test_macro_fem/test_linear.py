@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import skfem
 
+import macro_fem
 from macro_fem.fem.assembly import stiffness
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.linear import NotPositiveDefiniteError, analyze, has_cholmod
 from macro_fem.fem.sparsity import sparsity
+from rve.common.errors import InputError
 
 METHODS = ["superlu", pytest.param("cholmod", marks=pytest.mark.skipif(not has_cholmod(), reason="no CHOLMOD"))]
 
@@ -67,6 +69,16 @@ def test_auto_takes_what_is_installed(problem):
 def test_unknown_methods_are_refused(problem):
     with pytest.raises(ValueError, match="'pardiso' is not one of auto, cholmod, superlu"):
         analyze(problem[1], "pardiso")
+
+
+def test_a_method_that_is_not_installed_is_one_sentence_of_the_scene(monkeypatch):
+    monkeypatch.setattr("macro_fem.fem.linear.find_spec", lambda name: None)
+    tables = {"curtain": {"width": 100.0, "height": 80.0}, "support": {"kind": "top"}}
+    scene = macro_fem.read_scene(tables | {"solver": {"linear_solver": "mumps"}})
+    with pytest.raises(InputError, match="linear_solver: method = 'mumps' needs petsc4py, which is not installed"):
+        macro_fem.solve(scene)
+    with pytest.raises(InputError, match="linear_solver = 'superlu': has no effect with kind = 'clarabel'"):
+        macro_fem.read_scene(tables | {"solver": {"kind": "clarabel", "linear_solver": "superlu"}})
 
 
 def test_no_unknowns_no_trouble():
