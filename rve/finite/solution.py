@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -224,15 +223,13 @@ class Problem:
         return Task(mesh.linked, mesh.cell.wire, force, held, np.concatenate([at / r1, self.planes()[0]]), free), unit
 
 
-def solve_mesh(
-    problem: Problem, options: FiniteOptions | None = None, say: Callable[[Record], None] | None = None
-) -> FiniteSolution:
+def solve_mesh(problem: Problem, options: FiniteOptions | None = None) -> FiniteSolution:
     """The answer to a problem; see `FiniteMesh.solve`."""
     began = time.perf_counter()
     options = options or FiniteOptions()
     problem.check()
     task, unit = problem.task()
-    found = solve_rings(task, problem.start(options), options, say)
+    found = solve_rings(task, problem.start(options), options)
     return _solution(problem, task, found, unit, time.perf_counter() - began)
 
 
