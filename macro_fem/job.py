@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,22 +25,32 @@ from macro_fem.curtain import solve_problem
 from macro_fem.output import obstacles
 from macro_fem.output.curtain_record import to_curtain
 from macro_fem.output.explain import decisions
-from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.files import (
+    bounds_summary,
+    interval_summary,
+    summarize,
+    support_rows,
+    write_series,
+    write_summary,
+    write_vtu,
+)
 from macro_fem.output.looks import Looks, write_looks
 from macro_fem.output.space_view import curtain_view
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import Scene, check_solver, load_scene
+from macro_fem.scene.schema import Scene, check_scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, Problem, make_problem
 from rve.common.errors import InputError, NotConverged, require
 from rve.common.files import check_out_file
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.materials import material_of
+from rve.common.notebook import as_html
 from rve.common.page import write_page
 from rve.common.progress import part_of, tell
 from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
 
     from macro_fem.demand.loop import Demand
     from rve import Cell, Curtain
@@ -132,6 +141,24 @@ class CurtainResult:
 
         return plot_utilisation(self.solution, ax)
 
+    @property
+    def safety_factor(self) -> float | None:
+        """Factor on all loads at which the first ring would yield; None where the law does not know its strength."""
+        factor: float | None = self.summary["safety_factor"]
+        return factor
+
+    def support_forces(self) -> DataFrame:
+        """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv:
+        number and name of the support, x and y in the reference state in mm, components in N.
+
+        InputError if pandas is not installed.
+        """
+        require("pandas", "notebook", "support_forces()", "read support_forces.csv in another way")
+        from pandas import DataFrame
+
+        columns, rows = support_rows(self.summary["support_forces"])
+        return DataFrame(rows, columns=list(columns))
+
     def to_curtain(self) -> Curtain:
         """The curtain at full load as `rve.localize` takes it: `rve.localize(result)`."""
         return to_curtain(self.solution)
@@ -157,9 +184,7 @@ class CurtainResult:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: status, and the numbers of the summary that are single values."""
-        rows = [(k, v) for k, v in self.summary.items() if isinstance(v, str | int | float)]
-        body = "".join(f"<tr><th>{escape(k)}</th><td>{escape(format(v))}</td></tr>" for k, v in rows)
-        return f"<p>{escape(str(self))}</p><table>{body}</table>"
+        return as_html(self, self.summary)
 
 
 def solve(
@@ -185,6 +210,7 @@ def solve(
     >>> solve(scene).status
     'converged'
     """
+    check_scene(scene)
     if rings is not None:
         metal = material_of(dict(scene.material), f"{scene.source}: [material]", base=rings.material)
         rings = replace(rings, material=metal, density=metal.density_kg_per_mm3)
