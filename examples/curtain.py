@@ -25,7 +25,7 @@ import click
 import numpy as np
 
 from rve.common.command_line import Command, answer, say, say_next
-from rve.common.errors import require
+from rve.common.errors import noted_if_stopped, require
 from rve.common.files import write_text
 from rve.common.jobs import check_out_job, job
 
@@ -133,7 +133,7 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
     """
     require("matplotlib", "plots", "examples/curtain.py")
     check_out_job(out, "answer.json")
-    with job(out, "answer.json") as folder:
+    with noted_if_stopped(f"what was in {out} before is unchanged"), job(out, "answer.json") as folder:
         law = fit_law(make_table(folder, setting.spacing), folder)
         say("3 curtain")
         heights = [hang_curtain(law, folder, cells) for cells in setting.cells]

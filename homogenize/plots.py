@@ -113,6 +113,7 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inp
     """
     folder = Path(folder)
     rows = rows_from_table(table)
+    tell("drawing")
     pictures = {
         "surface.png": plot_surface(law, rows).figure,
         "strains.png": plot_strains(law, table)[0].figure,

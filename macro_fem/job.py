@@ -39,7 +39,7 @@ from macro_fem.output.space_view import curtain_view
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import Scene, check_scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, Problem, make_problem
-from rve.common.errors import InputError, NotConverged, require
+from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
 from rve.common.files import check_out_file
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.materials import material_of
@@ -246,8 +246,12 @@ def _on_demand(
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
     kept = open_cache(cache)
-    found = with_strength(solve_on_demand(bounded, rings, options, known=law, cache=kept), rings, kept)
-    early = _steps(bounded, found.law.inner, scene.load.steps - 1)
+    note = "give --cache FOLDER to keep the answers of the rings"
+    if kept.folder is not None:
+        note = f"answers of the rings are kept in {kept.folder}, and the same command goes on from there"
+    with noted_if_stopped(note):
+        found = with_strength(solve_on_demand(bounded, rings, options, known=law, cache=kept), rings, kept)
+        early = _steps(bounded, found.law.inner, scene.load.steps - 1)
     return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
 
 
@@ -300,8 +304,9 @@ def run_scene(
     read = interval_or_law if rings is None else read_law_interval
     law = None if law_path is None else read(law_path)
     law = law if table is None else interval_of_table(table)
-    found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache)
-    return found.save(out, picture=picture, animation=animation, html=html, inputs=inputs)
+    with noted_if_stopped(f"what was in {out} before is unchanged"):
+        found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache)
+        return found.save(out, picture=picture, animation=animation, html=html, inputs=inputs)
 
 
 def asks_bounds(scene: Scene) -> bool:

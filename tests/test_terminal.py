@@ -64,7 +64,7 @@ ANSWERS = {
     "macro_fem compare",
 }
 """Commands that are asked for what they print: they print it with --quiet too."""
-SHORT = {f"homogenize {name}" for name in ("strain", "support", "strength", "report", "export")}
+SHORT = {f"homogenize {name}" for name in ("strain", "support", "strength", "export")}
 """Commands that never take a second."""
 WORDS = {
     "rve table": "wires of the rings under 4 loads",
@@ -247,6 +247,28 @@ def test_the_shell_completes_commands_and_choices(package):
     asked = {"COMP_WORDS": f"{script} ", "COMP_CWORD": "1", name: "bash_complete"}
     offered = CliRunner().invoke(GROUPS[package], [], prog_name=script, env=asked)
     assert {line.removeprefix("plain,") for line in offered.stdout.split()} == set(GROUPS[package].commands)
+
+
+def test_a_curtain_that_is_stopped_says_what_is_kept_and_how_to_go_on(quick, tmp_path, monkeypatch):
+    from macro_fem.demand import ring_answers
+
+    solved, answer_of = [], ring_answers._answer
+
+    def stopped(*asked):
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        solved.append(asked)
+        return answer_of(*asked)
+
+    monkeypatch.setattr(ring_answers, "_answer", stopped)
+    words = ["run", "scene.toml", "--rings", "5,0.5", "--cache", str(tmp_path / "kept"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(macro_fem.cli.main, [*words, "--no-picture"])
+    assert done.exit_code == 130
+    kept = f"answers of the rings are kept in {tmp_path / 'kept'}, and the same command goes on from there"
+    assert done.stderr == f"Error: stopped by SIGINT; {kept}; what was in {tmp_path / 'out'} before is unchanged\n"
+    assert len(list((tmp_path / "kept").iterdir())) == 2
+    again = [answer_of(*asked)[1] for asked in solved]
+    assert again == [0, 0]  # read, not solved
 
 
 def test_a_part_tells_as_a_part_of_the_whole():

@@ -111,6 +111,8 @@ class Scene:
             return replace(self, start=read_start(keys, self.source))
         if table not in ("curtain", "mesh", "load", "solver"):
             raise InputError(f"{where}: is not one of curtain, mesh, load, solver, start, material")
+        if table == "load" and (live_keys := keys.keys() & LIVE_LOADS):
+            raise InputError(f"{where} {min(live_keys)}: is added by loaded_by")
         old = getattr(self, table)
         known = [field.name for field in fields(old) if not (table == "load" and field.name in LIVE_LOADS)]
         given = {name: getattr(old, name) for name in known if getattr(old, name) is not None}

@@ -23,7 +23,7 @@ from typing import Any
 import click
 
 from rve.common.command_line import answer, say
-from rve.common.errors import InputError, NotConverged, require
+from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
 from rve.common.files import check_out_folder, checksum, versions, write_text
 from rve.common.progress import tell
 from rve.common.reading import read_json_object
@@ -99,21 +99,18 @@ def sweep(
     left = [number for number in range(len(items)) if number not in ended]
     run = _on_cluster(items, left, cluster) if cluster is not None else _here(items, left, jobs)
     try:
-        for number, how in run:
-            if how.code in (0, 1) and not items[number].record.exists() and not how.message:
-                how = Ended(1, f"{items[number].record} is not there; workers must see {out} under the same name")
-            ended[number] = how
-            if how.code in (0, 1) and items[number].record.exists():
-                mark = {"key": keys[number], "code": how.code, "message": how.message}
-                write_text(marks / f"{items[number].name}.json", json.dumps(mark) + "\n")
-            done(items[number].name)
+        with noted_if_stopped(_kept(out)):
+            for number, how in run:
+                if how.code in (0, 1) and not items[number].record.exists() and not how.message:
+                    how = Ended(1, f"{items[number].record} is not there; workers must see {out} under the same name")
+                ended[number] = how
+                if how.code in (0, 1) and items[number].record.exists():
+                    mark = {"key": keys[number], "code": how.code, "message": how.message}
+                    write_text(marks / f"{items[number].name}.json", json.dumps(mark) + "\n")
+                done(items[number].name)
     except BrokenProcessPool as error:
         lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
         raise NotConverged(f"{lost}; {_kept(out)}") from error
-    except BaseException as error:
-        if not isinstance(error, Exception):
-            error.add_note(_kept(out))
-        raise
     return [ended[number] for number in range(len(items))]
 
 
