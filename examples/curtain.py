@@ -24,8 +24,8 @@ from pathlib import Path
 import click
 import numpy as np
 
-from rve.common.command_line import Command
-from rve.common.errors import require
+from rve.common.command_line import Command, answer, say, say_next
+from rve.common.errors import noted_if_stopped, require
 from rve.common.files import write_text
 from rve.common.jobs import check_out_job, job
 
@@ -91,11 +91,11 @@ def make_table(out: Path, spacing: float) -> Path:
     from rve.plots import draw_case, save
 
     alpha, beta = grid_of(spacing)
-    with click.progressbar(length=len(alpha), label="1 rings   ") as bar:
-        table = solve_table(Cell(r1=5.0, r2=0.5), (alpha, beta), progress=bar.update)
+    say("1 rings")
+    table = solve_table(Cell(r1=5.0, r2=0.5), (alpha, beta))
     write_table(table, out / "table.csv")
     save(draw_case(solve_table(Cell(), ([45.0], [0.0]))), out / "cell.png")
-    click.echo(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.R.max():.1e}")
+    say(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.R.max():.1e}")
     return out / "table.csv"
 
 
@@ -105,11 +105,11 @@ def fit_law(table: Path, out: Path) -> Path:
     from homogenize.plots import write_pictures
     from rve import read_table
 
-    click.echo("2 law")
+    say("2 law")
     result = fit_table(table)
     result.save(out / "law.json")
     for line in result.report.text().splitlines():
-        click.echo(f"  {line}")
+        say(f"  {line}")
     write_pictures(result.law, read_table(table), out / "law")
     return out / "law.json"
 
@@ -121,8 +121,8 @@ def hang_curtain(law: Path, out: Path, cells: int) -> float:
     scene = out / "scene.toml"
     write_text(scene, scene_text(cells))
     summary = run_scene(scene, law, out / "curtain", picture=True)
-    click.echo(f"  {summary['status']}: {summary['message']}")
-    click.echo(f"  {cells} cells along the width: mean height {summary['mean_height_mm']:.2f} mm")
+    say(f"  {summary['status']}: {summary['message']}")
+    say(f"  {cells} cells along the width: mean height {summary['mean_height_mm']:.2f} mm")
     return float(summary["mean_height_mm"])
 
 
@@ -133,18 +133,18 @@ def run(out: Path, setting: Setting = DEFAULT) -> dict[str, object]:
     """
     require("matplotlib", "plots", "examples/curtain.py")
     check_out_job(out, "answer.json")
-    with job(out, "answer.json") as folder:
+    with noted_if_stopped(f"what was in {out} before is unchanged"), job(out, "answer.json") as folder:
         law = fit_law(make_table(folder, setting.spacing), folder)
-        click.echo("3 curtain")
+        say("3 curtain")
         heights = [hang_curtain(law, folder, cells) for cells in setting.cells]
-        answer = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
-        write_text(folder / "answer.json", json.dumps(answer) + "\n")
-    click.echo(f"  mean height {answer['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))
-    return answer
+        found = {"mean_height_mm": extrapolated(*heights), "spacing_degrees": setting.spacing, "cells": setting.cells}
+        write_text(folder / "answer.json", json.dumps(found) + "\n")
+    say(f"  mean height {found['mean_height_mm']:.2f} mm" + (", extrapolated" if heights[1:] else ""))
+    return found
 
 
-@click.command(cls=Command)
-@click.option("--out", type=FOLDER, default=Path("out"), show_default=True, help="Folder for files.")
+@click.command(cls=Command, epilog="Example: python examples/curtain.py --out out --accuracy 1e-3")
+@click.option("--out", type=FOLDER, default=Path("out"), show_default=True, help="Folder to write into.")
 @click.option("--cells", type=click.IntRange(1, 400), help="Cells along the width of the curtain.  [default: 32]")
 @click.option("--accuracy", type=ACCURACY, help="Relative accuracy of the mean height: 1e-2, 1e-3, 1e-4.")
 def main(out: Path, cells: int | None, accuracy: float | None) -> None:
@@ -155,8 +155,10 @@ def main(out: Path, cells: int | None, accuracy: float | None) -> None:
         raise click.BadParameter("nan is not in the range 0.0001<=x<=1.0.", param_hint="--accuracy")
     setting = setting_for(accuracy) if accuracy else Setting(DEFAULT.spacing, (cells,) if cells else DEFAULT.cells)
     began = time.perf_counter()
-    run(out, setting)
-    click.echo(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
+    found = run(out, setting)
+    say(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
+    answer(found)
+    say_next("rve", "localize", out / "curtain", "--out", f"{out}_rings", why="every ring of the curtain")
 
 
 if __name__ == "__main__":

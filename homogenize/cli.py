@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from rve.common.command_line import Group
+from rve.common.command_line import Group, answer, say, say_next
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
+
+KINDS = ("refined", "outer", "inner", "net")
+"""Those of `homogenize.fitting.fit`, which is not imported to print a help text."""
 
 
 @click.group(cls=Group)
@@ -19,54 +21,66 @@ def main() -> None:
     """From a strain-load table to a convex, tension-only membrane law."""
 
 
-@main.command()
+@main.command(epilog="Example: homogenize fit table.csv --out law.json")
 @click.argument("table", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="the law file to write, JSON")
-@click.option("--kind", default=None, help="outer, inner or net; default: refined")
-@click.option("--noise", default=None, type=float, help="strain error to allow in the normality test (default 1e-8)")
-@click.option("--resolution", default=None, type=float, help="facets of the refined law; 1e-5 suits a --graded table")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Law file to write, JSON.")
+@click.option("--kind", type=click.Choice(KINDS), help="Kind of law.  [default: refined]")
+@click.option(
+    "--noise", type=float, help="Strain error, without unit, to allow in the normality test.  [default: 1e-8]"
+)
+@click.option(
+    "--resolution",
+    type=float,
+    help="Strain that is worth a facet of the refined law; 1e-5 suits a --graded table.  [default: 3e-5]",
+)
 def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolution: float | None) -> None:
-    """Fits a law to TABLE, writes it and prints how wrong it can be."""
+    """Fit a law to TABLE, write it and print how wrong it can be."""
     from homogenize.fitting.fit import FitOptions, fit_table
 
     check_out_file(out, inputs=[table])
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
-    click.echo(result.report.text())
+    say(result.report.text())
     if result.law.strength is not None:
-        click.echo(result.law.strength.text())
-    click.echo(f"law written to {out}")
+        say(result.law.strength.text())
+    say(f"law written to {out}", f"a curtain of it: macro_fem run SCENE --law {out} --out FOLDER")
+    answer({"law": str(out), "report": result.report.to_dict()})
+    say_next(
+        "homogenize", "plot", out, "--table", table, "--out", out.with_name(f"{out.stem}_pictures"), why="pictures"
+    )
 
 
-@main.command()
+@main.command(epilog="Example: homogenize strain law.json --alpha 20 --beta 30")
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--alpha", required=True, type=float, help="principal angle of the Cauchy load, degrees")
-@click.option("--beta", required=True, type=float, help="ratio angle of the Cauchy load, degrees")
+@click.option("--alpha", required=True, type=float, help="Principal angle of the Cauchy load in degrees.")
+@click.option("--beta", required=True, type=float, help="Ratio angle of the Cauchy load in degrees.")
 def strain(law: Path, alpha: float, beta: float) -> None:
-    """Prints the locked strain under a Cauchy load direction, in the paper's rotation rule, as one JSON object."""
+    """Print the locked strain under a Cauchy load direction, in the paper's rotation rule, as one JSON object."""
     from homogenize.query.answers import strain_answer
 
-    click.echo(json.dumps(strain_answer(law, alpha, beta)))
+    answer(strain_answer(law, alpha, beta), always=True)
 
 
-@main.command()
+@main.command(epilog="Example: homogenize support law.json --S 0.5,-0.1,0.5")
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--S", "load", required=True, help="S11,S12,S22: a tensile second Piola-Kirchhoff line load")
+@click.option("--S", "load", required=True, help="S11,S12,S22: tensile second Piola-Kirchhoff line load, any unit.")
 def support(law: Path, load: str) -> None:
-    """Prints h = max S:E of the law as one JSON object."""
+    """Print h = max S:E of the law as one JSON object."""
     from homogenize.query.answers import support_answer
 
-    click.echo(json.dumps(support_answer(law, parse_load(load))))
+    answer(support_answer(law, parse_load(load)), always=True)
 
 
-@main.command()
+@main.command(epilog="Example: homogenize strength law.json --S 0,0,1 --yield 275")
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--S", "load", help="S11,S12,S22: the direction of a tensile line load")
-@click.option("--plot", type=click.Path(path_type=Path), help="picture of the strength over all loads to write, PNG")
-@click.option("--yield", "yield_stress", type=float, help="yield stress of the wire, N/mm2; default: the material's")
+@click.option("--S", "load", help="S11,S12,S22: direction of a tensile line load, any unit.")
+@click.option("--plot", type=click.Path(path_type=Path), help="Picture to write, PNG: the strength over all loads.")
+@click.option(
+    "--yield", "yield_stress", type=float, help="Yield stress of the wire in N/mm2; by default the material's."
+)
 def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float | None) -> None:
-    """Prints the line loads, S of unit trace times what is printed, at which rings first yield and collapse."""
+    """Print the line loads in N/mm, S of unit trace times what is printed, at which rings first yield and collapse."""
     from homogenize.query.answers import strength_at
 
     if load is None and plot is None:
@@ -75,21 +89,23 @@ def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float
         require("matplotlib", "plots", "--plot")
         check_out_file(plot, "--plot", inputs=[law])
     if load is not None:
-        click.echo(json.dumps(strength_at(law, parse_load(load), yield_stress)))
+        answer(strength_at(law, parse_load(load), yield_stress), always=True)
     if plot is not None:
         from homogenize.io import load_law
         from homogenize.plots import save_picture
 
         save_picture(load_law(law).plot_strength(yield_stress)[0].figure, plot)
-        click.echo(f"picture written to {plot}", err=True)
+        say(f"picture written to {plot}", err=True)
+        if load is None:
+            answer({"picture": str(plot)})
 
 
-@main.command()
+@main.command(epilog="Example: homogenize plot law.json --table table.csv --out pictures")
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--table", required=True, type=click.Path(path_type=Path), help="the table to show beside the law, CSV")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="the folder for the pictures")
+@click.option("--table", required=True, type=click.Path(path_type=Path), help="Table to show beside the law, CSV.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write into.")
 def plot(law: Path, table: Path, out: Path) -> None:
-    """Draws the locking surface, the strains over the load angles, the errors and sections of LAW."""
+    """Draw the locking surface, the strains over the load angles, the errors and sections of LAW."""
     from homogenize.io import load_law
     from homogenize.plots import RECORD, write_pictures
     from rve import read_table
@@ -97,40 +113,50 @@ def plot(law: Path, table: Path, out: Path) -> None:
 
     require("matplotlib", "plots", "homogenize plot")
     check_out_job(out, RECORD, inputs=[law, table])
-    for path in write_pictures(load_law(law), read_table(table), out, [law, table]):
-        click.echo(f"picture written to {path}")
+    pictures = write_pictures(load_law(law), read_table(table), out, [law, table])
+    say(*(f"picture written to {path}" for path in pictures))
+    answer({"pictures": [str(path) for path in pictures]})
+    say_next("homogenize", "report", law, "--table", table, why="the error of the law at the rows of a table")
 
 
-@main.command()
+@main.command(epilog="Example: homogenize report law.json --table loads.csv")
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--table", required=True, type=click.Path(path_type=Path), help="rows the law has not seen, CSV")
+@click.option(
+    "--table", required=True, type=click.Path(path_type=Path), help="Table of rows that the law has not seen, CSV."
+)
 def report(law: Path, table: Path) -> None:
-    """Prints the error of LAW at the rows of a table, for instance one made by `rve table --loads`."""
-    from homogenize.query.answers import error_at_rows
+    """Print the error of LAW at the rows of a table, for instance one made by `rve table --loads`."""
+    from homogenize.query.answers import error_at_rows, error_text
 
-    click.echo(error_at_rows(law, table))
+    found = error_at_rows(law, table)
+    answer(found, error_text(found))
 
 
-@main.command()
+@main.command(epilog="Example: homogenize export law.json --out law.f")
 @click.argument("law", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="the Fortran source (.f) to write")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Fortran source to write, .f.")
 def export(law: Path, out: Path) -> None:
-    """Writes LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
+    """Write LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
     from homogenize.export.umat import write_umat
     from homogenize.io import load_law
 
     check_out_file(out, inputs=[law])
     write_umat(load_law(law), out, f"law file {law.name}")
-    click.echo(f"user material written to {out}")
+    say(f"user material written to {out}")
+    answer({"umat": str(out)})
+    say_next("homogenize", "strain", law, "--alpha", 45, "--beta", 45, why="a strain to check it with")
 
 
-@main.command()
+@main.command(epilog="Example: homogenize ship table.csv")
 @click.argument("table", type=click.Path(path_type=Path))
 def ship(table: Path) -> None:
-    """Makes the law inside the package anew from TABLE, the 190 rows of the paper's grid for r1/r2 = 10."""
+    """Make the law inside the package anew from TABLE, the 190 rows of the paper's grid for r1/r2 = 10."""
     from homogenize.fitting.shipped import ship as write_shipped
 
-    click.echo(f"law written to {write_shipped(table)}")
+    law = write_shipped(table)
+    say(f"law written to {law}")
+    answer({"law": str(law)})
+    say_next("homogenize", "report", law, "--table", table, why="the error of the law at these rows")
 
 
 def parse_load(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:

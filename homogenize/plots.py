@@ -17,6 +17,7 @@ from homogenize.query.strain import locked_strain
 from rve.common.errors import InputError
 from rve.common.files import atomic_path, write_text
 from rve.common.jobs import job
+from rve.common.progress import tell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,6 +113,7 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inp
     """
     folder = Path(folder)
     rows = rows_from_table(table)
+    tell("drawing")
     pictures = {
         "surface.png": plot_surface(law, rows).figure,
         "strains.png": plot_strains(law, table)[0].figure,
@@ -119,7 +121,8 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inp
         "sections.png": plot_sections(law, rows).figure,
     }
     with job(folder, RECORD, inputs) as staged:
-        for name, figure in pictures.items():
+        for number, (name, figure) in enumerate(pictures.items()):
+            tell(f"drawing, {name}", number / len(pictures))
             figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
         write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")
     return [folder / name for name in pictures]

@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 from rve import cauchy_line_load
 from rve.common.errors import InputError
 from rve.common.materials import STRESS, Material, read_material
+from rve.common.notebook import as_html
 from rve.common.rings import joint_name
 from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
 from rve.common.types import Array
@@ -183,6 +184,10 @@ class Strength:
             f"{head}; relative error at {e.rows} rows left out: first yield max {e.first_yield_max:.2g}, mean "
             f"{e.first_yield_mean:.2g}; collapse max {e.collapse_max:.2g}, mean {e.collapse_mean:.2g}"
         )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: rings, error between the loads, and the numbers of the material."""
+        return as_html(self.text(), asdict(self.material))
 
     def to_dict(self) -> dict[str, Any]:
         """The strength as a law file holds it."""

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
+import math
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.command_line import Group, options
+from macro_fem.scene.old_names import FORCE_IS_IDLE
+from rve.common.command_line import Group, answer, idle_option, options, say, say_next
+from rve.common.errors import InputError
+from rve.common.reading import read_json_object
 from rve.common.sweeps import run_sweep, sweep_options
+
+MOST_RINGS = 90_000
+"""From this many on `rve localize` is told that they are wanted: its own limit is a little above."""
 
 
 @click.group(cls=Group)
@@ -18,29 +25,26 @@ def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
 
 
-def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
-    if value:
-        from macro_fem.scene.old_names import FORCE_IS_IDLE
-
-        click.echo(f"Warning: --force {FORCE_IS_IDLE}", err=True)
-
-
-@main.command()
+@main.command(epilog="Example: macro_fem run scene.toml --law law.json --out curtain")
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib; in space pyvista).")
 @click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif.")
 @click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
-@click.option("--table", type=click.Path(path_type=Path), help="Table to begin with instead of a law; with --rings.")
+@click.option(
+    "--table", type=click.Path(path_type=Path), help="Table, CSV, to begin with instead of a law; with --rings."
+)
 @click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
-@click.option("--weave", help="Weave of --rings, by default 4-in-1.")
-@click.option("--grain", help="Interlacing direction of --rings, y (default) or x.")
-@click.option("--accuracy", type=float, help="With --rings: width of the interval over the height, by default 5e-3.")
+@click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --rings: weave.  [default: 4-in-1]")
+@click.option(
+    "--grain", type=click.Choice(["y", "x"]), help="With --rings: axis along which rings interlace.  [default: y]"
+)
+@click.option("--accuracy", type=float, help="With --rings: width of the interval over the height.  [default: 5e-3]")
 @click.option("--cache", type=click.Path(path_type=Path), help="Folder where answers of the rings are kept.")
 @click.option("--no-cache", is_flag=True, help="Keep no answers of the rings, and read none.")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
-@click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force)
+@idle_option("--force", FORCE_IS_IDLE)
 def run(
     scene: Path,
     law_path: Path | None,
@@ -61,34 +65,36 @@ def run(
     from macro_fem.fem.petsc import first_writes
     from macro_fem.job import run_scene
     from macro_fem.output.strength import holds_line
-    from macro_fem.progress import progress_line
 
     out = click.get_current_context().with_resource(first_writes(out))
-    asked = ring_options(**rings)
-    with progress_line() as say:
-        asked |= {"picture": picture, "animation": animation, "html": html}
-        summary = run_scene(scene, law_path, out, table=table, say=say, **asked)
-    click.echo(f"{summary['status']}: {summary['message']}")
-    click.echo(
+    asked = ring_options(**rings) | {"picture": picture, "animation": animation, "html": html}
+    summary = run_scene(scene, law_path, out, table=table, **asked)
+    say(f"{summary['status']}: {summary['message']}")
+    say(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
         f"largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
     )
-    click.echo(
+    say(
         f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
     if summary["status"] == "converged":
-        click.echo(holds_line(summary))
+        say(holds_line(summary))
     if "ring_solves" in summary:
-        click.echo(_interval_line(summary))
+        say(_interval_line(summary))
     if explain:
         for feature in summary["features"]:
-            click.echo(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
+            say(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
+    answer(summary)
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
+    _say_next_of_curtain(out, summary)
 
 
-@main.command(context_settings={"ignore_unknown_options": True})
+@main.command(
+    context_settings={"ignore_unknown_options": True},
+    epilog="Example: macro_fem sweep low.toml high.toml --out curtains --jobs 2 --law law.json",
+)
 @sweep_options
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED, required=True, metavar="SCENE... [OPTIONS OF run]")
 def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None) -> None:
@@ -100,7 +106,32 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
 
     scenes = list(takewhile(lambda one: not one.startswith("-"), arguments))
     items = scene_items([Path(one) for one in scenes], out, arguments[len(scenes) :])
-    run_sweep(items, out, scene_columns, jobs=jobs, cluster=cluster)
+    finished = run_sweep(items, out, scene_columns, jobs=jobs, cluster=cluster)
+    first = out / finished[0]["name"]
+    _say_next_of_curtain(first, read_json_object(first / "summary.json"))
+
+
+def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
+    """How to see every ring of the curtain in a folder, if its law has rings."""
+    from rve import cell_of_sides
+
+    rings = summary["rings"]
+    if rings is None:
+        return
+    r1, r2, b_x, b_y = (rings[key] for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm"))
+    try:
+        cell = cell_of_sides(r1, r2, (b_x, b_y))
+    except InputError:  # a weave that we do not know
+        return
+    words: list[object] = [] if cell.weave.name == "4-in-1" else ["--weave", cell.weave.name]
+    words += ["--grain", "x"] if cell.grain == "x" else []
+    nx, ny = cell.weave.repeat
+    area = 1e6 * summary["mass_kg"] / (summary["areal_mass_kg_per_m2"] or math.inf)
+    count = area * cell.weave.classes / (b_x * b_y * nx * ny)
+    words += ["--max-rings", math.ceil(1.05 * count)] if count > MOST_RINGS else []
+    say_next(
+        "rve", "localize", out, "--out", f"{out}_rings", *words, why="every ring, and the forces in the worst cell"
+    )
 
 
 def _interval_line(summary: dict[str, Any]) -> str:
@@ -122,7 +153,7 @@ _ring_options = options(
 )
 
 
-@main.command()
+@main.command(epilog="Example: macro_fem rings scene.toml --law law.json --out each")
 @_ring_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
@@ -132,30 +163,31 @@ def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: b
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
     from macro_fem.every_ring import run_rings
-    from macro_fem.progress import progress_line
 
-    with progress_line() as say:
-        summary = run_rings(scene, law_path, out, space=space, picture=picture, say=say)
-    click.echo(f"{summary['status']}: {summary['message']}")
-    click.echo(
+    summary = run_rings(scene, law_path, out, space=space, picture=picture)
+    say(f"{summary['status']}: {summary['message']}")
+    say(
         f"{summary['rings']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
         f"{summary['lowest_point_mm']:.3f} mm"
     )
     if summary["status"] == "out-of-reach":
-        click.echo(f"supports are up to {summary['way_left_mm']:.3f} mm from their places")
+        say(f"supports are up to {summary['way_left_mm']:.3f} mm from their places")
     else:
-        click.echo(
-            f"largest contact force {summary['largest_contact_force_N']:.4g} N, residual {summary['kkt_residual']:.1e}"
-        )
-    click.echo(
+        say(f"largest contact force {summary['largest_contact_force_N']:.4g} N, residual {summary['kkt_residual']:.1e}")
+    say(
         f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
+    answer(summary)
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
+    law = () if law_path is None else ("--law", law_path)
+    say_next(
+        "macro_fem", "compare", scene, *law, *(() if space else ("--plane",)), why="beside the membrane of the law"
+    )
 
 
-@main.command()
+@main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")
 @_ring_options
 @click.option("--out", type=click.Path(path_type=Path), help="File for the numbers, JSON.")
 def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -> None:
@@ -164,15 +196,12 @@ def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -
     Exit code 0: both converged; 1: one of them did not; 2: bad input.
     """
     from macro_fem.compare import compare_files, side_by_side
-    from macro_fem.progress import progress_line
     from rve.common.files import check_out_file, write_text
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])
-    with progress_line() as say:
-        summary = compare_files(scene, law_path, space=space, say=say).summary
-    for line in side_by_side(summary):
-        click.echo(line)
+    summary = compare_files(scene, law_path, space=space).summary
+    answer(summary, "\n".join(side_by_side(summary)))
     if out is not None:
         write_text(out, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     if {summary["disk"]["status"], summary["rings"]["status"]} != {"converged"}:

@@ -13,7 +13,6 @@ from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.every_ring import RingScene, or_none, ring_scene
 from macro_fem.fem.space import padded
 from macro_fem.job import solve
-from macro_fem.progress import Say, silent
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
 from rve import FiniteSolution
@@ -123,20 +122,20 @@ class Comparison:
         return float(np.sqrt(own / (area[there] @ (theirs[there] ** 2).sum(axis=1))))
 
 
-def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, say: Say = silent) -> Comparison:
+def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True) -> Comparison:
     """The membrane on the mesh of the scene, and its rings.
 
     InputError for scenes that one of both cannot be.
     """
     law = default_law() if law is None else law
     rings = ring_scene(scene, law)
-    disk = solve(scene, law, say=say).solution
-    return Comparison(disk, rings, rings.solve(space=space, say=say))
+    disk = solve(scene, law).solution
+    return Comparison(disk, rings, rings.solve(space=space))
 
 
-def compare_files(scene: Path, law: Path | None, *, space: bool = True, say: Say = silent) -> Comparison:
+def compare_files(scene: Path, law: Path | None, *, space: bool = True) -> Comparison:
     """`compare` for files."""
-    return compare(load_scene(scene), None if law is None else load_law(law), space=space, say=say)
+    return compare(load_scene(scene), None if law is None else load_law(law), space=space)
 
 
 def side_by_side(summary: dict[str, Any]) -> list[str]:

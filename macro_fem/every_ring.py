@@ -20,7 +20,6 @@ from homogenize import CellInfo, MembraneLaw, default_law, load_law, with_materi
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import in_space_of
-from macro_fem.progress import Say, silent
 from macro_fem.scene.loads import nodal_forces, weight_per_area
 from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.outline import regular_polygon
@@ -53,21 +52,12 @@ class RingScene:
     groups: tuple[tuple[str, np.ndarray], ...]
     walls: tuple[HalfSpace, ...] = ()
 
-    def solve(self, *, space: bool, options: FiniteOptions | None = None, say: Say = silent) -> FiniteSolution:
+    def solve(self, *, space: bool, options: FiniteOptions | None = None) -> FiniteSolution:
         """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be."""
         if self.scene.in_space and not space:
             raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
-        count = 0
-
-        def tell(record: Any) -> None:
-            nonlocal count
-            count += 1
-            say(f"{len(self.mesh.X)} rings, iteration {count}, force x gap {record.mu:.0e}")
-
         try:
-            return self.mesh.solve(
-                self.force, self.held, self.at, space=space, walls=self.walls, options=options, say=tell
-            )
+            return self.mesh.solve(self.force, self.held, self.at, space=space, walls=self.walls, options=options)
         except InputError as error:
             raise InputError(f"{self.scene.source}: {error}") from error
 
@@ -226,7 +216,6 @@ def run_rings(
     *,
     space: bool = True,
     picture: bool = True,
-    say: Say = silent,
 ) -> dict[str, Any]:
     """Solve the scene in a file ring by ring, write summary.json, rings.vtu and rings.png into `out`; the summary.
 
@@ -238,7 +227,7 @@ def run_rings(
     inputs = [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
     rings = ring_scene(scene, default_law() if law_path is None else load_law(law_path))
-    solution = rings.solve(space=space, say=say)
+    solution = rings.solve(space=space)
     summary = summarize_rings(rings, solution)
     with job(out, RECORD, inputs) as folder:
         solution.write_vtu(folder / "rings.vtu")

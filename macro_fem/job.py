@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,22 +25,32 @@ from macro_fem.curtain import solve_problem
 from macro_fem.output import obstacles
 from macro_fem.output.curtain_record import to_curtain
 from macro_fem.output.explain import decisions
-from macro_fem.output.files import bounds_summary, interval_summary, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.files import (
+    bounds_summary,
+    interval_summary,
+    summarize,
+    support_rows,
+    write_series,
+    write_summary,
+    write_vtu,
+)
 from macro_fem.output.looks import Looks, write_looks
 from macro_fem.output.space_view import curtain_view
-from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.schema import Scene, check_solver, load_scene
+from macro_fem.scene.schema import Scene, check_scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, Problem, make_problem
-from rve.common.errors import InputError, NotConverged, require
+from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
 from rve.common.files import check_out_file
 from rve.common.jobs import check_out_job, complete, job
 from rve.common.materials import material_of
+from rve.common.notebook import as_html
 from rve.common.page import write_page
+from rve.common.progress import part_of, tell
 from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
 
     from macro_fem.demand.loop import Demand
     from rve import Cell, Curtain
@@ -100,6 +109,7 @@ class CurtainResult:
         with job(folder, RECORD, inputs) as staged:
             _write(staged, list(self.steps), bounds)
             density = None if bounds is None else error_density(self.solution, bounds)
+            tell("files and pictures")
             failure = write_looks(staged, list(self.steps), wanted, density)
             write_summary(staged, summary)
         if failure is not None:
@@ -131,6 +141,24 @@ class CurtainResult:
 
         return plot_utilisation(self.solution, ax)
 
+    @property
+    def safety_factor(self) -> float | None:
+        """Factor on all loads at which the first ring would yield; None where the law does not know its strength."""
+        factor: float | None = self.summary["safety_factor"]
+        return factor
+
+    def support_forces(self) -> DataFrame:
+        """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv:
+        number and name of the support, x and y in the reference state in mm, components in N.
+
+        InputError if pandas is not installed.
+        """
+        require("pandas", "notebook", "support_forces()", "read support_forces.csv in another way")
+        from pandas import DataFrame
+
+        columns, rows = support_rows(self.summary["support_forces"])
+        return DataFrame(rows, columns=list(columns))
+
     def to_curtain(self) -> Curtain:
         """The curtain at full load as `rve.localize` takes it: `rve.localize(result)`."""
         return to_curtain(self.solution)
@@ -156,9 +184,7 @@ class CurtainResult:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: status, and the numbers of the summary that are single values."""
-        rows = [(k, v) for k, v in self.summary.items() if isinstance(v, str | int | float)]
-        body = "".join(f"<tr><th>{escape(k)}</th><td>{escape(format(v))}</td></tr>" for k, v in rows)
-        return f"<p>{escape(str(self))}</p><table>{body}</table>"
+        return as_html(self, self.summary)
 
 
 def solve(
@@ -168,9 +194,8 @@ def solve(
     rings: Cell | None = None,
     accuracy: float | None = None,
     cache: str | Path | None = None,
-    say: Say = silent,
 ) -> CurtainResult:
-    """The curtain of a scene with a law, by default that of rings with r1/r2 = 10; `say` is told what is being solved.
+    """The curtain of a scene with a law, by default that of rings with r1/r2 = 10.
 
     Bounds of a scene that asks for them hold for the law, or for its rings if it is an interval; the curtain is then
     that of the upper bound, by the inner law. With `rings` the law is asked of them until the interval is no wider than
@@ -185,10 +210,11 @@ def solve(
     >>> solve(scene).status
     'converged'
     """
+    check_scene(scene)
     if rings is not None:
         metal = material_of(dict(scene.material), f"{scene.source}: [material]", base=rings.material)
         rings = replace(rings, material=metal, density=metal.density_kg_per_mm3)
-        return _on_demand(scene, law, rings, accuracy, cache, say)
+        return _on_demand(scene, law, rings, accuracy, cache)
     if accuracy is not None or cache is not None:
         raise InputError("accuracy and cache belong to rings: give their radii as well")
     if law is None:
@@ -196,9 +222,8 @@ def solve(
     law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     count = scene.load.steps
     if not asks_bounds(scene):
-        return CurtainResult(scene, tuple(_steps(scene, law.law if isinstance(law, LawInterval) else law, count, say)))
-    steps = _steps(scene, law.inner if isinstance(law, LawInterval) else law, count, say)
-    say("solving with bounds")
+        return CurtainResult(scene, tuple(_steps(scene, law.law if isinstance(law, LawInterval) else law, count)))
+    steps = _steps(scene, law.inner if isinstance(law, LawInterval) else law, count)
     levels = tuple(_with_bounds(scene, law, steps[-1]))
     return CurtainResult(scene, (*steps[:-1], levels[-1].solution), levels)
 
@@ -209,7 +234,6 @@ def _on_demand(
     rings: Cell,
     accuracy: float | None,
     cache: str | Path | None,
-    say: Say,
 ) -> CurtainResult:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
     from macro_fem.demand.cache import open_cache
@@ -222,19 +246,24 @@ def _on_demand(
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
     kept = open_cache(cache)
-    found = with_strength(solve_on_demand(bounded, rings, options, known=law, cache=kept, say=say), rings, kept, say)
-    early = _steps(bounded, found.law.inner, scene.load.steps - 1, say)
+    note = "give --cache FOLDER to keep the answers of the rings"
+    if kept.folder is not None:
+        note = f"answers of the rings are kept in {kept.folder}, and the same command goes on from there"
+    with noted_if_stopped(note):
+        found = with_strength(solve_on_demand(bounded, rings, options, known=law, cache=kept), rings, kept)
+        early = _steps(bounded, found.law.inner, scene.load.steps - 1)
     return CurtainResult(bounded, (*early, found.level.solution), (found.level,), found)
 
 
-def _steps(scene: Scene, law: MembraneLaw, last: int, say: Say) -> list[CurtainSolution]:
+def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
     """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds."""
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
     pose = admissible_problem if asks_bounds(scene) else make_problem
     steps: list[CurtainSolution] = []
     for step in range(1, last + 1):
-        say(f"solving {mesh.mesh.t.shape[1]} cells, load step {step} of {count}")
-        steps.append(_solved(pose(scene, law, mesh, step / count), steps[-1] if steps else None))
+        work = f"{mesh.mesh.t.shape[1]} cells, load step {step} of {count}"
+        with part_of(work, (step - 1) / last, step / last):
+            steps.append(_solved(pose(scene, law, mesh, step / count), steps[-1] if steps else None))
     return steps
 
 
@@ -250,7 +279,6 @@ def run_scene(
     rings: Cell | None = None,
     accuracy: float | None = None,
     cache: Path | None = None,
-    say: Say = silent,
 ) -> dict[str, Any]:
     """Solve the scene in a file, write its files into `out` and return the summary.
 
@@ -276,8 +304,9 @@ def run_scene(
     read = interval_or_law if rings is None else read_law_interval
     law = None if law_path is None else read(law_path)
     law = law if table is None else interval_of_table(table)
-    found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache, say=say)
-    return found.save(out, picture=picture, animation=animation, html=html, inputs=inputs)
+    with noted_if_stopped(f"what was in {out} before is unchanged"):
+        found = solve(scene, law, rings=rings, accuracy=accuracy, cache=cache)
+        return found.save(out, picture=picture, animation=animation, html=html, inputs=inputs)
 
 
 def asks_bounds(scene: Scene) -> bool:

@@ -26,6 +26,7 @@ from macro_fem.solution import CurtainSolution, Problem, tangent_walls, unit_ten
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common.errors import InputError
+from rve.common.progress import part_of, way
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
 
@@ -72,7 +73,7 @@ def solve_shape(
     shape, mixer = first.F, _Mixer(options.memory)
     force = following(problem, shape, sense)
     normals, found = _approached(problem, first, force, start, solve, options)
-    record = None
+    record, misfits = None, list[float]()
     for rounds in range(1, options.rounds + 1):
         if found.status in ("infeasible", "not_finite"):
             break
@@ -81,6 +82,7 @@ def solve_shape(
         record = _record(problem, found, turned, change, rounds, options)
         if record.is_settled:
             break
+        misfits.append(record.misfit)
         normals = turned
         if np.linalg.norm(change) > MIXED_FROM * np.linalg.norm(force):
             shape = shape + options.damping * (found.F - shape)
@@ -88,7 +90,9 @@ def solve_shape(
         else:
             shape, force = found.F, mixer.next(force, change)
         if rounds < options.rounds:
-            found = solve(_posed(problem, normals, force), found)
+            share = way(misfits[0], record.misfit, options.settled)
+            with part_of(f"shape of the curtain, round {rounds}", share, share):
+                found = solve(_posed(problem, normals, force), found)
     own = replace(found.problem, bodies=problem.bodies, follows=problem.follows)
     return replace(found, problem=own, settling=record, wall_s=time.perf_counter() - begin)
 
@@ -116,7 +120,8 @@ def _approached(
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
         pushed = _ploughed(problem, x, *factors, options)
         normals = [body.normal(pushed) for body in bodies]
-        found = solve(_posed(replace(problem, fem=fem, bodies=bodies), normals, force), last)
+        with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
+            found = solve(_posed(replace(problem, fem=fem, bodies=bodies), normals, force), last)
         if found.status == "infeasible" and stride > options.shortest:
             stride *= 0.5
         elif found.status == "infeasible" or part == 1.0:

@@ -5,41 +5,47 @@ How commands end: `rve.common.command_line`.
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.command_line import Group, options
+from rve.common.command_line import Group, answer, idle_option, options, say, say_next
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
-from rve.common.files import check_out_file, check_out_folder, check_out_table
+from rve.common.files import check_out_file, check_out_folder, check_out_table, sidecar_path
+from rve.common.progress import tell
+from rve.common.reading import read_json_object
 from rve.common.sweeps import numbers_of, run_sweep, sweep_options
 
 METHODS = ("direct", "stewart-trinkle")
+FIT_FROM = 10
+"""Rows from which a law is offered."""
+WEAVE_NAMES = ("4-in-1", "6-in-1")
+"""The names in `rve.geometry.weave.WEAVES`, which is not imported to print a help text."""
+_IDLE_FORCE = (
+    "has no effect any more and will be removed; python -m benchmarks.omissions measures what each omission saves"
+)
 
-
-def _warn_of_force(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
-    if value:
-        click.echo(
-            "Warning: --force has no effect any more and will be removed; python -m benchmarks.omissions measures what "
-            "each omission saves",
-            err=True,
-        )
-
-
+_weave_options = options(
+    click.option("--weave", type=click.Choice(WEAVE_NAMES), default="4-in-1", show_default=True, help="Weave."),
+    click.option(
+        "--grain",
+        type=click.Choice(["y", "x"]),
+        default="y",
+        show_default=True,
+        help="Axis along which rings interlace.",
+    ),
+)
 _cell_options = options(
     click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
     click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
     click.option("--material", help="Named material, e.g. 'steel 1.4404'.  [default: steel]"),
     click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
     click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
-    click.option("--poisson", type=float, help="Poisson's ratio; by default the material's."),
+    click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
     click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
     click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
-    click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y."),
-    click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh."),
+    _weave_options,
 )
 _branch_options = options(
     click.option(
@@ -59,7 +65,7 @@ _branch_options = options(
 )
 _explain_options = options(
     click.option("--explain", is_flag=True, help="Say what was used and left out, and why."),
-    click.option("--force", multiple=True, hidden=True, expose_value=False, callback=_warn_of_force),
+    idle_option("--force", _IDLE_FORCE),
 )
 
 
@@ -67,8 +73,7 @@ def _explain(found: Any) -> None:
     """The run's decisions on standard error: `case` keeps standard output for its JSON."""
     from rve.explain import decisions
 
-    for decision in decisions(found.provenance):
-        click.echo(str(decision), err=True)
+    say(*map(str, decisions(found.provenance)), err=True)
 
 
 def _cell(r1: float, r2: float, grain: str, weave: str, **material: Any) -> Any:
@@ -76,8 +81,6 @@ def _cell(r1: float, r2: float, grain: str, weave: str, **material: Any) -> Any:
     from rve.geometry.cell import Cell
     from rve.geometry.weave import WEAVES
 
-    if weave not in WEAVES:
-        raise InputError(f"--weave = {weave!r}: known are {', '.join(WEAVES)}")
     metal = material_of(material, prefix="--")
     return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal)
 
@@ -114,9 +117,7 @@ def _solved(
         raise InputError(
             "--checkpoint and --workers belong to --method stewart-trinkle; the direct solver needs neither"
         )
-    hidden = not sys.stderr.isatty()
-    with click.progressbar(length=len(directions[0]), label="solving", file=sys.stderr, hidden=hidden) as bar:
-        return solve_table(mesh, directions, direct, progress=bar.update)
+    return solve_table(mesh, directions, direct)
 
 
 def _directions(weave: Any, loads: Path | None, graded: bool, alpha: str | None, beta: str | None) -> tuple[Any, Any]:
@@ -142,13 +143,17 @@ def main() -> None:
     """Where a periodic cell of rigid interlinked rings locks under each line load."""
 
 
-@main.command()
+@main.command(epilog="Example: rve table --out table.csv --r1 6 --r2 0.6 --material 'titanium grade 2' --rings")
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write.")
-@click.option("--alpha", help="Principal angles in degrees.  [default: 0:45:5, from -40 for a chiral weave]")
-@click.option("--beta", help="Ratio angles in degrees.  [default: 0:90:5]")
+@click.option(
+    "--alpha", help="Principal angles in degrees, FIRST:LAST:STEP or A,B,...  [default: 0:45:5; -40:45:5 if chiral]"
+)
+@click.option("--beta", help="Ratio angles in degrees, as --alpha.  [default: 0:90:5]")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
-@click.option("--method", default="direct", show_default=True, help="direct or stewart-trinkle.")
+@click.option(
+    "--method", type=click.Choice(METHODS), default="direct", show_default=True, help="How locked states are found."
+)
 @click.option("--checkpoint", type=click.Path(path_type=Path), help="Folder to resume from (stewart-trinkle).")
 @click.option(
     "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes (stewart-trinkle)."
@@ -185,8 +190,6 @@ def table(
 
     if rings and compliance is not None:
         raise InputError("--rings and --compliance both give dE/dS: choose the rings' wire, or contacts of a stiffness")
-    if method not in METHODS:
-        raise InputError(f"--method = {method!r}: known are {', '.join(METHODS)}")
     how = _ring_options(rings, {"joint": joint, "load_N_per_mm": load_N_per_mm, "hertz": hertz or None})
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = _cell(**rest)
@@ -203,27 +206,35 @@ def table(
     if span:
         found = with_span(found, mesh)
     write_table(found, out)
-    if "loaded" in found.provenance:
-        click.echo(found.provenance["loaded"]["note"])
     if explain:
         _explain(found)
+    _say_of_table(found, out, method)
+    answer(read_json_object(sidecar_path(out)))
+    if found.converged.sum() >= FIT_FROM:
+        say_next("homogenize", "fit", out, "--out", out.with_name(f"{out.stem}_law.json"), why="a law from this table")
+
+
+def _say_of_table(found: Any, out: Path, method: str) -> None:
+    """Rows by status, and what is particular about some."""
+    if "loaded" in found.provenance:
+        say(found.provenance["loaded"]["note"])
     good = int(found.converged.sum())
     free = int((~found.unique & found.converged).sum())
-    click.echo(f"{out}: {good} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
+    say(f"{out}: {good} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
     if free:
         where = "the limit from inside the tensile cone" if method == "direct" else "where the motion has ended"
-        click.echo(f"{free} rows leave the strain free (unique = 0); their E is {where}")
+        say(f"{free} rows leave the strain free (unique = 0); their E is {where}")
     several = 0 if found.branch is None else int((found.branch != "slack").sum())
     if several:
-        click.echo(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
+        say(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
     for status in sorted(set(found.status) - {"converged"}):
-        click.echo(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
+        say(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
 
 
-@main.command()
+@main.command(epilog="Example: rve case --alpha 45 --beta 0 --plot case.png")
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write, PNG, SVG or PDF.")
 @_explain_options
 @_cell_options
 def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: Any) -> None:
@@ -245,14 +256,15 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: An
     out |= dict(zip(COLUMNS[2:14], map(float, values), strict=True))
     out |= {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}
     out |= {"contacts": int(found.contacts[0]), "unique": int(found.unique[0]), "status": status}
-    click.echo(json.dumps(out | {"iterations": int(found.iterations[0])}, indent=2))
+    answer(out | {"iterations": int(found.iterations[0])}, always=True)
     if plot is not None:
         from rve.plots import draw_case, save
 
+        tell(f"drawing {plot}")
         save(draw_case(found), plot)
 
 
-@main.command(name="support")
+@main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")
 @click.option("--S", "load", required=True, help="S11,S12,S22: dead line load, positive semidefinite, any unit.")
 @_branch_options
 @_cell_options
@@ -266,15 +278,20 @@ def support_command(load: str, branches: str, reference: str, **cell: Any) -> No
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"S = {load}: {status}: {SENTENCES[status]}")
-    click.echo(json.dumps(found.row(0), indent=2))
+    answer(found.row(0), always=True)
 
 
-@main.command(context_settings={"ignore_unknown_options": True})
+@main.command(
+    context_settings={"ignore_unknown_options": True},
+    epilog="Example: rve sweep --out tables --r1 5,6 --r2 0.5,0.6 --jobs 2 --rings",
+)
 @sweep_options
 @click.option("--r1", required=True, help="Radii of rings' centre circles in mm, with commas.")
 @click.option("--r2", required=True, help="Radii of wires in mm, with commas.")
-@click.option("--weave", default="4-in-1", show_default=True, help="Weaves, with commas.")
-@click.option("--grain", default="y", show_default=True, help="Interlacing direction, x or y.")
+@click.option("--weave", default="4-in-1", show_default=True, help=f"Weaves, with commas: {', '.join(WEAVE_NAMES)}.")
+@click.option(
+    "--grain", type=click.Choice(["y", "x"]), default="y", show_default=True, help="Axis along which rings interlace."
+)
 @click.argument("further", nargs=-1, type=click.UNPROCESSED)
 def sweep(
     out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[str, ...], jobs: int, cluster: str | None
@@ -286,27 +303,32 @@ def sweep(
     from rve.sweep import table_columns, table_items
 
     items = table_items(out, numbers_of(r1, "--r1"), numbers_of(r2, "--r2"), weave.split(","), grain, further)
-    run_sweep(items, out, table_columns, jobs=jobs, cluster=cluster)
+    finished = run_sweep(items, out, table_columns, jobs=jobs, cluster=cluster)
+    if finished[0]["rows_converged"] < FIT_FROM:
+        return
+    first = out / f"{finished[0]['name']}.csv"
+    say_next("homogenize", "fit", first, "--out", first.with_name(f"{first.stem}_law.json"), why="a law from a table")
 
 
-@main.command()
+@main.command(epilog="Example: rve study --out study")
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 def study(out: Path) -> None:
     """Reproduce the paper's Figs. 9-17 for this implementation, and set its published figures beside ours."""
-    from rve.study.comparison import comparison, markdown, run
+    from rve.study.comparison import RECORD, comparison, markdown, run
 
-    found = run(out, progress=lambda text: click.echo(text, err=True))
-    click.echo(markdown(comparison(found)), nl=False)
+    found = run(out)
+    say(markdown(comparison(found)).rstrip())
+    answer(read_json_object(out / RECORD))
+    say_next("rve", "table", "--out", out / "table.csv", why="the same cases by the direct solver, as a table")
 
 
-@main.command(name="localize")
+@main.command(name="localize", epilog="Example: rve localize curtain --out rings --window 0,0,100,100 --tubes")
 @click.argument("curtain", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 @click.option("--r1", type=float, help="Radius of a ring's centre circle in mm; by default as in summary.json.")
 @click.option("--r2", type=float, help="Radius of the wire in mm; by default as in summary.json.")
 @click.option("--hang", "hang_deg", type=float, help="Angle of the weave in degrees; by default as in summary.json.")
-@click.option("--weave", default="4-in-1", show_default=True, help="Weave of the mesh.")
-@click.option("--grain", default="y", show_default=True, help="Interlacing direction in the law's table, x or y.")
+@_weave_options
 @click.option("--window", help="Only the rings in x0,y0,x1,y1 (mm, before deformation).")
 @click.option("--tubes/--lines", default=False, show_default=True, help="Write tori, or centre lines.")
 @click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
@@ -320,12 +342,17 @@ def localize_command(curtain: Path, out: Path, window: str | None, **rest: Any) 
     files = {name: rest.pop(name) for name in ("picture", "tubes", "html")}
     found = run_localize(curtain, out, LocalizeOptions(window=parse_window(window), **rest), **files)
     by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
-    click.echo(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
-    click.echo(f"{found['links_intact']} of {found['links']} links intact as drawn")
+    say(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
+    say(f"{found['links_intact']} of {found['links']} links intact as drawn")
     if found["curtain_status"] not in ("converged", "unknown"):
-        click.echo(f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)")
+        say(f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)")
     worst = found["worst_cell"]
-    click.echo(f"worst cell {worst['cell']}: {worst['contacts']} contacts, at most {worst['largest_force_N']:.4g} N")
+    say(f"worst cell {worst['cell']}: {worst['contacts']} contacts, at most {worst['largest_force_N']:.4g} N")
     for name in found["cells_by_status"]:
         if name != "met":
-            click.echo(f"{name}: {found['meanings'][name]}")
+            say(f"{name}: {found['meanings'][name]}")
+    answer(found)
+    given = {f"--{name.split('_')[0]}": rest[name] for name in ("r1", "r2", "hang_deg", "weave", "grain")}
+    words = [str(word) for pair in ({"--window": window} | given).items() if pair[1] is not None for word in pair]
+    out = out.with_name(f"{out.name}_tubes")
+    say_next("rve", "localize", curtain, "--out", out, *words, "--tubes", "--no-picture", why="wires for ParaView")

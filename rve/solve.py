@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import TABLE_FORMAT, versions
+from rve.common.progress import part_of
 from rve.common.records import Flags
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
@@ -84,7 +85,8 @@ def locked_states(
     blocks, works = [], []
     for first in range(0, len(alpha_deg), BLOCK):
         rows = slice(first, first + BLOCK)
-        states, work = locked_block(alpha_deg[rows], beta_deg[rows], cell, options)
+        with part_of(f"{len(alpha_deg)} loads", first / len(alpha_deg), min(1.0, (first + BLOCK) / len(alpha_deg))):
+            states, work = locked_block(alpha_deg[rows], beta_deg[rows], cell, options)
         blocks.append(states)
         works.append(work)
         if progress is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import InputError
+from rve.common.notebook import as_html
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
 from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest, strain_of
@@ -73,6 +74,15 @@ class Support:
             "b_x_mm": self.b_x_mm,
             "b_y_mm": self.b_y_mm,
         }
+
+    def __str__(self) -> str:
+        return f"Support: {int((self.status == 'converged').sum())} of {len(self)} loads converged"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the numbers of a single load, or a line for each."""
+        if len(self) == 1:
+            return as_html(self, self.row(0))
+        return as_html(self, lines=(f"S = {S.tolist()}: h = {h:.6g}" for S, h in zip(self.S, self.h, strict=True)))
 
 
 def support(cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: Support | None = None) -> Support:

@@ -228,7 +228,7 @@ def test_the_notebook_runs(answer, rings, executed):
     found = data_of(executed("five_lines.ipynb"))
     assert sum("image/png" in data for data in found) == 3  # law, curtain, rings
     tables = "".join(data.get("text/html", "") for data in found)
-    assert format(answer.summary["mean_height_mm"]) in tables
+    assert f"{answer.summary['mean_height_mm']:.6g}" in tables
     assert str(rings) in tables
 
 
@@ -258,3 +258,123 @@ def test_every_notebook_is_run_by_a_test_and_is_a_page():
     text = Path(__file__).read_text("utf-8")
     assert all(f'executed("{name}.ipynb")' in text for name in names)
     assert all(f"notebooks/{name}" in (ROOT / "docs" / "index.md").read_text("utf-8") for name in names)
+
+
+@pytest.fixture(scope="module")
+def titanium():
+    """Rings of another size and metal, and the curtain of 3 m x 2.5 m that hangs by hooks and bears a hem bar."""
+    cell = rve.Cell(r1=6.0, r2=0.6, material=rve.named_material("titanium grade 2"))
+    table = rve.with_rings(rve.solve_table(cell, rve.grid(15.0)), cell)
+    fitted = homogenize.fit(table)
+    scene = (
+        macro_fem.Scene.rectangle(3000.0, 2500.0, cells=15).hung_by("hooks", pitch=200.0).loaded_by("bar", mass=12.0)
+    )
+    return cell, fitted, scene, macro_fem.solve(scene, fitted.law)
+
+
+def test_an_own_curtain_from_python(titanium, tmp_path):
+    """Its hooks carry its weight and the bar's, its factor is in N/mm over N/mm, and pictures go on the user's axes."""
+    import matplotlib.pyplot as plt
+
+    _, fitted, scene, found = titanium
+    assert found.status == "converged"
+    forces = found.support_forces()
+    assert list(forces.columns) == ["support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N"]
+    assert forces.x_mm.tolist() == pytest.approx(np.linspace(0.0, 3000.0, 16).tolist())
+    weight = 9.81 * (fitted.law.cell.areal_mass_kg_per_m2 * 3.0 * 2.5 + 12.0)
+    assert forces.force_y_N.sum() == pytest.approx(weight, rel=1e-6)
+    assert forces.force_x_N.sum() == pytest.approx(0.0, abs=1e-6 * weight)
+    found.save(tmp_path / "out", picture=False)
+    written = pd.read_csv(tmp_path / "out" / "support_forces.csv")
+    pd.testing.assert_frame_equal(forces, written, check_dtype=False)
+    assert found.safety_factor == json.loads((tmp_path / "out" / "summary.json").read_text())["safety_factor"]
+    doubled = macro_fem.solve(scene.with_keys("load", gravity=2.0 * 9.81), fitted.law)
+    assert doubled.safety_factor == pytest.approx(0.5 * found.safety_factor, rel=1e-3)  # rigid rings: loads scale
+    figure, (one, other) = plt.subplots(1, 2)
+    assert found.plot(one) is one
+    assert found.plot_utilisation(other) is other
+    assert "titanium grade 2" in fitted._repr_html_()
+    plt.close(figure)
+
+
+def test_a_scene_of_methods_is_that_of_a_file():
+    built = (
+        macro_fem.Scene.rectangle(400.0, 300.0, cells=8)
+        .hung_by("top", gather=0.9)
+        .loaded_by("point", at=[200.0, 0.0], force=[0.0, -1.0])
+        .loaded_by("patch", at=[200.0, 100.0], radius=50.0, force=[0.0, -1.0])
+        .loaded_by("edge", edge="bottom", force=[0.001, 0.0])
+        .loaded_by("edge", edge="left", force=[-0.001, 0.0])
+        .loaded_by("bar", mass=0.5, straight=False)
+        .loaded_by("wind", direction=[1.0, 0.0], pressure=10.0)
+        .beside("floor", height=-200.0)
+        .with_keys("load", steps=2, gravity=5.0)
+        .with_keys("solver", tolerance=1e-8)
+        .with_keys("material", density=4510.0)
+        .with_keys("curtain", weave_angle=45.0)
+        .with_keys("mesh", element="P2")
+    )
+    read = macro_fem.read_scene(
+        {
+            "curtain": {"width": 400.0, "height": 300.0, "weave_angle": 45.0},
+            "mesh": {"cells": 8, "element": "P2"},
+            "support": {"kind": "top", "gather": 0.9},
+            "load": {
+                "gravity": 5.0,
+                "steps": 2,
+                "point": {"at": [200.0, 0.0], "force": [0.0, -1.0]},
+                "patch": {"at": [200.0, 100.0], "radius": 50.0, "force": [0.0, -1.0]},
+                "edge": [{"edge": "bottom", "force": [0.001, 0.0]}, {"edge": "left", "force": [-0.001, 0.0]}],
+                "bar": {"mass": 0.5, "straight": False},
+                "wind": {"direction": [1.0, 0.0], "pressure": 10.0},
+            },
+            "obstacle": {"kind": "floor", "height": -200.0},
+            "solver": {"tolerance": 1e-8},
+            "material": {"density": 4510.0},
+        }
+    )
+    assert built == read
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda scene: scene.loaded_by("rope", mass=1.0), "'rope': is not one of edge, point, patch, bar, wind"),
+        (lambda scene: scene.loaded_by("bar", mass=-1.0), "[load.bar] mass = -1"),
+        (lambda scene: scene.loaded_by("bar", weight=1.0), "weight"),
+        (lambda scene: scene.beside("cube"), "[obstacle] kind = 'cube'"),
+        (lambda scene: scene.with_keys("solver", kind="quick"), "[solver] kind = 'quick'"),
+        (lambda scene: scene.with_keys("load", bar=[]), "[load] bar: is added by loaded_by"),
+        (lambda scene: scene.with_keys("weather", wind=1), "[weather]: is not one of curtain, mesh, load"),
+        (lambda scene: scene.with_keys("material", material="mithril"), "[material] material"),
+        (lambda scene: macro_fem.solve(scene), "[support]: is missing"),
+        (lambda scene: macro_fem.solve(scene.hung_by("top").with_keys("load", steps=3)), "steps = 3: has no effect"),
+        (
+            lambda scene: macro_fem.solve(scene.hung_by("top").loaded_by("wind", direction=[1, 0])),
+            "pressure: is missing",
+        ),
+    ],
+)
+def test_methods_of_a_scene_refuse_what_a_file_may_not_hold(change, words):
+    with pytest.raises(rve.InputError) as error:
+        change(macro_fem.Scene.rectangle(100.0, 50.0, cells=4))
+    assert words in str(error.value)
+
+
+def test_what_a_notebook_shows(titanium):
+    cell, fitted, scene, found = titanium
+    held = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1)
+    force, at = np.zeros((5, 3)), np.column_stack([held.X, np.zeros(5)])
+    force[:, 1] = -9.81 * held.mass
+    records = {
+        "titanium grade 2": (cell, fitted, fitted.law.strength),
+        "Bar(mass=12.0": (scene,),
+        "converged": (
+            found,
+            rve.support(rve.Cell(), [0.5, 0.0, 0.5]),
+            held.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False),
+        ),
+    }
+    for words, shown in records.items():
+        for record in shown:
+            assert words in record._repr_html_(), type(record).__name__

@@ -23,6 +23,7 @@ from homogenize.laws.protocol import CellInfo
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import strength_of_table
 from rve.common.errors import InputError
+from rve.common.notebook import as_html
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 from rve.common.types import Array
 from rve.common.values import Options, choice, number
@@ -68,6 +69,14 @@ class FitResult:
     def save(self, path: str | Path) -> None:
         """Writes the law file."""
         self.law.save(path)
+
+    def __str__(self) -> str:
+        return self.report.text()
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the law and its error, and what is known of its strength."""
+        strength = () if self.law.strength is None else (self.law.strength.text(),)
+        return as_html(self.law, lines=(*self.report.text().splitlines(), *strength))
 
 
 def fit_table(path: str | Path, options: FitOptions | None = None, *, stated_stiffness: bool = False) -> FitResult:

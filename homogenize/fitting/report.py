@@ -12,6 +12,7 @@ from homogenize.fitting.rows import Normality, Rows, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
 from rve.common.errors import InputError
+from rve.common.progress import tell
 from rve.common.tensor import disc, from_disc
 from rve.common.types import Array
 
@@ -65,6 +66,7 @@ def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw], folds: int
         return None
     S, error = [], []
     for fold in range(folds):
+        tell("error of the law at rows left out", fold / folds)
         out = inner[fold::folds]
         keep = np.setdiff1d(np.arange(len(rows)), out)
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,6 +12,7 @@ from homogenize.laws.report import ErrorReport, report_from_dict
 from homogenize.strength import Strength
 from rve.common.errors import require
 from rve.common.files import write_text
+from rve.common.notebook import as_html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +61,7 @@ class StoredLaw(MembraneLaw, Protocol):
     def _repr_html_(self) -> str:
         """What a notebook shows: kind, rings, and the lines of the error report."""
         report = self.report
-        lines = [] if report is None else report.text().splitlines()
-        return f"<p>{escape(str(self))}</p><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+        return as_html(self, lines=() if report is None else report.text().splitlines())
 
 
 def law_record(law: StoredLaw) -> dict[str, Any]:

@@ -85,8 +85,8 @@ def strength_at(path: str | Path, S: Array, yield_N_per_mm2: float | None) -> di
     return strength_answer(law.strength, S, yield_N_per_mm2, str(path)) | {"extrapolated": extrapolates(law, S)}
 
 
-def error_at_rows(path: str | Path, table_path: str | Path) -> str:
-    """What the law in `path` gets wrong at the converged rows of a table it need not have seen, in lines to read."""
+def error_at_rows(path: str | Path, table_path: str | Path) -> dict[str, Any]:
+    """Errors of the law in `path` at the converged rows of a table it need not have seen; h at unit trace of S."""
     from rve import read_table
 
     law, table = load_law(path), read_table(table_path)
@@ -103,12 +103,24 @@ def error_at_rows(path: str | Path, table_path: str | Path) -> str:
     miss = np.abs(found.E - rows.E).max(axis=1)[good]
     support = misfit_of(rows.S, law.support(rows.S) - rows.h)
     outside = sum(extrapolates(law, S) for S in rows.S)
+    strain = {"max": float(miss.max(initial=0.0)), "mean": float(miss.sum() / max(len(miss), 1)), "loads": len(miss)}
+    return {
+        "h_error": {"max": support.maximum, "mean": support.mean, "loads": support.count},
+        "strain_error": strain | {"above_5e-3": int((miss > 5e-3).sum())},
+        "not_compared": int((~good).sum()),
+        "extrapolated": int(outside),
+    }
+
+
+def error_text(found: dict[str, Any]) -> str:
+    """What `error_at_rows` has found, in lines to read."""
+    h, strain = found["h_error"], found["strain_error"]
     lines = [
-        f"h at unit trace of S: max error {support.maximum:.2e}, mean {support.mean:.2e}, {support.count} loads",
-        f"strain component: max error {miss.max(initial=0.0):.2e}, mean {miss.sum() / max(len(miss), 1):.2e}, "
-        f"{int((miss > 5e-3).sum())} of {len(miss)} loads above 5e-3",
-        f"not compared: {int((~good).sum())} loads without a unique strain or without an answer of the law",
-        f"extrapolated: {outside} loads outside those of the law's table",
+        f"h at unit trace of S: max error {h['max']:.2e}, mean {h['mean']:.2e}, {h['loads']} loads",
+        f"strain component: max error {strain['max']:.2e}, mean {strain['mean']:.2e}, "
+        f"{strain['above_5e-3']} of {strain['loads']} loads above 5e-3",
+        f"not compared: {found['not_compared']} loads without a unique strain or without an answer of the law",
+        f"extrapolated: {found['extrapolated']} loads outside those of the law's table",
     ]
     return "\n".join(lines)
 

@@ -16,6 +16,7 @@ from homogenize.fitting.rows import Rows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
 from rve.common.errors import InputError
+from rve.common.progress import part_of, tell
 from rve.common.records import Rows as Records
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
 from rve.common.types import Array
@@ -235,6 +236,7 @@ def _newton(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_Stat
         todo = np.flatnonzero(state.size() > options.tolerance)
         if not todo.size:
             break
+        tell(f"strains under {len(X)} loads", 1.0 - todo.size / len(X))
         steps[todo] += 1
         dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=options.singular), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
@@ -248,8 +250,10 @@ def _walk(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_State,
     The steps get shorter towards the end, because strains change fast at beta = 0.
     """
     steps = np.zeros(len(X), np.int64)
-    for left in np.linspace(1.0, 0.0, search.options.path_steps + 1) ** 3:
-        state, more = _newton(search, alpha, beta + left * (45.0 - beta), X)
+    for turn, left in enumerate(np.linspace(1.0, 0.0, search.options.path_steps + 1) ** 3):
+        share = turn / (search.options.path_steps + 1)
+        with part_of("loads that failed, again along a path", share, share):
+            state, more = _newton(search, alpha, beta + left * (45.0 - beta), X)
         X, steps = state.X, steps + more
     return state, steps
 

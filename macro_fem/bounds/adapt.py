@@ -16,6 +16,7 @@ from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution, Problem
 from macro_fem.solvers.cones import supported, taken_from
+from rve.common.progress import part_of
 from rve.common.types import Array
 
 BULK = 0.6
@@ -47,11 +48,14 @@ def levels(
     mesh = build_mesh(scene, own.cell) if mesh is None else mesh
     solution = first
     for number in range(scene.solver.adapt + 1):
+        work = f"{mesh.mesh.t.shape[1]} cells"
         if solution is None or number:
-            solution = solve_problem(with_cones_of(admissible_problem(scene, own, mesh, factor), solution))
+            with part_of(work, 0.0, 0.5):
+                solution = solve_problem(with_cones_of(admissible_problem(scene, own, mesh, factor), solution))
         if solution.status != "converged":
             return
-        level = Level(solution, bound(solution, factor, outer))
+        with part_of(f"{work}, bounds", 0.5, 1.0):
+            level = Level(solution, bound(solution, factor, outer))
         yield level
         if level.bounds.status != "converged":
             return

@@ -26,12 +26,12 @@ from macro_fem.demand.cache import NO_CACHE, RingCache
 from macro_fem.demand.directions import between, widest
 from macro_fem.demand.ring_answers import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
 from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.progress import Say, silent
 from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell
 from rve.common.errors import InputError
+from rve.common.progress import heard_by, part_of, tell
 from rve.common.tensor import disc
 from rve.common.types import Array
 
@@ -135,7 +135,6 @@ class _Rings:
     info: CellInfo
     cache: RingCache
     options: DemandOptions
-    say: Say
     began: float = field(default_factory=time.perf_counter)
 
     @property
@@ -158,22 +157,21 @@ def solve_on_demand(
     *,
     known: LawInterval | None = None,
     cache: RingCache = NO_CACHE,
-    say: Say = silent,
 ) -> Demand:
     """The curtain of a scene of these rings at its full load, its interval narrowed to `options.accuracy`.
 
     known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
     upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
     """
-    rings = _Rings(scene, cell, ring_info(cell), cache, options, say)
+    rings = _Rings(scene, cell, ring_info(cell), cache, options)
     asked = _first(rings, known)
     mesh = build_mesh(scene, rings.info)
     turns: list[Turn] = []
     last, level, share = None, None, FIRST_GAP
     law = rings.law(asked)
     while len(turns) < options.most_turns:
-        say(_line(mesh, asked, level))
-        solution, law, asked = _hung(rings, mesh, law, asked, last, LOST if level is None else 0)
+        with part_of(_line(mesh, asked, level), 0.0, 1.0):
+            solution, law, asked = _hung(rings, mesh, law, asked, last, LOST if level is None else 0)
         if solution.status != "converged":
             return _given_up(rings, level, law, asked, turns, solution)
         target, scale = _scales(solution, options.accuracy)
@@ -184,7 +182,8 @@ def solve_on_demand(
             turns.append(_turn(rings, solution, asked, part))
             last = solution
             continue
-        new = Level(solution, bound(solution, outer=law.outer))
+        with part_of("bounds", 0.0, 1.0):
+            new = Level(solution, bound(solution, outer=law.outer))
         turns.append(_turn(rings, solution, asked, part, new))
         ended = _ended(rings, new, turns, target, asked)
         level = new if level is None or new.bounds.status == "converged" else level
@@ -236,8 +235,9 @@ def _scales(solution: CurtainSolution, accuracy: float) -> tuple[float, float]:
 def _asked(rings: _Rings, x: Array, asked: Asked) -> Asked:
     """`asked` and the directions x (n, 2), told one by one."""
     for number, one in enumerate(x):
-        rings.say(f"asking the rings, {asked.solves} solved, {len(x) - number} to go")
-        asked = ask(rings.cell, rings.cache, one[None], asked)
+        tell(f"asking the rings, {asked.solves} solved, {len(x) - number} to go", number / len(x))
+        with heard_by(None):
+            asked = ask(rings.cell, rings.cache, one[None], asked)
     return settled(rings.cell, rings.cache, asked) if len(x) else asked
 
 

@@ -14,10 +14,10 @@ from macro_fem.demand.loop import Demand
 from macro_fem.demand.ring_answers import Asked, ask
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.output.strength import critical_load
-from macro_fem.progress import Say, silent
 from macro_fem.solution import CurtainSolution
 from rve import Cell, deformation_gradient, solve_table, with_rings
 from rve.common.errors import InputError
+from rve.common.progress import tell
 from rve.common.tensor import disc, eigenvalues, mirror
 from rve.common.types import Array
 
@@ -27,7 +27,7 @@ NEAR = 0.01
 """Directions of the unit disc nearer than this to a known one are not asked for."""
 
 
-def with_strength(found: Demand, cell: Cell, cache: RingCache, say: Say = silent) -> Demand:
+def with_strength(found: Demand, cell: Cell, cache: RingCache) -> Demand:
     """`found` with a law that knows the strength of its rings, of the cell's material; as it is if none can be made.
 
     It is exact at the directions that were asked, and at that of the largest utilisation of the curtain.
@@ -35,7 +35,7 @@ def with_strength(found: Demand, cell: Cell, cache: RingCache, say: Say = silent
     rows = found.law.rows
     strength = strength_of_rows(rows, cell)
     for _ in range(LOOKS):
-        say(f"asking the rings for their strength, {len(strength.S)} loads known")
+        tell(f"asking the rings for their strength, {len(strength.S)} loads known")
         told = _told(found, strength)
         try:
             load = critical_load(told.level.solution)

@@ -53,15 +53,21 @@ def support_table(supports: list[dict[str, Any]]) -> str:
     1,top,0.0,9.0,0.5,2.0
     """
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
+    columns, rows = support_rows(supports)
+    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
+    return text.getvalue()
+
+
+def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+    """Names of the columns and the rows of `support_table`."""
     in_space = any("place_mm" in point for support in supports for point in support["points"])
     more = ("force_z_N", "place_x_mm", "place_y_mm", "place_z_mm") if in_space else ()
-    table.writerow(("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N", *more))
-    for number, support in enumerate(supports, start=1):
-        for point in support["points"]:
-            row = (*point["at_mm"], *point["force_N"], *point.get("place_mm", ()))
-            table.writerow((number, support["support"], *row))
-    return text.getvalue()
+    rows = [
+        (number, support["support"], *point["at_mm"], *point["force_N"], *point.get("place_mm", ()))
+        for number, support in enumerate(supports, start=1)
+        for point in support["points"]
+    ]
+    return ("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N", *more), rows
 
 
 def _finite(value: Any) -> Any:

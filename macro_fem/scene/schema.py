@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from macro_fem.scene.tables import (
 from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
 from rve.common.materials import described
+from rve.common.notebook import as_html
 from rve.common.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
 
@@ -76,10 +77,54 @@ class Scene:
 
     def hung_by(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
-        added = _read_supports({"kind": kind, **keys}, self.source)
-        scene = replace(self, support=(*self.support, *added))
-        check_solver(scene, self.source)
-        return scene
+        return replace(self, support=(*self.support, *_read_supports({"kind": kind, **keys}, self.source)))
+
+    def loaded_by(self, kind: str, **keys: Any) -> Scene:
+        """The scene with one more load: "bar", "point", "patch", "edge" or "wind", its keys as in [[load.KIND]].
+
+        InputError as for a file.
+
+        >>> Scene.rectangle(3000, 2500).hung_by("hooks", pitch=200).loaded_by("bar", mass=12).load.bar
+        (Bar(mass=12.0, edge='bottom', straight=True),)
+        """
+        if kind not in LIVE_LOADS:
+            raise InputError(f"{self.source}: [load] {shown(kind)}: is not one of {', '.join(LIVE_LOADS)}")
+        added = getattr(_read_load({kind: keys}, self.source), kind)
+        more: dict[str, Any] = {kind: (*getattr(self.load, kind), *added)}
+        return replace(self, load=replace(self.load, **more))
+
+    def beside(self, kind: str, **keys: Any) -> Scene:
+        """The scene with one more body to stay outside of: a kind of [[obstacle]], its keys by name."""
+        return replace(self, obstacle=(*self.obstacle, *read_obstacles({"kind": kind, **keys}, self.source)))
+
+    def with_keys(self, table: str, **keys: Any) -> Scene:
+        """The scene with keys of its tables "curtain", "mesh", "load", "solver", "start" or "material" set anew.
+
+        InputError as for a file; what tables must agree on is checked when the scene is solved.
+
+        >>> Scene.rectangle(100, 50).with_keys("solver", bounds=True).with_keys("mesh", cells=8).mesh.cells
+        8
+        """
+        where = f"{self.source}: [{table}]"
+        if table == "material":
+            return replace(self, material=described(dict(self.material) | keys, where))
+        if table == "start":
+            return replace(self, start=read_start(keys, self.source))
+        if table not in ("curtain", "mesh", "load", "solver"):
+            raise InputError(f"{where}: is not one of curtain, mesh, load, solver, start, material")
+        if table == "load" and (live_keys := keys.keys() & LIVE_LOADS):
+            raise InputError(f"{where} {min(live_keys)}: is added by loaded_by")
+        old = getattr(self, table)
+        known = [field.name for field in fields(old) if not (table == "load" and field.name in LIVE_LOADS)]
+        given = {name: getattr(old, name) for name in known if getattr(old, name) is not None}
+        new = read_record(type(old), given | keys, where)
+        live = {name: getattr(old, name) for name in LIVE_LOADS} if table == "load" else {}
+        return replace(self, **{table: replace(new, **live)})
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the tables of the scene."""
+        parts = (self.curtain, self.mesh, *self.support, self.load, *self.obstacle, self.start, self.solver)
+        return as_html(f"Scene: {self.source}", dict(self.material), (str(part) for part in parts if part is not None))
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -111,10 +156,18 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
         start=read_start(data.get("start"), source),
         material=described(data.get("material", {}), f"{source}: [material]"),
     )
-    _check_shape(scene.curtain, source)
-    _check_effect(scene, data, source)
-    check_solver(scene, source)
+    _check_mesh_keys(scene, data, source)
+    check_scene(scene)
     return scene
+
+
+def check_scene(scene: Scene) -> None:
+    """InputError for tables that contradict each other, and for keys that change nothing."""
+    if not scene.support:
+        raise InputError(f"{scene.source}: [support]: is missing, so nothing holds the curtain")
+    _check_shape(scene.curtain, scene.source)
+    _check_effect(scene, scene.source)
+    check_solver(scene, scene.source)
 
 
 def _out_of_plane(scene: Scene) -> Iterator[str]:
@@ -193,12 +246,17 @@ def _check_shape(curtain: Curtain, source: str | Path) -> None:
         raise InputError(f'{source}: [curtain] holes: are not used by shape = "file"')
 
 
-def _check_effect(scene: Scene, data: dict[str, Any], source: str | Path) -> None:
-    """InputError for a key that is given and changes nothing."""
-    mesh, shape = data.get("mesh", {}), scene.curtain.shape
+def _check_mesh_keys(scene: Scene, data: dict[str, Any], source: str | Path) -> None:
+    """InputError for keys of [mesh] that a mesh from a file leaves without effect."""
+    mesh = data.get("mesh", {})
     for key in ("cells", "pattern"):
-        if shape == "file" and key in mesh:
+        if scene.curtain.shape == "file" and key in mesh:
             raise InputError(f'{source}: [mesh] {key} = {mesh[key]!r}: has no effect with shape = "file"')
+
+
+def _check_effect(scene: Scene, source: str | Path) -> None:
+    """InputError for a key that is given and changes nothing."""
+    shape = scene.curtain.shape
     if scene.mesh.pattern != "aligned" and (shape != "rectangle" or scene.curtain.holes):
         what = f'shape = "{shape}"' if shape != "rectangle" else "holes"
         raise InputError(f"{source}: [mesh] pattern = {scene.mesh.pattern!r}: has no effect with {what}")

@@ -39,6 +39,7 @@ from macro_fem.solvers.cutting_planes import at_rest, find, joined, pruned, wide
 from macro_fem.solvers.options import PATH, PathOptions
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged, load_scale
 from macro_fem.solvers.walls import NO_ROWS, Walls, all_forces, rows_of
+from rve.common.progress import tell, way
 from rve.common.types import Array
 
 RIGID = np.zeros((3, 3))
@@ -160,10 +161,11 @@ def _followed(
     """Where the path from a place ends, the roomiest place near it, why it ends there, and its steps."""
     inner, best = replace(place, room=-place.violation(law)), place
     prunes, history = list(options.cuts.pruned_at), list[Iteration]()
-    waited = held = 0
+    waited, held, first = 0, 0, place.now.gap
     while (stop := _stop(place, law, inner, load, options, len(history))) is None:
         if waited > options.steps.patience:
             return best, inner, "stalled", history
+        tell(f"curtain of {len(place.program.fem.weight)} points", way(first, place.now.gap, options.gap))
         taken = _taken(place, law, options, may_wait=held < options.cuts.anew)
         if taken is None:
             return best, inner, "stalled", history

@@ -23,6 +23,7 @@ from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, l
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import Rows, Walls, all_forces, rows_of
 from rve.common.errors import require
+from rve.common.progress import tell
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
 
@@ -69,6 +70,7 @@ def solve_clarabel(
     clarabel = _clarabel()
     cones = first_cones(law, len(fem.weight))
     history: list[Iteration] = []
+    tell("clarabel, round 1")
     found = _solve(clarabel, task, cones, options)
     while True:
         if found.is_refuted:
@@ -84,6 +86,7 @@ def solve_clarabel(
             stop = "iterations"
             break
         cones, _ = with_cuts(cones, new, S[new], h[new])
+        tell(f"clarabel, round {len(history) + 1}")
         found = _solve(clarabel, task, cones, options)
     record = _record(stop, law, task, cones, found, options, history)
     return record if walls is None else replace(record, wall_forces=all_forces(walls, fem, rows, found.u))

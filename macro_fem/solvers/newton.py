@@ -25,6 +25,7 @@ from macro_fem.fem.assembly import gradient
 from macro_fem.fem.linear import NotPositiveDefiniteError
 from macro_fem.fem.membrane import ElasticLaw, State, evaluate, tangent
 from macro_fem.fem.supported import SupportedFem
+from rve.common.progress import tell, way
 from rve.common.types import Array
 from rve.common.values import Options, number, whole
 
@@ -160,7 +161,9 @@ class _Descent:
         """Steps until the forces balance; why they ended and the last state."""
         balance = self.balance(state)
         idle, least = 0, balance.relative
+        first = balance.relative
         while balance.relative > balance.tolerance:
+            tell(f"Newton's method, step {len(self.history) + 1}", way(first, balance.relative, balance.tolerance))
             if idle == self.options.idle_steps:
                 return "stalled", state
             if len(self.history) >= self.options.max_iterations:

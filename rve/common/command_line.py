@@ -3,7 +3,8 @@
 A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 128 plus
 the number of the signal that stopped it, 130 for SIGINT (Ctrl-C), 143 for SIGTERM. Each failure is one sentence on
 standard error; with `--traceback` the place in the code is printed before it. What takes long is shown live in a
-terminal; `--quiet` shows and prints none of it, `--json` prints the record of the run.
+terminal. A command prints sentences by `say`, the last one by `say_next`, and its record by `answer`: `--quiet` leaves
+out the sentences, `--json` prints the record in their place.
 
     @click.group(cls=Group)
     def main() -> None: ...
@@ -13,12 +14,14 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
+import shlex
 import signal
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any
@@ -26,7 +29,7 @@ from typing import Any
 import click
 
 from rve.common.errors import InputError, NotConverged, OldName
-from rve.common.progress import shown
+from rve.common.progress import shown, tell
 
 _TRACE = "rve.common.command_line.traceback"
 _QUIET = "rve.common.command_line.quiet"
@@ -47,6 +50,11 @@ class Command(click.Command):
 
     def __init__(self, name: str | None, **kwargs: Any) -> None:
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *map(_common, _OPTIONS)], **kwargs)
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """The command with its options read; one sentence for what is wrong with them."""
+        with _usage_in_one_sentence():
+            return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes a sentence and an exit code."""
@@ -87,18 +95,72 @@ class Group(click.Group):
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
 
-
-def say(*lines: str) -> None:
-    """Prints what a command has done, unless --quiet or --json asks for none of it."""
-    meta = click.get_current_context().meta
-    if not meta.get(_QUIET) and not meta.get(_JSON):
-        click.echo("\n".join(lines))
+    def invoke(self, ctx: click.Context) -> Any:
+        """Find and run the command; one sentence for one that is not there."""
+        with _usage_in_one_sentence():
+            return super().invoke(ctx)
 
 
-def answer(record: dict[str, Any]) -> None:
-    """Prints the record of what a command has done as JSON, if --json asks for it."""
-    if click.get_current_context().meta.get(_JSON):
-        click.echo(json.dumps(record, indent=2, allow_nan=False))
+def _meta() -> dict[str, Any]:
+    """What the common options say; nothing outside of a command."""
+    context = click.get_current_context(silent=True)
+    return {} if context is None else context.meta
+
+
+def say(*lines: str, err: bool = False) -> None:
+    """Prints what a command has done, unless --quiet or --json asks for none of it.
+
+    With `err` on standard error, which --json leaves as it is.
+    """
+    meta = _meta()
+    if lines and not meta.get(_QUIET) and (err or not meta.get(_JSON)):
+        _print("\n".join(lines), err=err)
+
+
+def say_next(package: str, *words: object, why: str = "") -> None:
+    """The last sentence of a command: one that can be typed next, and what for."""
+    called = click.get_current_context().find_root().info_name or ""
+    script = f"python -m {package}" if called.startswith("python") else package.replace("_", "-")
+    command = shlex.join([*script.split(), *map(str, words)])
+    say(f"next: {command}{f'  # {why}' if why else ''}")
+
+
+def answer(record: Mapping[str, Any], text: str | None = None, *, always: bool = False) -> None:
+    """Prints the record of what a command has done as JSON, if --json asks for it, or `always`; numbers that are not
+    finite become null. Else `text`, which is what was asked for and is printed with --quiet too.
+    """
+    if always or _meta().get(_JSON):
+        _print(json.dumps(_without_nan(record), indent=2, allow_nan=False))
+    elif text is not None:
+        _print(text)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_nan(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _print(text: str, *, err: bool = False) -> None:
+    """Prints below what was shown live, which is wiped first."""
+    tell("")
+    click.echo(text, err=err)
+
+
+@contextmanager
+def _usage_in_one_sentence() -> Iterator[None]:
+    """Wrong options and commands: click's sentence without its lines of usage, and where these are."""
+    try:
+        yield
+    except click.exceptions.NoArgsIsHelpError:
+        raise
+    except click.UsageError as error:
+        if error.ctx is None:
+            raise
+        hint = f"; see {error.ctx.command_path} --help"
+        raise click.UsageError(_one_line(error.format_message()).rstrip(".") + hint) from error
 
 
 def ending(error: BaseException) -> tuple[int, str]:
@@ -142,8 +204,8 @@ def _one_line(text: object) -> str:
 
 
 _OPTIONS = {
-    "--quiet": (_QUIET, "Show no progress and print no sentences; errors and asked-for JSON stay."),
-    "--json": (_JSON, "Print the record of the run as JSON instead of sentences."),
+    "--quiet": (_QUIET, "Show no progress and print no sentences; errors, and answers that are asked for, stay."),
+    "--json": (_JSON, "Print the record of the run as one JSON object instead of sentences."),
     "--traceback": (_TRACE, "Show where in the code an error arose."),
 }
 
@@ -155,7 +217,7 @@ def _common(name: str) -> click.Option:
     def remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
         ctx.meta[key] = value
 
-    return click.Option([name], is_flag=True, expose_value=False, callback=remember, help=text)
+    return click.Option([name], is_flag=True, is_eager=True, expose_value=False, callback=remember, help=text)
 
 
 def _raise_stopped(number: int, frame: FrameType | None) -> None:
@@ -171,12 +233,28 @@ def _old_names_told() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
             if issubclass(category, OldName):
-                click.echo(f"Warning: {message}", err=True)
+                _warn(str(message))
             else:
                 others(message, category, *place)
 
         warnings.showwarning = show  # type: ignore[assignment]
         yield
+
+
+def _warn(text: str) -> None:
+    """A warning on standard error, unless --quiet asks for none."""
+    if not _meta().get(_QUIET):
+        _print(f"Warning: {text}", err=True)
+
+
+def idle_option(name: str, text: str) -> Callable[[Any], Any]:
+    """A hidden option that is read and has no effect any more; who gives it is told so."""
+
+    def told(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> None:
+        if value:
+            _warn(f"{name} {text}")
+
+    return click.option(name, multiple=True, hidden=True, expose_value=False, callback=told)
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
 
@@ -28,6 +30,26 @@ SENTENCES = {
     "time-step": "the time step shrank to nothing before the energy fell; allow contact curvature or a smaller h_min",
     "step-limit": "the step limit was reached before the residual; allow more steps or a larger time step",
 }
+
+
+@contextmanager
+def noted_if_stopped(note: str) -> Iterator[None]:
+    """Says `note` as well where the block is stopped from outside, by Ctrl-C say: what is kept, how to go on.
+
+    >>> try:
+    ...     with noted_if_stopped("answers are kept in cache"):
+    ...         raise KeyboardInterrupt
+    ... except KeyboardInterrupt as stop:
+    ...     print(stop.__notes__)
+    ['answers are kept in cache']
+    """
+    try:
+        yield
+    except Exception:
+        raise
+    except BaseException as stop:
+        stop.add_note(note)
+        raise
 
 
 def require(module: str, extra: str, purpose: str, instead: str = "") -> None:

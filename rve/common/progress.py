@@ -4,22 +4,31 @@ with shown():                       # a line on the terminal: work, bar, time, r
     solve_table(cell, loads)
 
 tell("190 loads", 0.4)              # inside solvers; nothing happens unless somebody listens
+with part_of("load step 2 of 3", 1 / 3, 2 / 3):
+    solve_problem(problem)          # what it tells is said as a part of that
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
 
 Listener = Callable[[str, float | None], None]
 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
+MOST = 0.999
+"""Share that is shown for finished work: at 1 the clock of a bar stops."""
 
 
 def tell(work: str, share: float | None = None) -> None:
     """Tells a listener, if there is one, what is being done and which share of it is done, 0 to 1 or unknown.
+
+    Work that goes on keeps its words up to the first comma: the clock starts anew where they change. "": nothing is
+    being done now, and what was shown is wiped.
 
     >>> heard = []
     >>> with heard_by(lambda work, share: heard.append((work, share))):
@@ -43,6 +52,42 @@ def heard_by(listener: Listener | None) -> Iterator[None]:
 
 
 @contextmanager
+def part_of(work: str, begin: float | None = None, end: float | None = None) -> Iterator[None]:
+    """What is told in the block is told as a part of `work`, from its share `begin` to `end`; unknown without them.
+
+    >>> heard = []
+    >>> with heard_by(lambda work, share: heard.append((work, share))), part_of("64 cells, load step 2 of 2", 0.5, 1.0):
+    ...     tell("iteration 7", 0.5)
+    >>> heard
+    [('64 cells, load step 2 of 2', 0.5), ('64 cells, load step 2 of 2, iteration 7', 0.75)]
+    """
+    listener = _listener.get()
+    if listener is None:
+        yield
+        return
+    outer = listener
+
+    def of_part(inner: str, share: float | None) -> None:
+        known = None if begin is None or end is None else begin + (end - begin) * (share or 0.0)
+        outer(f"{work}, {inner}" if inner else "", known)
+
+    outer(work, begin)
+    with heard_by(of_part):
+        yield
+
+
+def way(first: float, now: float, last: float) -> float | None:
+    """How far a number has fallen from `first` to `last`, 0 to 1 on a scale of its logarithm; None if that is unknown.
+
+    >>> way(1.0, 1e-3, 1e-6)
+    0.5
+    """
+    if not (0.0 < last < first < math.inf and 0.0 < now < math.inf):
+        return None
+    return min(1.0, max(0.0, math.log(first / now) / math.log(first / last)))
+
+
+@contextmanager
 def shown() -> Iterator[None]:
     """What is told in the block is shown live on standard error, and wiped at its end; nothing if that is no terminal.
 
@@ -52,20 +97,57 @@ def shown() -> Iterator[None]:
         with heard_by(None):
             yield
         return
+    line = _Line()
+    try:
+        with heard_by(line):
+            yield
+    finally:
+        line.wipe()
+
+
+class _Line:
+    """The line of a terminal on which work is shown, from the first word of it until it is wiped."""
+
+    def __init__(self) -> None:
+        self.bar: Any = None
+        self.last = ""
+
+    def __call__(self, work: str, share: float | None) -> None:
+        if not work:
+            self.wipe()
+            return
+        if self.bar is None:
+            self.bar = _new_bar()
+            self.task = self.bar.add_task(work, total=None)
+        elif work.split(",")[0] != self.last.split(",")[0]:
+            self.bar.reset(self.task, total=None)
+        self.last = work
+        total, done = (None, 0.0) if share is None else (1.0, min(share, MOST))
+        self.bar.update(self.task, description=work, total=total, completed=done)
+
+    def wipe(self) -> None:
+        """Takes the line away; the next word of work brings it back."""
+        if self.bar is not None:
+            self.bar.stop()
+        self.bar = None
+
+
+def _new_bar() -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        last = ["starting"]
-
-        def listener(work: str, share: float | None) -> None:
-            if work.split(",")[0] != last[0].split(",")[0]:
-                bar.reset(task, total=None, description=work)
-            last[0] = work
-            total = None if share is None else 1.0
-            bar.update(task, description=work, total=total, completed=share or 0.0)
-
-        with heard_by(listener):
-            yield
+    text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+    bar = Progress(
+        SpinnerColumn(),
+        text,
+        BarColumn(12),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+    bar.start()
+    return bar

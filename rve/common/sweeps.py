@@ -11,7 +11,6 @@ import csv
 import hashlib
 import io
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -23,8 +22,10 @@ from typing import Any
 
 import click
 
-from rve.common.errors import InputError, NotConverged, require
+from rve.common.command_line import answer, say
+from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
 from rve.common.files import check_out_folder, checksum, versions, write_text
+from rve.common.progress import tell
 from rve.common.reading import read_json_object
 
 MARKS = ".sweep"
@@ -98,21 +99,18 @@ def sweep(
     left = [number for number in range(len(items)) if number not in ended]
     run = _on_cluster(items, left, cluster) if cluster is not None else _here(items, left, jobs)
     try:
-        for number, how in run:
-            if how.code in (0, 1) and not items[number].record.exists() and not how.message:
-                how = Ended(1, f"{items[number].record} is not there; workers must see {out} under the same name")
-            ended[number] = how
-            if how.code in (0, 1) and items[number].record.exists():
-                mark = {"key": keys[number], "code": how.code, "message": how.message}
-                write_text(marks / f"{items[number].name}.json", json.dumps(mark) + "\n")
-            done(items[number].name)
+        with noted_if_stopped(_kept(out)):
+            for number, how in run:
+                if how.code in (0, 1) and not items[number].record.exists() and not how.message:
+                    how = Ended(1, f"{items[number].record} is not there; workers must see {out} under the same name")
+                ended[number] = how
+                if how.code in (0, 1) and items[number].record.exists():
+                    mark = {"key": keys[number], "code": how.code, "message": how.message}
+                    write_text(marks / f"{items[number].name}.json", json.dumps(mark) + "\n")
+                done(items[number].name)
     except BrokenProcessPool as error:
         lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
         raise NotConverged(f"{lost}; {_kept(out)}") from error
-    except BaseException as error:
-        if not isinstance(error, Exception):
-            error.add_note(_kept(out))
-        raise
     return [ended[number] for number in range(len(items))]
 
 
@@ -185,7 +183,9 @@ def sweep_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options --out, --jobs and --cluster of a command that runs a sweep."""
     for decorate in (
         click.option("--cluster", metavar="ADDRESS", help="Dask scheduler to use, e.g. tcp://head:8786."),
-        click.option("--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes here."),
+        click.option(
+            "--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes on this machine."
+        ),
         click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
     ):
         command = decorate(command)
@@ -194,17 +194,26 @@ def sweep_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def run_sweep(
     items: Sequence[Item], out: Path, columns: Callable[[dict[str, Any]], dict[str, Any]], **how: Any
-) -> None:
-    """Runs a sweep behind a progress bar and says how it ended; exit code 1 if an item failed."""
-    hidden = not sys.stderr.isatty()
-    with click.progressbar(length=len(items), label="sweep", file=sys.stderr, hidden=hidden) as bar:
-        rows = written_sweep(items, out, columns, done=lambda name: bar.update(1), **how)
+) -> list[dict[str, Any]]:
+    """Runs a sweep, says how it ended and returns the rows of sweep.csv; exit code 1 if an item failed."""
+    count = 0
+
+    def done(name: str) -> None:
+        nonlocal count
+        count += 1
+        tell(f"sweep, {count} of {len(items)} done", count / len(items))
+
+    tell(f"sweep, 0 of {len(items)} done", 0.0)
+    rows = written_sweep(items, out, columns, done=done, **how)
     failed = [row for row in rows if row["exit_code"] != 0]
+    tell("")
     for row in failed:
         click.echo(f"{row['name']}: {row['message'] or 'not converged, see its record'}", err=True)
-    click.echo(f"{len(rows) - len(failed)} of {len(rows)} done; written to {out / 'sweep.csv'}")
+    say(f"{len(rows) - len(failed)} of {len(rows)} done; written to {out / 'sweep.csv'}")
+    answer({"out": str(out), "done": len(rows) - len(failed), "items": rows})
     if failed:
         raise click.exceptions.Exit(1)
+    return rows
 
 
 def numbers_of(text: str, option: str) -> list[float]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
+from rve.common.progress import tell
 from rve.common.records import Index, Rows
 from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
@@ -126,7 +127,10 @@ def ring_states(
     parts = [good[start : start + _BLOCK] for start in range(0, len(good), _BLOCK)]
     ring = Ring(1.0, equations.wire, 1.0, poisson)
     size = np.full(len(s), np.nan) if size is None else size
-    blocks = [_block(equations, found.take(rows), s[rows], reference, ring, joint, size[rows]) for rows in parts]
+    blocks = []
+    for number, rows in enumerate(parts):
+        tell(f"wires of the rings under {len(good)} loads", number / len(parts))
+        blocks.append(_block(equations, found.take(rows), s[rows], reference, ring, joint, size[rows]))
     return states.put(good, blocks[0].join(blocks[1:]))
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.progress import tell
+from rve.common.progress import tell, way
 from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
 from rve.common.values import Options, choice, number, whole
@@ -267,11 +267,12 @@ def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[l
         done = (options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end)
         if done.any():
             finished.append(state.take(done))
-            tell(f"{cases} loads of rings", 1.0 - (~done).sum() / cases)
             go = ~done
             state, system, off, merit = state.take(go), system.take(go), off[go], merit[go]
         if not len(state.row):
             break
+        here = way(options.mu_start, float(np.median(state.mu)), options.mu_end) or 0.0
+        tell(f"{cases} loads of rings", 1.0 - (1.0 - here) * len(state.row) / cases)
         state = _followed(state, off, merit, options)
         anchor, anchor_system = state, system
         state = _advanced(state, equations, options, system)

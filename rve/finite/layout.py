@@ -8,7 +8,7 @@ membrane.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,7 @@ from rve.localization.poses import shares, weave_sides
 from rve.localization.rings import axes_of_weave
 
 if TYPE_CHECKING:
-    from rve.finite.records import FiniteOptions, Record
+    from rve.finite.records import FiniteOptions
     from rve.finite.solution import FiniteSolution
     from rve.finite.walls import HalfSpace
 
@@ -118,14 +118,13 @@ class FiniteMesh:
         space: bool = True,
         walls: Sequence[HalfSpace] = (),
         options: FiniteOptions | None = None,
-        say: Callable[[Record], None] | None = None,
     ) -> FiniteSolution:
         """The rings under dead forces (n, 3) in N, coordinates `held` (n, 3) kept at the places `at` (n, 3) in mm.
 
         In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
         from the slack weave; held rings and half-spaces that cut it travel to their places. A local minimum of the
-        potential is found, which need not be the lowest. An answer that has not converged is returned with its status;
-        `say` is told of every iteration. InputError for other shapes, no load, and pieces that nothing holds.
+        potential is found, which need not be the lowest. An answer that has not converged is returned with its status.
+        InputError for other shapes, no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
@@ -138,7 +137,7 @@ class FiniteMesh:
         held = np.asarray(held, dtype=bool) | np.array([False, False, not space])
         at = np.asarray(at, dtype=float)
         problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls))
-        return solve_mesh(problem, options, say)
+        return solve_mesh(problem, options)
 
 
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:

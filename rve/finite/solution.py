@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from rve.common.errors import InputError, require
+from rve.common.notebook import as_html
 from rve.common.types import Array
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
@@ -83,6 +83,21 @@ class FiniteSolution:
         """Mean of y over the reference area, mm."""
         return float(self.mesh.area @ self.centre[:, 1] / self.mesh.area.sum())
 
+    def __str__(self) -> str:
+        return f"FiniteSolution: {self.status}, {len(self.centre)} rings, mean height {self.mean_height:.3f} mm"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: status, what it means, and its numbers."""
+        numbers = {
+            "potential_N_mm": self.potential,
+            "largest_contact_force_N": float(self.force.max(initial=0.0)),
+            "min_gap_mm": self.min_gap_mm,
+            "kkt_residual": self.kkt_residual,
+            "iterations": self.iterations,
+            "wall_s": self.wall_s,
+        }
+        return as_html(self, numbers, (self.message,))
+
     @property
     def largest_force(self) -> Array:
         """Largest contact force (n,) in N on each ring; nan where the solution has no forces."""
@@ -141,9 +156,6 @@ class FiniteSolution:
         else:
             rings.set(array=None, color="0.5")
         return ax
-
-    def __str__(self) -> str:
-        return f"FiniteSolution: {self.status}, {len(self.centre)} rings, mean height {self.mean_height:.3f} mm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,15 +236,13 @@ class Problem:
         return Task(mesh.linked, mesh.cell.wire, force, held, np.concatenate([at / r1, self.planes()[0]]), free), unit
 
 
-def solve_mesh(
-    problem: Problem, options: FiniteOptions | None = None, say: Callable[[Record], None] | None = None
-) -> FiniteSolution:
+def solve_mesh(problem: Problem, options: FiniteOptions | None = None) -> FiniteSolution:
     """The answer to a problem; see `FiniteMesh.solve`."""
     began = time.perf_counter()
     options = options or FiniteOptions()
     problem.check()
     task, unit = problem.task()
-    found = solve_rings(task, problem.start(options), options, say)
+    found = solve_rings(task, problem.start(options), options)
     return _solution(problem, task, found, unit, time.perf_counter() - began)
 
 

@@ -11,11 +11,11 @@ missed; where that is not enough, the two rings of the pair are damped against e
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from rve.common.progress import tell, way
 from rve.common.types import Array
 from rve.finite.equations import BLOCK, blocks, gradients, matrix, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
@@ -35,9 +35,7 @@ _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
 
 
-def solve_rings(
-    task: Task, start: Placed, options: FiniteOptions, say: Callable[[Record], None] | None = None
-) -> Found:
+def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
     factorize = Factorizer(options.method)
     touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
@@ -46,7 +44,10 @@ def solve_rings(
     history: list[Record] = []
     least, finest = np.inf, state
     idle, best, status, is_minimum, turns = 0, np.inf, "iterations", False, 0
+    first = options
     for _ in range(options.max_iterations):
+        share = way(first.mu_start, state.mu, first.mu_end)
+        tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {state.mu:.0e}", share)
         G = gradients(state.placed, state.touching)
         residual, product = kkt(state.touching, G, state.force, task)
         has_arrived = _way_to_go(state, task) < 1e-12
@@ -73,8 +74,6 @@ def solve_rings(
             G = gradients(state.placed, state.touching)
         state, record, is_minimum = _advanced(state, task, G, options, factorize)
         history.append(replace(record, residual=residual))
-        if say is not None:
-            say(history[-1])
         if _is_stuck(history):
             status = "stalled" if has_arrived else "out-of-reach"
             break

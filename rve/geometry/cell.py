@@ -8,6 +8,7 @@ import numpy as np
 
 from rve.common.errors import InputError
 from rve.common.materials import STEEL, Material
+from rve.common.notebook import as_html
 from rve.common.rings import (
     LEAST_KG_PER_MM3,
     LEAST_MM,
@@ -74,6 +75,12 @@ class Cell:
     def wire(self) -> float:
         """r2/r1."""
         return self.r2 / self.r1
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: radii, weave, grain, material and the mass of a ring."""
+        known = {"r1_mm": self.r1, "r2_mm": self.r2, "weave": self.weave.name, "grain": self.grain}
+        more = {"material": self.material.name, "density_kg_per_mm3": self.density, "ring_mass_kg": self.ring_mass}
+        return as_html("Cell", known | more)
 
     @property
     def ring_mass(self) -> float:

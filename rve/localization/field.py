@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from rve.common.errors import NotConverged, require
 from rve.common.files import versions, write_text
 from rve.common.jobs import check_out_job, job
+from rve.common.notebook import as_html
 from rve.common.page import check_page, write_page
 from rve.common.types import Array
 from rve.common.views import View
@@ -159,10 +159,7 @@ class RingField:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
-        meanings = "".join(f"<li>{name}: {escape(text)}</li>" for name, text in self.summary["meanings"].items())
-        rows = [(key, value) for key, value in self.summary.items() if isinstance(value, str | int | float)]
-        body = "".join(f"<tr><th>{escape(key)}</th><td>{escape(format(value))}</td></tr>" for key, value in rows)
-        return f"<p>{escape(str(self))}</p><ul>{meanings}</ul><table>{body}</table>"
+        return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))
 
 
 def _ring_data(field: RingField) -> dict[str, Array]:

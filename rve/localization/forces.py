@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
+from rve.common.progress import part_of
 from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium
@@ -115,7 +116,8 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
     unit = np.full((len(keys), cell.weave.classes), np.nan)
     for first in range(0, len(keys), BLOCK):
         rows = slice(first, first + BLOCK)
-        found, _, _ = locked(keys[rows, 0], keys[rows, 1], replace(cell, grain="y"), options or DirectOptions())
+        with part_of(f"contact forces of {len(keys)} loads", first / len(keys), min(1.0, (first + BLOCK) / len(keys))):
+            found, _, _ = locked(keys[rows, 0], keys[rows, 1], replace(cell, grain="y"), options or DirectOptions())
         unit[rows] = _largest(found, cell)
     good = np.flatnonzero(np.isfinite(unit).all(axis=1))
     if not len(good):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
+from rve.common.progress import part_of
 from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
 from rve.common.values import Options, entry, finite, list_of, number
@@ -164,7 +165,10 @@ def nearest_poses(
     upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
     _, first, back = np.unique(np.round(upright / options.merge), axis=0, return_index=True, return_inverse=True)
     targets = upright[first]
-    blocks = [_settled(targets[i : i + _BLOCK], cell, options, states) for i in range(0, len(targets), _BLOCK)]
+    blocks = []
+    for i in range(0, len(targets), _BLOCK):
+        with part_of(f"rings in {len(targets)} strains", i / len(targets), min(1.0, (i + _BLOCK) / len(targets))):
+            blocks.append(_settled(targets[i : i + _BLOCK], cell, options, states))
     pose = Pose(*(np.concatenate([getattr(p, name) for p, _, _ in blocks]) for name in vars(blocks[0][0])))
     gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
     known = np.concatenate([settled for _, _, settled in blocks])
@@ -196,7 +200,8 @@ def _settled(
         quick = replace(
             options.direct, mu_start=first, mu_end=last, tolerance=max(last, 1e-9), attempts=1, max_iterations=50
         )
-        found = follow(rows, equations, quick, start)
+        with part_of(f"stage {stage + 1}", stage / len(options.ladder), (stage + 1) / len(options.ladder)):
+            found = follow(rows, equations, quick, start)
         start = found.pose
         if stage >= len(options.ladder) - 3:
             good |= found.status == "converged"

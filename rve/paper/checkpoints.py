@@ -20,6 +20,7 @@ import numpy as np
 
 from rve.common.errors import InputError, NotConverged
 from rve.common.files import AnyPath, check_out_folder, write_text
+from rve.common.progress import part_of, tell
 from rve.common.reading import read_json_object
 from rve.common.types import Array
 from rve.common.values import Check, Options, checked, list_of, numbers, one_of, whole
@@ -132,9 +133,14 @@ def sweep(
         jobs = [(block, weave, wire, options, path) for block, path in zip(blocks, paths, strict=True)]
         try:
             if how.workers > 1:
+                tell(f"motion of {len(s)} cells, 0 of {len(jobs)} blocks", 0.0)
                 with worker_pool(how.workers) as pool:
-                    list(pool.map(_keep_block, jobs))
-            parts = [_solved_block(*job) for job in jobs]  # read, if workers have solved them
+                    for number, _ in enumerate(pool.map(_keep_block, jobs), 1):
+                        tell(f"motion of {len(s)} cells, {number} of {len(jobs)} blocks", number / len(jobs))
+            parts = []
+            for number, job in enumerate(jobs):  # read, if workers have solved them
+                with part_of(f"motion of {len(s)} cells", number / len(jobs), (number + 1) / len(jobs)):
+                    parts.append(_solved_block(*job))
         except BrokenProcessPool as error:
             lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --workers"
             raise NotConverged("; ".join(filter(None, [lost, kept]))) from error

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.progress import tell, way
 from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
 from rve.equilibrium.contact_qp import ContactStep, Programme, solve_contact_step
@@ -258,6 +259,9 @@ def solve(
     ended: list[Motion] = []
     log: list[tuple[Any, ...]] = []
     while len(motion.row):
+        # The residual falls by powers of ten on the way to rest, and the slowest case counts.
+        here = way(1.0, float(motion.R.max()), options.tolerance) or 0.0
+        tell(f"motion of {len(s)} cells, {len(motion.row)} under way", 1.0 - (1.0 - here) * len(motion.row) / len(s))
         motion, h, rise = advanced(motion, equations, options, dynamics)
         if history:
             kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2

@@ -9,7 +9,6 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -127,28 +126,24 @@ def run(
     alpha_deg: ArrayLike | None = None,
     beta_deg: ArrayLike | None = None,
     options: StewartTrinkleOptions | None = None,
-    *,
-    progress: Callable[[str], None] | None = None,
 ) -> Study:
     """Solve the study and write it into `out_dir`, which is made if need be: cases.csv, history_*.csv, comparison.md,
     study.json and the pictures fig_09.png to fig_17.png and contacts_missed.png. Returns what was solved.
 
-    Without angles these are the paper's 190 cases: about two minutes on one core. `progress` is told of each stage.
+    Without angles these are the paper's 190 cases: about two minutes on one core.
     All files appear together, and what they replace is gone (`rve.common.jobs`). Raises InputError when matplotlib is
     missing or the folder cannot be made or written, before anything is solved.
     """
     require("matplotlib", "plots", "the study")
     check_out_job(out_dir, RECORD)
-    tell = progress or (lambda text: None)
-    tell("solving by the paper's scheme and directly")
     alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
     study = solve_study(alpha, beta, None, options)
     with job(out_dir, RECORD) as folder:
-        _write(study, folder, tell)
+        _write(study, folder)
     return study
 
 
-def _write(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
+def _write(study: Study, folder: Path) -> None:
     """Every table and picture of a study."""
     from rve.study.figures import draw_all
 
@@ -161,4 +156,4 @@ def _write(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
     write_text(folder / "comparison.md", markdown(rows))
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
     write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
-    draw_all(study, folder, tell)
+    draw_all(study, folder)

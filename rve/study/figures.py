@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rve.common.progress import tell
 from rve.geometry.circles import are_linked, local_minima
 from rve.paper.alternating_projection import alternating_projection
 from rve.plots import draw_case, figure, save
@@ -177,7 +178,7 @@ def missed_contacts(tilt_deg: float = 34.0, size: int = 121) -> Figure:
     return fig
 
 
-def draw_all(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
+def draw_all(study: Study, folder: Path) -> None:
     """Draw every picture of the study into a folder."""
     pictures: dict[str, Callable[[], Figure | None]] = {
         "fig_09": lambda: load_cases(study),
@@ -191,8 +192,8 @@ def draw_all(study: Study, folder: Path, tell: Callable[[str], None]) -> None:
         "fig_17": lambda: progress_of_two(study),
         "contacts_missed": missed_contacts,
     }
-    for name, draw in pictures.items():
-        tell(f"drawing {name}.png")
+    for number, (name, draw) in enumerate(pictures.items()):
+        tell(f"drawing, {name}.png", number / len(pictures))
         fig = draw()
         if fig is not None:
             save(fig, folder / f"{name}.png")

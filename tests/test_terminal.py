@@ -1,0 +1,315 @@
+"""Every command in a terminal, piped, with --json and with --quiet: a new command fails here until it is told of."""
+
+import io
+import json
+import os
+import shlex
+import sys
+import threading
+from contextlib import redirect_stdout
+from functools import partial
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import homogenize.cli
+import macro_fem.cli
+import rve.cli
+from rve import WEAVES
+from rve.common.progress import heard_by, part_of, shown, tell, way
+
+GROUPS = {"rve": rve.cli.main, "homogenize": homogenize.cli.main, "macro_fem": macro_fem.cli.main}
+GRID = ("--alpha", "0,20,45", "--beta", "0:90:30")
+SCENE = """
+[curtain]
+width = 33.0
+height = 25.292139247
+[mesh]
+cells = 4
+[support]
+kind = "corners"
+[load]
+gravity = 9.81
+"""
+COMMANDS = {
+    "rve table": ("--out", "new.csv", "--alpha", "0,20", "--beta", "30,60", "--rings"),
+    "rve case": ("--alpha", "20", "--beta", "45"),
+    "rve support": ("--S", "0.5,-0.1,0.5"),
+    "rve sweep": ("--out", "tables", "--r1", "5", "--r2", "0.5", "--alpha", "0", "--beta", "45,60"),
+    "rve study": ("--out", "study"),
+    "rve localize": ("curtain", "--out", "each", "--no-picture"),
+    "homogenize fit": ("table.csv", "--out", "fitted.json"),
+    "homogenize strain": ("law.json", "--alpha", "20", "--beta", "45"),
+    "homogenize support": ("law.json", "--S", "0.5,-0.1,0.5"),
+    "homogenize strength": ("law.json", "--S", "0,0,1", "--yield", "275"),
+    "homogenize plot": ("law.json", "--table", "table.csv", "--out", "pictures"),
+    "homogenize report": ("law.json", "--table", "table.csv"),
+    "homogenize export": ("law.json", "--out", "law.f"),
+    "homogenize ship": ("table.csv",),
+    "macro_fem run": ("scene.toml", "--out", "curtain", "--no-picture"),
+    "macro_fem sweep": ("scene.toml", "--out", "curtains", "--no-picture"),
+    "macro_fem rings": ("scene.toml", "--out", "rings", "--no-picture"),
+    "macro_fem compare": ("scene.toml", "--out", "both.json"),
+}
+"""Arguments with which every command runs for a few seconds at most, in the folder of `folder`."""
+ANSWERS = {
+    "rve case",
+    "rve support",
+    "homogenize strain",
+    "homogenize support",
+    "homogenize strength",
+    "homogenize report",
+    "macro_fem compare",
+}
+"""Commands that are asked for what they print: they print it with --quiet too."""
+SHORT = {f"homogenize {name}" for name in ("strain", "support", "strength", "export")}
+"""Commands that never take a second."""
+WORDS = {
+    "rve table": "wires of the rings under 4 loads",
+    "rve sweep": "sweep, 0 of 1 done",
+    "rve study": "motion of 5 cells",
+    "rve localize": "contact forces of",
+    "homogenize fit": "error of the law at rows left out",
+    "macro_fem run": "curtain of",
+    "macro_fem rings": "rings, iteration",
+}
+"""What a terminal shows while they run."""
+
+
+def each(without=frozenset()):
+    """The commands, those that take longest among the slow tests."""
+    slow = {"rve study", "rve localize", "homogenize plot", "macro_fem rings", "macro_fem compare"}
+    names = [name for name in COMMANDS if name not in without]
+    return [pytest.param(name, marks=pytest.mark.slow if name in slow else ()) for name in names]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a table, a law, a scene and a curtain, made by the commands themselves."""
+    out = tmp_path_factory.mktemp("terminal")
+    (out / "scene.toml").write_text(SCENE)
+    here = os.getcwd()
+    os.chdir(out)
+    try:
+        for command, *words in (
+            ("rve", "table", "--out", "table.csv", *GRID, "--rings"),
+            ("homogenize", "fit", "table.csv", "--out", "law.json"),
+            ("macro_fem", "run", "scene.toml", "--out", "curtain", "--no-picture"),
+        ):
+            done = CliRunner().invoke(GROUPS[command], words)
+            assert done.exit_code == 0, done.output
+    finally:
+        os.chdir(here)
+    return out
+
+
+@pytest.fixture
+def quick(monkeypatch, tmp_path, folder):
+    """The commands in the folder; the study of five cases, and no law in the package is written."""
+    from homogenize.fitting import shipped
+    from rve.paper.dynamics import StewartTrinkleOptions
+    from rve.study import comparison
+
+    few = np.array([0.0, 0.0, 20.0, 20.0, 45.0]), np.array([0.0, 45.0, 45.0, 60.0, 90.0])
+    monkeypatch.setattr(comparison, "grid", lambda: few)
+    short = partial(comparison.solve_study, options=StewartTrinkleOptions(max_steps=10))
+    monkeypatch.setattr(comparison, "solve_study", lambda alpha, beta, *_: short(alpha, beta))
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path / "shipped.json")
+    monkeypatch.chdir(folder)
+
+
+def typed(command, *options):
+    """Exit code, standard output and what a terminal shows of a command whose output is piped."""
+    package, name = command.split()
+    master, slave = os.openpty()
+    seen = []
+
+    def read():
+        while True:
+            try:
+                text = os.read(master, 65536)
+            except OSError:  # the other end is closed
+                return
+            if not text:
+                return
+            seen.append(text)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    out, before = io.StringIO(), sys.stderr
+    sys.stderr = os.fdopen(slave, "w")
+    try:
+        with redirect_stdout(out):
+            code = GROUPS[package].main([name, *COMMANDS[command], *options], prog_name=package, standalone_mode=False)
+    finally:
+        sys.stderr.close()
+        sys.stderr = before
+        reader.join(timeout=10.0)
+        os.close(master)
+    return code or 0, out.getvalue(), b"".join(seen).decode()
+
+
+def test_no_command_is_forgotten():
+    assert set(COMMANDS) == {f"{package} {name}" for package, group in GROUPS.items() for name in group.commands}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_work_is_shown_in_a_terminal_and_json_is_one_record(command, quick, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    code, out, screen = typed(command, "--json")
+    assert code == 0
+    assert isinstance(json.loads(out), dict)
+    if command in SHORT:
+        return
+    assert "0:00:0" in screen  # the clock
+    assert WORDS.get(command, "") in screen
+    assert screen.endswith("\x1b[2K") or "\x1b[2K" in screen[-40:]  # the line is wiped
+
+
+@pytest.mark.parametrize("command", each())
+def test_nothing_is_shown_where_there_is_no_terminal_and_quiet_prints_nothing(command, quick):
+    package, name = command.split()
+    done = CliRunner().invoke(GROUPS[package], [name, *COMMANDS[command], "--quiet"])
+    assert done.exit_code == 0, done.output
+    assert done.stderr == ""
+    assert bool(done.stdout) == (command in ANSWERS)
+
+
+@pytest.mark.parametrize("command", each(without=ANSWERS))
+def test_the_last_line_says_what_to_do_next(command, quick):
+    """A command that there is, with options that it has, and with paths that are there."""
+    package, name = command.split()
+    done = CliRunner().invoke(GROUPS[package], [name, *COMMANDS[command]])
+    assert done.exit_code == 0, done.output
+    assert done.stderr == ""
+    last = done.stdout.splitlines()[-1]
+    if not last.startswith("next: "):
+        assert command in ("rve table", "rve sweep")  # too few rows for a law
+        return
+    script, following, *words = shlex.split(last.removeprefix("next: ").split("  #")[0])
+    group = GROUPS[script.replace("-", "_")]
+    group.commands[following].make_context(following, list(words))
+    assert os.path.exists(words[0])
+
+
+@pytest.mark.parametrize(
+    ("package", "command"), [(package, name) for package, group in GROUPS.items() for name in group.commands]
+)
+def test_the_help_lists_choices_and_has_an_example_that_parses(package, command):
+    entry = GROUPS[package].commands[command]
+    assert entry.epilog.startswith(f"Example: {package} {command} ")
+    words = shlex.split(entry.epilog.removeprefix(f"Example: {package} {command} "))
+    entry.make_context(command, words)
+    for option in entry.params:
+        if isinstance(option, click.Option) and not option.hidden:
+            assert option.help, option.name
+            assert option.help.endswith((".", "]", ")")), option.help
+
+
+def test_choices_are_those_of_the_packages():
+    from homogenize.fitting.fit import KINDS
+
+    assert tuple(WEAVES) == rve.cli.WEAVE_NAMES
+    assert set(KINDS) == set(homogenize.cli.KINDS)
+    weave = next(one for one in macro_fem.cli.main.commands["run"].params if one.name == "weave")
+    assert tuple(weave.type.choices) == tuple(WEAVES)
+
+
+@pytest.mark.parametrize(
+    ("package", "words"),
+    [
+        ("rve", ["table", "--out", "t.csv", "--weave", "felt"]),
+        ("rve", ["table"]),
+        ("rve", ["tables"]),
+        ("rve", ["case", "--alpha", "north", "--beta", "0"]),
+        ("homogenize", ["fit", "t.csv", "--out", "l.json", "--kind", "soft"]),
+        ("macro_fem", ["run", "s.toml", "--out", "o", "--colour"]),
+    ],
+)
+def test_what_click_refuses_is_one_sentence(package, words):
+    done = CliRunner().invoke(GROUPS[package], words)
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("Error: ")
+    assert "--help" in done.stderr
+
+
+@pytest.mark.parametrize("package", GROUPS)
+def test_the_shell_completes_commands_and_choices(package):
+    """What the line `eval "$(_RVE_COMPLETE=bash_source rve)"` brings into bash, and what it then asks."""
+    script, name = package.replace("_", "-"), f"_{package.upper()}_COMPLETE"
+    source = CliRunner().invoke(GROUPS[package], [], prog_name=script, env={name: "bash_source"})
+    assert source.exit_code == 0
+    assert f"complete -o nosort -F _{package}_completion {script}" in source.stdout
+    asked = {"COMP_WORDS": f"{script} ", "COMP_CWORD": "1", name: "bash_complete"}
+    offered = CliRunner().invoke(GROUPS[package], [], prog_name=script, env=asked)
+    assert {line.removeprefix("plain,") for line in offered.stdout.split()} == set(GROUPS[package].commands)
+
+
+def test_a_curtain_that_is_stopped_says_what_is_kept_and_how_to_go_on(quick, tmp_path, monkeypatch):
+    from macro_fem.demand import ring_answers
+
+    solved, answer_of = [], ring_answers._answer
+
+    def stopped(*asked):
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        solved.append(asked)
+        return answer_of(*asked)
+
+    monkeypatch.setattr(ring_answers, "_answer", stopped)
+    words = ["run", "scene.toml", "--rings", "5,0.5", "--cache", str(tmp_path / "kept"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(macro_fem.cli.main, [*words, "--no-picture"])
+    assert done.exit_code == 130
+    kept = f"answers of the rings are kept in {tmp_path / 'kept'}, and the same command goes on from there"
+    assert done.stderr == f"Error: stopped by SIGINT; {kept}; what was in {tmp_path / 'out'} before is unchanged\n"
+    assert len(list((tmp_path / "kept").iterdir())) == 2
+    again = [answer_of(*asked)[1] for asked in solved]
+    assert again == [0, 0]  # read, not solved
+
+
+def test_a_part_tells_as_a_part_of_the_whole():
+    heard = []
+    with heard_by(lambda work, share: heard.append((work, share))):
+        with part_of("64 cells, load step 2 of 4", 0.25, 0.5), part_of("bounds", 0.0, 1.0):
+            tell("iteration", 0.5)
+        with part_of("rounds"):
+            tell("iteration", 0.5)
+    assert heard == [
+        ("64 cells, load step 2 of 4", 0.25),
+        ("64 cells, load step 2 of 4, bounds", 0.25),
+        ("64 cells, load step 2 of 4, bounds, iteration", 0.375),
+        ("rounds", None),
+        ("rounds, iteration", None),
+    ]
+
+
+@pytest.mark.parametrize("numbers", [(1.0, 0.5, 2.0), (np.inf, 1.0, 1e-3), (1.0, 0.0, 1e-3), (1.0, np.nan, 1e-3)])
+def test_the_way_of_numbers_that_do_not_fall_is_unknown(numbers):
+    assert way(*numbers) is None
+    assert way(1.0, 1e-9, 1e-3) == 1.0
+
+
+def test_load_steps_have_their_shares(tmp_path):
+    import macro_fem as fem
+
+    scene = (
+        fem.Scene.rectangle(66.0, 50.0, cells=4).hung_by("corners").loaded_by("edge", edge="bottom", force=[0.001, 0])
+    )
+    heard = []
+    with heard_by(lambda work, share: heard.append((work, share))):
+        fem.solve(scene.with_keys("load", steps=3))
+    steps = [(work.split(", ")[1], share) for work, share in heard if work.count(", ") == 1]
+    assert steps == [(f"load step {k} of 3", pytest.approx((k - 1) / 3)) for k in (1, 2, 3)]
+    shares = [share for _, share in heard]
+    assert all(0.0 <= share <= 1.0 for share in shares)
+
+
+def test_nobody_hears_where_standard_error_is_no_terminal():
+    heard = []
+    with heard_by(lambda work, share: heard.append(work)), shown():
+        tell("rings", 0.5)
+    assert heard == []
