@@ -45,8 +45,13 @@ def _lengths(value: Any) -> Vector:
 
 
 def unit(v: Vector) -> Array:
-    """The unit vector (3,) along a vector of two or three components."""
-    return np.array(in_3d(v)) / np.linalg.norm(v)
+    """The unit vector (3,) along a vector of two or three components, whatever its size.
+
+    >>> unit((0.0, 1e-300)).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    way = np.array(in_3d(v)) / max(map(abs, v))  # squares of very small components would be 0
+    return np.asarray(way / np.linalg.norm(way))
 
 
 @dataclass(frozen=True)

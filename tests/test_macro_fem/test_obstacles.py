@@ -354,6 +354,18 @@ def test_bad_values_are_told_in_one_sentence(scene_tables, more, sentence):
     assert sentence in str(error.value)
 
 
+def test_only_the_direction_of_a_direction_counts(fitted_law, scene_tables):
+    """Squares of components below 1e-154 are 0: such normals once were not numbers, and walls held nothing."""
+    sizes = (1.0, 1e-200)
+    wall, wind = ({"kind": "wall", "point": [0.0, 10.0, 0.0], "facing": [0.0, s, s]} for s in sizes), {"pressure": 1.0}
+    one, two = (
+        posed(scene_tables(load={"wind": wind | {"direction": [0.0, 0.0, s]}}) | {"obstacle": item}, fitted_law)
+        for item, s in zip(wall, sizes, strict=True)
+    )
+    assert two.walls.normal == pytest.approx(one.walls.normal, abs=1e-12)
+    assert two.force == pytest.approx(one.force, rel=1e-12)
+
+
 def test_walls_join_and_scale():
     one = Walls(np.array([0]), np.array([[0.0, 1.0]]), np.array([2.0]), np.array([4]))
     two = Walls.joined([one, one.scaled(3.0)])
