@@ -119,5 +119,5 @@ def plates(solution: CurtainSolution, room: Array) -> list[Solid]:
     size, force = float(np.linalg.norm(room[1] - room[0])), solution.wall_forces
     pushed = np.flatnonzero(force > 1e-3 * force.max(initial=0.0))
     normals = padded(walls.normal[pushed])
-    ends = zip(x[walls.node[pushed]], normals, strict=True)
+    ends = zip(walls.only(pushed).places(x), normals, strict=True)
     return [cylinder(at - 0.004 * size * n, at, 0.01 * size, 12) for at, n in ends]
