@@ -376,6 +376,10 @@ BAD = [
     ({"obstacle": {"kind": "floor", "height": "low"}}, "height = 'low': is not a number"),
     ({"obstacle": {"kind": "floor", "move": [1]}}, "move = [1]"),
     ({"obstacle": {"kind": "floor", "radius": 1}}, "radius"),
+    (
+        {"obstacle": {"kind": "sphere", "centre": [0, 0, 9], "radius": 1, "clear": "all"}},
+        "clear = 'all': is not one of cells, nodes",
+    ),
     ({"start": {"origin": [0, 0, 0]}}, "[start]: has no effect without bodies"),
     (
         {
