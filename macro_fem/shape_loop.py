@@ -1,10 +1,10 @@
 """Curtains whose problem depends on their own shape: bodies to stay outside of, pressure normal to the surface.
 
-Neither is convex. At a shape x each body is replaced by the tangent half-spaces at the points closest to the nodes, and
-the pressure by dead nodal forces; that is a convex problem (`macro_fem.curtain`), whose answer is the next shape. The
-half-spaces of a convex body exclude the body, and x satisfies those found at x: without following pressure every round
-is admissible and lowers the potential. The rounds end when neither half-spaces nor forces turn any more; the record
-tells by how much they still do.
+Neither is convex. At a shape x each body is replaced by tangent half-spaces, at its points closest to the nodes and to
+the middles of sides and cells, and the pressure by dead nodal forces; that is a convex problem (`macro_fem.curtain`),
+whose answer is the next shape. The half-spaces of a convex body exclude the body, and x satisfies those found at x:
+without following pressure every round is admissible and lowers the potential. The rounds end when neither half-spaces
+nor forces turn any more; the record tells by how much they still do.
 
 Which side of a body a node is on is decided once, before the first round: by the last load step, or by where the sheet
 starts ([start], or the curtain without bodies), pushed along by the bodies as they move into place.
@@ -13,7 +13,7 @@ starts ([start], or the curtain without bodies), pushed along by the bodies as t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -21,8 +21,8 @@ import numpy as np
 
 from macro_fem.fem.assembly import gradient, load_vector
 from macro_fem.scene.loads import wind_per_area
-from macro_fem.scene.obstacles import Body, breadth, placed, unit
-from macro_fem.solution import CurtainSolution, Problem, tangent_walls, unit_tensors
+from macro_fem.scene.obstacles import Body, Placed, breadth, placed, unit
+from macro_fem.solution import CurtainSolution, Problem, meeting_points, tangent_walls, unit_tensors
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common.errors import InputError
@@ -78,7 +78,7 @@ def solve_shape(
         if found.status in ("infeasible", "not_finite"):
             break
         change = following(problem, found.F, sense) - force
-        turned = [body.normal(found.x) for body in problem.bodies]
+        turned = _normals(problem.bodies, problem, found.x)
         record = _record(problem, found, turned, change, rounds, options)
         if record.is_settled:
             break
@@ -119,7 +119,7 @@ def _approached(
         bodies = tuple(placed(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
         pushed = _ploughed(problem, x, *factors, options)
-        normals = [body.normal(pushed) for body in bodies]
+        normals = _normals(bodies, problem, pushed)
         with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
             found = solve(_posed(replace(problem, fem=fem, bodies=bodies), normals, force), last)
         if found.status == "infeasible" and stride > options.shortest:
@@ -128,6 +128,11 @@ def _approached(
             return normals, found
         else:
             done, x, last = part, found.x, found
+
+
+def _normals(bodies: Sequence[Placed], problem: Problem, x: Array) -> list[Array]:
+    """Normals (m, d) of the half-spaces that touch each body, at the points where the mesh meets bodies."""
+    return [body.normal(meeting_points(body.obstacle, problem.disc).places(x)) for body in bodies]
 
 
 MIXED_FROM = 0.2
@@ -179,7 +184,7 @@ def _posed(problem: Problem, normals: list[Array], force: Array) -> Problem:
 def _first(problem: Problem, solve: Solve) -> CurtainSolution:
     """Where nodes are before bodies move: the sheet at its start, or the curtain without bodies, in dead wind.
 
-    InputError for a free node inside a body.
+    InputError for a point of the mesh inside a body.
     """
     scene, disc = problem.scene, problem.disc
     dead = problem.force
@@ -193,13 +198,11 @@ def _first(problem: Problem, solve: Solve) -> CurtainSolution:
         found = replace(found, F=unit_tensors(problem))
     for body in problem.bodies:
         here = placed(body.number, body.obstacle, 0.0, body.d)
-        gap = here.gap(found.x)
-        count = int(np.count_nonzero(gap < -TOUCHED * problem.mesh.size))
-        if count:
+        deep = -float(here.gap(disc.lattice.places(found.x)).min())
+        if deep > TOUCHED * problem.mesh.size:
             raise InputError(
-                f"{scene.source}: [obstacle] {body.obstacle.name}: {count} nodes of the curtain are up to "
-                f"{-gap.min():.4g} mm inside it before anything moves; lay the sheet beside it by [start], or let it "
-                "come by move"
+                f"{scene.source}: [obstacle] {body.obstacle.name}: the curtain is up to {deep:.4g} mm inside it before "
+                "anything moves; lay the sheet beside it by [start], or let it come by move"
             )
     return found
 
@@ -261,18 +264,12 @@ def _record(
     misfit, product, deepest, depth = float(np.linalg.norm(change, axis=1).sum()), 0.0, 0.0, 0.0
     for body, normal in zip(problem.bodies, turned, strict=True):
         assert walls is not None
-        own = walls.owner == body.number
-        node, push = walls.node[own], found.wall_forces[own]
-        misfit += float(push @ np.linalg.norm(normal[node] - walls.normal[own], axis=1))
-        product += float(push @ np.abs(body.gap(x[node])))
-        inside = -float(body.gap(_between(found.problem, x)).min())
+        of_body = walls.owner == body.number
+        own, push = walls.only(of_body), found.wall_forces[of_body]
+        now = tangent_walls(body, problem.fem, normal)
+        misfit += float(push @ np.linalg.norm(now.normal - own.normal, axis=1))
+        product += float(push @ np.abs(body.gap(own.places(x))))
+        inside = max(0.0, -float(body.gap(problem.disc.lattice.places(x)).min()))
         deepest, depth = max(deepest, inside), max(depth, inside / breadth(cast(Body, body.obstacle)))
     product /= total * problem.mesh.size
     return Settling(rounds, misfit / total, product, options.settled, deepest, depth)
-
-
-def _between(problem: Problem, x: Array) -> Array:
-    """Places (n, d) in the middle of every cell, and in the middle between any two of its nodes."""
-    local = x[problem.disc.cell_dofs]
-    a, b = np.triu_indices(local.shape[1], 1)
-    return np.concatenate([local.mean(axis=1), (0.5 * (local[:, a] + local[:, b])).reshape(-1, x.shape[1])])

@@ -9,14 +9,14 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import internal_force, load_vector
-from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.linear import chosen
 from macro_fem.fem.rotated import elastic, rotated
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
-from macro_fem.scene.obstacles import Placed, is_flat, placed, with_rounding
+from macro_fem.scene.obstacles import Obstacle, Placed, is_flat, placed, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.scene.tables import Wind
@@ -265,10 +265,17 @@ def _with_obstacles(problem: Problem) -> Problem:
     return replace(problem, walls=Walls.joined(flat), bodies=bodies, follows=follows)
 
 
+def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
+    """The points of a mesh that stay outside of an obstacle: nodes, and for most bodies middles of sides and cells."""
+    return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
+
+
 def tangent_walls(body: Placed, fem: SupportedFem, normal: Array) -> Walls:
-    """The half-spaces of normals (n_nodes, d) that touch a body, at all nodes that can move."""
-    free = np.flatnonzero(~fem.held.all(axis=1))
-    return Walls(free, normal[free], body.offset(normal[free]), np.full(len(free), body.number))
+    """The half-spaces of normals (m, d) that touch a body, at all points that meet it and can move."""
+    at = meeting_points(body.obstacle, fem.disc)
+    free = np.flatnonzero(((at.share != 0.0) & ~fem.held.all(axis=1)[at.node]).any(axis=1))
+    own = at.only(free)
+    return Walls(own.node, normal[free], body.offset(normal[free]), np.full(len(free), body.number), own.share)
 
 
 def spread_tension(problem: Problem) -> float:

@@ -34,6 +34,31 @@ _ELEMENTS: dict[str, tuple[Any, Any, int]] = {
 ELEMENTS = tuple(_ELEMENTS)
 
 
+MEETS = ([0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 3.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 1.0 / 3.0])
+"""Corners, middles of sides and middle of the reference triangle, where a cell meets bodies."""
+FINE = 4
+"""Parts of a side of the points at which a cell is looked at between those."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points x = sum of share times node, each between the nodes of one cell: node and share (m, k)."""
+
+    node: Index
+    share: Array
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+    def places(self, x: Array) -> Array:
+        """Places (m, d) of the points for nodes at x (n_nodes, d)."""
+        return np.asarray((self.share[:, :, None] * x[self.node]).sum(axis=1))
+
+    def only(self, keep: NDArray[Any]) -> Points:
+        """Those chosen by a mask or by numbers."""
+        return Points(self.node[keep], self.share[keep])
+
+
 @dataclass(frozen=True, eq=False)
 class Discretization:
     """A mesh and an element as arrays; points are ordered as the module header says.
@@ -94,6 +119,40 @@ class Discretization:
     def cell_area(self) -> Array:
         """Reference area of each cell (n_cells,), mm2."""
         return np.asarray(self.weight.reshape(self.n_quad, self.n_cells).sum(axis=0))
+
+    @cached_property
+    def at_nodes(self) -> Points:
+        """The nodes themselves."""
+        return Points(np.arange(self.n_nodes)[:, None], np.ones((self.n_nodes, 1)))
+
+    @cached_property
+    def meeting(self) -> Points:
+        """Where the mesh meets bodies: corners, middles of sides and middles of cells; CR has none at corners."""
+        if self.element.startswith("Q"):
+            side = np.array([0.0, 0.5, 1.0])
+            return self.points_at(np.stack(np.meshgrid(side, side)).reshape(2, -1))
+        X = np.array(MEETS)
+        return self.points_at(X[:, 3:] if self.element == "CR" else X)
+
+    @cached_property
+    def lattice(self) -> Points:
+        """Points in all cells, FINE along a side."""
+        X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, FINE + 1)] * 2)).reshape(2, -1)
+        return self.points_at(X if self.element.startswith("Q") else X[:, X.sum(axis=0) < 1.0 + 1e-9])
+
+    def points_at(self, X: Array) -> Points:
+        """The points of all cells at the places X (2, n) of the reference element, those that cells share once."""
+        element = _ELEMENTS[self.element][1]()
+        ones = np.ones(X.shape[1])
+        shape = np.stack([element.lbasis(X, a)[0] * ones for a in range(self.cell_dofs.shape[1])], axis=-1)
+        share = np.repeat(np.where(np.abs(shape) > 1e-12, shape, 0.0), self.n_cells, axis=0)
+        node = np.where(share != 0.0, np.tile(self.cell_dofs, (len(shape), 1)), -1)
+        order = np.argsort(node, axis=1, kind="stable")
+        node, share = np.take_along_axis(node, order, axis=1), np.take_along_axis(share, order, axis=1)
+        key = np.concatenate([node, np.rint(1e6 * share).astype(np.int64)], axis=1)
+        first = np.sort(np.unique(key, axis=0, return_index=True)[1])
+        node, share = node[first][:, ::-1], share[first][:, ::-1]
+        return Points(np.maximum(node, 0), share)
 
     def interpolate(self, v: Array) -> Array:
         """The nodal field v (n_nodes, d) at the points, (n_points, d)."""

@@ -60,6 +60,16 @@ class Pattern:
         """Places of the diagonal in the data, (n,): each column of the lower triangle begins with it."""
         return self.indptr[:-1].astype(np.int64)
 
+    def place(self, row: Index, column: Index) -> Index:
+        """Places in the data of entries (k,) of the lower triangle, which must be stored."""
+        found = np.searchsorted(self._keys, column * self.n + row)
+        return np.asarray(found, dtype=np.int64)
+
+    @cached_property
+    def _keys(self) -> Index:
+        column = np.repeat(np.arange(self.n), np.diff(self.indptr))
+        return np.asarray(column * self.n + self.indices, dtype=np.int64)
+
     @cached_property
     def _mirror(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Index]:
         # Numbers from 1 ride along as data: scipy sorts them into the full pattern once and for all.
@@ -120,18 +130,6 @@ def tied_pattern(pattern: Pattern, tie: sparse.csc_matrix) -> tuple[Pattern, spa
     indptr = np.searchsorted(j, np.arange(n + 1)).astype(np.int32)
     no_slot = np.zeros((0, 0), dtype=np.int64)
     return Pattern(n, pattern.d, np.arange(n), indptr, i.astype(np.int32), no_slot), spread
-
-
-def at_nodes(pattern: Pattern, disc: Discretization, blocks: Array) -> Array:
-    """Data (nnz,) of the lower triangle from symmetric blocks (n_nodes, d, d) on the diagonal."""
-    n = disc.cell_dofs.shape[1]
-    own = np.flatnonzero(np.equal(*np.triu_indices(n)))  # pairs of a node with itself among the pairs a <= b
-    data, begin = np.zeros(pattern.nnz + 1), 0
-    for i, k in component_pairs(pattern.d):
-        entries = own if i == k else np.arange(n) * (n + 1)
-        data[pattern.slot[begin + entries]] = blocks[disc.cell_dofs.T, i, k]
-        begin += n * (n + 1) // 2 if i == k else n * n
-    return data[:-1]
 
 
 def component_pairs(d: int) -> list[tuple[int, int]]:

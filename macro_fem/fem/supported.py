@@ -16,7 +16,7 @@ from scipy import sparse
 from macro_fem.fem.assembly import gradient, internal_force, stiffness
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.linear import LinearSolver, NotPositiveDefiniteError, Solve, analyze
-from macro_fem.fem.sparsity import Pattern, at_nodes, sparsity, tied_pattern
+from macro_fem.fem.sparsity import Pattern, sparsity, tied_pattern
 from rve.common.types import Array
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
@@ -126,26 +126,26 @@ class SupportedFem:
             out = self.tie @ dz
         return out.reshape(self.x_held.shape)
 
-    def matrix_data(self, tangent: Array, nodal: Array | None = None) -> Array:
+    def matrix_data(self, tangent: Array, added: Array | None = None) -> Array:
         """Data of the lower triangle of B^T (w A) B for tangents A (nq, d, 2, d, 2), in the order of `solver`.
 
-        `nodal` (n_nodes, d, d) are symmetric blocks of the nodes themselves that are added.
+        `added` (nnz,) is data of `pattern` that is added.
         """
         data = stiffness(self.disc, self.pattern, tangent)
-        if nodal is not None:
-            data = data + at_nodes(self.pattern, self.disc, nodal)
+        if added is not None:
+            data = data + added
         return data if self.tie is None else np.asarray(self._tied[1] @ self.pattern.full(data).data)
 
-    def factorize(self, tangent: Array, nodal: Array | None = None) -> Callable[[Array], Array]:
+    def factorize(self, tangent: Array, added: Array | None = None) -> Callable[[Array], Array]:
         """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2); NotPositiveDefiniteError if it has none.
 
-        `nodal` (n_nodes, d, d) are symmetric blocks that are added on the diagonal, such as those of walls.
+        `added` (nnz,) is data of the lower triangle of `pattern` that is added, such as that of walls.
 
         Close to the solution of a rigid curtain the stiffnesses of taut and slack places differ by 16 orders and more.
         If a pivot is lost to rounding a multiple of the diagonal is added. Two rounds of refinement with the true
         matrix remove most of its effect.
         """
-        data = self.matrix_data(tangent, nodal)
+        data = self.matrix_data(tangent, added)
         pattern = self.pattern if self.tie is None else self._tied[0]
         matrix = pattern.full(data)
         for shift in SHIFTS:

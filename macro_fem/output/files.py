@@ -22,7 +22,7 @@ from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.places import counterclockwise
-from macro_fem.scene.tables import Hooks
+from macro_fem.scene.tables import Hooks, Track
 from macro_fem.scene.wind import wind_summary
 from macro_fem.solution import CurtainSolution, Problem
 from rve.common.cells import mean_at_corners
@@ -158,8 +158,8 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
 
     A component held by two supports counts for the first, so that the forces of all points balance the loads.
-    `at_mm` is the reference position, `place_mm`, in space, where the point is. `capacity_N` is that of each hook of a
-    support by hooks, None if none is stated.
+    `at_mm` is the reference position, `place_mm`, in space, where the point is. `capacity_N` is that of each hook or
+    runner of a support by hooks or a track, None if none is stated.
     `nodes_held` and `length_held_mm` also count what an earlier support holds.
     """
     problem, reactions = solution.problem, solution.reactions
@@ -177,7 +177,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
                 "support": held.name,
                 "force_N": part.sum(axis=0).tolist(),
                 "largest_nodal_force_N": float(np.linalg.norm(part, axis=1).max()),
-                **({"capacity_N": item.capacity} if isinstance(item, Hooks) else {}),
+                **({"capacity_N": item.capacity} if isinstance(item, Hooks | Track) else {}),
                 "nodes_held": len(held.nodes),
                 "length_held_mm": held_length(problem, [held.facets]),
                 "points": _points(problem.disc.nodes[nodes], part[nodes], solution.x[nodes]),

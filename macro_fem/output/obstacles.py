@@ -21,8 +21,10 @@ def pushes_of(solution: CurtainSolution, number: int) -> tuple[np.ndarray, Array
     walls = solution.problem.walls
     if walls is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
-    own = walls.owner == number
-    return walls.node[own], padded(walls.normal[own] * solution.wall_forces[own, None])
+    own = walls.only(walls.owner == number)
+    nodes = np.unique(own.node[own.share != 0.0])
+    nodal = own.nodal(solution.wall_forces[walls.owner == number], solution.problem.disc.n_nodes)
+    return nodes, padded(nodal[nodes])
 
 
 def obstacle_forces(solution: CurtainSolution) -> list[dict[str, Any]]:

@@ -52,7 +52,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, top: f
     ax = plot_field(
         solution,
         values[:, 0],
-        "largest principal line load, N/mm (reference length)",
+        "largest principal line load, N/mm (reference length), square-root scale",
         ax,
         cmap="YlOrRd",
         norm=PowerNorm(0.5, vmin=0.0, vmax=max(top, 1e-300)),

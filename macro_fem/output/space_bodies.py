@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from macro_fem.fem.space import padded
-from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall
+from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
 from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common.solids import Solid, box, cylinder, rectangle, rounded_box, sphere
@@ -74,7 +74,7 @@ def _sphere(item: Sphere, shift: Array, beside: Beside) -> Solid:
 
 def _cylinder(item: Cylinder, shift: Array, beside: Beside) -> Solid:
     """The part of the endless cylinder beside the curtain."""
-    axis = np.array(in_3d(item.axis)) / np.linalg.norm(item.axis)
+    axis = unit(item.axis)
     point, room = np.array(in_3d(item.point)) + shift, beside.room
     corners = np.array([[room[i, 0], room[j, 1], room[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     along = (corners - point) @ axis
@@ -94,7 +94,7 @@ def _box(item: Box, shift: Array, beside: Beside) -> Solid:
 
 def _wall(item: Wall, shift: Array, beside: Beside) -> Solid:
     """The part of the endless wall beside the curtain."""
-    normal = np.array(in_3d(item.facing)) / np.linalg.norm(item.facing)
+    normal = unit(item.facing)
     point, middle = np.array(in_3d(item.point)) + shift, 0.5 * (beside.room[0] + beside.room[1])
     centre = middle - ((middle - point) @ normal + beside.less) * normal
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
@@ -119,5 +119,5 @@ def plates(solution: CurtainSolution, room: Array) -> list[Solid]:
     size, force = float(np.linalg.norm(room[1] - room[0])), solution.wall_forces
     pushed = np.flatnonzero(force > 1e-3 * force.max(initial=0.0))
     normals = padded(walls.normal[pushed])
-    ends = zip(x[walls.node[pushed]], normals, strict=True)
+    ends = zip(walls.only(pushed).places(x), normals, strict=True)
     return [cylinder(at - 0.004 * size * n, at, 0.01 * size, 12) for at, n in ends]

@@ -37,7 +37,7 @@ def positions(solution: CurtainSolution) -> Array:
 def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
     """One scale for the largest principal line loads of all steps."""
     values = np.concatenate([step.principal()[0][:, 0] for step in steps])
-    return Scale.of(values, "largest principal line load, N/mm (reference length)")
+    return Scale.of(values, "line load, N/mm of reference, square-root scale")
 
 
 @dataclass(frozen=True, eq=False)

@@ -176,7 +176,7 @@ def _places(solution: CurtainSolution) -> Iterator[tuple[str, Array]]:
 
 
 def holds_line(summary: dict[str, Any]) -> str:
-    """Whether the curtain holds, in one line: the factor, what gives first, and the load of hooks with a capacity.
+    """Whether the curtain holds, in one line: the factor, what gives first, the load of hooks and runners.
 
     >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
     >>> known = {"first_yield_near": "support 1 (hooks)", "ring_material": "steel", "ring_yield_N_per_mm2": 235.0}
@@ -212,9 +212,10 @@ def _rings(summary: dict[str, Any], least: float) -> str:
 
 
 def _hooks(summary: dict[str, Any]) -> Iterator[tuple[float, str]]:
-    """Capacity over largest force of each support by hooks that states one, and a sentence that says so."""
+    """Capacity over largest force of each support by hooks or runners that states one, and a sentence that says so."""
     for number, support in enumerate(summary["support_forces"], 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
         if capacity is not None:
             share = capacity / force if force > 0.0 else np.inf
-            yield share, f"hooks of support {number} bear up to {force:.4g} N of {capacity:g} N"
+            what = "runners" if support["support"] == "track" else "hooks"
+            yield share, f"{what} of support {number} bear up to {force:.4g} N of {capacity:g} N"

@@ -9,6 +9,7 @@ from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
@@ -44,9 +45,8 @@ def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
     """The force of a wind per reference area (d,), N/mm2; InputError where the law does not tell the drag."""
-    direction = np.array(in_3d(wind.direction))
     pressure = wind_pressure(wind, cell, f"{scene.source}: [load.wind]")
-    return np.asarray(pressure / np.linalg.norm(direction) * direction[: scene.d])
+    return np.asarray(pressure * unit(wind.direction)[: scene.d])
 
 
 def nodal_forces(

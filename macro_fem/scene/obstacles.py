@@ -15,7 +15,7 @@ import numpy as np
 from macro_fem.scene.tables import NO_MOVE, Vector, in_3d, leaves_plane, length, vector
 from rve.common.errors import InputError
 from rve.common.types import Array
-from rve.common.values import entry, finite, read_record, text
+from rve.common.values import choice, entry, finite, read_record, text
 
 MOST = 1e9
 """Largest coordinate, mm."""
@@ -45,8 +45,13 @@ def _lengths(value: Any) -> Vector:
 
 
 def unit(v: Vector) -> Array:
-    """The unit vector (3,) along a vector of two or three components."""
-    return np.array(in_3d(v)) / np.linalg.norm(v)
+    """The unit vector (3,) along a vector of two or three components, whatever its size.
+
+    >>> unit((0.0, 1e-300)).tolist()
+    [0.0, 1.0, 0.0]
+    """
+    way = np.array(in_3d(v)) / max(map(abs, v))  # squares of very small components would be 0
+    return np.asarray(way / np.linalg.norm(way))
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,11 @@ class Wall:
         return np.asarray(normal @ in_3d(self.point))
 
 
+def clear() -> Any:
+    """A field for what of the mesh stays outside of a body: whole cells, or its nodes only."""
+    return choice("cells", "nodes", default="cells")
+
+
 @dataclass(frozen=True)
 class Sphere:
     """A ball of `radius` around `centre`."""
@@ -92,6 +102,7 @@ class Sphere:
     radius: float = length()
     move: tuple[float, ...] = vector(NO_MOVE)
     name: str = text("sphere")
+    clear: str = clear()
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -111,6 +122,7 @@ class Cylinder:
     point: tuple[float, ...] = entry(_three, (0.0, 0.0, 0.0))
     move: tuple[float, ...] = vector(NO_MOVE)
     name: str = text("cylinder")
+    clear: str = clear()
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -136,6 +148,7 @@ class Box:
     rounding: float | None = length(None)
     move: tuple[float, ...] = vector(NO_MOVE)
     name: str = text("box")
+    clear: str = clear()
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3); that of the nearest face deep inside."""

@@ -95,7 +95,9 @@ class Scene:
 
     def beside(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more body to stay outside of: a kind of [[obstacle]], its keys by name."""
-        return replace(self, obstacle=(*self.obstacle, *read_obstacles({"kind": kind, **keys}, self.source)))
+        return replace(
+            self, obstacle=(*self.obstacle, *read_kinds({"kind": kind, **keys}, OBSTACLES, "obstacle", self.source))
+        )
 
     def with_keys(self, table: str, **keys: Any) -> Scene:
         """The scene with keys of its tables "curtain", "mesh", "load", "solver", "start" or "material" set anew.

@@ -233,7 +233,7 @@ class Track:
     The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
     viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
     distance of the runners along the mesh; without it the whole edge is held. `drawn`: the part of the track that the
-    curtain covers, from its `side`.
+    curtain covers, from its `side`. `capacity`: the force in N that a runner bears, as for hooks.
     """
 
     path: tuple[tuple[float, float], ...] | None = entry(
@@ -246,6 +246,7 @@ class Track:
     pitch: float | None = length(None)
     drawn: float = number(1.0, above=0.0, most=1.0)
     side: str = choice("start", "end", default="start")
+    capacity: float | None = number(None, above=0.0, most=MOST_FORCE)
 
 
 Support = Corners | Top | Rail | Hooks | Edge | Point | Track

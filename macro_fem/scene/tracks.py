@@ -118,5 +118,7 @@ def check_track(item: Track, source: object) -> None:
         raise InputError(f"{where} {missing}: is missing; a track needs path, or radius and angle, or fullness")
     if item.angle == 0.0:
         raise InputError(f"{where} angle = 0: makes no arc; leave it out for a straight track")
+    if item.capacity is not None and item.pitch is None:
+        raise InputError(f"{where} capacity = {item.capacity:g}: has no effect without pitch, that of the runners")
     if item.side == "end" and item.drawn == 1.0:
         raise InputError(f"{where} side = 'end': has no effect with drawn = 1")

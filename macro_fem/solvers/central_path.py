@@ -31,9 +31,8 @@ from macro_fem.solvers.cone_program import (
     is_inside,
     make_program,
     measure,
-    moved,
-    search,
 )
+from macro_fem.solvers.cone_step import moved, search
 from macro_fem.solvers.cones import Cones, first_cones, least_slack
 from macro_fem.solvers.cutting_planes import at_rest, find, joined, pruned, widened
 from macro_fem.solvers.options import PATH, PathOptions

@@ -155,9 +155,10 @@ def wall_matrix(rows: Rows, n: int) -> sparse.csr_matrix:
     if rows.fem is None or rows.walls is None:
         return sparse.csr_matrix((0, n))
     fem, walls, d = rows.fem, rows.walls, rows.fem.d
-    row = np.repeat(np.arange(len(walls)), d)
-    column = (walls.node[:, None] * d + np.arange(d)).ravel()
-    full = sparse.csr_matrix((walls.normal.ravel() / rows.size, (row, column)), shape=(len(walls), fem.x_held.size))
+    row = np.repeat(np.arange(len(walls)), d * walls.node.shape[1])
+    column = (walls.node[:, :, None] * d + np.arange(d)).ravel()
+    entry = (walls.share[:, :, None] * walls.normal[:, None, :]).ravel() / rows.size
+    full = sparse.csr_matrix((entry, (row, column)), shape=(len(walls), fem.x_held.size))
     return (full @ fem.tied().tie).tocsr()
 
 

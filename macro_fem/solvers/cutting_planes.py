@@ -13,7 +13,8 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import Measure, Program, State, Step, mean_product
+from macro_fem.solvers.cone_program import Measure, Program, State, mean_product
+from macro_fem.solvers.cone_step import Step
 from macro_fem.solvers.cones import all_cuts, only, steadied, with_cuts
 from macro_fem.solvers.options import CUTS, CutOptions, StepOptions
 from macro_fem.solvers.soc import Vectors

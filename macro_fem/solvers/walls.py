@@ -1,14 +1,15 @@
-"""Half-spaces on nodes, normal . x >= offset: floors, walls, and the tangent planes of bodies.
+"""Half-spaces on points of the curtain, normal . x >= offset: floors, walls, and the tangent planes of bodies.
 
-Each one is a linear cone of the program in `cone_program`. With the size of the curtain as unit its slack is
-s = (normal . x - offset) / size, its dual variable u in N/mm counts for the reference area of its node like the
-multipliers of the law, and the reaction is area u / size, a push along the normal in N.
+A point is a node or between nodes of one cell, x = sum of share times node. Each half-space is a linear cone of the
+program in `cone_program`. With the size of the curtain as unit its slack is s = (normal . x - offset) / size, its dual
+variable u in N/mm counts for the reference area of its point like the multipliers of the law, and the reaction is
+area u / size, a push along the normal in N.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,38 +23,57 @@ TOUCHED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Half-spaces normal . x >= offset: node (m,), unit normals (m, d), offset (m,) in mm; a node may have several.
+    """Half-spaces normal . x >= offset: unit normals (m, d), offset (m,) in mm; a point may have several.
 
-    owner (m,): numbers that tell which obstacle each one belongs to, all 0 where they are not given.
+    node (m, k) and share (m, k): the nodes that each point x = sum of share times node is made of; nodes (m,) alone are
+    the points themselves. owner (m,): numbers that tell which obstacle each one belongs to, 0 where they are not given.
     """
 
     node: np.ndarray
     normal: Array
     offset: Array
     owner: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    share: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if len(self.owner) != len(self.node):
             object.__setattr__(self, "owner", np.zeros(len(self.node), np.int64))
+        if self.node.ndim == 1:
+            object.__setattr__(self, "node", self.node[:, None])
+        if self.share.shape != self.node.shape:
+            object.__setattr__(self, "share", np.ones(self.node.shape))
 
     @classmethod
     def joined(cls, parts: Sequence[Walls]) -> Walls | None:
         """All half-spaces of some parts; None if there is none."""
         if not sum(map(len, parts)):
             return None
-        return cls(*(np.concatenate([getattr(part, name.name) for part in parts]) for name in fields(cls)))
+        k = max(part.node.shape[1] for part in parts)
+        more = [((0, 0), (0, k - part.node.shape[1])) for part in parts]
+        return cls(
+            np.concatenate([np.pad(part.node, by) for part, by in zip(parts, more, strict=True)]),
+            np.concatenate([part.normal for part in parts]),
+            np.concatenate([part.offset for part in parts]),
+            np.concatenate([part.owner for part in parts]),
+            np.concatenate([np.pad(part.share, by) for part, by in zip(parts, more, strict=True)]),
+        )
 
     def __len__(self) -> int:
         return len(self.node)
 
+    def places(self, x: Array) -> Array:
+        """Places (m, d) of the points of nodes at x (n_nodes, d)."""
+        return np.asarray((self.share[:, :, None] * x[self.node]).sum(axis=1))
+
     def gap(self, x: Array) -> Array:
-        """Distance (m,) of the nodes x (n_nodes, d) from their planes, mm; negative where they have crossed."""
-        return np.asarray((self.normal * x[self.node]).sum(axis=1) - self.offset)
+        """Distance (m,) of the points of nodes x (n_nodes, d) from their planes, mm; negative where they have
+        crossed."""
+        return np.asarray((self.normal * self.places(x)).sum(axis=1) - self.offset)
 
     def nodal(self, force: Array, n_nodes: int) -> Array:
         """Nodal forces (n_nodes, d) of pushes `force` (m,) along the normals, N."""
         out = np.zeros((n_nodes, self.normal.shape[1]))
-        np.add.at(out, self.node, force[:, None] * self.normal)
+        np.add.at(out, self.node, self.share[:, :, None] * (force[:, None] * self.normal)[:, None, :])
         return out
 
     def scaled(self, factor: float) -> Walls:
@@ -62,11 +82,12 @@ class Walls:
 
     def only(self, keep: np.ndarray) -> Walls:
         """The half-spaces chosen by a mask or by numbers."""
-        return Walls(self.node[keep], self.normal[keep], self.offset[keep], self.owner[keep])
+        return Walls(self.node[keep], self.normal[keep], self.offset[keep], self.owner[keep], self.share[keep])
 
     def is_movable(self, fem: SupportedFem) -> np.ndarray:
         """Which half-spaces (m,) concern a component that an unknown moves; the others hold or do not."""
-        return np.asarray((np.abs(self.normal) * ~fem.held[self.node]).sum(axis=1) > 1e-12)
+        moves = np.abs(self.normal)[:, None, :] * np.abs(self.share)[:, :, None] * ~fem.held[self.node]
+        return np.asarray(moves.sum(axis=(1, 2)) > 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +100,13 @@ class Rows:
 
     @cached_property
     def v(self) -> Array:
-        """Reference area around the node of each row (m,), mm2."""
+        """Reference area around the point of each row (m,), mm2."""
         if self.fem is None or self.walls is None:
             return np.zeros(0)
         disc = self.fem.disc
         local = disc.cell_dofs.shape[1]
         around = np.bincount(disc.cell_dofs.ravel(), np.repeat(disc.cell_area / local, local), disc.n_nodes)
-        return np.asarray(around[self.walls.node])
+        return np.asarray((np.abs(self.walls.share) * around[self.walls.node]).sum(axis=1))
 
     def slack(self, z: Array) -> Array:
         """A z + b0 (m,)."""
@@ -97,7 +118,7 @@ class Rows:
         """A dz (m,)."""
         if self.fem is None or self.walls is None:
             return np.zeros(0)
-        return np.asarray((self.walls.normal * self.fem.spread(dz)[self.walls.node]).sum(axis=1) / self.size)
+        return np.asarray((self.walls.normal * self.walls.places(self.fem.spread(dz))).sum(axis=1) / self.size)
 
     def force(self, u: Array) -> Array | float:
         """A^T (v u) (n,), N: the forces on the unknowns of dual variables u (m,); 0 without rows."""
@@ -109,19 +130,38 @@ class Rows:
         """The pushes (m,) of dual variables u (m,), N."""
         return np.asarray(self.v * u / self.size)
 
-    def blocks(self, weight: Array) -> Array | None:
-        """A^T (v weight) A as blocks (n_nodes, d, d) on the diagonal of the matrix on all nodes; None without rows."""
+    def added(self, weight: Array) -> Array | None:
+        """A^T (v weight) A as data of the lower triangle of `fem.pattern`; None without rows."""
         if self.fem is None or self.walls is None:
             return None
-        normal = self.walls.normal
-        out = np.zeros((self.fem.disc.n_nodes, normal.shape[1], normal.shape[1]))
+        place, row, value = self._products
         scaled = self.v * weight / self.size**2
-        np.add.at(out, self.walls.node, scaled[:, None, None] * normal[:, :, None] * normal[:, None, :])
-        return out
+        return np.bincount(place, value * scaled[row], minlength=self.fem.pattern.nnz)
+
+    @cached_property
+    def _products(self) -> tuple[np.ndarray, np.ndarray, Array]:
+        """Place in the lower triangle, row and value (k,) of the products of any two entries of every row."""
+        assert self.fem is not None
+        assert self.walls is not None
+        pattern, walls = self.fem.pattern, self.walls
+        number = np.full(self.fem.x_held.size, -1)
+        number[pattern.free] = np.arange(pattern.n)
+        m, d = walls.normal.shape
+        column = number[d * walls.node[:, :, None] + np.arange(d)].reshape(m, -1)
+        entry = (walls.share[:, :, None] * walls.normal[:, None, :]).reshape(m, -1)
+        column = np.where(entry != 0.0, column, -1)
+        places, rows, values = [], [], []
+        for a, b in np.ndindex(column.shape[1], column.shape[1]):
+            i, j = column[:, a], column[:, b]
+            row = np.flatnonzero((j >= 0) & (i >= j))
+            places.append(pattern.place(i[row], j[row]))
+            rows.append(row)
+            values.append(entry[row, a] * entry[row, b])
+        return np.concatenate(places), np.concatenate(rows), np.concatenate(values)
 
 
 NO_ROWS = Rows(None, None)
-"""The rows of a program without half-spaces on nodes."""
+"""The rows of a program without half-spaces on points."""
 
 
 def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> Rows:

@@ -11,7 +11,8 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cone_program import first_state, make_program, mean_product, measure, moved, search, step_lengths
+from macro_fem.solvers.cone_program import first_state, make_program, mean_product, measure
+from macro_fem.solvers.cone_step import moved, search, step_lengths
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
 from macro_fem.solvers.cutting_planes import find, joined, pruned, widened
 from macro_fem.solvers.options import PathOptions, StepOptions

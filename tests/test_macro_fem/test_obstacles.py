@@ -14,7 +14,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.scene.tables import read_kinds
 from macro_fem.shape_loop import ShapeOptions, solve_shape
 from macro_fem.solution import make_problem
-from macro_fem.solvers.walls import Walls
+from macro_fem.solvers.walls import Walls, rows_of
 from rve.common.errors import InputError
 
 DENSITY = 2.785 * 9.81e-6
@@ -123,14 +123,14 @@ def test_bounds_of_the_potential_contain_that_of_the_sheet_on_the_floor(fitted_l
 R, LENGTH = 200.0, 2000.0
 
 
-def rope(cells):
+def rope(cells, clear="nodes"):
     """A strip held at (y, z) = (0, -R) that goes over a cylinder of radius R and hangs down in front of it."""
     width = 2.0 * LENGTH / cells
     return {
         "curtain": {"width": width, "height": LENGTH, "areal_mass": 2.785},
         "mesh": {"cells": 2},
         "support": {"kind": "top", "move": [0.0, -LENGTH, -R]},
-        "obstacle": {"kind": "cylinder", "axis": [1, 0, 0], "radius": R},
+        "obstacle": {"kind": "cylinder", "axis": [1, 0, 0], "radius": R, "clear": clear},
         "start": {"origin": [0.0, R, LENGTH - R], "y_axis": [0.0, 0.0, -1.0]},
     }
 
@@ -172,6 +172,29 @@ def test_strip_over_a_cylinder_is_a_rope_over_a_pulley(fitted_law):
     assert np.all(fine[2:] < [0.01, 0.03, 0.005])
     assert fine[3] < coarse[3] / 2.0
     assert cuts[0] / cuts[1] == pytest.approx(4.0, rel=0.1)  # chords of the circle
+
+
+def test_a_strip_that_clears_a_cylinder_with_whole_cells_converges_to_the_rope(fitted_law):
+    """Its sides touch the cylinder instead of its nodes: heights come from above, and bodies do not show through."""
+    end = np.pi * R - LENGTH
+    exact = (2.0 * R**2 - 0.5 * end**2) / LENGTH
+    errors, inside = [], []
+    for cells in (16, 32):
+        solution = answer(rope(cells, "cells"), fitted_law)
+        assert solution.status == "converged", solution.message
+        assert_balanced(solution)
+        push = pushes_of(solution, 0)[1].sum(axis=0)[1]
+        exact_push = DENSITY * solution.problem.scene.curtain.width * (LENGTH - end)
+        errors.append([solution.mean_height() - exact, solution.x[:, 1].min() - end, abs(push / exact_push - 1.0)])
+        disc = solution.problem.disc
+        free = ~solution.problem.fem.held.any(axis=1)[disc.lattice.node].any(axis=1)
+        x = disc.lattice.places(solution.x)[free]
+        inside.append(R - np.hypot(x[:, 1], x[:, 2]).min())
+    coarse, fine = np.array(errors)
+    assert np.all(fine[:2] > 0.0)
+    assert np.all(fine[:2] < coarse[:2] / 3.4)
+    assert np.all(fine < [4e-3 * LENGTH, 5e-3 * LENGTH, 0.01])
+    assert max(inside) < 1e-5  # cells at the held edge are inside by a quarter of the chord's height
 
 
 def pushed(scene_tables, travel, **more):
@@ -225,7 +248,12 @@ def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
         "curtain": {"width": 250.0, "height": 1000.0, "areal_mass": 2.785},
         "mesh": {"cells": 2},
         "support": {"kind": "top", "move": [0.0, -1000.0, -400.0]},
-        "obstacle": {"kind": "box", "corner": [-500.0, -2000.0, -2000.0], "size": [1500.0, 2000.0, 2000.0]},
+        "obstacle": {
+            "kind": "box",
+            "corner": [-500.0, -2000.0, -2000.0],
+            "size": [1500.0, 2000.0, 2000.0],
+            "clear": "nodes",
+        },
         "start": {"origin": [0.0, 0.0, 600.0], "y_axis": [0.0, 0.0, -1.0]},
     }
     solution = answer(tables, fitted_law)
@@ -273,18 +301,35 @@ def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
     assert slope[gap > 1e-3] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_blocks_of_walls_enter_the_matrix_as_rows_would(scene_tables, fitted_law):
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+def test_points_between_nodes_are_where_the_element_puts_them(scene_tables, fitted_law, element):
+    """Each place of the mesh once; a straight state is straight there, and nodes are among them."""
+    disc = posed(scene_tables(mesh={"cells": 2, "element": element}), fitted_law).disc
+    for points in (disc.meeting, disc.lattice):
+        X = points.places(disc.nodes)
+        x = points.places(disc.nodes @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0])
+        assert x == pytest.approx(X @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0], abs=1e-9)
+        if element != "CR":  # whose cells part at their corners
+            assert len(np.unique(np.rint(1e6 * X), axis=0)) == len(X)
+    to_node = np.linalg.norm(disc.meeting.places(disc.nodes)[:, None] - disc.nodes, axis=-1).min(axis=0)
+    assert to_node.max() < 1e-9
+
+
+def test_rows_of_walls_enter_the_matrix(scene_tables, fitted_law):
+    """A^T (v w) A beside that of the cells, for rows of nodes and of points between them."""
     problem = posed(scene_tables(mesh={"cells": 2, "element": "P2"}, solver={"space": True}), fitted_law)
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(problem.disc.n_nodes, 3, 3))
-    blocks = root @ root.swapaxes(1, 2)
+    rng, points = np.random.default_rng(3), problem.disc.meeting
+    normal = rng.normal(size=(len(points), 3))
     for fem in (problem.fem, problem.fem.tied()):
+        walls = Walls(points.node, normal, np.zeros(len(points)), share=points.share)
+        rows = rows_of(fem, walls.only(walls.is_movable(fem)), 7.0)
+        weight = rng.uniform(size=len(rows.walls))
         tangent = np.zeros((problem.disc.n_points, 3, 2, 3, 2))
         pattern = fem.pattern if fem.tie is None else fem._tied[0]
-        matrix = pattern.full(fem.matrix_data(tangent, blocks))
+        matrix = pattern.full(fem.matrix_data(tangent, rows.added(weight)))
         z = rng.normal(size=fem.n)
-        expected = fem.gather(np.einsum("nij,nj->ni", blocks, fem.spread(z)))
-        assert matrix @ z == pytest.approx(expected, rel=1e-12)
+        assert matrix @ z == pytest.approx(rows.force(weight * rows.change(z)), rel=1e-9, abs=1e-12)
+        assert rows.change(z) == pytest.approx(rows.slack(z) - rows.slack(np.zeros(fem.n)), abs=1e-12)
 
 
 IMPOSSIBLE = [
@@ -292,7 +337,7 @@ IMPOSSIBLE = [
     ({"obstacle": {"kind": "sphere", "centre": [50.0, 100.0, 0.0], "radius": 30.0}}, "sphere: top is 30 mm inside it"),
     (
         {"obstacle": {"kind": "sphere", "centre": [50.0, 40.0, 5.0], "radius": 30.0}},
-        "nodes of the curtain are up to ",
+        "the curtain is up to 24.4 mm inside it before anything moves",
     ),
     ({"obstacle": {"kind": "wall", "facing": [1.0, 0.0, 2.0], "point": [0.0, 0.0, 1.0]}}, "wall: top is 0.8944 mm"),
     (
@@ -332,6 +377,10 @@ BAD = [
     ({"obstacle": {"kind": "floor", "height": "low"}}, "height = 'low': is not a number"),
     ({"obstacle": {"kind": "floor", "move": [1]}}, "move = [1]"),
     ({"obstacle": {"kind": "floor", "radius": 1}}, "radius"),
+    (
+        {"obstacle": {"kind": "sphere", "centre": [0, 0, 9], "radius": 1, "clear": "all"}},
+        "clear = 'all': is not one of cells, nodes",
+    ),
     ({"start": {"origin": [0, 0, 0]}}, "[start]: has no effect without bodies"),
     (
         {
@@ -353,6 +402,18 @@ def test_bad_values_are_told_in_one_sentence(scene_tables, more, sentence):
         read_scene(scene_tables() | more, "front.toml")
     assert str(error.value).startswith("front.toml: ")
     assert sentence in str(error.value)
+
+
+def test_only_the_direction_of_a_direction_counts(fitted_law, scene_tables):
+    """Squares of components below 1e-154 are 0: such normals once were not numbers, and walls held nothing."""
+    sizes = (1.0, 1e-200)
+    wall, wind = ({"kind": "wall", "point": [0.0, 10.0, 0.0], "facing": [0.0, s, s]} for s in sizes), {"pressure": 1.0}
+    one, two = (
+        posed(scene_tables(load={"wind": wind | {"direction": [0.0, 0.0, s]}}) | {"obstacle": item}, fitted_law)
+        for item, s in zip(wall, sizes, strict=True)
+    )
+    assert two.walls.normal == pytest.approx(one.walls.normal, abs=1e-12)
+    assert two.force == pytest.approx(one.force, rel=1e-12)
 
 
 def test_walls_join_and_scale():

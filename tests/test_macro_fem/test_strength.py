@@ -273,3 +273,15 @@ def test_a_material_needs_a_law_that_knows_its_own():
     )
     with pytest.raises(InputError, match="needs a law that knows the material of its rings; make the table again"):
         solve(scene, replace(default_law(), strength=None))
+
+
+def test_runners_are_compared_with_their_capacity():
+    """Two runners on a straight track carry half of the bar each upwards; the track is told by its name."""
+    half = 0.5 * MASS * GRAVITY
+    solution = hung(kind="track", fullness=1.25, pitch=WIDTH, capacity=0.5 * half)
+    (held,) = support_forces(solution)
+    assert held["capacity_N"] == 0.5 * half
+    assert np.array(held["points"][0]["force_N"])[1] == pytest.approx(half, rel=1e-6)
+    line = holds_line(summarize(solution))
+    assert line.startswith("does not hold, factor 0.")
+    assert f"runners of support 1 bear up to {held['largest_nodal_force_N']:.4g} N of {0.5 * half:g} N" in line

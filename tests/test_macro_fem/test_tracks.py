@@ -191,6 +191,8 @@ def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch
         ({"fullness": 1.5, "side": "end"}, "side = 'end': has no effect with drawn = 1"),
         ({"fullness": 1.5, "pitch": 0.0}, "pitch = 0.0: must be at least"),
         ({"fullness": 1.5, "height": "top"}, "height = 'top': is not a number"),
+        ({"fullness": 1.5, "capacity": 5.0}, "capacity = 5: has no effect without pitch"),
+        ({"fullness": 1.5, "pitch": 50.0, "capacity": 0.0}, "capacity = 0.0: must be greater than 0"),
     ],
 )
 def test_bad_keys_of_a_track_end_in_one_sentence(scene_tables, keys, message):

@@ -1,0 +1,137 @@
+"""The interior-point step of the cone program: predictor and corrector in Nesterov and Todd's scaling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from macro_fem.solvers import soc
+from macro_fem.solvers.cone_program import Measure, Program, State, mean_product
+from macro_fem.solvers.cones import times_root
+from macro_fem.solvers.options import StepOptions
+from macro_fem.solvers.soc import Vectors
+from macro_fem.solvers.strains import Strains
+from macro_fem.solvers.walls import longest
+from rve.common.types import Array
+
+
+@dataclass(frozen=True)
+class Step:
+    """Changes of the unknowns, the cone vectors and what is asked of them; lengths at most 1; the share of residuals
+    kept."""
+
+    dz: Array
+    deps: Array
+    ds: Vectors
+    dy: Vectors
+    d_wanted: Vectors
+    dt: Array
+    du: Array
+    keep: float
+    primal: float = 0.0
+    dual: float = 0.0
+
+
+class _Newton:
+    """Newton's matrix in the scaling of a state, factorised; directions for different aims share it."""
+
+    def __init__(self, program: Program, state: State, now: Measure) -> None:
+        self.program, self.state, self.now = program, state, now
+        self.W = soc.scaling(state.s, state.y)
+        self.point = self.W.apply(state.y)
+        cones, w, k = program.cones, self.W.w, program.N.shape[1]
+        d = (w.tail.shape[1] - program.lead) // 2
+        inv2 = 1.0 / self.W.eta**2
+        # W^-2 seen through `map` is eta^-2 (2 q q^T + |F L|^2): the squares of the two n cancel.
+        q = times_root(w.tail[:, program.lead :].reshape(-1, d, 2), program.L)
+        if k:
+            q = np.column_stack([(w.tail[:, 0] - w.head)[:, None] * program.N, q])
+        H = cones.sum_of_squares(q, 2.0 * inv2)
+        S = cones.stress(inv2)
+        for a in range(k, k + 2 * d, 2):
+            H[:, a, a] += S[:, 0]
+            H[:, a, a + 1] += S[:, 1]
+            H[:, a + 1, a] += S[:, 1]
+            H[:, a + 1, a + 1] += S[:, 2]
+        self.strains = Strains(H, k) if k else None
+        A = H if self.strains is None else self.strains.reduced
+        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.rows.added(state.u / state.t))
+
+    def direction(self, aim: Vectors, row_aim: Array, keep: float) -> tuple[Step, Vectors, Vectors]:
+        """The step to point o (W dy + W^-1 ds) = aim and u dt + t du = row_aim with residuals reduced to the part
+        `keep`, W^-1 ds and W dy."""
+        program, W, now, rows = self.program, self.W, self.now, self.program.rows
+        t, u, r_t = self.state.t, self.state.u, now.r_t * (1.0 - keep)
+        r_s = now.r_s * (1.0 - keep)
+        both = soc.divide(self.point, aim)
+        aimed = W.undo(both)
+        force, strain = program.pull(aimed + W.undo_twice(r_s))
+        half = strain + (1.0 - keep) * now.r_e
+        if self.strains is not None:
+            half = self.strains.half(half)
+            force = force - self.strains.onto_gradient(half, force.shape)
+        dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force) + rows.force((row_aim + u * r_t) / t))
+        dF = program.fem.gradient_change(dz)
+        deps = half if self.strains is None else self.strains.whole(half, dF)
+        d_wanted = program.map(dF, deps)
+        ds = d_wanted - r_s
+        scaled = W.undo(ds)
+        dt = rows.change(dz) - r_t
+        du = (row_aim - u * dt) / t
+        return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
+
+
+def step_lengths(program: Program, state: State, step: Step, boundary: float) -> tuple[float, float]:
+    """How far s and y may go, at most 1; equally far where strains tie them together."""
+    primal = min(1.0, boundary * soc.largest_step(state.s, step.ds), boundary * longest(state.t, step.dt))
+    dual = min(1.0, boundary * soc.largest_step(state.y, step.dy), boundary * longest(state.u, step.du))
+    return (min(primal, dual),) * 2 if program.lead else (primal, dual)
+
+
+def search(
+    program: Program,
+    state: State,
+    now: Measure,
+    least_gap: float,
+    *,
+    corrector: bool = True,
+    boundary: float = StepOptions.boundary,
+) -> Step | None:
+    """A predictor-corrector step and its lengths; None if rounding leaves none.
+
+    The aim is no closer than `least_gap` (relative to the scale): with gaps far below the residuals Newton's matrix
+    would lose its digits to them, and steps get stuck. Without the second-order term of the `corrector` it is a plain
+    Newton step towards the same aim.
+    """
+    try:
+        newton = _Newton(program, state, now)
+    except ArithmeticError:  # no pivot order works: double precision is exhausted
+        return None
+    unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
+    mu = mean_product(program, state)
+    square = soc.product(newton.point, newton.point)
+    row_square = state.t * state.u
+    affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, 0.0)
+    reach = min(step_lengths(program, state, affine, 1.0))
+    sigma = (1.0 - reach) ** 3
+    second = soc.product(scaled_ds, scaled_dy) * float(corrector)
+    aim = max(sigma * mu, min(mu, least_gap * program.scale / program.area))
+    row_aim = aim - row_square - affine.dt * affine.du * float(corrector)
+    step, _, _ = newton.direction(unit * aim - square - second, row_aim, sigma)
+    if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
+        return None
+    primal, dual = step_lengths(program, state, step, boundary)
+    return replace(step, primal=primal, dual=dual)
+
+
+def moved(state: State, step: Step) -> State:
+    """The state after a step."""
+    return State(
+        state.z + step.primal * step.dz,
+        state.eps + step.primal * step.deps,
+        state.s + step.ds * step.primal,
+        state.y + step.dy * step.dual,
+        state.t + step.primal * step.dt,
+        state.u + step.dual * step.du,
+    )
