@@ -13,7 +13,9 @@ from homogenize.fitting.rows import Rows, rows_from_table, with_mirror
 from homogenize.laws.picture import colours, own_figure, surface_height
 from homogenize.laws.picture import plot_sections as sections_of
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
+from homogenize.view import write_law_page
 from rve.common.errors import InputError
 from rve.common.files import atomic_path, write_text
 from rve.common.jobs import job
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 COMPONENTS = ("E11", "E12", "E22")
 DPI = 150
+PAGE = "law.html"
 RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.jobs`)."""
 
@@ -105,10 +108,13 @@ def save_picture(figure: Any, path: str | Path) -> None:
         raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
 
 
-def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
+def write_pictures(
+    law: StoredLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = (), *, html: bool = False
+) -> list[Path]:
     """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
-    The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
+    html: also law.html, the surface and the strength, which turn in a browser. The folder is made if need be. Returns
+    the paths of the pictures; InputError if one would overwrite one of `inputs`.
     """
     folder = Path(folder)
     rows = rows_from_table(table)
@@ -121,5 +127,7 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inp
     with job(folder, RECORD, inputs) as staged:
         for name, figure in pictures.items():
             figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
+        if html:
+            write_law_page(law, rows, staged / PAGE, law.strength)
         write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")
-    return [folder / name for name in pictures]
+    return [folder / name for name in (*pictures, *([PAGE] if html else []))]

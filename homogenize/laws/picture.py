@@ -93,16 +93,21 @@ def _draw_locking(law: MembraneLaw, ax: Any) -> None:
     ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")
 
 
-def _draw_strength(known: Strength, stress: float, ax: Any) -> None:
-    """First yield as a surface and collapse as a net over all tensile line loads."""
+def strength_loads(known: Strength, stress: float) -> tuple[Array, Array]:
+    """Line loads (73, 25, 3) in N/mm of first yield and of collapse, over directions and shares of the smaller one."""
     share, angle = np.meshgrid(np.linspace(0.0, 1.0, 25), np.linspace(0.0, 2.0 * np.pi, 73))
     c, s = 0.5 * share * np.cos(angle), 0.5 * share * np.sin(angle)
-    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1).reshape(-1, 3)
-    for load, draw in (
-        (1.0 / known.utilisation(S, stress), _filled(ax)),
-        (1.0 / known.collapse_utilisation(S, stress), _net(ax)),
-    ):
-        draw(*(load[:, None] * S).T.reshape(3, *share.shape))
+    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1)
+    flat = S.reshape(-1, 3)
+    loads = 1.0 / known.utilisation(flat, stress), 1.0 / known.collapse_utilisation(flat, stress)
+    first, last = (load.reshape(*share.shape, 1) * S for load in loads)
+    return first, last
+
+
+def _draw_strength(known: Strength, stress: float, ax: Any) -> None:
+    """First yield as a surface and collapse as a net over all tensile line loads."""
+    for loads, draw in zip(strength_loads(known, stress), (_filled(ax), _net(ax)), strict=True):
+        draw(*np.moveaxis(loads, -1, 0))
     ax.set(xlabel="S11 (N/mm)", ylabel="S12 (N/mm)", zlabel="S22 (N/mm)", title="Space of line loads")
     ax.legend(loc="upper left", fontsize=11)
 

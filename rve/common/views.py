@@ -1,7 +1,7 @@
 """What is looked at in space: surfaces and lines with a colour or with values on one scale of colours.
 
 The same `View` makes a picture and an animation (`rve.common.render`) and a page that turns in a browser
-(`rve.common.page`). Coordinates are mm, y points up.
+(`rve.common.page`). Coordinates are mm, or the `unit` of the view; the second axis points up.
 """
 
 from __future__ import annotations
@@ -148,7 +148,8 @@ THREE_QUARTERS = Camera("three quarters", (-0.75, -0.45, -1.0))
 class View:
     """Parts with their scale of colours (None if no part has values) and the cameras that look at them.
 
-    title: one or two lines above the picture; notes: lines below it.
+    title: one or two lines above the picture; notes: lines below it; axes, unit: what the three coordinates are, "" for
+    numbers without unit.
     """
 
     title: str
@@ -156,6 +157,8 @@ class View:
     scale: Scale | None = None
     cameras: tuple[Camera, ...] = (FRONT, THREE_QUARTERS)
     notes: tuple[str, ...] = ()
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    unit: str = "mm"
 
     def box(self) -> Array:
         """The box (2, 3) around all parts, mm."""
