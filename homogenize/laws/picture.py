@@ -45,10 +45,10 @@ def plot_sections(
         T = surface_height(law, D, np.full_like(D, shear))
         is_open = np.minimum(T + D, T - D) > -0.5  # I + 2E has positive sides
         label = f"E12 = {shear:.3f}"
-        ax.plot((T + D)[is_open], (T - D)[is_open], color=colours()(number / max(len(shears) - 1, 1)), label=label)
+        ax.plot((T + D)[is_open], (T - D)[is_open], color=shade(number / max(len(shears) - 1, 1)), label=label)
     ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
     ax.grid(alpha=0.3)
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=10)
     return cast("Axes", ax)
 
 
@@ -153,8 +153,8 @@ def own_figure(size: tuple[float, float] = (7.0, 5.2)) -> Figure:
     return Figure(figsize=size, layout="constrained")
 
 
-def colours() -> Any:
-    """The colour map of all pictures of laws."""
+def shade(share: float) -> Any:
+    """A colour of the map viridis, from 0 to 1, without its lightest part, which lines on white cannot have."""
     import matplotlib
 
-    return matplotlib.colormaps["viridis"]
+    return matplotlib.colormaps["viridis"](0.88 * share)

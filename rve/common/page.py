@@ -50,9 +50,9 @@ def write_page(path: str | os.PathLike[str], view: View, *beside: View) -> None:
     write_text(path, text.replace("<head>", head + style, 1))
 
 
-def _scene(number: int) -> str:
-    """Plotly's name of the scene of a view."""
-    return f"scene{number + 1}" if number else "scene"
+def _scene(number: int, kind: str = "scene") -> str:
+    """Plotly's name of the scene, or of the legend, of a view."""
+    return f"{kind}{number + 1}" if number else kind
 
 
 def _traces(views: tuple[View, ...], number: int) -> list[dict[str, Any]]:
@@ -65,7 +65,7 @@ def _traces(views: tuple[View, ...], number: int) -> list[dict[str, Any]]:
         target |= {"showscale": True, "colorbar": _bar(view.scale) | {"x": (number + 1.0) / len(views)}}
         if len(views) > 1:
             target["colorbar"] |= {"xanchor": "right"}
-    return [trace | {"scene": _scene(number)} for trace in traces]
+    return [trace | {"scene": _scene(number), "legend": _scene(number, "legend")} for trace in traces]
 
 
 def _place(view: View) -> str:
@@ -175,8 +175,11 @@ def _layout(views: tuple[View, ...]) -> dict[str, Any]:
     return {
         "font": {"family": "sans-serif", "size": 13},
         "margin": {"l": 0, "r": 0, "t": 24 + 24 * lines, "b": 24 + 18 * max(len(view.notes) for view in views)},
-        "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"},
         "annotations": texts,
+        **{
+            _scene(number, "legend"): {"x": number * share + 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"}
+            for number in range(len(views))
+        },
         **{_scene(number): _scene_of(view, (number * share, (number + 0.94) * share)) for number, view in enumerate(views)},
     }
 
@@ -187,10 +190,17 @@ def _text(text: str, x: float, y: float, font: dict[str, Any]) -> dict[str, Any]
     return place | {"text": text, "align": "left", "showarrow": False, "font": font}
 
 
+def _away(view: View) -> float:
+    """How far the eye stands off, in plotly's unit: the geometric mean of the sides of the box around the view."""
+    sides = np.maximum(np.ptp(view.box(), axis=0), 1e-12)
+    sides = np.maximum(sides, 1e-3 * sides.max())
+    return float(1.25 * np.linalg.norm(sides) / sides.prod() ** (1.0 / 3.0))
+
+
 def _scene_of(view: View, reach: tuple[float, float]) -> dict[str, Any]:
     camera = view.cameras[-1]
     eye = -np.array(camera.direction)
-    eye = 2.2 * eye[AXES] / np.linalg.norm(eye)
+    eye = _away(view) * eye[AXES] / np.linalg.norm(eye)
     axis = {"showbackground": False, "zeroline": False, "gridcolor": "#e3e6ea", "showspikes": False}
     names = [", ".join(filter(None, (view.axes[axis], view.unit))) for axis in AXES]
     return {
