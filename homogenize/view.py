@@ -80,7 +80,7 @@ def _grid(points: Array, values: Array, size: float) -> tuple[Surface, Lines]:
     """The surface through a grid of points (n, m, 3), and lines on it; both have gaps where points are nan."""
     n, m = points.shape[:2]
     flat, number = points.reshape(-1, 3), np.arange(n * m).reshape(n, m)
-    is_there = np.isfinite(flat).all(axis=1)
+    is_there = np.asarray(np.isfinite(flat).all(axis=1))
     corners = _quads(number)
     triangles = quads_cut(corners[is_there[corners].all(axis=1)])
     lines = [number[::EVERY], number[:, ::EVERY].T]
@@ -109,10 +109,10 @@ def strength_view(known: Strength, yield_N_per_mm2: float | None = None) -> View
     scale = Scale("S11 + S22 at first yield, N/mm", float(trace.min()), rounded_up(float(trace.max())), trace.max())
     surface = Surface("first yield", first.reshape(-1, 3), quads_cut(corners), values=trace)
     size = float(np.linalg.norm(np.ptp(last.reshape(-1, 3), axis=0)))
-    style = {"radius": 0.001 * size, "width": 2.0}
+    thin = 0.001 * size
     lines = (
-        Lines("plastic collapse", last[::6], colour=VERMILION, **style),
-        Lines("plastic collapse", last[:, ::4].swapaxes(0, 1), colour=VERMILION, in_legend=False, **style),
+        Lines("plastic collapse", last[::6], thin, VERMILION, width=2.0),
+        Lines("plastic collapse", last[:, ::4].swapaxes(0, 1), thin, VERMILION, width=2.0, in_legend=False),
     )
     title = f"Strength: {known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm2"
     axes = ("S12", "S22", "S11")

@@ -12,7 +12,7 @@ from rve.common.render import check_render, render
 from rve.common.solids import Solid, arrow, quads_cut, sphere
 from rve.common.types import Array
 from rve.common.views import Camera, Lines, Scale, Surface, View, merged
-from rve.equilibrium.interior_point import Equilibrium, unit_loads
+from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.localization.files import tubes

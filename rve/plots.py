@@ -121,7 +121,7 @@ def draw_cell(ax: Axes, states: LockedStates) -> Axes:
     points, normals, forces = contacts_mm(states)
     if len(points):
         flat, tips = swapped(points, cell)[:, :2], swapped(normals, cell)[:, :2]
-        ax.scatter(*flat.T, s=18, color=CONTACT_COLOUR, zorder=3, label="contact")
+        ax.scatter(flat[:, 0], flat[:, 1], s=18, color=CONTACT_COLOUR, zorder=3, label="contact")
         reach = 0.5 * cell.r1 * (forces / forces.max())[:, None] * tips
         most = f"force between rings, longest {cell.r1 * forces.max():.3g}"
         _arrows(ax, np.tile(flat, (2, 1)), np.concatenate([reach, -reach]), CONTACT_COLOUR, 3e-3, most)
@@ -130,7 +130,7 @@ def draw_cell(ax: Axes, states: LockedStates) -> Axes:
     _arrows(ax, at, 1.3 * cell.r1 * nodal / largest, FORCE_COLOUR, 5e-3, most)
     for number, (place, force) in enumerate(zip(at, nodal, strict=True), 1):
         away = tuple(-11.0 * force / max(float(np.linalg.norm(force)), 1e-300))  # on the other side than the arrow
-        style = {"ha": "center", "va": "center", "fontsize": 11}
+        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 11}
         ax.annotate(str(number), place, textcoords="offset points", xytext=away, **style)
     ax.set_aspect("equal")
     ax.margins(0.12)

@@ -150,10 +150,10 @@ def _range(scale: Scale) -> dict[str, Any]:
 
 def _bar(scale: Scale) -> dict[str, Any]:
     values = scale.ticks()
-    text = [f"{value:.3g}" for value in values]
+    text = scale.tick_labels()
     at = [float(x) for x in scale.share(np.array(values))]
     if scale.is_exceeded:
-        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{values[-1]:.3g}; above: up to {scale.largest:.3g}"]
+        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{text[-1]}; above: up to {scale.largest:.3g}"]
     return {
         "title": {"text": scale.label, "side": "right"},
         "tickvals": at,
@@ -180,13 +180,23 @@ def _layout(views: tuple[View, ...]) -> dict[str, Any]:
             _scene(number, "legend"): {"x": number * share + 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"}
             for number in range(len(views))
         },
-        **{_scene(number): _scene_of(view, (number * share, (number + 0.94) * share)) for number, view in enumerate(views)},
+        **{
+            _scene(number): _scene_of(view, (number * share, (number + 0.94) * share))
+            for number, view in enumerate(views)
+        },
     }
 
 
 def _text(text: str, x: float, y: float, font: dict[str, Any]) -> dict[str, Any]:
     """Text that begins at (x, y) of the page, below the line y = 0 or above y = 1."""
-    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom" if y > 0 else "top"}
+    place = {
+        "x": x,
+        "y": y,
+        "xref": "paper",
+        "yref": "paper",
+        "xanchor": "left",
+        "yanchor": "bottom" if y > 0 else "top",
+    }
     return place | {"text": text, "align": "left", "showarrow": False, "font": font}
 
 
@@ -194,7 +204,7 @@ def _away(view: View) -> float:
     """How far the eye stands off, in plotly's unit: the geometric mean of the sides of the box around the view."""
     sides = np.maximum(np.ptp(view.box(), axis=0), 1e-12)
     sides = np.maximum(sides, 1e-3 * sides.max())
-    return float(1.25 * np.linalg.norm(sides) / sides.prod() ** (1.0 / 3.0))
+    return float(1.35 * np.linalg.norm(sides) / sides.prod() ** (1.0 / 3.0))
 
 
 def _scene_of(view: View, reach: tuple[float, float]) -> dict[str, Any]:

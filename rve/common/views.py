@@ -20,6 +20,11 @@ VIRIDIS = (
     *("#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725"),
 )
 """Eleven even steps of the perceptually uniform map viridis."""
+PLASMA = (
+    *("#0d0887", "#37049a", "#5601a3", "#7401a8", "#9011a1", "#a92495"),
+    *("#bf3984", "#d14f72", "#e16561", "#f07d4f", "#f89a3f"),
+)
+"""Eleven even steps of the perceptually uniform map plasma without its lightest part: for lines on white."""
 OVER = "#d6004d"
 """The colour of values above the scale."""
 TOP_SHARE = 0.995
@@ -79,6 +84,15 @@ class Scale:
         shares = (0.0, 0.1, 0.3, 0.6, 1.0) if self.spread == "root" else (0.0, 0.25, 0.5, 0.75, 1.0)
         return [float(f"{self.low + x * (self.top - self.low):.6g}") for x in shares]
 
+    def tick_labels(self) -> list[str]:
+        """What is written at `ticks`; a logarithmic scale also shows all values below its low end there.
+
+        >>> Scale("force, N", 0.05, 2.0, 2.0, spread="log").tick_labels()
+        ['≤ 0.05', '0.1', '1', '2']
+        """
+        labels = [f"{value:.3g}" for value in self.ticks()]
+        return [f"≤ {labels[0]}", *labels[1:]] if self.spread == "log" else labels
+
 
 def rounded_up(value: float, steps: tuple[float, ...] = NICE) -> float:
     """The smallest of `steps`, from 1 to 10, times a power of ten that is not below `value`; 1 for 0.
@@ -131,13 +145,14 @@ class Lines:
 class Camera:
     """Looks along `direction` (3,) with `up` (3,); the box around the points `focus` (p, 3) fills the picture.
 
-    Without focus it is the box around all parts of the view.
+    Without focus it is the box around all parts of the view. hides: names of parts that this camera does not see.
     """
 
     name: str
     direction: tuple[float, float, float]
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     focus: Array | None = field(default=None, repr=False)
+    hides: tuple[str, ...] = ()
 
 
 FRONT = Camera("front", (0.0, -0.12, -1.0))
