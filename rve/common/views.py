@@ -78,8 +78,9 @@ class Scale:
         ([0.0, 0.5, 1.0, 1.5, 2.0], [0.05, 0.1, 1.0, 2.0])
         """
         if self.spread == "log":
-            powers = np.arange(np.ceil(np.log10(self.low)), np.floor(np.log10(self.top)) + 1)
-            inner = [float(f"{10.0**p:.6g}") for p in powers if self.low * 1.3 < 10.0**p < self.top / 1.3]
+            powers = 10.0 ** np.arange(np.ceil(np.log10(self.low)), np.floor(np.log10(self.top)) + 1)
+            at = self.share(powers)
+            inner = [float(f"{power:.6g}") for power in powers[(at > 0.16) & (at < 0.93)]]  # texts do not overlap
             return [self.low, *inner, self.top]
         shares = (0.0, 0.1, 0.3, 0.6, 1.0) if self.spread == "root" else (0.0, 0.25, 0.5, 0.75, 1.0)
         return [float(f"{self.low + x * (self.top - self.low):.6g}") for x in shares]

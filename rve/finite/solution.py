@@ -144,7 +144,7 @@ class FiniteSolution:
         pulled = np.linalg.norm(np.nan_to_num(self.reaction), axis=1)
         held = pulled > _SEEN * pulled.max(initial=0.0)
         if held.any():
-            ax.plot(*self.centre[held, :2].T, "v", color="#009e73", ms=6, mec="white", label="held rings")
+            ax.plot(*self.centre[held, :2].T, "v", color="#009e73", ms=10, mec="white", label="held rings")
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), frameon=False)
         ax.set_title(f"{len(self.centre)} rings: {self.status}\nmean height {self.mean_height:.1f} mm", fontsize=11)
         return ax

@@ -8,7 +8,7 @@ import numpy as np
 
 from rve.common.solids import quads_cut
 from rve.common.types import Array
-from rve.common.views import PLASMA, THREE_QUARTERS, Camera, Lines, Scale, Surface, View
+from rve.common.views import PLASMA, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, rounded_up
 from rve.localization.files import LINE, circles, tubes
 
 if TYPE_CHECKING:
@@ -41,26 +41,28 @@ def plot_rings(
     if ax is None:
         ax = Figure(figsize=(7.0, 6.0), layout="constrained").subplots()
     lines = circles(centre, normal, r1, LINE[0])[0][:, :, :2]
-    drawn = LineCollection(list(np.concatenate([lines, lines[:, :1]], axis=1)), linewidths=width, colors="0.5")
+    if force is not None:
+        order = np.argsort(force, kind="stable")  # the greatest are drawn last
+        lines, force = lines[order], force[order]
+    drawn = LineCollection(list(np.concatenate([lines, lines[:, :1]], axis=1)), linewidths=width)
     ax.add_collection(drawn)
     if force is not None:
         _colour(drawn, force, ax)
+    else:
+        drawn.set_color("0.5")
     ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(centre)} rings")
     ax.autoscale_view()
     return ax
 
 
 def _colour(drawn: LineCollection, force: Array, ax: Axes) -> None:
-    """Colours of the forces, with their bar, on a logarithmic scale; the greatest are drawn last."""
+    """Colours of the forces, with their bar, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
     scale = force_scale(force)
-    order = np.argsort(force, kind="stable")
-    paths = drawn.get_paths()
-    drawn.set_paths([paths[i] for i in order])
     shades = LinearSegmentedColormap.from_list("rings", scale.colours)
     shades.set_over(scale.over)
-    drawn.set(array=np.maximum(force[order], scale.low), cmap=shades, norm=LogNorm(scale.low, scale.top))
+    drawn.set(array=np.maximum(force, scale.low), cmap=shades, norm=LogNorm(scale.low, scale.top))
     extend = "both" if scale.is_exceeded else "min"
     bar = ax.figure.colorbar(drawn, ax=ax, shrink=0.75, pad=0.02, extend=extend)
     above = f"; black: up to {scale.largest:.3g}" if scale.is_exceeded else ""
@@ -91,8 +93,8 @@ def ring_view(title: str, placed: tuple[Array, Array], radii: tuple[float, float
 
 
 def top_force(force: Array) -> float:
-    """The force, N, at which the scale of colours ends: all but the greatest 0.2 % of the rings are below it."""
-    return max(float(np.quantile(force, 0.998)), 1e-12)
+    """The round force, N, at which the scale of colours ends: all but the greatest 0.2 % of the rings are below it."""
+    return rounded_up(max(float(np.quantile(force, 0.998)), 1e-12))
 
 
 def close_view(
@@ -112,16 +114,17 @@ def close_view(
     parts = (
         _tori("all rings", (centre, normal), (r1, thick), force, around),
         _tori("rings near by", (centre[near], normal[near]), radii, force[near], FINE),
-        Lines("close-up", corners[None], 0.7 * thick, "#009e73"),
+        Lines("window of the close-up", corners[None], 1.5 * thick, "#009e73"),
     )
     front = Camera("front", (0.0, 0.0, -1.0)) if is_plane(centre) else THREE_QUARTERS
-    extent = np.concatenate([centre - r1, centre + r1])
+    headroom = [0.0, 0.08 * float(np.ptp(centre[:, 1])), 0.0]  # for the name of the camera
+    extent = np.concatenate([centre - r1, centre + r1 + headroom])
     whole = Camera(front.name, front.direction, front.up, extent, ("rings near by",))
     right, up, to_viewer = axes.T
     tilted = -(0.6 * right - 2.2 * up + 4.2 * to_viewer)  # from below and from the side: one sees how the rings lie
     near_by = 0.9 * corners + 0.1 * middle
     name = "close-up at the largest line load"
-    close = Camera(name, tuple(tilted), tuple(up), near_by, ("all rings", "close-up"))
+    close = Camera(name, tuple(tilted), tuple(up), near_by, ("all rings", "window of the close-up"))
     return View(view.title, parts, view.scale, (whole, close))
 
 
