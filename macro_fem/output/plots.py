@@ -46,7 +46,8 @@ def plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes 
     extend = "max" if scale.is_exceeded else "neither"
     bar = ax.figure.colorbar(mapped, ax=ax, shrink=0.75, pad=0.02, extend=extend)
     bar.set_ticks(scale.share(np.array(scale.ticks())).tolist(), labels=scale.tick_labels())
-    bar.set_label(scale.label + (f"; above: up to {scale.largest:.3g}" if scale.is_exceeded else ""))
+    above = f"; above: up to {scale.largest:.3g}" if scale.is_exceeded else ""
+    bar.set_label(scale.label.replace(", ", ",\n", 1) + above)
     _frame(solution, ax)
     return ax
 
@@ -121,15 +122,15 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
     panels = 2 if error is None else 3
-    height = float(np.clip(5.0 * extent[1] / extent[0], 3.0, 9.0)) + 1.2
-    figure = Figure(figsize=(6.2 * panels, height), layout="constrained")
+    height = float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4
+    figure = Figure(figsize=(5.2 * panels, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, panels)
     plot_line_loads(solution, axes[0])
     plot_states(solution, axes[1])
     if error is not None:
         plot_error(solution, error, axes[2])
-    write_whole(path, lambda temporary: figure.savefig(temporary, dpi=130))
+    write_whole(path, lambda temporary: figure.savefig(temporary, dpi=150))
 
 
 def save_animation(path: Path, steps: Sequence[CurtainSolution]) -> None:
@@ -246,12 +247,12 @@ def _supports(solution: CurtainSolution, ax: Axes) -> None:
 
 def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
     """What lines and markers mean, and the handles `more`, below the axes."""
+    from matplotlib.transforms import ScaledTranslation
+
+    assert ax.figure is not None
     handles = [*more, *ax.get_legend_handles_labels()[0]]
+    below = ax.transAxes + ScaledTranslation(0.0, -0.5, ax.figure.dpi_scale_trans)  # inches: under the label of x
     ax.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.1),
-        ncols=min(3, len(handles)),
-        frameon=False,
-        fontsize=9,
-    )
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, borderaxespad=0.0,
+        ncols=2, frameon=False, fontsize=9,
+    )  # fmt: skip
