@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ARROWS = 700
 """Approximate number of principal directions in a picture. Larger: denser strokes."""
 STATE_COLOURS = ("#dfe3e8", "#56b4e9", "#004c75")
-HELD = "#d7263d"
+HELD = "#111111"
 STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 
 
@@ -64,7 +64,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale:
     ax = plot_field(solution, values[:, 0], scale, ax)
     _directions(solution, (values, direction), scale, ax)
     _supports(solution, ax)
-    _legend(ax, [Line2D([], [], color="black", lw=1.2, label="its direction")])
+    _legend(ax, [Line2D([], [], color="black", lw=1.2, label="direction of this load")])
     ax.set_title(_title(solution), fontsize=11)
     return ax
 
