@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize.fitting.rows import Rows, rows_from_table, with_mirror
-from homogenize.laws.picture import colours, own_figure, surface_height
+from homogenize.laws.picture import own_figure, shade
 from homogenize.laws.picture import plot_sections as sections_of
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
+from homogenize.view import gap_scale, surface_with_gap, write_law_page
 from rve.common.errors import InputError
 from rve.common.files import atomic_path, write_text
 from rve.common.jobs import job
@@ -26,23 +28,28 @@ if TYPE_CHECKING:
 
 COMPONENTS = ("E11", "E12", "E22")
 DPI = 150
+PAGE = "law.html"
 RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.jobs`)."""
 
 
 def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:
-    """The locking surface in strain space, the rows and their mirror images on it, coloured by the error of h."""
-    ax = ax or own_figure().add_subplot(projection="3d")
-    both = with_mirror(rows)
-    D, G = 0.5 * (both.E[:, 0] - both.E[:, 2]), both.E[:, 1]
-    grid = np.meshgrid(np.linspace(D.min() - 0.02, D.max(), 70), np.linspace(G.min(), G.max(), 71))
-    T = surface_height(law, *grid)
-    lowest = both.E[:, [0, 2]].mean(axis=1).min() - 0.02
-    shown = np.where(lowest < T, T, np.nan)
-    ax.plot_surface(shown + grid[0], grid[1], shown - grid[0], alpha=0.35, color="0.6", linewidth=0)
-    error = np.abs(law.support(both.S) - both.h)
-    points = ax.scatter(both.E[:, 0], both.E[:, 1], both.E[:, 2], c=error, s=12, cmap="viridis", depthshade=False)
-    ax.figure.colorbar(points, ax=ax, shrink=0.7, label="error of h at the row (unit trace of S)")
+    """The locking surface in strain space, coloured by the gap between the bounds of h, the rows and their mirrors."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    if ax is None:
+        ax = own_figure((8.0, 6.0)).add_subplot(projection="3d")
+        ax.set_box_aspect(None, zoom=0.85)
+        ax.zaxis.labelpad = 10.0
+    E, gap = surface_with_gap(law, rows, 71)
+    scale, both = gap_scale(gap), with_mirror(rows)
+    mapped = ScalarMappable(LogNorm(scale.low, scale.top), "viridis")
+    shades = mapped.to_rgba(np.clip(gap, scale.low, scale.top), alpha=0.75)
+    ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=71, ccount=71, shade=False)
+    ax.plot(*both.E.T, ".", color="black", ms=4, label="rows of the table and their mirror images")
+    ax.figure.colorbar(mapped, ax=ax, shrink=0.7, pad=0.02, label=scale.label, extend="min")
+    ax.legend(loc="upper left", fontsize=10)
     ax.set(
         xlabel="E11", ylabel="E12", zlabel="E22", title=f"Locking surface of the {law.name} law and {len(rows)} rows"
     )
@@ -51,22 +58,22 @@ def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:
 
 def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
     """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
-    axes = own_figure((12.0, 4.2)).subplots(1, 3) if axes is None else axes
+    axes = own_figure((12.5, 4.2)).subplots(1, 3) if axes is None else axes
     alphas = np.unique(table.alpha_deg[table.converged])
     beta = np.linspace(1.0, 89.0, 89)
     for number, alpha in enumerate(alphas):
-        colour = colours()(number / max(len(alphas) - 1, 1))
+        colour = shade(number / max(len(alphas) - 1, 1))
         found = locked_strain(law, np.full(len(beta), alpha), beta)
         E = np.where((found.status == "converged")[:, None], found.E, np.nan)
         at = table.converged & (table.alpha_deg == alpha)
         for k, ax in enumerate(axes):
-            ax.plot(beta, E[:, k], color=colour, lw=0.9, label=f"{alpha:g} deg" if k == 2 else None)
-            ax.plot(table.beta_deg[at], table.E[at, k], "o", color=colour, ms=2.5)
+            ax.plot(beta, E[:, k], color=colour, lw=1.2, label=f"{alpha:g} deg" if k == 2 else None)
+            ax.plot(table.beta_deg[at], table.E[at, k], "o", color=colour, ms=3.5)
     for ax, name in zip(axes, COMPONENTS, strict=True):
         ax.set(xlabel="ratio angle beta (degrees)", ylabel=name, xlim=(0.0, 90.0))
         ax.grid(alpha=0.3)
-    axes[2].legend(title="alpha", fontsize=7, ncols=2)
-    axes[1].set_title("Locked strain under a Cauchy load: law (lines), rows (points)")
+    axes[2].legend(title="alpha", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes[0].figure.suptitle("Locked strain under a Cauchy load: law (lines), rows (points)")
     return axes
 
 
@@ -93,7 +100,7 @@ def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
     ax = sections_of(law, shears, (-0.2, 0.5 * (rows.E[:, 0] - rows.E[:, 2]).max() + 0.2), ax)
     plane = np.abs(rows.E[:, 1]) < 1e-9
     ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=10)
     return ax
 
 
@@ -106,10 +113,13 @@ def save_picture(figure: Any, path: str | Path) -> None:
         raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
 
 
-def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
+def write_pictures(
+    law: StoredLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = (), *, html: bool = False
+) -> list[Path]:
     """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
-    The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
+    html: also law.html, the surface and the strength, which turn in a browser. The folder is made if need be. Returns
+    the paths of the pictures; InputError if one would overwrite one of `inputs`.
     """
     folder = Path(folder)
     rows = rows_from_table(table)
@@ -124,5 +134,7 @@ def write_pictures(law: MembraneLaw, table: StrainTable, folder: str | Path, inp
         for number, (name, figure) in enumerate(pictures.items()):
             tell(f"drawing, {name}", number / len(pictures))
             figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
+        if html:
+            write_law_page(law, rows, staged / PAGE, law.strength)
         write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")
-    return [folder / name for name in pictures]
+    return [folder / name for name in (*pictures, *([PAGE] if html else []))]

@@ -157,14 +157,15 @@ _ring_options = options(
 @_ring_options
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
-def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: bool) -> None:
+@click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
+def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: bool, html: bool) -> None:
     """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png.
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
     from macro_fem.every_ring import run_rings
 
-    summary = run_rings(scene, law_path, out, space=space, picture=picture)
+    summary = run_rings(scene, law_path, out, space=space, picture=picture, html=html)
     say(f"{summary['status']}: {summary['message']}")
     say(
         f"{summary['rings']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "

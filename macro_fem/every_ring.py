@@ -29,6 +29,7 @@ from rve import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_si
 from rve.common.errors import InputError, require
 from rve.common.files import versions, write_text, write_whole
 from rve.common.jobs import check_out_job, job
+from rve.common.page import check_page
 from rve.common.types import Array
 
 RECORD = "summary.json"
@@ -216,13 +217,17 @@ def run_rings(
     *,
     space: bool = True,
     picture: bool = True,
+    html: bool = False,
 ) -> dict[str, Any]:
     """Solve the scene in a file ring by ring, write summary.json, rings.vtu and rings.png into `out`; the summary.
 
-    InputError in one sentence for what cannot be read, or makes no sense for rings; nothing is written then.
+    html: also rings.html, which turns in a browser. InputError in one sentence for what cannot be read, or makes no
+    sense for rings; nothing is written then.
     """
     if picture:
         require("matplotlib", "plots", "rings.png", "ask for --no-picture")
+    if html:
+        check_page("rings.html", "leave out --html")
     scene = load_scene(scene_path)
     inputs = [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
@@ -233,6 +238,8 @@ def run_rings(
         solution.write_vtu(folder / "rings.vtu")
         if picture:
             _save_picture(folder / "rings.png", solution)
+        if html:
+            solution.write_html(folder / "rings.html")
         write_text(folder / RECORD, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 

@@ -273,7 +273,7 @@ def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
 def tangent_walls(body: Placed, fem: SupportedFem, normal: Array) -> Walls:
     """The half-spaces of normals (m, d) that touch a body, at all points that meet it and can move."""
     at = meeting_points(body.obstacle, fem.disc)
-    free = np.flatnonzero(((at.share != 0.0) & ~fem.held.all(axis=1)[at.node]).any(axis=1))
+    free = np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1))
     own = at.only(free)
     return Walls(own.node, normal[free], body.offset(normal[free]), np.full(len(free), body.number), own.share)
 

@@ -235,9 +235,13 @@ def _say_of_table(found: Any, out: Path, method: str) -> None:
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write, PNG, SVG or PDF.")
+@click.option("--html", type=click.Path(dir_okay=False, path_type=Path), help="Page to write that turns in a browser.")
+@click.option("--animation", type=click.Path(dir_okay=False, path_type=Path), help="GIF to write: the cell locking.")
 @_explain_options
 @_cell_options
-def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: Any) -> None:
+def case(
+    alpha: float, beta: float, plot: Path | None, html: Path | None, animation: Path | None, explain: bool, **cell: Any
+) -> None:
     """Solve one load direction and print its locked state as JSON."""
     from rve.solve import solve_table
     from rve.table import COLUMNS
@@ -245,6 +249,7 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: An
     if plot is not None:
         require("matplotlib", "plots", "--plot")
         check_out_file(plot, "--plot")
+    _check_views(html, animation)
     found = solve_table(_cell(**cell), ([alpha], [beta]))
     if explain:
         _explain(found)
@@ -262,6 +267,27 @@ def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: An
 
         tell(f"drawing {plot}")
         save(draw_case(found), plot)
+    if html is not None:
+        from rve.cell_view import write_case_page
+
+        write_case_page(found, html)
+    if animation is not None:
+        from rve.cell_view import write_locking
+
+        write_locking(found, animation)
+
+
+def _check_views(html: Path | None, animation: Path | None) -> None:
+    """InputError, before anything is solved, for views of a cell that cannot be written."""
+    from rve.cell_view import check_animation
+    from rve.common.page import check_page
+
+    if html is not None:
+        check_page("--html", "leave it out")
+        check_out_file(html, "--html")
+    if animation is not None:
+        check_animation(animation)
+        check_out_file(animation, "--animation")
 
 
 @main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")

@@ -11,8 +11,10 @@ import numpy as np
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
 from rve.common.files import atomic_path
 from rve.common.types import Array
+from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import lattice_load
+from rve.geometry.cell import Cell
 from rve.geometry.circles import tangent_frame
 from rve.table import StrainTable
 
@@ -21,9 +23,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-CLASS_COLOURS = ("#33658a", "#d17a22", "#5b8c5a")
-CONTACT_COLOUR = "#1f3fd0"
-FORCE_COLOUR = "#c1121f"
+CLASS_COLOURS = ("#5d6672", "#a9b0b9", "#8a7a66")
+"""Rings are grey, so that forces stand out."""
+CONTACT_COLOUR, FORCE_COLOUR = "#0072B2", "#D55E00"
+"""Blue and vermilion, which colour-blind readers tell apart (Okabe and Ito)."""
 
 
 def figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
@@ -83,47 +86,69 @@ def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
     return np.array(points).reshape(-1, 3), np.array(normals).reshape(-1, 3), np.array(forces)
 
 
-def draw_cell(ax: Axes, states: LockedStates) -> Axes:
-    """Rings of the first state seen along z, contact points with normals (blue) and the forces on the corner rings
-    (red); returns `ax`."""
+def swapped(vectors: Array, cell: Cell) -> Array:
+    """Vectors (..., 2) or (..., 3) from weave axes to the axes x, y of the mesh, which the grain names."""
+    return np.concatenate([vectors[..., 1::-1], vectors[..., 2:]], axis=-1) if cell.grain == "x" else vectors
+
+
+def corner_forces(states: LockedStates) -> tuple[Array, Array]:
+    """Corners (4, 3) of the cell of the first state in mm, and the line load on its faces as forces there (4, 3).
+
+    Fig. 4 of the paper: the load on a face goes in equal parts to the two rings at its ends. Forces are in units of the
+    size of the line load times r1.
+    """
     pose, cell = states.pose, states.cell
-    swap = (lambda x: x[..., ::-1]) if cell.grain == "x" else (lambda x: x)
-    for ring in cell.weave.rings:
-        line = swap(ring_points(states, ring)[:, :2])
-        colour = CLASS_COLOURS[int(ring[0]) % len(CLASS_COLOURS)]
-        ax.plot(*line.T, color=colour, lw=1.6, solid_capstyle="round")
     a1, a2 = cell.r1 * pose.a1[0], cell.r1 * pose.a2[0]
-    corners = swap(np.array([0 * a1, a1, a1 + a2, a2, 0 * a1]))
-    ax.plot(*corners.T, color="0.45", lw=0.8, ls="--", zorder=0)
+    f, _ = lattice_load(pose, unit_loads(states.s))
+    f1, f2 = f[0, :2], f[0, 2:]
+    at = np.array([0 * a1, a1, a2, a1 + a2])
+    nodal = 0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2])
+    return tuple(swapped(np.pad(part, ((0, 0), (0, 1))), cell) for part in (at, nodal))  # type: ignore[return-value]
+
+
+def draw_cell(ax: Axes, states: LockedStates) -> Axes:
+    """Rings of the first state seen along z, contact points with the forces between rings (blue) and those on the
+    corner rings (vermilion); returns `ax`."""
+    cell = states.cell
+    named: set[int] = set()
+    for ring in cell.weave.rings:
+        line, k = swapped(ring_points(states, ring)[:, :2], cell), int(ring[0])
+        label = None if k in named else f"rings of class {k + 1}"
+        named.add(k)
+        ax.plot(*line.T, color=CLASS_COLOURS[k % len(CLASS_COLOURS)], lw=1.8, solid_capstyle="round", label=label)
+    at, nodal = (part[:, :2] for part in corner_forces(states))
+    ax.plot(*at[[0, 1, 3, 2, 0]].T, color="0.3", lw=0.9, ls="--", zorder=0, label="periodic cell")
     points, normals, forces = contacts_mm(states)
     if len(points):
-        flat, tips = swap(points[:, :2]), swap(normals[:, :2])
-        ax.scatter(flat[:, 0], flat[:, 1], s=16, color=CONTACT_COLOUR, zorder=3)
+        flat, tips = swapped(points, cell)[:, :2], swapped(normals, cell)[:, :2]
+        ax.scatter(flat[:, 0], flat[:, 1], s=18, color=CONTACT_COLOUR, zorder=3, label="contact")
         reach = 0.5 * cell.r1 * (forces / forces.max())[:, None] * tips
-        for sign in (1.0, -1.0):
-            ax.quiver(
-                *flat.T, *(sign * reach).T, angles="xy", scale_units="xy", scale=1.0, color=CONTACT_COLOUR, width=3e-3
-            )
-    f, _ = lattice_load(pose, states.s)
-    f1, f2 = f[0, :2], f[0, 2:]
-    # Fig. 4: the line load on a face goes in equal parts to the two rings at its ends.
-    nodal = swap(0.5 * np.array([-f1 - f2, f1 - f2, f2 - f1, f1 + f2]))
-    at = swap(np.array([0 * a1, a1, a2, a1 + a2]))
-    size = 1.3 * cell.r1 / max(np.abs(nodal).max(), 1e-300)
-    ax.quiver(
-        *at.T, *(size * nodal).T, angles="xy", scale_units="xy", scale=1.0, color=FORCE_COLOUR, width=5e-3, zorder=4
-    )
-    for number, place in enumerate(at, 1):
-        ax.annotate(str(number), place, textcoords="offset points", xytext=(4, 4), fontsize=9)
+        most = f"force between rings, longest {cell.r1 * forces.max():.3g}"
+        _arrows(ax, np.tile(flat, (2, 1)), np.concatenate([reach, -reach]), CONTACT_COLOUR, 3e-3, most)
+    largest = max(float(np.linalg.norm(nodal, axis=1).max()), 1e-300)
+    most = f"force on a corner, longest {cell.r1 * largest:.3g}"
+    _arrows(ax, at, 1.3 * cell.r1 * nodal / largest, FORCE_COLOUR, 5e-3, most)
+    for number, (place, force) in enumerate(zip(at, nodal, strict=True), 1):
+        away = tuple(-11.0 * force / max(float(np.linalg.norm(force)), 1e-300))  # on the other side than the arrow
+        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 11}
+        ax.annotate(str(number), place, textcoords="offset points", xytext=away, **style)
     ax.set_aspect("equal")
     ax.margins(0.12)
-    ax.set_xlabel("x in mm")
-    ax.set_ylabel("y in mm")
+    ax.set_xlabel("x, mm")
+    ax.set_ylabel("y, mm")
     return ax
 
 
-def draw_case(table: StrainTable, row: int = 0) -> Figure:
-    """Picture of the locked cell of a row of a table that was solved here.
+def _arrows(ax: Axes, at: Array, way: Array, colour: str, width: float, label: str) -> None:
+    """Arrows in mm that lead from `at` (n, 2) along `way` (n, 2)."""
+    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "color": colour, "width": width}
+    ax.quiver(*at.T, *way.T, zorder=4, **style)
+    ax.plot([], [], color=colour, marker=r"$\rightarrow$", ms=14, ls="none", label=label)
+    ax.update_datalim(at + way)
+
+
+def locked_row(table: StrainTable, row: int = 0) -> LockedStates:
+    """The locked state of a row of a table that was solved here.
 
     Raises NotConverged for a row that has not converged, InputError for a table without `states`.
     """
@@ -132,13 +157,28 @@ def draw_case(table: StrainTable, row: int = 0) -> Figure:
         raise NotConverged(f"{status}: {SENTENCES[status]}")
     if table.states is None:
         raise InputError("a table read from a file has no locked states to draw; solve it again with solve_table")
-    states, cell = table.states.take(np.array([row])), table.states.cell
-    fig, ax = figure(6.4, 6.8)
-    draw_cell(ax, states)
+    return table.states.take(np.array([row]))
+
+
+def case_title(table: StrainTable, row: int = 0) -> str:
+    """Two lines above the picture of the locked cell of a row."""
+    states = locked_row(table, row)
     note = "" if states.unique[0] else " (strain not unique: limit shown)"
-    ax.set_title(
+    return (
         f"locked cell, alpha = {table.alpha_deg[row]:g} deg, beta = {table.beta_deg[row]:g} deg{note}\n"
-        f"r1 = {cell.r1:g} mm, r2 = {cell.r2:g} mm; contacts and forces between rings blue, line-load forces red",
-        fontsize=9,
+        f"r1 = {states.cell.r1:g} mm, r2 = {states.cell.r2:g} mm"
     )
+
+
+def draw_case(table: StrainTable, row: int = 0) -> Figure:
+    """Picture of the locked cell of a row of a table that was solved here.
+
+    Raises NotConverged for a row that has not converged, InputError for a table without `states`.
+    """
+    states = locked_row(table, row)
+    fig, ax = figure(6.8, 7.6)
+    draw_cell(ax, states)
+    ax.set_title(case_title(table, row), fontsize=12)
+    title = "forces in N at a line load of 1 N/mm"
+    fig.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=10, title=title, title_fontsize=10)
     return fig

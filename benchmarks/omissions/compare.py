@@ -47,7 +47,7 @@ def bars(key: str, title: str, trials: Sequence[Row]) -> Diagram:
     """Time with each feature over the time without, a bar for each scene."""
     features = list(dict.fromkeys(row["feature"] for row in trials))
     placed = [row | {"_place": features.index(row["feature"])} for row in trials]
-    ticks = tuple(feature.replace("-", "-\n", 1).replace(" ", "\n") for feature in features)
+    ticks = tuple(feature.lstrip("-").replace("-", "-\n", 1).replace(" ", "\n") for feature in features)
     drawn = curves(placed, "scene", "_place", RATIO)
     return Diagram(key, title, "feature", "time with / time without", drawn, bars=True, ticks=ticks, base=1.0)
 

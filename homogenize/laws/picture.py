@@ -45,10 +45,10 @@ def plot_sections(
         T = surface_height(law, D, np.full_like(D, shear))
         is_open = np.minimum(T + D, T - D) > -0.5  # I + 2E has positive sides
         label = f"E12 = {shear:.3f}"
-        ax.plot((T + D)[is_open], (T - D)[is_open], color=colours()(number / max(len(shears) - 1, 1)), label=label)
+        ax.plot((T + D)[is_open], (T - D)[is_open], color=shade(number / max(len(shears) - 1, 1)), label=label)
     ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
     ax.grid(alpha=0.3)
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=10)
     return cast("Axes", ax)
 
 
@@ -93,16 +93,21 @@ def _draw_locking(law: MembraneLaw, ax: Any) -> None:
     ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")
 
 
-def _draw_strength(known: Strength, stress: float, ax: Any) -> None:
-    """First yield as a surface and collapse as a net over all tensile line loads."""
+def strength_loads(known: Strength, stress: float) -> tuple[Array, Array]:
+    """Line loads (73, 25, 3) in N/mm of first yield and of collapse, over directions and shares of the smaller one."""
     share, angle = np.meshgrid(np.linspace(0.0, 1.0, 25), np.linspace(0.0, 2.0 * np.pi, 73))
     c, s = 0.5 * share * np.cos(angle), 0.5 * share * np.sin(angle)
-    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1).reshape(-1, 3)
-    for load, draw in (
-        (1.0 / known.utilisation(S, stress), _filled(ax)),
-        (1.0 / known.collapse_utilisation(S, stress), _net(ax)),
-    ):
-        draw(*(load[:, None] * S).T.reshape(3, *share.shape))
+    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1)
+    flat = S.reshape(-1, 3)
+    loads = 1.0 / known.utilisation(flat, stress), 1.0 / known.collapse_utilisation(flat, stress)
+    first, last = (load.reshape(*share.shape, 1) * S for load in loads)
+    return first, last
+
+
+def _draw_strength(known: Strength, stress: float, ax: Any) -> None:
+    """First yield as a surface and collapse as a net over all tensile line loads."""
+    for loads, draw in zip(strength_loads(known, stress), (_filled(ax), _net(ax)), strict=True):
+        draw(*np.moveaxis(loads, -1, 0))
     ax.set(xlabel="S11 (N/mm)", ylabel="S12 (N/mm)", zlabel="S22 (N/mm)", title="Space of line loads")
     ax.legend(loc="upper left", fontsize=11)
 
@@ -148,8 +153,8 @@ def own_figure(size: tuple[float, float] = (7.0, 5.2)) -> Figure:
     return Figure(figsize=size, layout="constrained")
 
 
-def colours() -> Any:
-    """The colour map of all pictures of laws."""
+def shade(share: float) -> Any:
+    """A colour of the map viridis, from 0 to 1, without its lightest part, which lines on white cannot have."""
     import matplotlib
 
-    return matplotlib.colormaps["viridis"]
+    return matplotlib.colormaps["viridis"](0.88 * share)

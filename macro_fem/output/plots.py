@@ -10,56 +10,64 @@ import numpy as np
 
 from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
+from macro_fem.output.space_view import line_load_scale
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
 from rve.common.errors import InputError
 from rve.common.files import write_whole
 from rve.common.render import pixels, write_gif
 from rve.common.types import Array
+from rve.common.views import Scale, rounded_up
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ARROWS = 700
 """Approximate number of principal directions in a picture. Larger: denser strokes."""
-STATE_COLOURS = ("#c9d3df", "#f2b872", "#8c2d19")
+STATE_COLOURS = ("#dfe3e8", "#56b4e9", "#004c75")
+HELD = "#111111"
 STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 
 
-def plot_field(solution: CurtainSolution, values: Array, label: str, ax: Axes | None = None, **style: Any) -> Axes:
+def plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.tri import Triangulation
+
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)[:, :2]
-    colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=np.asarray(values)[cell], **style)
+    shades = LinearSegmentedColormap.from_list("scale", scale.colours)
+    shades.set_over(scale.over)
+    mapped = ScalarMappable(Normalize(0.0, 1.0), shades)
+    shown = scale.share(np.asarray(values))[cell]
+    net = Triangulation(corners[:, 0], corners[:, 1], triangles)
+    ax.tripcolor(net, facecolors=shown, cmap=shades, vmin=0.0, vmax=1.0)
     assert ax.figure is not None
-    bar = ax.figure.colorbar(colours, ax=ax, shrink=0.75, pad=0.02)
-    bar.set_label(label)
+    extend = "max" if scale.is_exceeded else "neither"
+    bar = ax.figure.colorbar(mapped, ax=ax, shrink=0.75, pad=0.02, extend=extend)
+    bar.set_ticks(scale.share(np.array(scale.ticks())).tolist(), labels=scale.tick_labels())
+    above = f"; above: up to {scale.largest:.3g}" if scale.is_exceeded else ""
+    bar.set_label(scale.label.replace(", ", ",\n", 1) + above)
     _frame(solution, ax)
     return ax
 
 
-def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, top: float | None = None) -> Axes:
+def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale: Scale | None = None) -> Axes:
     """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
 
-    top: where the scale of colours ends, N/mm; by default 99.5 % of the cells are below it.
+    scale: the colours of a series of pictures; by default those of this solution.
     """
-    from matplotlib.colors import PowerNorm
+    from matplotlib.lines import Line2D
 
     values, direction = solution.principal()
-    if top is None:
-        top = float(np.quantile(values[:, 0], 0.995)) if len(values) else 0.0
-    ax = plot_field(
-        solution,
-        values[:, 0],
-        "largest principal line load, N/mm (reference length), square-root scale",
-        ax,
-        cmap="YlOrRd",
-        norm=PowerNorm(0.5, vmin=0.0, vmax=max(top, 1e-300)),
-    )
-    _directions(solution, values, direction, ax)
+    scale = line_load_scale([solution]) if scale is None else scale
+    ax = plot_field(solution, values[:, 0], scale, ax)
+    _directions(solution, (values, direction), scale, ax)
     _supports(solution, ax)
-    ax.set_title(_title(solution), fontsize=10)
+    _legend(ax, [Line2D([], [], color="black", lw=1.2, label="direction of this load")])
+    ax.set_title(_title(solution), fontsize=11)
     return ax
 
 
@@ -68,9 +76,9 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     used = strength.utilisation(solution)
     if used is None:
         raise InputError(f"utilisation: {strength.reason(solution.problem.law)}")
-    top = max(float(np.quantile(used, 0.995)), 1e-300)
-    ax = plot_field(solution, used, "utilisation of the rings (1: first yield)", ax, cmap="YlOrRd", vmin=0.0, vmax=top)
+    ax = plot_field(solution, used, Scale.of(used, "utilisation of the rings (1: first yield)"), ax)
     _supports(solution, ax)
+    _legend(ax)
     return ax
 
 
@@ -93,21 +101,19 @@ def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     )
     patches = [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)]
     _frame(solution, ax)
-    ax.legend(handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3, frameon=False, fontsize=8)
     _supports(solution, ax)
+    _legend(ax, patches)
     return ax
 
 
 def plot_error(solution: CurtainSolution, density: Array, ax: Axes | None = None) -> Axes:
     """Where the gap between the bounds comes from: its density (n_cells,) over four decades."""
-    from matplotlib.colors import LogNorm
 
-    top = max(float(density.max(initial=0.0)), 1e-300)
-    shown = np.clip(density, 1e-4 * top, top)
-    ax = plot_field(
-        solution, shown, "gap between the bounds, N mm per mm2", ax, cmap="viridis", norm=LogNorm(1e-4 * top, top)
-    )
-    ax.set_title("where the bounds differ", fontsize=10)
+    largest = float(density.max(initial=0.0))
+    top = rounded_up(largest)
+    scale = Scale("gap between the bounds, N mm per mm2", 1e-4 * top, top, largest, spread="log")
+    ax = plot_field(solution, density, scale, ax)
+    ax.set_title("where the bounds differ", fontsize=11)
     return ax
 
 
@@ -118,15 +124,15 @@ def save_picture(path: Path, solution: CurtainSolution, error: Array | None = No
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
     panels = 2 if error is None else 3
-    height = float(np.clip(5.0 * extent[1] / extent[0], 3.0, 9.0)) + 1.2
-    figure = Figure(figsize=(6.2 * panels, height), layout="constrained")
+    height = float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4
+    figure = Figure(figsize=(5.2 * panels, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, panels)
     plot_line_loads(solution, axes[0])
     plot_states(solution, axes[1])
     if error is not None:
         plot_error(solution, error, axes[2])
-    write_whole(path, lambda temporary: figure.savefig(temporary, dpi=130))
+    write_whole(path, lambda temporary: figure.savefig(temporary, dpi=150))
 
 
 def save_animation(path: Path, steps: Sequence[CurtainSolution]) -> None:
@@ -134,7 +140,7 @@ def save_animation(path: Path, steps: Sequence[CurtainSolution]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    top = float(np.quantile(np.concatenate([step.principal()[0][:, 0] for step in steps]), 0.995))
+    scale = line_load_scale(steps)
     points = np.concatenate([*(step.x for step in steps), steps[0].problem.disc.nodes])
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.04 * float((high - low).max())
@@ -142,9 +148,9 @@ def save_animation(path: Path, steps: Sequence[CurtainSolution]) -> None:
     for step in steps:
         figure = Figure(figsize=(7.0, 6.2), dpi=110, layout="constrained")
         FigureCanvasAgg(figure)
-        ax = plot_line_loads(step, figure.subplots(), top=top)
+        ax = plot_line_loads(step, figure.subplots(), scale=scale)
         ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-        ax.set_title(f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{_title(step)}", fontsize=10)
+        ax.set_title(f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{_title(step)}", fontsize=11)
         frames.append(pixels(figure))
     write_gif(path, frames)
 
@@ -177,7 +183,7 @@ def _frame(solution: CurtainSolution, ax: Axes) -> None:
         color="0.45",
         lw=0.8,
         ls=(0, (4, 3)),
-        label="reference",
+        label="before deformation",
     )
     ax.set_aspect("equal")
     ax.set_xlabel("x, mm")
@@ -185,25 +191,26 @@ def _frame(solution: CurtainSolution, ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def _directions(solution: CurtainSolution, values: Array, direction: Array, ax: Axes) -> None:
+def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale: Scale, ax: Axes) -> None:
     """Short strokes along the larger principal line load in the deformed state, longer where it is larger."""
     from matplotlib.collections import LineCollection
 
-    top = float(np.quantile(values[:, 0], 0.995))
+    values, direction = principal
     mesh = solution.problem.mesh.mesh
     middle = mesh.p.T[mesh.t.T].mean(axis=1)
-    cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * top), ARROWS)
+    cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * scale.top), ARROWS)
     if not len(cells):
         return
     F = solution.problem.disc.cell_mean(solution.F)[cells]
     along = np.einsum("cij,cj->ci", F, direction[cells])[:, :2]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     centre = corner_positions(solution)[:, :2][mesh.t.T[cells]].mean(axis=1)
-    length = 0.02 * solution.problem.mesh.size * np.sqrt(np.minimum(values[cells, 0] / top, 1.0))
-    half = 0.5 * along * length[:, None]
-    ax.add_collection(
-        LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors="0.15", linewidths=0.6)
-    )
+    share = np.minimum(scale.share(values[cells, 0]), 1.0)
+    half = 0.01 * solution.problem.mesh.size * along * share[:, None]
+    strokes = list(np.stack([centre - half, centre + half], axis=1))
+    # black on the bright colours of the scale, white on the dark ones
+    tones = np.where(share > 0.55, "black", "white").tolist()
+    ax.add_collection(LineCollection(strokes, colors=tones, linewidths=0.8))
 
 
 def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
@@ -229,9 +236,25 @@ def _supports(solution: CurtainSolution, ax: Axes) -> None:
     mask = solution.problem.supports.mask
     mesh, corners = solution.problem.mesh.mesh, corner_positions(solution)[:, :2]
     facets = np.unique(np.concatenate([held.facets for held in solution.problem.supports.held]))
-    ax.add_collection(LineCollection(list(corners[mesh.facets[:, facets].T]), colors="#1f4e79", linewidths=2.0))
-    x = solution.x
+    if len(facets):
+        lines = list(corners[mesh.facets[:, facets].T])
+        ax.add_collection(LineCollection(lines, colors=HELD, linewidths=2.5, label="held edge"))
     both, one = mask.all(axis=1), mask.any(axis=1) & ~mask.all(axis=1)
-    size = 40.0 if both.sum() + one.sum() < 40 else 12.0
-    ax.scatter(x[both, 0], x[both, 1], marker="v", s=size, color="#1f4e79", zorder=5)
-    ax.scatter(x[one, 0], x[one, 1], marker="o", s=size, facecolors="white", edgecolors="#1f4e79", zorder=5)
+    size = 45.0 if both.sum() + one.sum() < 40 else 14.0
+    for nodes, marker, face, label in ((both, "v", HELD, "held in x and y"), (one, "o", "white", "held in x or y")):
+        if nodes.any():
+            at = solution.x[nodes]
+            ax.scatter(at[:, 0], at[:, 1], marker=marker, s=size, color=face, edgecolors=HELD, zorder=5, label=label)
+
+
+def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
+    """What lines and markers mean, and the handles `more`, below the axes."""
+    from matplotlib.transforms import ScaledTranslation
+
+    assert ax.figure is not None
+    handles = [*more, *ax.get_legend_handles_labels()[0]]
+    below = ax.transAxes + ScaledTranslation(0.0, -0.5, ax.figure.dpi_scale_trans)  # inches: under the label of x
+    ax.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, borderaxespad=0.0,
+        ncols=2, frameon=False, fontsize=9,
+    )  # fmt: skip

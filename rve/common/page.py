@@ -1,4 +1,4 @@
-"""A view as one HTML file that turns in a browser without a network: plotly's writer with its script inside.
+"""Views as one HTML file that turns in a browser without a network: plotly's writer with its script inside.
 
 Plotly brings hover numbers, a bar of colours and a legend in which parts are switched on and off. The script is
 5 MB of each file.
@@ -29,34 +29,54 @@ def check_page(purpose: str = "a page", instead: str = "ask for none") -> None:
     require("plotly", "pages", purpose, instead)
 
 
-def write_page(path: str | os.PathLike[str], view: View) -> None:
-    """Write the view as one HTML file, atomically; InputError if plotly is missing."""
+def write_page(path: str | os.PathLike[str], view: View, *beside: View) -> None:
+    """Write the view, and others beside it, as one HTML file, atomically; InputError if plotly is missing."""
     check_page(str(path))
     from plotly.io import to_html
 
+    views = (view, *beside)
     settings = {"displaylogo": False, "responsive": True, "scrollZoom": True}
-    figure = {"data": _traces(view), "layout": _layout(view)}
+    traces = [trace for number in range(len(views)) for trace in _traces(views, number)]
     text = to_html(
-        figure, config=settings, include_plotlyjs=True, full_html=True, validate=False, default_height="100vh"
+        {"data": traces, "layout": _layout(views)},
+        config=settings,
+        include_plotlyjs=True,
+        full_html=True,
+        validate=False,
+        default_height="100vh",
     )
     head = f'<head><title>{_plain(view.title)}</title><link rel="icon" href="data:,">'
     style = "<style>body{margin:0}</style>"
     write_text(path, text.replace("<head>", head + style, 1))
 
 
-def _traces(view: View) -> list[dict[str, Any]]:
-    traces: list[dict[str, Any]] = []
-    for part in view.parts:
-        traces.append(_surface(part, view.scale) if isinstance(part, Surface) else _lines(part, view.scale))
+def _scene(number: int, kind: str = "scene") -> str:
+    """Plotly's name of the scene, or of the legend, of a view."""
+    return f"{kind}{number + 1}" if number else kind
+
+
+def _traces(views: tuple[View, ...], number: int) -> list[dict[str, Any]]:
+    view = views[number]
+    traces = [_surface(part, view) if isinstance(part, Surface) else _lines(part, view.scale) for part in view.parts]
     coloured = [trace for trace, part in zip(traces, view.parts, strict=True) if part.values is not None]
     if coloured and view.scale is not None:
         first = coloured[0]
         target = first if first["type"] == "mesh3d" else first["line"]
-        target |= {"showscale": True, "colorbar": _bar(view.scale)}
-    return traces
+        target |= {"showscale": True, "colorbar": _bar(view.scale) | {"x": (number + 1.0) / len(views)}}
+        if len(views) > 1:
+            target["colorbar"] |= {"xanchor": "right"}
+    return [trace | {"scene": _scene(number), "legend": _scene(number, "legend")} for trace in traces]
 
 
-def _surface(part: Surface, scale: Scale | None) -> dict[str, Any]:
+def _place(view: View) -> str:
+    """What hovering tells about a point: its coordinates in the order of their names."""
+    own = dict(zip(AXES, "xyz", strict=True))  # plotly's letter of each of our axes
+    told = sorted((name, own[axis]) for axis, name in enumerate(view.axes))
+    return ", ".join(f"{name} %{{{letter}:.4g}}" for name, letter in told) + f" {view.unit}".rstrip()
+
+
+def _surface(part: Surface, view: View) -> dict[str, Any]:
+    scale = view.scale
     x, y, z = map(_packed, part.points.T)
     i, j, k = map(_packed, part.triangles.T)
     trace = {
@@ -70,13 +90,13 @@ def _surface(part: Surface, scale: Scale | None) -> dict[str, Any]:
         **{
             "lighting": _light(part),
             "color": part.colour,
-            "hoverinfo": "name",
+            "hovertemplate": f"{_plain(part.name)}<br>{_place(view)}<extra></extra>",
             "lightposition": {"x": 1e5, "y": 3e4, "z": 1e5},
         },
     }
     if part.values is None or scale is None:
         return trace
-    hover = f"{scale.label}: %{{customdata:.4g}}<br>x %{{y:.0f}}, y %{{z:.0f}}, z %{{x:.0f}} mm<extra></extra>"
+    hover = f"{scale.label}: %{{customdata:.4g}}<br>{_place(view)}<extra></extra>"
     trace |= {"showlegend": False}  # the bar of colours tells what it is
     values = {"intensity": _packed(_shares(part.values, scale)), "customdata": _packed(part.values)}
     return trace | values | {"hovertemplate": hover} | _range(scale)
@@ -130,10 +150,10 @@ def _range(scale: Scale) -> dict[str, Any]:
 
 def _bar(scale: Scale) -> dict[str, Any]:
     values = scale.ticks()
-    text = [f"{value:.3g}" for value in values]
+    text = scale.tick_labels()
     at = [float(x) for x in scale.share(np.array(values))]
     if scale.is_exceeded:
-        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{values[-1]:.3g}; above: up to {scale.largest:.3g}"]
+        at, text = [*at, 1.0 + STRIP], [*text[:-1], "", f"{text[-1]}; above: up to {scale.largest:.3g}"]
     return {
         "title": {"text": scale.label, "side": "right"},
         "tickvals": at,
@@ -144,31 +164,64 @@ def _bar(scale: Scale) -> dict[str, Any]:
     }
 
 
-def _layout(view: View) -> dict[str, Any]:
+def _layout(views: tuple[View, ...]) -> dict[str, Any]:
+    share = 1.0 / len(views)
+    texts = []
+    for number, view in enumerate(views):
+        notes = "<br>".join(_plain(line) for line in view.notes)
+        texts += [_text(notes, number * share + 0.01, -0.02, {"size": 12, "color": "#555"})]
+        texts += [_text(_plain(view.title).replace("\n", "<br>"), number * share + 0.01, 1.0, {"size": 16})]
+    lines = max(view.title.count("\n") for view in views) + 1
+    return {
+        "font": {"family": "sans-serif", "size": 13},
+        "margin": {"l": 0, "r": 0, "t": 24 + 24 * lines, "b": 24 + 18 * max(len(view.notes) for view in views)},
+        "annotations": texts,
+        **{
+            _scene(number, "legend"): {"x": number * share + 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"}
+            for number in range(len(views))
+        },
+        **{
+            _scene(number): _scene_of(view, (number * share, (number + 0.94) * share))
+            for number, view in enumerate(views)
+        },
+    }
+
+
+def _text(text: str, x: float, y: float, font: dict[str, Any]) -> dict[str, Any]:
+    """Text that begins at (x, y) of the page, below the line y = 0 or above y = 1."""
+    place = {
+        "x": x,
+        "y": y,
+        "xref": "paper",
+        "yref": "paper",
+        "xanchor": "left",
+        "yanchor": "bottom" if y > 0 else "top",
+    }
+    return place | {"text": text, "align": "left", "showarrow": False, "font": font}
+
+
+def _away(view: View) -> float:
+    """How far the eye stands off, in plotly's unit: the geometric mean of the sides of the box around the view."""
+    sides = np.maximum(np.ptp(view.box(), axis=0), 1e-12)
+    sides = np.maximum(sides, 1e-3 * sides.max())
+    return float(1.35 * np.linalg.norm(sides) / sides.prod() ** (1.0 / 3.0))
+
+
+def _scene_of(view: View, reach: tuple[float, float]) -> dict[str, Any]:
     camera = view.cameras[-1]
     eye = -np.array(camera.direction)
-    eye = 2.2 * eye[AXES] / np.linalg.norm(eye)
+    eye = _away(view) * eye[AXES] / np.linalg.norm(eye)
     axis = {"showbackground": False, "zeroline": False, "gridcolor": "#e3e6ea", "showspikes": False}
-    names = [f"{'xyz'[axis]}, mm" for axis in AXES]
-    notes = "<br>".join(_plain(line) for line in view.notes)
+    names = [", ".join(filter(None, (view.axes[axis], view.unit))) for axis in AXES]
     return {
-        "title": {"text": _plain(view.title).replace("\n", "<br>"), "font": {"size": 16}, "x": 0.02},
-        "font": {"family": "sans-serif", "size": 13},
-        "margin": {"l": 0, "r": 0, "t": 50, "b": 40},
-        "legend": {"x": 0.01, "y": 0.98, "bgcolor": "rgba(255,255,255,0.7)"},
-        "annotations": [
-            {"text": notes, "x": 0.01, "y": -0.02, "xref": "paper", "yref": "paper", "yanchor": "top", "align": "left"}
-            | {"showarrow": False, "font": {"size": 12, "color": "#555"}}
-        ],
-        "scene": {
-            "aspectmode": "data",
-            "dragmode": "turntable",
-            "camera": {
-                "up": dict(zip("xyz", (0, 0, 1), strict=True)),
-                "eye": dict(zip("xyz", map(float, eye), strict=True)),
-            },
-            **{f"{own}axis": axis | {"title": {"text": name}} for own, name in zip("xyz", names, strict=True)},
+        "domain": {"x": list(reach)},
+        "aspectmode": "data",
+        "dragmode": "turntable",
+        "camera": {
+            "up": dict(zip("xyz", (0, 0, 1), strict=True)),
+            "eye": dict(zip("xyz", map(float, eye), strict=True)),
         },
+        **{f"{own}axis": axis | {"title": {"text": name}} for own, name in zip("xyz", names, strict=True)},
     }
 
 

@@ -89,8 +89,8 @@ def aim(camera: Camera, box: Array) -> Aim:
     return Aim(middle, direction, up, MARGIN * float(half), float(high[2] - low[2]))
 
 
-def panel(view: View, target: Aim) -> Array:
-    """The picture (h, w, 3) of a view from one aim, values from 0 to 255."""
+def panel(view: View, target: Aim, hidden: Sequence[str] = ()) -> Array:
+    """The picture (h, w, 3) of a view from one aim without the hidden parts, values from 0 to 255."""
     import pyvista
     from PIL import Image
 
@@ -98,7 +98,8 @@ def panel(view: View, target: Aim) -> Array:
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=size, lighting="light kit")
     plotter.set_background("white")
     for part in view.parts:
-        _add(plotter, part, view.scale)
+        if part.name not in hidden:
+            _add(plotter, part, view.scale)
     eye = target.middle - (10.0 * target.half_height + 2.0 * target.depth) * target.direction
     plotter.camera_position = [tuple(eye), tuple(target.middle), tuple(target.up)]
     plotter.camera.parallel_projection = True
@@ -180,7 +181,7 @@ def picture(view: View, aims: Sequence[Aim] | None = None) -> Figure:
     FigureCanvasAgg(figure)
     for i, (camera, target) in enumerate(zip(view.cameras, aims, strict=True)):
         ax = figure.add_axes((i / len(aims), below / height, 1.0 / len(aims), PANEL_INCHES[1] / height))
-        ax.imshow(panel(view, target), interpolation="none", aspect="auto")
+        ax.imshow(panel(view, target, camera.hides), interpolation="none", aspect="auto")
         ax.set_axis_off()
         if len(aims) > 1:
             ax.text(0.03, 0.97, camera.name, transform=ax.transAxes, fontsize=13, color="0.35", va="top")
@@ -205,7 +206,7 @@ def _bar(figure: Figure, scale: Scale, size: tuple[float, float], top: float) ->
     extend = "max" if scale.is_exceeded else "neither"
     bar = figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), colours), cax=ax, orientation="horizontal", extend=extend)
     values = scale.ticks()
-    bar.set_ticks(scale.share(np.array(values)).tolist(), labels=[f"{value:.3g}" for value in values])
+    bar.set_ticks(scale.share(np.array(values)).tolist(), labels=scale.tick_labels())
     letters = 13 if width > PANEL_INCHES[0] else 11
     bar.ax.tick_params(labelsize=letters)
     above = f"; arrow: up to {scale.largest:.3g}" if scale.is_exceeded else ""

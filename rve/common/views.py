@@ -1,7 +1,7 @@
 """What is looked at in space: surfaces and lines with a colour or with values on one scale of colours.
 
 The same `View` makes a picture and an animation (`rve.common.render`) and a page that turns in a browser
-(`rve.common.page`). Coordinates are mm, y points up.
+(`rve.common.page`). Coordinates are mm, or the `unit` of the view; the second axis points up.
 """
 
 from __future__ import annotations
@@ -20,6 +20,11 @@ VIRIDIS = (
     *("#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725"),
 )
 """Eleven even steps of the perceptually uniform map viridis."""
+PLASMA = (
+    *("#0d0887", "#37049a", "#5601a3", "#7401a8", "#9011a1", "#a92495"),
+    *("#bf3984", "#d14f72", "#e16561", "#f07d4f", "#f89a3f"),
+)
+"""Eleven even steps of the perceptually uniform map plasma without its lightest part: for lines on white."""
 OVER = "#d6004d"
 """The colour of values above the scale."""
 TOP_SHARE = 0.995
@@ -73,11 +78,21 @@ class Scale:
         ([0.0, 0.5, 1.0, 1.5, 2.0], [0.05, 0.1, 1.0, 2.0])
         """
         if self.spread == "log":
-            powers = np.arange(np.ceil(np.log10(self.low)), np.floor(np.log10(self.top)) + 1)
-            inner = [float(f"{10.0**p:.6g}") for p in powers if self.low * 1.3 < 10.0**p < self.top / 1.3]
+            powers = 10.0 ** np.arange(np.ceil(np.log10(self.low)), np.floor(np.log10(self.top)) + 1)
+            at = self.share(powers)
+            inner = [float(f"{power:.6g}") for power in powers[(at > 0.16) & (at < 0.93)]]  # texts do not overlap
             return [self.low, *inner, self.top]
         shares = (0.0, 0.1, 0.3, 0.6, 1.0) if self.spread == "root" else (0.0, 0.25, 0.5, 0.75, 1.0)
         return [float(f"{self.low + x * (self.top - self.low):.6g}") for x in shares]
+
+    def tick_labels(self) -> list[str]:
+        """What is written at `ticks`; a logarithmic scale also shows all values below its low end there.
+
+        >>> Scale("force, N", 0.05, 2.0, 2.0, spread="log").tick_labels()
+        ['≤ 0.05', '0.1', '1', '2']
+        """
+        labels = [f"{value:.3g}" for value in self.ticks()]
+        return [f"≤ {labels[0]}", *labels[1:]] if self.spread == "log" else labels
 
 
 def rounded_up(value: float, steps: tuple[float, ...] = NICE) -> float:
@@ -131,13 +146,14 @@ class Lines:
 class Camera:
     """Looks along `direction` (3,) with `up` (3,); the box around the points `focus` (p, 3) fills the picture.
 
-    Without focus it is the box around all parts of the view.
+    Without focus it is the box around all parts of the view. hides: names of parts that this camera does not see.
     """
 
     name: str
     direction: tuple[float, float, float]
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     focus: Array | None = field(default=None, repr=False)
+    hides: tuple[str, ...] = ()
 
 
 FRONT = Camera("front", (0.0, -0.12, -1.0))
@@ -148,7 +164,8 @@ THREE_QUARTERS = Camera("three quarters", (-0.75, -0.45, -1.0))
 class View:
     """Parts with their scale of colours (None if no part has values) and the cameras that look at them.
 
-    title: one or two lines above the picture; notes: lines below it.
+    title: one or two lines above the picture; notes: lines below it; axes, unit: what the three coordinates are, "" for
+    numbers without unit.
     """
 
     title: str
@@ -156,6 +173,8 @@ class View:
     scale: Scale | None = None
     cameras: tuple[Camera, ...] = (FRONT, THREE_QUARTERS)
     notes: tuple[str, ...] = ()
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    unit: str = "mm"
 
     def box(self) -> Array:
         """The box (2, 3) around all parts, mm."""

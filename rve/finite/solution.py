@@ -14,20 +14,23 @@ from scipy.sparse.csgraph import connected_components
 
 from rve.common.errors import InputError, require
 from rve.common.notebook import as_html
+from rve.common.page import write_page
 from rve.common.types import Array
+from rve.common.views import View
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
 from rve.finite.records import SENTENCES, FiniteOptions, Found, Record, Task
 from rve.finite.solver import solve_rings
 from rve.finite.touching import Placed, find_touching, links_intact
 from rve.finite.walls import HalfSpace
-from rve.geometry.circles import tangent_frame
 from rve.localization.files import LINE, write_ring_vtu
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _TINY = 1e-9
+_SEEN = 1e-3
+"""Forces of supports below this part of the largest one are not drawn."""
 _CLEAR = 0.3
 """Distance in r1 of the start from half-spaces that would cut it."""
 
@@ -135,26 +138,30 @@ class FiniteSolution:
         cell = self.mesh.cell
         write_ring_vtu(path, (self.centre, self.normal), (cell.r1, cell.r2), data, LINE, precise=True)
 
+    def view(self) -> View:
+        """All rings in space, coloured by contact force, with the forces of the supports."""
+        from rve.finite.view import finite_view
+
+        return finite_view(self)
+
+    def write_html(self, path: str | Path) -> None:
+        """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
+        write_page(path, self.view())
+
     def plot(self, ax: Axes | None = None) -> Axes:
         """Every ring in the plane x, y, coloured by its largest contact force, on `ax` or axes of their own."""
         require("matplotlib", "plots", "plot()", "write rings.vtu and read it in another program")
-        import matplotlib.pyplot as plt
-        from matplotlib.collections import LineCollection
+        from rve.localization.picture import plot_rings
 
-        if ax is None:
-            ax = plt.subplots(figsize=(8, 8), layout="constrained")[1]
-        e1, e2 = tangent_frame(self.normal)
-        t = np.linspace(0.0, 2.0 * np.pi, 25)[None, :, None]
-        lines = self.centre[:, None] + self.mesh.cell.r1 * (np.cos(t) * e1[:, None] + np.sin(t) * e2[:, None])
-        force = np.ma.masked_invalid(self.largest_force)
-        rings = LineCollection(list(lines[:, :, :2]), array=force, cmap="viridis", linewidths=0.8)
-        ax.add_collection(rings)
-        ax.autoscale()
-        ax.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
-        if force.count():
-            ax.figure.colorbar(rings, ax=ax, label="largest contact force on the ring (N)")
-        else:
-            rings.set(array=None, color="0.5")
+        force = self.largest_force
+        has_forces = bool(np.isfinite(force).all())
+        ax = plot_rings(self.centre, self.normal, self.mesh.cell.r1, force if has_forces else None, ax, width=1.0)
+        pulled = np.linalg.norm(np.nan_to_num(self.reaction), axis=1)
+        held = pulled > _SEEN * pulled.max(initial=0.0)
+        if held.any():
+            ax.plot(*self.centre[held, :2].T, "v", color="#009e73", ms=10, mec="white", label="held rings")
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), frameon=False)
+        ax.set_title(f"{len(self.centre)} rings: {self.status}\nmean height {self.mean_height:.1f} mm", fontsize=11)
         return ax
 
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +17,7 @@ from rve.common.files import versions, write_text
 from rve.common.jobs import check_out_job, job
 from rve.common.notebook import as_html
 from rve.common.page import check_page, write_page
+from rve.common.render import check_render, render
 from rve.common.types import Array
 from rve.common.views import View
 from rve.geometry.cell import Cell
@@ -112,7 +110,7 @@ class RingField:
         overwrite one of `inputs`; NotConverged if the picture cannot be drawn, the other files are written then.
         """
         if picture:
-            require("pyvista", "three-d", "rings.png", "ask for --no-picture")
+            check_render("rings.png")
         if html:
             check_page("rings.html", "leave out --html")
         inputs = list(inputs)
@@ -124,13 +122,29 @@ class RingField:
             write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
             if html:
                 self.write_html(staged / "rings.html")
-            failure = draw(staged) if picture else None
+            failure = self._draw(staged) if picture else None
         if failure is not None:
-            raise NotConverged(
-                f"{Path(folder) / 'rings.png'}: {failure}; the other files are written; install libosmesa6 or ask for "
-                "--no-picture"
-            )
+            raise NotConverged(f"{Path(folder) / 'rings.png'}: {failure}; the other files are written")
         return self.summary
+
+    def _draw(self, folder: Path) -> str | None:
+        """rings.png; why it could not be drawn, None if it is there."""
+        try:
+            render(folder / "rings.png", [self.close_view()])
+        except NotConverged as failure:
+            return str(failure).removeprefix(f"{folder / 'rings.png'}: ")
+        return None
+
+    def close_view(self) -> View:
+        """All rings beside those around the cell with the largest line load."""
+        from rve.localization.picture import CLOSE, axes_of_sheet, close_view, middle_of_close_up
+
+        radii, half = (self.cell.r1, self.cell.r2), CLOSE * self.cell.r1
+        worst = self.summary["worst_cell"]
+        reference = self.data["reference_mm"][:, :2]
+        at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
+        window = middle_of_close_up(self.centre_mm, reference, at, half), axes_of_sheet(np.array(worst["normal"]))
+        return close_view(self.view(), (self.centre_mm, self.normal), radii, self.contact_force_N, window)
 
     def view(self) -> View:
         """All rings in space, coloured by contact force; tori where there are few of them, else their centre lines."""
@@ -238,18 +252,3 @@ def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
         "cauchy_line_load_11_12_22_N_per_mm": forces.s.tolist(),
         "line_load_of_contacts_11_12_22_N_per_mm": forces.virial.tolist(),
     }
-
-
-def draw(folder: Path) -> str | None:
-    """rings.png from the files in `folder`, by a process of its own: renderers without a screen may crash.
-
-    Returns what went wrong, None if the picture is there.
-    """
-    command = [sys.executable, "-m", "rve.localization.picture", str(folder)]
-    here = str(Path(__file__).resolve().parents[2])
-    paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
-    run = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths})
-    if not run.returncode:
-        return None
-    last = (run.stderr.strip().splitlines() or ["no message"])[-1]
-    return f"the renderer ended with code {run.returncode} ({last})"

@@ -276,3 +276,23 @@ def solve(
     status = np.where(options.tolerance > end.R, "converged", np.where(end.h == 0.0, "time-step", "step-limit"))
     columns = (end.pose, end.contacts, end.lam, end.R, end.steps, end.rejected, end.time, status.astype("<U16"))
     return Settled(*columns, History(*map(np.concatenate, zip(*log, strict=True))) if history else None)
+
+
+def follow_motion(s: Array, equations: Equations, options: StewartTrinkleOptions | None = None) -> list[Motion]:
+    """The motion of one case under the Cauchy line load s (1, 3): its start, then every accepted step.
+
+    The last has R below the tolerance if the rings have come to rest within the steps that the options allow.
+
+    >>> from rve.geometry.weave import FOUR_IN_ONE
+    >>> way = follow_motion(np.array([[0.0, 0.0, 1.0]]), Equations.of(FOUR_IN_ONE, 0.1))
+    >>> (5 * way[-1].pose.lattice[0, :2]).round(3), bool(way[-1].R[0] < 1e-9)
+    (array([11.   , 12.646]), True)
+    """
+    options = options or StewartTrinkleOptions()
+    dynamics, way = Dynamics.of(equations, options), [begin(s, equations, options)]
+    while way[-1].R[0] >= options.tolerance and way[-1].steps[0] < options.max_steps:
+        motion, h, _ = advanced(way[-1], equations, options, dynamics)
+        if h[0] == 0.0:
+            break
+        way.append(motion)
+    return way

@@ -20,12 +20,15 @@ if TYPE_CHECKING:
 
 
 NAMES = ("E11", "E12", "E22")
-COLOURS = ("#33658a", "#d17a22", "#5b8c5a")
+COLOURS = ("#0072B2", "#D55E00", "#009E73")
+"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
+LIGHTEST = 0.88
+"""Lines and marks on white do without the lightest part of the map viridis."""
 
 
 def load_cases(study: Study) -> Figure:
     """Fig. 9: angles of the cases, and their line loads in space."""
-    fig, _ = figure(10.0, 4.5, ncols=2)
+    fig, _ = figure(9.5, 4.5, ncols=2)
     fig.clear()
     plane, space = fig.add_subplot(1, 2, 1), fig.add_subplot(1, 2, 2, projection="3d")
     plane.plot(study.beta_deg, study.alpha_deg, "o", ms=4, color=COLOURS[0])
@@ -36,8 +39,25 @@ def load_cases(study: Study) -> Figure:
 
 
 def _loads_in_space(ax: Any, study: Study) -> None:
-    ax.scatter(*study.s[:, [0, 1, 2]].T, c=study.beta_deg, cmap="viridis", s=14)
-    ax.set(xlabel="s_xx / s_hat", ylabel="s_xy / s_hat", zlabel="s_yy / s_hat")
+    marks = ax.scatter(*study.s[:, [0, 1, 2]].T, c=study.beta_deg, cmap=_shades(), s=14, depthshade=False)
+    _in_space(ax, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat"))
+    ax.figure.colorbar(marks, ax=ax, shrink=0.6, pad=0.12, label="beta, degrees")
+
+
+def _in_space(ax: Any, names: tuple[str, str, str]) -> None:
+    """Names of the axes that do not run into their numbers."""
+    ax.set(xlabel=names[0], ylabel=names[1], zlabel=names[2])
+    ax.set_box_aspect(None, zoom=0.82)
+    ax.locator_params(nbins=5)
+    ax.zaxis.labelpad = 8.0
+
+
+def _shades() -> Any:
+    """The map viridis without its lightest part."""
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, LIGHTEST, 256)))
 
 
 def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Figure:
@@ -50,10 +70,8 @@ def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Figure:
 
 def strains(study: Study) -> Figure:
     """Fig. 13: strain components against beta for each alpha; lines the direct solver, marks the paper's scheme."""
-    fig, axes = figure(13.0, 4.6, ncols=3)
-    import matplotlib
-
-    shades = matplotlib.colormaps["viridis"]
+    fig, axes = figure(12.0, 4.6, ncols=3)
+    shades = _shades()
     values = np.unique(study.alpha_deg)
     for k, ax in enumerate(axes):
         for alpha in values:
@@ -62,18 +80,18 @@ def strains(study: Study) -> Figure:
             ax.plot(study.beta_deg[rows], study.table.E[rows, k], "-", color=colour, lw=1.0, label=f"{alpha:g}")
             ax.plot(study.beta_deg[rows], study.E[rows, k], "o", color=colour, ms=3, mfc="none")
         free = ~study.table.unique
-        ax.plot(study.beta_deg[free], study.table.E[free, k], "x", color="#c1121f", ms=5)
+        ax.plot(study.beta_deg[free], study.table.E[free, k], "x", color="black", ms=7)
         ax.set(xlabel="ratio angle beta, degrees", ylabel=NAMES[k])
-    axes[-1].legend(title="alpha, degrees", fontsize=7, ncols=2)
+    axes[-1].legend(title="alpha,\ndegrees", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     fig.suptitle(
-        "lines: direct solver; circles: paper's scheme; red crosses: strain not unique (limit from inside)", fontsize=9
+        "lines: direct solver; circles: paper's scheme; crosses: strain not unique (limit from inside)", fontsize=11
     )
     return fig
 
 
 def surface(study: Study) -> Figure:
     """Fig. 14: line loads, and the convex surface of locked strains."""
-    fig, _ = figure(11.0, 5.0, ncols=2)
+    fig, _ = figure(10.5, 5.0, ncols=2)
     fig.clear()
     left, right = (fig.add_subplot(1, 2, k, projection="3d") for k in (1, 2))
     _loads_in_space(left, study)
@@ -83,9 +101,9 @@ def surface(study: Study) -> Figure:
         sheet = E.reshape(len(alphas), len(betas), 3)
         for sign in (1.0, -1.0):  # the weave is symmetric: alpha -> -alpha mirrors the shear
             right.plot_surface(sheet[..., 0], sign * sheet[..., 1], sheet[..., 2], color=COLOURS[0], alpha=0.35, lw=0.3)
-    right.scatter(*study.E.T, c=study.beta_deg, cmap="viridis", s=10)
-    right.set(xlabel="E11", ylabel="E12", zlabel="E22")
-    fig.suptitle("line loads and locked strains; the mirrored half (-alpha) is drawn as a surface only", fontsize=9)
+    right.scatter(*study.E.T, c=study.beta_deg, cmap=_shades(), s=10, depthshade=False)
+    _in_space(right, ("E11", "E12", "E22"))
+    fig.suptitle("line loads and locked strains; the mirrored half (-alpha) is drawn as a surface only", fontsize=11)
     return fig
 
 
@@ -93,24 +111,24 @@ def steps(study: Study) -> Figure:
     """Fig. 15: accepted steps of each case."""
     fig, ax = figure(8.0, 4.2)
     number = np.arange(1, len(study.s) + 1)
-    for name, mark, colour in (("converged", "o", COLOURS[0]), ("", "x", "#c1121f")):
+    for name, mark, colour in (("converged", "o", COLOURS[0]), ("", "x", "black")):
         rows = (study.rest.status == "converged") == bool(name)
         if rows.any():
             label = name or "not converged"
             ax.semilogy(number[rows], study.rest.steps[rows], mark, ms=4, color=colour, label=label)
     ax.axhspan(150, 300, color="0.88", zorder=0, label="most cases of the paper")
     ax.set(xlabel="load case (beta runs fastest)", ylabel="accepted steps n")
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=10)
     return fig
 
 
 def clock(study: Study) -> Figure:
     """Fig. 16: cumulated time against steps."""
     fig, ax = figure(6.4, 4.6)
-    marks = ax.scatter(study.rest.steps, study.rest.time, c=study.beta_deg, cmap="viridis", s=18)
+    marks = ax.scatter(study.rest.steps, study.rest.time, c=study.beta_deg, cmap=_shades(), s=22)
     ax.axhspan(45.0, 60.0, color="0.88", zorder=0)
     ax.set(xscale="log", yscale="log", xlabel="accepted steps n", ylabel="cumulated time, s")
-    ax.set_title("grey: accumulation of cases in the paper, 45 to 60 s", fontsize=9)
+    ax.set_title("grey: accumulation of cases in the paper, 45 to 60 s", fontsize=11)
     fig.colorbar(marks, label="beta, degrees")
     return fig
 
@@ -121,7 +139,7 @@ def progress_of_two(study: Study) -> Figure | None:
     known = [(pair, case) for pair, case in cases if case is not None]
     if not known:
         return None
-    fig, axes = figure(6.0 * len(known), 6.4, nrows=2, ncols=len(known), squeeze=False, sharex="col")
+    fig, axes = figure(5.2 * len(known), 6.4, nrows=2, ncols=len(known), squeeze=False, sharex="col")
     for column, (pair, case) in enumerate(known):
         h = study.history
         rows = np.flatnonzero(h.case == case)
@@ -137,12 +155,12 @@ def progress_of_two(study: Study) -> Figure | None:
         for ax in (upper, lower):
             for kink in filter(np.isfinite, kinks):
                 ax.axvline(kink, color="0.6", lw=0.8)
-            ax.legend(fontsize=8)
+            ax.legend(fontsize=10)
         upper.set(ylabel="strain", title=f"alpha = {pair[0]:g} deg, beta = {pair[1]:g} deg")
         lower.set(xlabel="time, s", ylabel="R, kinetic energy")
     fig.suptitle(
-        "grey lines: from here on one, and all, of the final contacts between rings that do not interlink press",
-        fontsize=9,
+        "grey lines: from here on one, and all, of the final contacts\nbetween rings that do not interlink press",
+        fontsize=11,
     )
     return fig
 
@@ -173,7 +191,7 @@ def missed_contacts(tilt_deg: float = 34.0, size: int = 121) -> Figure:
         )
         ax.set_aspect("equal")
     axes[0].set_ylabel("offset of the rings along y, r1")
-    fig.suptitle("alternating projection started towards the other ring, and away from it", fontsize=9)
+    fig.suptitle("alternating projection started towards the other ring, and away from it", fontsize=11)
     fig.colorbar(picture, ax=axes, label="contacts missed (blue: one counted twice)", ticks=[-1, 0, 1])
     return fig
 

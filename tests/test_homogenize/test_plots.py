@@ -7,10 +7,13 @@ import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main
-from homogenize.fitting.rows import rows_from_table
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.rows import rows_from_table, with_mirror
 from homogenize.fitting.shipped import SHIPPED
 from homogenize.io import default_law
-from homogenize.plots import plot_sections, plot_strains, surface_height
+from homogenize.laws.picture import surface_height
+from homogenize.plots import plot_sections, plot_strains
+from homogenize.view import locking_view, strength_view, surface_with_gap
 from rve.table import read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
@@ -36,14 +39,42 @@ def test_lines_and_points_agree():
     assert np.interp(0.0, x, y) == pytest.approx(0.0, abs=1e-3)  # the reference state is a vertex
 
 
+def test_the_surface_of_the_page_is_where_the_law_locks():
+    law, rows = default_law(), rows_from_table(read_table(TABLE))
+    surface, lines, balls = locking_view(law, rows).parts
+    for points in (surface.points, lines.points.reshape(-1, 3)):  # E12, E22, E11
+        assert np.abs(law.cut(points[:, [2, 0, 1]]).violation).max() < 1e-12
+    both = with_mirror(rows)
+    centre = balls.points.reshape(len(both), -1, 3).mean(axis=1)
+    assert np.abs(centre[:, [2, 0, 1]] - both.E).max() < 5e-3
+    E, gap = surface_with_gap(law, rows, 31)
+    known = np.isfinite(gap)
+    S, bounds = law.cut(E[known]).S, bounds_of(rows)
+    assert (law.support(S) <= bounds.upper(S) + 1e-9).all()
+    assert gap[known].max() == pytest.approx((bounds.upper(S) - bounds.lower(S)).max())
+    assert gap[known].max() > 1e-4
+
+
+def test_the_strength_of_the_page_is_where_rings_yield():
+    known = default_law().strength
+    assert known is not None
+    view = strength_view(known, 300.0)
+    surface, *nets = view.parts
+    used = known.utilisation(surface.points[:, [2, 0, 1]], 300.0)
+    assert np.abs(used - 1.0).max() < 1e-9
+    for net in nets:
+        assert np.abs(known.collapse_utilisation(net.points.reshape(-1, 3)[:, [2, 0, 1]], 300.0) - 1.0).max() < 1e-9
+    assert (view.axes, view.unit) == (("S12", "S22", "S11"), "N/mm")
+
+
 def test_pictures_are_written(tmp_path):
-    run = CliRunner().invoke(main, ["plot", str(SHIPPED), "--table", str(TABLE), "--out", str(tmp_path / "out")])
+    words = ["plot", str(SHIPPED), "--table", str(TABLE), "--out", str(tmp_path / "out"), "--html"]
+    run = CliRunner().invoke(main, words)
     assert run.exit_code == 0, run.output
     files = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert files == ["errors.png", "pictures.json", "sections.png", "strains.png", "surface.png"]
-    assert all(
-        (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in files if name != "pictures.json"
-    )
+    assert files == ["errors.png", "law.html", "pictures.json", "sections.png", "strains.png", "surface.png"]
+    pictures = [name for name in files if name.endswith(".png")]
+    assert all((tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
     law = tmp_path / "out" / "surface.png"  # a law of this name is not overwritten by the picture
     law.write_bytes(SHIPPED.read_bytes())
     over = CliRunner().invoke(main, ["plot", str(law), "--table", str(TABLE), "--out", str(tmp_path / "out")])

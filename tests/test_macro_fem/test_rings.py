@@ -52,7 +52,7 @@ def test_live_loads_and_edges_reach_the_rings():
 
 def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     path, out = toml(tmp_path / "scene.toml", 2, 1), tmp_path / "out"
-    result = CliRunner().invoke(main, ["rings", str(path), "--out", str(out), "--plane"])
+    result = CliRunner().invoke(main, ["rings", str(path), "--out", str(out), "--plane", "--html"])
     assert result.exit_code == 0, result.output
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"] == "converged"
@@ -66,7 +66,7 @@ def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     weight = -summary["total_load_N"][1]
     assert summary["potential_N_mm"] == pytest.approx(weight * (summary["mean_height_mm"] - 0.5 * B_Y), rel=1e-6)
     assert summary["support_forces"][0]["sum_N"][1] == pytest.approx(weight, rel=1e-6)
-    assert sorted(file.name for file in out.iterdir()) == ["rings.png", "rings.vtu", "summary.json"]
+    assert sorted(file.name for file in out.iterdir()) == ["rings.html", "rings.png", "rings.vtu", "summary.json"]
 
 
 def test_supports_out_of_reach_are_said_to_be_so(tmp_path):

@@ -179,6 +179,10 @@ import {package}.cli
         ("pyvista", "three-d", ("macro_fem", "run", "space.toml", "--out", "out")),
         ("plotly", "pages", ("macro_fem", "run", "scene.toml", "--out", "out", "--html")),
         ("plotly", "pages", ("rve", "localize", "curtain.vtu", "--out", "out", "--html")),
+        ("plotly", "pages", ("rve", "case", "--alpha", "0", "--beta", "45", "--html", "out.html")),
+        ("pyvista", "three-d", ("rve", "case", "--alpha", "0", "--beta", "45", "--animation", "out.gif")),
+        ("plotly", "pages", ("homogenize", "plot", SHIPPED, "--table", TABLE, "--out", "out", "--html")),
+        ("plotly", "pages", ("macro_fem", "rings", "scene.toml", "--out", "out", "--html")),
         ("clarabel", "cones", ("macro_fem", "run", "cones.toml", "--out", "out", "--no-picture")),
     ],
 )

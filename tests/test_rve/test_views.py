@@ -7,15 +7,20 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from homogenize import default_law
 from rve.common.errors import NotConverged
 from rve.common.page import STRIP, write_page
 from rve.common.render import aim, render
 from rve.common.solids import PERSON_MM, arrow, box, capsule, cylinder, person, rounded_box, sphere
 from rve.common.views import FRONT, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, merged, rounded_up
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
+from rve.table import read_table
 
 
 def volume(points, triangles):
@@ -180,6 +185,7 @@ addEventListener("load", () => {
     document.body.dataset.seen = JSON.stringify({
       fetched: performance.getEntriesByType("resource").map((one) => one.name),
       parts: box.data.map((one) => one.name),
+      scenes: box._fullLayout._subplots.gl3d.length,
       canvas: document.querySelectorAll("canvas").length,
     });
   }, 1500));
@@ -187,35 +193,94 @@ addEventListener("load", () => {
 </script></body>"""
 
 
-@pytest.mark.slow
-def test_a_page_turns_in_a_browser_without_a_network(tmp_path):
-    """Chromium without any host: the sheet's colours are on the screen, another side after turning, nothing fetched."""
+def seen_in_browser(page, shot, side=""):
+    """What Chromium without any host tells of a page, and the picture (h, w, 3) of its scenes, values from 0 to 255."""
     from PIL import Image
 
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     assert browser, "this test needs a browser: apt-get install chromium"
-    page = tmp_path / "wave.html"
-    write_page(page, wave())
-    page.write_text(page.read_text(encoding="utf-8").replace("</body>", PROBE), encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    if PROBE not in text:
+        page.write_text(text.replace("</body>", PROBE), encoding="utf-8")
     flags = "--headless --no-sandbox --no-first-run --disable-background-networking --disable-sync --disable-quic"
     flags += " --disable-component-update --use-angle=swiftshader --enable-unsafe-swiftshader --window-size=1000,800"
-    flags += f" --virtual-time-budget=6000 --user-data-dir={tmp_path / 'profile'}"
+    flags += f" --virtual-time-budget=6000 --user-data-dir={shot.parent / 'profile'}"
+    rules = "--host-resolver-rules=MAP * ~NOTFOUND"
+    run = [browser, *flags.split(), rules, f"--screenshot={shot}", "--dump-dom", page.as_uri() + side]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=180, check=True)
+    seen = json.loads(re.search(r'data-seen="([^"]+)"', done.stdout)[1].replace("&quot;", '"'))
+    return seen, np.asarray(Image.open(shot).convert("RGB")).astype(int)[80:620, 150:800]
+
+
+@pytest.mark.slow
+def test_a_page_turns_in_a_browser_without_a_network(tmp_path):
+    """The sheet's colours are on the screen, another side after turning, nothing is fetched."""
+    page = tmp_path / "wave.html"
+    write_page(page, wave())
     pictures = []
     for side in ("", "#turned"):
-        shot = tmp_path / f"shot{len(pictures)}.png"
-        rules = "--host-resolver-rules=MAP * ~NOTFOUND"
-        run = [browser, *flags.split(), rules, f"--screenshot={shot}", "--dump-dom", page.as_uri() + side]
-        done = subprocess.run(run, capture_output=True, text=True, timeout=180, check=True)
-        seen = json.loads(re.search(r'data-seen="([^"]+)"', done.stdout)[1].replace("&quot;", '"'))
+        seen, picture = seen_in_browser(page, tmp_path / f"shot{len(pictures)}.png", side)
         assert seen["fetched"] == []
         assert seen["parts"] == ["sheet", "force", "rail"]
         assert seen["canvas"] >= 1
-        pictures.append(np.asarray(Image.open(shot).convert("RGB")).astype(int)[80:620, 150:800])
+        pictures.append(picture)
     for image in pictures:
         red, green, blue = image.transpose(2, 0, 1)
         assert ((green > 1.3 * red) & (green > 1.05 * blue)).mean() > 0.01  # the middle of the scale
         assert ((red > 2.0 * green) & (red > 1.5 * blue)).mean() > 0.002  # the arrow, and above the scale
     assert (np.abs(pictures[0] - pictures[1]).max(axis=-1) > 60).mean() > 0.03
+
+
+def cell_page(path):
+    """The page of a locked cell, and its parts."""
+    from rve.cell_view import write_case_page
+
+    write_case_page(solve_table(Cell(), ([20.0], [45.0])), path)
+    return ["rings of class 1", "rings of class 2", "periodic cell", "contacts", "force between rings"]
+
+
+def law_page(path):
+    """The page of the law of the package with two scenes, and its parts."""
+    from homogenize.fitting.rows import rows_from_table
+    from homogenize.view import write_law_page
+
+    law = default_law()
+    table = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"
+    write_law_page(law, rows_from_table(read_table(table)), path, law.strength)
+    surface = ["locking surface", "lines of even E12 and E11 - E22", "rows of the table"]
+    return [*surface, "first yield", "plastic collapse", "plastic collapse"]
+
+
+def rings_page(path):
+    """The page of a finite mesh that hangs by a ring in the plane, and its parts."""
+    from macro_fem.every_ring import ring_scene
+    from macro_fem.scene.schema import Scene
+
+    ring_scene(Scene.rectangle(22.0, 12.646069623526).hung_by("top")).solve(space=False).write_html(path)
+    return ["rings", "held rings"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("write", "scenes"), [(cell_page, 1), (law_page, 2), (rings_page, 1)])
+def test_pages_of_cell_law_and_rings_are_drawn_in_a_browser(tmp_path, write, scenes):
+    parts = write(tmp_path / "page.html")
+    seen, picture = seen_in_browser(tmp_path / "page.html", tmp_path / "shot.png")
+    assert seen["fetched"] == []
+    assert seen["parts"][: len(parts)] == parts
+    assert seen["scenes"] == scenes
+    drawn = np.ptp(picture, axis=-1) > 40
+    assert drawn.mean() > 0.01
+
+
+def test_views_stand_side_by_side_with_their_own_axes(tmp_path):
+    other = replace(wave(), axes=("E12", "E22", "E11"), unit="", title="strain")
+    write_page(tmp_path / "two.html", wave(), other)
+    text = (tmp_path / "two.html").read_text(encoding="utf-8")
+    assert {scene: text.count(f'"scene":"{scene}"') for scene in ("scene", "scene2")} == {"scene": 3, "scene2": 3}
+    assert "E11 %{x:.4g}, E12 %{y:.4g}, E22 %{z:.4g}\\u003cextra" in text  # in the order of their names
+    assert "x %{y:.4g}, y %{z:.4g}, z %{x:.4g} mm" in text
+    assert '"title":{"text":"E11"}' in text
+    assert '"title":{"text":"z, mm"}' in text
 
 
 def test_the_modules_of_views_import_nothing_heavy():

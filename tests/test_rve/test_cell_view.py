@@ -1,0 +1,99 @@
+"""The locked cell in space: its forces are those of the load, and its way ends where the solver locks."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rve.cell_view import FRAMES, case_view, locking_views
+from rve.cli import main
+from rve.common.errors import NotConverged
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.plots import contacts_mm, corner_forces
+from rve.solve import solve_table
+
+
+def named(view, start):
+    """The part whose name begins so."""
+    (part,) = [part for part in view.parts if part.name.startswith(start)]
+    return part
+
+
+@pytest.fixture(scope="module", params=["y", "x"])
+def table(request):
+    return solve_table(Cell(4.0, 0.4, grain=request.param), ([20.0], [30.0]))
+
+
+def test_forces_on_the_corners_are_the_line_load(table):
+    """Sum of x f / area is the Cauchy line load, of size 1 N/mm, in the axes x, y of the mesh."""
+    at, force = corner_forces(table.states)
+    force = 4.0 * force
+    sides = at[1, :2], at[2, :2]
+    area = abs(np.linalg.det(np.array(sides)))
+    s = np.einsum("ni,nj->ij", at, force)[:2, :2] / area
+    wanted = cauchy_line_load(np.array([20.0]), np.array([30.0]))[0]
+    wanted = wanted / np.sqrt(wanted @ [wanted[0], 2.0 * wanted[1], wanted[2]])
+    np.testing.assert_allclose([s[0, 0], s[0, 1], s[1, 0], s[1, 1]], wanted[[0, 1, 1, 2]], atol=1e-9)
+    np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-12)
+
+
+def test_rings_are_tori_and_contacts_lie_in_their_wires(table):
+    view = case_view(table)
+    balls, largest = named(view, "contacts"), 4.0 * contacts_mm(table.states)[2].max()
+    assert (view.scale.top, balls.values.max()) == (pytest.approx(largest), pytest.approx(largest))
+    rings = [named(view, f"rings of class {k}").points.reshape(-1, 64 * 16, 3) for k in (1, 2)]
+    for torus in np.concatenate(rings):
+        away = np.linalg.norm(torus - torus.mean(axis=0), axis=1)
+        assert (away.min(), away.max()) == (pytest.approx(3.6), pytest.approx(4.4))
+    count = len(contacts_mm(table.states)[2])
+    contacts = balls.points.reshape(count, -1, 3)
+    surface = np.concatenate(rings).reshape(-1, 3)
+    for middle in 0.5 * (contacts.min(axis=1) + contacts.max(axis=1)):
+        assert np.linalg.norm(surface - middle, axis=1).min() < 0.25  # half the spacing of the points of a torus
+
+
+def test_the_way_goes_from_the_slack_to_the_locked_pose(table):
+    views = locking_views(table)
+    assert 10 <= len(views) <= FRAMES
+    sides = [named(view, "periodic cell").points[0] for view in views]
+    weave = table.states.cell.weave
+    first, last = (np.sort(np.linalg.norm(np.diff(s, axis=0), axis=1)[:2]) for s in (sides[0], sides[-1]))
+    slack = np.sort([4.0 * weave.start_lattice[0], 4.0 * weave.start_lattice[1]])
+    np.testing.assert_allclose(first, slack, rtol=1e-9)
+    locked = np.sort([np.linalg.norm(table.x2_mm[0]), np.linalg.norm(table.x3_mm[0])])
+    np.testing.assert_allclose(last, locked, rtol=2e-3)  # contacts of the scheme give way
+    assert len({view.scale.top for view in views}) == 1
+    assert "step 0 of" in views[0].title
+
+
+def test_a_cell_that_does_not_lock_has_no_views():
+    table = solve_table(Cell(), ([0.0], [100.0]))
+    for make in (case_view, locking_views):
+        with pytest.raises(NotConverged, match="compressive"):
+            make(table)
+
+
+def test_case_writes_a_page_and_refuses_other_animations(tmp_path):
+    load = ["case", "--alpha", "0", "--beta", "45"]
+    bad = CliRunner().invoke(main, [*load, "--animation", str(tmp_path / "cell.mp4")])
+    assert bad.exit_code == 2
+    assert "ends in .gif" in bad.stderr
+    done = CliRunner().invoke(main, [*load, "--html", str(tmp_path / "cell.html")])
+    assert done.exit_code == 0, done.output
+    assert [file.name for file in tmp_path.iterdir()] == ["cell.html"]
+    assert "force between rings" in (tmp_path / "cell.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_case_writes_an_animation(tmp_path):
+    from PIL import Image
+
+    words = ["case", "--alpha", "0", "--beta", "45", "--animation", str(tmp_path / "cell.gif")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    with Image.open(tmp_path / "cell.gif") as film:
+        assert 10 <= film.n_frames <= FRAMES
+        first = np.asarray(film.convert("RGB")).astype(int)
+        film.seek(film.n_frames - 1)
+        last = np.asarray(film.convert("RGB")).astype(int)
+    assert (np.abs(first - last).max(axis=-1) > 40).mean() > 0.02
