@@ -119,7 +119,7 @@ def _direction(solution: CurtainSolution, S: Array, cells: np.ndarray, at: Array
 
 
 def _chord(near: Nearby, at: Array, m: Array) -> float:
-    """Longest part in mm of the line from `at` (2,) along m (2,) that lies in one of the averages with centres on it."""
+    """Longest part in mm of the line from `at` (2,) along m (2,) that lies in one of the averages centred on it."""
     reach = near.radius_at(at)
     chords = []
     for t in STEPS * reach:

@@ -4,8 +4,9 @@ The strength of a law is a function of S, the second Piola line load, at the str
 it holds for cells far from their reference. S and not P is averaged: S is symmetric, does not change when a cell turns,
 and needs no inverse of F, which does not exist where the mesh is drawn to a line. An even load is its own average. At a
 held or loaded point S grows as P does and so does the pointwise utilisation; the utilisation of the average converges
-(`macro_fem.output.line_load`). Where the mesh is too coarse for the average at such a point, the utilisation is at least
-that of the force there over the width of an average (`macro_fem.output.point_force`). All are in proportion to the load as long as the shape stays.
+(`macro_fem.output.line_load`). Where the mesh is too coarse for the average at such a point, the utilisation is at
+least that of the force there over the width of an average (`macro_fem.output.point_force`). All are in proportion to
+the load as long as the shape stays.
 """
 
 from __future__ import annotations
@@ -52,10 +53,10 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
         first, last = _largest_asked(solution, known, cell.b_x_mm * cell.b_y_mm)
         found = _numbers(solution, first, last, float(used.max()), cell.b_x_mm * cell.b_y_mm)
         why = (
-            "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held or "
-            "loaded point over the width of that average where the mesh is too coarse there; utilisation_pointwise_max "
-            "grows with every refinement of the mesh at held and loaded points; utilisation_mesh_too_coarse says when "
-            "the mesh is too coarse for both"
+            "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held "
+            "or loaded point over the width of that average where the mesh is too coarse there; "
+            "utilisation_pointwise_max grows with every refinement of the mesh at held and loaded points; "
+            "utilisation_mesh_too_coarse says when the mesh is too coarse for both"
         )
     return found | {
         "utilisation_pointwise_max": None if used is None else float(used.max()),
