@@ -142,11 +142,13 @@ def report(law: Path, table: Path) -> None:
 def export(law: Path, out: Path) -> None:
     """Write LAW as a user material (UMAT, Fortran 77) for membranes in plane stress."""
     from homogenize.export.umat import write_umat
-    from homogenize.io import load_law
+    from homogenize.io import load_law, strength_of_law
 
     check_out_file(out, inputs=[law])
-    write_umat(load_law(law), out, f"law file {law.name}")
-    say(f"user material written to {out}")
+    found = load_law(law)
+    write_umat(found, out, f"law file {law.name}")
+    by_direction = "; beyond locking it has one stiffness, while curtains of kind 'elastic' use that of each direction"
+    say(f"user material written to {out}{'' if strength_of_law(found) is None else by_direction}")
     answer({"umat": str(out)})
     say_next("homogenize", "strain", law, "--alpha", 45, "--beta", 45, why="a strain to check it with")
 

@@ -3,7 +3,8 @@
 For membrane elements in plane stress with finite strain: NTENS = 3, STRESS = (11, 22, 12), engineering shear, DFGRD1 in
 the material frame of the weave, consistent tangent of the Kirchhoff stress in the Jaumann rate.
 PROPS(1) is the nominal thickness (mm) by which line loads (N/mm) are divided; PROPS(2), if given, scales the stiffness.
-The iteration is that of `homogenize.laws.projection`, one point at a time.
+The iteration is that of `homogenize.laws.projection`, one point at a time. The stiffness is the law's constant one;
+elastic curtains use that of each direction (`homogenize.elastic_law`).
 """
 
 from __future__ import annotations

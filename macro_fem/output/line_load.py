@@ -127,6 +127,15 @@ class Nearby:
 
     def mean(self, x: Array) -> Array:
         """P averaged over the area nearest to x (2,); over all triangles if they have less."""
+        cells, part, _ = self._nearest(x)
+        return np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
+
+    def radius_at(self, x: Array) -> float:
+        """How far in mm the area nearest to x (2,) reaches."""
+        return self._nearest(x)[2]
+
+    def _nearest(self, x: Array) -> tuple[np.ndarray, Array, float]:
+        """Triangles (k,) of the pieces around x (2,), the area (k,) of each that counts, and how far they reach."""
         radius = 1.1 * self.radius
         while True:
             cells = np.array(self.tree.query_ball_point(x, radius + self.reach, return_sorted=True), dtype=int)
@@ -135,8 +144,9 @@ class Nearby:
             order = np.argsort(distance, kind="stable")
             before = np.cumsum(weight[order]) - weight[order]
             part = np.clip(self.area - before, 0.0, weight[order])
-            if len(cells) == len(self.P) or (part[-1] == 0.0 and distance[order][part > 0.0].max() <= radius):
-                return np.asarray(np.tensordot(part, self.P[cells[cell[order]]], axes=1) / part.sum())
+            reach = float(distance[order][part > 0.0].max(initial=0.0))
+            if len(cells) == len(self.P) or (len(part) and part[-1] == 0.0 and reach <= radius):
+                return cells[cell[order]], part, reach
             radius *= 1.4
 
 

@@ -4,13 +4,15 @@ The strength of a law is a function of S, the second Piola line load, at the str
 it holds for cells far from their reference. S and not P is averaged: S is symmetric, does not change when a cell turns,
 and needs no inverse of F, which does not exist where the mesh is drawn to a line. An even load is its own average. At a
 held or loaded point S grows as P does and so does the pointwise utilisation; the utilisation of the average converges
-(`macro_fem.output.line_load`). Both are in proportion to the load as long as the shape stays.
+(`macro_fem.output.line_load`). Where the mesh is too coarse for the average at such a point, the utilisation is at
+least that of the force there over the width of an average (`macro_fem.output.point_force`). All are in proportion to
+the load as long as the shape stays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ import numpy as np
 from homogenize import MembraneLaw, Strength, strength_of_law
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.output.line_load import FINE, LineLoad, Nearby, on_triangles
+from macro_fem.output.point_force import Borne, largest_borne
 from macro_fem.scene.supports import edge_nodes
 from macro_fem.solution import CurtainSolution
 from rve.common.tensor import eigenvalues
@@ -25,6 +28,17 @@ from rve.common.types import Array
 
 EVEN = 1.05
 """Pointwise utilisations this many times the largest average vary over a cell of the weave."""
+KEYS = (
+    "utilisation_max",
+    "utilisation_max_at_mm",
+    "utilisation_of_averages_max",
+    "utilisation_of_point_forces_max",
+    "utilisation_mesh_too_coarse",
+    "safety_factor",
+    "collapse_factor",
+    "first_yield_near",
+)
+"""Keys of summary.json that are null where the strength is not known."""
 _TOGETHER = 32
 """Averages whose utilisation is found at once. Larger: fewer calls, and more averages made for nothing."""
 
@@ -33,33 +47,16 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
     """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
     law = solution.problem.law
     known, why, cell = strength(law), reason(law), law.cell
-    found: dict[str, Any] = dict.fromkeys(
-        (
-            "utilisation_max",
-            "utilisation_max_at_mm",
-            "utilisation_mesh_too_coarse",
-            "safety_factor",
-            "collapse_factor",
-            "first_yield_near",
-        )
-    )
+    found: dict[str, Any] = dict.fromkeys(KEYS)
     used = utilisation(solution)
     if used is not None and known is not None and cell is not None:
-        area = cell.b_x_mm * cell.b_y_mm
-        first, last = _largest_means(solution, known, area)
-        side = _side(solution, first.at)
-        found = {
-            "utilisation_max": first.value,
-            "utilisation_max_at_mm": first.at.tolist(),
-            "utilisation_mesh_too_coarse": bool(side > FINE * np.sqrt(area) and used.max() > EVEN * first.value),
-            "safety_factor": 1.0 / first.value if first.value > 0.0 else None,
-            "collapse_factor": 1.0 / last.value if last.value > 0.0 else None,
-            "first_yield_near": nearest(solution, first.at) if first.value > 0.0 else None,
-        }
+        first, last = _largest_asked(solution, known, cell.b_x_mm * cell.b_y_mm)
+        found = _numbers(solution, first, last, float(used.max()), cell.b_x_mm * cell.b_y_mm)
         why = (
-            "utilisation_max is that of the line load averaged over one cell of the weave; utilisation_pointwise_max "
-            "grows with every refinement of the mesh at held and loaded points; line_load_warning says when the mesh "
-            "is too coarse for the average"
+            "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held "
+            "or loaded point over the width of that average where the mesh is too coarse there; "
+            "utilisation_pointwise_max grows with every refinement of the mesh at held and loaded points; "
+            "utilisation_mesh_too_coarse says when the mesh is too coarse for both"
         )
     return found | {
         "utilisation_pointwise_max": None if used is None else float(used.max()),
@@ -68,6 +65,46 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
         "material": None if known is None else asdict(known.material),
         "ring_joint": None if known is None else known.joint,
         "strength_note": why,
+    }
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of the rings: the largest of the `averages`, and of the forces at `points`."""
+
+    averages: LineLoad
+    points: Borne
+
+    @property
+    def value(self) -> float:
+        """The larger one."""
+        return max(self.averages.value, self.points.value)
+
+    @property
+    def is_force(self) -> bool:
+        """Whether a force at a point asks for more than any average."""
+        return self.points.value > self.averages.value
+
+    @property
+    def at(self) -> Array:
+        """Where it is (2,), mm, in the reference state."""
+        return self.points.force.at if self.is_force and self.points.force is not None else self.averages.at
+
+
+def _numbers(solution: CurtainSolution, first: Asked, last: Asked, pointwise: float, area: float) -> dict[str, Any]:
+    """The values of `KEYS` where the strength is known, from what first yield and collapse ask for."""
+    mean = first.averages
+    is_coarse = _side(solution, mean.at) > FINE * np.sqrt(area) and pointwise > EVEN * mean.value
+    near = first.points.force.name if first.is_force and first.points.force else nearest(solution, first.at)
+    return {
+        "utilisation_max": first.value,
+        "utilisation_max_at_mm": first.at.tolist(),
+        "utilisation_of_averages_max": mean.value,
+        "utilisation_of_point_forces_max": first.points.value,
+        "utilisation_mesh_too_coarse": bool(is_coarse and not first.is_force),
+        "safety_factor": 1.0 / first.value if first.value > 0.0 else None,
+        "collapse_factor": 1.0 / last.value if last.value > 0.0 else None,
+        "first_yield_near": near if first.value > 0.0 else None,
     }
 
 
@@ -109,7 +146,9 @@ def critical_load(solution: CurtainSolution) -> Array | None:
     if known is None or cell is None or reason(law) is not None:
         return None
     area = cell.b_x_mm * cell.b_y_mm
-    first, _ = _largest_means(solution, known, area)
+    first, _ = _largest_asked(solution, known, area)
+    if first.is_force:
+        return first.points.S
     if not first.value > 0.0:
         return None
     corners, S = on_triangles(solution, _loads(solution))
@@ -118,13 +157,17 @@ def critical_load(solution: CurtainSolution) -> Array | None:
 
 def _loads(solution: CurtainSolution) -> Array:
     """S (n_cells, 3) in the frame of the weave, averaged over neighbours."""
-    law = solution.problem.law
-    S = solution.recovered(solution.problem.disc.cell_mean(solution.S))
+    law, S = solution.problem.law, _own_loads(solution)
     return S @ law.to_weave.T if isinstance(law, RotatedLaw) else S
 
 
-def _largest_means(solution: CurtainSolution, known: Strength, area: float) -> tuple[LineLoad, LineLoad]:
-    """Largest utilisation, and largest share of the collapse load, of S averaged over `area` mm2 at mesh corners."""
+def _own_loads(solution: CurtainSolution) -> Array:
+    """S (n_cells, 3) in the frame of the curtain, averaged over neighbours."""
+    return solution.recovered(solution.problem.disc.cell_mean(solution.S))
+
+
+def _largest_asked(solution: CurtainSolution, known: Strength, area: float) -> tuple[Asked, Asked]:
+    """Largest utilisation, and largest share of the collapse load: of S averaged over `area` mm2, and of forces."""
     corners, S = on_triangles(solution, _loads(solution))
     low, high = eigenvalues(S)
     near = Nearby(corners, S, area, np.maximum(low, 0.0) + np.maximum(high, 0.0))
@@ -132,10 +175,19 @@ def _largest_means(solution: CurtainSolution, known: Strength, area: float) -> t
     X = mesh.p.T[np.unique(mesh.t)]
     # The tensile trace is convex, so that of an average is at most the largest; times the largest strength it bounds
     # the utilisation, whose values are weighted means of those strengths.
-    bound, stress = near.bound(X) / known.yield_stress(), known.yield_stress()
-    first = _largest(near, X, bound * known.first_yield.max(), lambda S: known.utilisation(S, stress))
-    last = _largest(near, X, bound * known.collapse.max(), lambda S: known.collapse_utilisation(S, stress))
-    return first, last
+    trace, stress = near.bound(X), known.yield_stress()
+    own = _own_loads(solution)
+
+    def asked(value: Callable[[Array, float], Array], most: float) -> Asked:
+        def of(S: Array) -> Array:
+            return value(S, stress)
+
+        return Asked(_largest(near, X, trace * most, of), largest_borne(solution, near, own, of, most))
+
+    return (
+        asked(known.utilisation, float(known.first_yield.max()) / stress),
+        asked(known.collapse_utilisation, float(known.collapse.max()) / stress),
+    )
 
 
 def _largest(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> LineLoad:
@@ -196,9 +248,12 @@ def holds_line(summary: dict[str, Any]) -> str:
     elif place is None:
         head = f"strength of the rings not known: {summary['strength_note']}"
     else:
-        head = "no load" if np.isinf(least) else f"holds with a factor {least:.3g}"
+        most = "of at most " if summary.get("utilisation_mesh_too_coarse") else ""
+        head = "no load" if np.isinf(least) else f"holds with a factor {most}{least:.3g}"
     if summary.get("utilisation_mesh_too_coarse"):
         parts.append((np.inf, "the mesh is too coarse there: the factor of the rings falls with refinement"))
+    elif (summary.get("utilisation_of_point_forces_max") or 0.0) > (summary.get("utilisation_of_averages_max") or 0.0):
+        parts.append((np.inf, "the mesh is too coarse there, so that the factor is that of the force at this point"))
     return "; ".join([head, *(text for _, text in parts)])
 
 

@@ -117,7 +117,8 @@ class Joint:
 
 
 WORST_STEP_DEG = 10
-"""Step of the angles at which a joint is tried for the worst one; stresses between them are at most 1 % larger."""
+"""Step of the angles at which a joint is tried for the worst one. Free ends carry no load, so that the stress is the
+same for all joints between two neighbouring contacts; only one between contacts nearer than the step is left out."""
 
 
 def joint_name(value: Any) -> str:

@@ -493,6 +493,21 @@ def test_a_curtain_on_demand_knows_its_utilisation():
     assert found["first_yield_near"] == "support 1 (corners)"
 
 
+def test_a_scene_may_say_what_the_rings_asked_on_demand_are_made_of():
+    """Weight, yield stress and record are those of `[material]`, over what the cell brings."""
+    some = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 12)), cell=KNOWN.law.cell)
+    tables = {"curtain": {"width": 60.0, "height": 60.0}, "mesh": {"cells": 4}}
+    titanium = square(**tables, material={"material": "titanium grade 2", "yield": 300.0})
+    told = solve(titanium, some, rings=Cell(material=named_material("steel 1.4404")), accuracy=0.5).summary
+    assert told["material"]["density_kg_per_mm3"] == named_material("titanium grade 2").density_kg_per_mm3
+    assert told["ring_yield_N_per_mm2"] == 300.0
+    assert told["ring_material"] == "titanium grade 2, changed"
+    mass = KNOWN.law.cell.areal_mass_kg_per_m2 * 4.51 / 7.85
+    assert told["areal_mass_kg_per_m2"] == pytest.approx(mass, rel=1e-6)
+    with pytest.raises(InputError, match="known are steel"):
+        solve(square(**tables, material={"material": "mithril"}), some, rings=Cell(), accuracy=0.5)
+
+
 def test_options_of_the_command_line(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     found = ring_options("8, 0.4", "6-in-1", "x", None, None, False)

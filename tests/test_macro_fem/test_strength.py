@@ -14,7 +14,7 @@ from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
 from macro_fem.output.files import summarize, support_forces, write_vtu
-from macro_fem.output.strength import holds_line, summary, utilisation
+from macro_fem.output.strength import critical_load, holds_line, summary, utilisation
 from macro_fem.scene.schema import read_scene
 from rve import named_material
 from rve.common.errors import InputError
@@ -81,20 +81,68 @@ def test_units_and_yield(strip):
     assert strong["ring_yield_N_per_mm2"] == 470.0
 
 
+def corner_hung(side, cells):
+    tables = {"curtain": {"width": side, "height": side}, "support": {"kind": "corners"}, "mesh": {"cells": cells}}
+    return solve_scene(read_scene(tables), default_law())
+
+
 def test_the_average_over_a_cell_converges_at_a_hook_where_the_pointwise_value_grows():
-    tables = {"curtain": {"width": 40.0, "height": 40.0}, "support": {"kind": "corners"}}
-    coarse, fine = (
-        summary(solve_scene(read_scene(tables | {"mesh": {"cells": cells}}), default_law())) for cells in (6, 12)
-    )
+    coarse, fine = (summary(corner_hung(40.0, cells)) for cells in (6, 12))
     assert fine["utilisation_pointwise_max"] > 1.5 * coarse["utilisation_pointwise_max"]
-    assert fine["utilisation_max"] == pytest.approx(coarse["utilisation_max"], rel=0.25)
+    assert fine["utilisation_of_averages_max"] == pytest.approx(coarse["utilisation_of_averages_max"], rel=0.25)
     assert fine["utilisation_max"] < 0.7 * fine["utilisation_pointwise_max"]
     assert fine["first_yield_near"] == "support 1 (corners)"
     assert "grows with every refinement" in fine["strength_note"]
-    assert [one["utilisation_mesh_too_coarse"] for one in (coarse, fine)] == [True, False]
+
+
+def test_a_coarse_mesh_tells_the_utilisation_of_a_fine_one_from_the_force_at_the_corners():
+    """Averages of the coarse mesh are low in proportion to its cells; the force over the width of an average is not."""
+    coarse, fine = corner_hung(60.0, 4), corner_hung(60.0, 24)
+    low, high = summary(coarse), summary(fine)
+    assert low["utilisation_of_averages_max"] < 0.7 * high["utilisation_of_averages_max"]
+    assert high["utilisation_of_point_forces_max"] == 0.0  # its cells resolve the average
+    assert low["utilisation_max"] == low["utilisation_of_point_forces_max"]
+    assert low["utilisation_max"] == pytest.approx(high["utilisation_max"], rel=0.2)
+    assert low["utilisation_max_at_mm"] in ([0.0, 60.0], [60.0, 60.0])
+    assert [one["utilisation_mesh_too_coarse"] for one in (low, high)] == [False, False]
+    S = critical_load(coarse)
+    assert default_law().strength.utilisation(S[None])[0] == pytest.approx(low["utilisation_max"], rel=1e-9)
     told = {"support_forces": [], "strength_note": None}
-    assert "falls with refinement" in holds_line(coarse | told)
-    assert "falls with refinement" not in holds_line(fine | told)
+    assert "the factor is that of the force at this point" in holds_line(low | told)
+    assert "coarse" not in holds_line(high | told)
+
+
+def test_a_force_on_one_column_of_rings_is_that_force_over_the_width_of_a_disk():
+    """A point that is pulled straight down far from all edges: the disk of 139 mm2 is as wide as its area over its
+    diameter, and S is the force over this width and over the stretch at which rings lock along the columns."""
+    tables = {
+        "curtain": {"width": 240.0, "height": 240.0, "areal_mass": 0.0},
+        "support": {"kind": "top"},
+        "mesh": {"cells": 6},
+        "load": {"point": {"at": [120.0, 120.0], "force": [0.0, -50.0]}},
+    }
+    law = default_law()
+    told = summary(solve_scene(read_scene(tables), law))
+    area = law.cell.b_x_mm * law.cell.b_y_mm
+    up = np.array([[0.0, 0.0, 1.0]])
+    S = 50.0 / (0.5 * np.sqrt(np.pi * area)) / np.sqrt(1.0 + 2.0 * law.support(up)[0])
+    assert told["utilisation_max"] == pytest.approx(law.strength.utilisation(S * up)[0], rel=0.05)  # pieces of cells
+    assert told["first_yield_near"] == "load.point 1"
+
+
+def test_a_mesh_too_coarse_at_an_end_of_a_held_edge_is_told():
+    """No single force tells there; the factor is then an upper bound and called so."""
+    tables = {
+        "curtain": {"width": 300.0, "height": 300.0},
+        "support": {"kind": "edge", "edge": "left"},
+        "mesh": {"cells": 8},
+    }
+    told = summarize(solve_scene(read_scene(tables), with_yield(2350.0)))
+    assert told["utilisation_of_point_forces_max"] == 0.0
+    assert told["utilisation_mesh_too_coarse"] is True
+    line = holds_line(told)
+    assert line.startswith("holds with a factor of at most ")
+    assert "the factor of the rings falls with refinement" in line
 
 
 def square(scale=1.0, law=None, **curtain):
@@ -136,9 +184,7 @@ def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     near = Nearby(corners, S, law.cell.b_x_mm * law.cell.b_y_mm, np.ones(len(S)))
     means = np.array([near.mean(x) for x in solution.problem.mesh.mesh.p.T])
     told = summary(solution)
-    assert told["utilisation_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
-    collapse = law.strength.collapse_utilisation(means).max()
-    assert told["collapse_factor"] == pytest.approx(1.0 / collapse, rel=1e-12)
+    assert told["utilisation_of_averages_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
 
 
 def test_the_vtu_has_the_utilisation_of_every_cell(strip, tmp_path):

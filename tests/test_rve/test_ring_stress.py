@@ -80,6 +80,17 @@ def test_the_worst_joint_is_worse_than_any_other():
     assert skin_stress(q[0], worst.fibre, 5.0, 0.8) == pytest.approx(worst.stress, rel=1e-12)
 
 
+def test_joints_between_two_neighbouring_contacts_are_the_same_joint():
+    """Free ends carry no load: the wire between the joint and the next contact is unloaded wherever the joint is."""
+    phi, forces = random_load(3)
+    start, end = np.sort(phi)[2:4]
+    joints = start + np.array([0.1, 0.5, 0.9]) * (end - start)
+    stress = [peak_stress(phi[None], forces[None], RING, joint=np.array([x])).stress[0] for x in joints]
+    np.testing.assert_allclose(stress, stress[0], rtol=1e-5)
+    other = peak_stress(phi[None], forces[None], RING, joint=np.array([end + 0.01])).stress[0]
+    assert other != pytest.approx(stress[0], rel=1e-3)
+
+
 def test_stress_follows_force_and_size():
     phi, forces = random_load(6)
     one = peak_stress(phi, forces, RING).stress

@@ -1,0 +1,128 @@
+"""What rings bear at hooks, corners and loaded points, from the force there instead of the cells of the mesh.
+
+Around a force f at a point the line load grows until it is spread over the rings of one cell of the weave. A mesh whose
+cells are larger spreads f over its own cells: utilisation is then too low in proportion to the side of the cells. But f
+itself, and the direction m (reference) along which the curtain takes it up, hardly depend on the mesh. Balance says
+that S carries f through every section across m,
+
+    S = f / (w lambda) m m^T,
+
+with lambda the stretch along m at which rings lock, and w the width of the averages of `macro_fem.output.line_load`:
+their area over the longest chord along the line from the point. If all of f goes along that line this is the largest
+average of the continuous curtain; if f fans out it is more than that, at most by the ratio of this chord to the radius
+of the average at the point itself (1.4 at a square corner, 1 to 2 at an edge).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from macro_fem.fem.rotated import RotatedLaw, largest_stretch
+from macro_fem.output.line_load import Nearby
+from macro_fem.solution import CurtainSolution
+from rve.common.tensor import dyad
+from rve.common.types import Array
+
+RESOLVED = 0.125
+"""Sides of mesh cells at a point over that of the averaging area with which the averages themselves are used."""
+STEPS = np.linspace(0.0, 1.5, 7)
+"""Centres of averages along the line of the force, in radii of the average at the point."""
+_SHARPEST = np.pi / 6.0
+"""Angle of a corner in which averages reach farthest; bounds their chord, so that few points are looked at."""
+
+
+@dataclass(frozen=True)
+class PointForce:
+    """A force in N at a point `at` (2,) of the reference state, and the diameter over which it is spread, mm."""
+
+    name: str
+    at: Array
+    force: float
+    spread: float = 0.0
+
+
+@dataclass(frozen=True)
+class Borne:
+    """The largest `value` that a force asks for, and the line load S (3,) in N/mm, in the frame of the weave."""
+
+    value: float
+    force: PointForce | None = None
+    S: Array | None = None
+
+
+def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
+    """Forces of supports that hold single points, and of loads on points and patches, at their present share."""
+    problem = solution.problem
+    nodes, load, factor = problem.disc.nodes, problem.scene.load, problem.factor
+    size = np.linalg.norm(solution.reactions, axis=1)
+    for number, held in enumerate(problem.supports.held, 1):
+        for node in held.nodes if not len(held.facets) else ():
+            yield PointForce(f"support {number} ({held.name})", nodes[node], float(size[node]))
+    for number, point in enumerate(load.point, 1):
+        yield PointForce(f"load.point {number}", np.array(point.at), factor * float(np.linalg.norm(point.force)))
+    for number, patch in enumerate(load.patch, 1):
+        force = factor * float(np.linalg.norm(patch.force))
+        yield PointForce(f"load.patch {number}", np.array(patch.at), force, 2.0 * patch.radius)
+
+
+def largest_borne(
+    solution: CurtainSolution, near: Nearby, S: Array, value: Callable[[Array], Array], most: float
+) -> Borne:
+    """The largest value that any force at a point asks for, where the mesh is too coarse to tell; 0 without any.
+
+    `near`: averages of the line loads S (n_cells, 3) of the curtain in its own frame; `value` (n,) of line loads (n, 3)
+    in the frame of the weave, at most `most` times their trace.
+    """
+    law, best = solution.problem.law, Borne(0.0)
+    longest = 2.0 * np.sqrt(2.0 * near.area / _SHARPEST)
+    for one in sorted(point_forces(solution), key=lambda one: -one.force):
+        if one.force * longest / near.area * most <= best.value:
+            break
+        cells = _cells_at(solution, one)
+        if float(np.sqrt(solution.problem.disc.cell_area[cells].max())) <= RESOLVED * max(
+            np.sqrt(near.area), one.spread
+        ):
+            continue
+        m = _direction(solution, S, cells, one.at)
+        if m is None:
+            continue
+        width = max(near.area / _chord(near, one.at, m), one.spread)
+        load = one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None])
+        load = load @ law.to_weave.T if isinstance(law, RotatedLaw) else load
+        found = float(value(load)[0])
+        best = Borne(found, one, load[0]) if found > best.value else best
+    return best
+
+
+def _cells_at(solution: CurtainSolution, one: PointForce) -> np.ndarray:
+    """Numbers of the mesh cells that touch a point, or whose corners lie in its patch; the nearest one if none do."""
+    mesh = solution.problem.mesh
+    distance = np.linalg.norm(mesh.mesh.p - one.at[:, None], axis=0)
+    near = max(0.5 * one.spread, float(distance.min())) + 1e-9 * mesh.size
+    return np.flatnonzero((distance[mesh.mesh.t] <= near).any(axis=0))
+
+
+def _direction(solution: CurtainSolution, S: Array, cells: np.ndarray, at: Array) -> Array | None:
+    """The reference direction (2,) of the larger principal line load of some cells, into the curtain; None if slack."""
+    area = solution.problem.disc.cell_area[cells]
+    S11, S12, S22 = area @ S[cells] / area.sum()
+    if not np.hypot(S11 - S22, 2.0 * S12) + S11 + S22 > 0.0:
+        return None
+    angle = 0.5 * np.arctan2(2.0 * S12, S11 - S22)
+    m = np.array([np.cos(angle), np.sin(angle)])
+    mesh = solution.problem.mesh.mesh
+    inwards = area @ mesh.p[:, mesh.t[:, cells]].mean(axis=1).T / area.sum() - at
+    return m if inwards @ m >= 0.0 else -m
+
+
+def _chord(near: Nearby, at: Array, m: Array) -> float:
+    """Longest part in mm of the line from `at` (2,) along m (2,) that lies in one of the averages centred on it."""
+    reach = near.radius_at(at)
+    chords = []
+    for t in STEPS * reach:
+        radius = near.radius_at(at + t * m)
+        chords.append(radius + min(t, radius))
+    return max(chords)
