@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rve.common.errors import InputError
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest, strain_of
+from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest, strain_of, with_random_starts
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
@@ -185,7 +185,9 @@ def _solved(
     if options.branches != "first":
         others = company(loads, known)
         if len(others):
-            states = largest(others, equations, sides, replace(options, branches="first")).states(sides)
+            best = largest(others, equations, sides, replace(options, branches="first"))
+            near = np.concatenate([loads, others] if known is None else [loads, others, known.S])
+            states = with_random_starts(best, near, equations, sides, options).states(sides)
             known = states if known is None else known.plus(states)
     best = largest(loads, equations, sides, options, known)
     return best, strain_is_unique(equations, best.found, unit_loads(loads))
