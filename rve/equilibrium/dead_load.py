@@ -52,6 +52,8 @@ STARTS = 16
 """Random starts of the loads of one vicinity together; docs/theory.md, 4 has the hit rate."""
 WALK, STRIDE = 20, 0.12
 """Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
+SPARE = 1e-3
+"""Gaps in r1 that random poses keep."""
 NONE = 1e6
 """Minus this stands for the work of a load for which no state is known."""
 PROBE, ALIKE = 1e-4, 5e-3
@@ -166,8 +168,8 @@ class States(Rows):
 @dataclass(frozen=True)
 class Largest:
     """Locked states of largest work under the loads S (n, 3): equilibria; h (n,), -inf where there is none; branch
-    (n,): "slack", "random", "neighbour" or "restart"; works: per load the works S:E, at unit trace of S and in ascending
-    order, of the states that were found under it.
+    (n,): "slack", "random", "neighbour" or "restart"; works: per load the works S:E, at unit trace of S and in
+    ascending order, of the states that were found under it.
     """
 
     S: Array
@@ -257,7 +259,7 @@ def with_neighbours(
 def with_random_starts(
     best: Largest, near: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions
 ) -> Largest:
-    """The best states after random starts, of which each load has the fewer the more of the loads `near` are about it."""
+    """The best states after random starts; a load has the fewer of them, the more of the loads `near` are about it."""
     about = (np.linalg.norm(disc(best.S)[:, None] - disc(near)[None], axis=2) < VICINITY).sum(axis=1)
     rows = np.repeat(np.arange(len(best.S)), -(-STARTS // np.maximum(about, 1)))
     start = random_poses(equations, len(rows))
@@ -295,16 +297,17 @@ def random_poses(equations: Equations, count: int) -> Pose:
     They are `STARTS` poses in turn. Steps that would make rings overlap or pass through each other are left out.
     """
     rng, pose = np.random.default_rng(0), start_pose(equations.weave, STARTS)
-    shape = (STARTS, equations.modes.shape[1])
+    shape, stride = (STARTS, equations.modes.shape[1]), np.full((STARTS, 1), STRIDE)
     drift = rng.uniform(-1.0, 1.0, shape)
     for _ in range(WALK):
-        step = STRIDE / 1.6 * (0.6 * drift + rng.uniform(-1.0, 1.0, shape))
+        step = stride * (0.4 * drift + 0.6 * rng.uniform(-1.0, 1.0, shape))
         there = moved(pose, equations.displacement(step, pose))
         contacts = equations.contacts(there, STRIDE)
-        good = contacts.links_intact & (contacts.min_gap > 1e-3)
+        good = contacts.links_intact & (contacts.min_gap > SPARE)
         good &= parallel_clearance(pose, there, equations.weave, equations.wire) > 0.0
         rows = np.flatnonzero(good)
         pose = pose.put(rows, there.take(rows))
+        stride = np.where(good[:, None], np.minimum(1.5 * stride, STRIDE), 0.5 * stride)
         drift = np.where(good[:, None], drift, rng.uniform(-1.0, 1.0, shape))
     return pose.take(np.arange(count) % STARTS)
 
