@@ -220,10 +220,9 @@ def largest(
     if options.branches == "first":
         return best
     images = equations.weave.is_mirrored and equations.weave.classes == 2
+    best = with_random_starts(best, S if known is None else np.concatenate([S, known.S]), equations, sides, options)
     states = best.states(sides) if known is None else known.plus(best.states(sides))
     states = states.with_images(images)
-    best = with_random_starts(best, states.S, equations, sides, options)
-    states = states.plus(best.states(sides).with_images(images))
     best = with_neighbours(best, states, equations, sides, options)
     states = states.plus(best.states(sides).with_images(images))
     tried: set[tuple[int, int]] = set()
