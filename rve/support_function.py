@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rve.common.errors import InputError
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest, strain_of, with_random_starts
+from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest, strain_of
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
@@ -184,12 +184,10 @@ def _solved(
 ) -> tuple[Largest, NDArray[np.bool_]]:
     """Best states of the loads (n, 3) and flags `unique` (n,), with these pairs of rings."""
     equations = Equations.of(weave, cell.wire, load=DeadLoad(sides))
+    beside = None
     if options.branches != "first":
         others = company(loads, known)
         if len(others):
-            best = largest(others, equations, sides, replace(options, branches="first"))
-            near = np.concatenate([loads, others] if known is None else [loads, others, known.S])
-            states = with_random_starts(best, near, equations, sides, options).states(sides)
-            known = states if known is None else known.plus(states)
-    best = largest(loads, equations, sides, options, known)
+            beside = largest(others, equations, sides, replace(options, branches="first")).states(sides)
+    best = largest(loads, equations, sides, options, known, beside)
     return best, strain_is_unique(equations, best.found, unit_loads(loads))

@@ -206,13 +206,19 @@ class Largest:
 
 
 def largest(
-    S: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions, known: States | None = None
+    S: Array,
+    equations: Equations,
+    sides: tuple[float, float],
+    options: DirectOptions,
+    known: States | None = None,
+    company: States | None = None,
 ) -> Largest:
     """The states of largest work under the dead loads S (n, 3) of unit trace, weave axes.
 
     From the slack pose first; then from random admissible poses; then from the states of the nearest loads, those of
     `known` included; then, where a state of another load does more work, from that state, until none does. With
-    options.branches = "first" the states reached from the slack pose are all.
+    options.branches = "first" the states reached from the slack pose are all. company: further known states, reached
+    from the slack pose only.
     """
     found = solve_dead(S, equations, options)
     h = np.where(found.status == "converged", double_dot(S, strain_of(found.pose, sides)), -np.inf)
@@ -221,8 +227,8 @@ def largest(
         return best
     images = equations.weave.is_mirrored and equations.weave.classes == 2
     best = with_random_starts(best, S if known is None else np.concatenate([S, known.S]), equations, sides, options)
-    states = best.states(sides) if known is None else known.plus(best.states(sides))
-    states = states.with_images(images)
+    states = best.states(sides)
+    states = states.join([more for more in (known, company) if more is not None]).with_images(images)
     best = with_neighbours(best, states, equations, sides, options)
     states = states.plus(best.states(sides).with_images(images))
     tried: set[tuple[int, int]] = set()
