@@ -238,7 +238,10 @@ def branch_record(table: StrainTable, first: Rows, rows: Rows, left: Flags, wall
         }
         works = {"work_from_slack": float(slack), "work": float(best)}
         several.append(row | {"branch": "below" if left[i] else str(rows.branch[i])} | works)
-    how = "restarts from the states of other rows, their mirror images, and dead loads from the slack pose"
+    how = (
+        "restarts from the states of other rows, their mirror images, and dead loads from the slack pose and from "
+        "random admissible poses"
+    )
     return {"maximum_by": how, "several_states": several, "wall_s": round(wall, 3)}
 
 

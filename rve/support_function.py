@@ -34,9 +34,9 @@ class Support:
 
     S (n, 3) as asked for; h (n,) = S:E in the unit of S, nan where no state was found; E (n, 3); x2_mm, x3_mm (n, 2);
     unique (n,): False where the load leaves the strain free, E is then one of many; status (n,); R, min_gap_mm (n,);
-    branch (n,): how the state was reached, from the "slack" pose, that of a "neighbour" in load, or by a "restart" from
-    a state that does more work; works: per load h of every state that was found under it, ascending; b_x_mm, b_y_mm:
-    the reference cell; states: what `support` can start from next time.
+    branch (n,): how the state was reached, from the "slack" pose, a "random" admissible one, that of a "neighbour" in
+    load, or by a "restart" from a state that does more work; works: per load h of every state that was found under it,
+    ascending; b_x_mm, b_y_mm: the reference cell; states: what `support` can start from next time.
     """
 
     S: Array
@@ -88,10 +88,12 @@ class Support:
 def support(cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: Support | None = None) -> Support:
     """h(S) = max S:E over the admissible cells for dead line loads S (3,) or (n, 3), positive semidefinite.
 
-    Besides the slack pose, the locked states of `known` (an earlier answer for the same cell) and those of the other
-    loads are starts; where few loads are near, those of four loads round it are found first. E refers to the reference
-    cell of `options`. InputError for loads that are zero, not finite or have a negative eigenvalue; NotConverged if
-    there is no reference cell. Loads that fail keep their status and have nan elsewhere.
+    It is the work of the best locked state that was found, hence at most the maximum; docs/theory.md, 4, says how often
+    it was less. Starts are the slack pose, random admissible poses (the same in every call), the locked states of
+    `known` (an earlier answer for the same cell) and those of the other loads; where few loads are near, those of four
+    loads round it are found first. E refers to the reference cell of `options`. InputError for loads that are zero, not
+    finite or have a negative eigenvalue; NotConverged if there is no reference cell. Loads that fail keep their status
+    and have nan elsewhere.
 
     >>> found = support(Cell(5, 0.5), [1.0, 0.0, 0.0])
     >>> round(float(found.h[0]), 4), round(float(found.x2_mm[0, 0]), 3)
@@ -192,10 +194,10 @@ def _solved(
 ) -> tuple[Largest, NDArray[np.bool_]]:
     """Best states of the loads (n, 3) and flags `unique` (n,), with these pairs of rings."""
     equations = Equations.of(weave, cell.wire, load=DeadLoad(sides))
+    beside = None
     if options.branches != "first":
         others = company(loads, known)
         if len(others):
-            states = largest(others, equations, sides, replace(options, branches="first")).states(sides)
-            known = states if known is None else known.plus(states)
-    best = largest(loads, equations, sides, options, known)
+            beside = largest(others, equations, sides, replace(options, branches="first")).states(sides)
+    best = largest(loads, equations, sides, options, known, beside)
     return best, strain_is_unique(equations, best.found, unit_loads(loads))

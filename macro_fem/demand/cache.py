@@ -22,7 +22,7 @@ from rve.common.types import Array
 Beside = tuple[tuple[float, float], ...]
 """Directions as points of the unit disc."""
 FORMAT = "ring-mesh support value"
-VERSION = 1
+VERSION = 2
 """Raised when the same direction would be answered differently, so that older files are no longer read."""
 MOST_BYTES = 10_000
 NOT_ASKED = ("r1", "r2", "density", "material", "weave")

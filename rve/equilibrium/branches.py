@@ -20,21 +20,26 @@ from rve.common.records import Flags, Index
 from rve.common.records import Rows as Records
 from rve.common.tensor import WEIGHT, double_dot, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import GAIN, MARGINS, DeadLoad, States, largest, restarted, solve_dead, strain_of
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
+from rve.equilibrium.dead_load import (
+    GAIN,
+    MARGINS,
+    DeadLoad,
+    States,
+    largest,
+    promising,
+    random_poses,
+    restarted,
+    strain_of,
+)
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import deformation_gradient, second_pk
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, start_pose
 
 SAMPLE = 4
-"""One in so many rows, and every row of rank one, is also solved as a dead load: an independent start."""
-PROBE, ALIKE = 1e-4, 5e-3
-"""Complementarity mu at which the path of a dead load is compared with the state of its row, and the difference of
-strains up to which it leads there."""
-PROMISE = 0.5
-"""Contacts by which the work on a path must be nearer to that of the row's state than a path to equal work would be."""
+"""One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""
 ROUNDS = 4
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 MOVED = 1e-6
@@ -134,27 +139,20 @@ def merged(
 
 
 def dead_states(rows: Rows, mesh: Mesh) -> States:
-    """Locked states under the S of some rows as dead loads, from the slack pose, with their images; only those that may
-    do more work than the state of their own row. Paths are followed to mu = `PROBE`, and to the end where they promise
-    more: on a path every loaded contact (lam > gap) takes mu from the work at the end, to first order.
+    """Locked states under the S of some rows as dead loads, from the slack pose and from a random admissible pose each,
+    with their images; only those whose paths promise more work than the state of their own row does.
     """
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
     S = rows.S[good]
     thin = S[:, 0] * S[:, 2] - S[:, 1] ** 2 < 1e-6
     sample = rows.take(good[thin | (np.arange(len(good)) % SAMPLE == 0)])
-    once = replace(mesh.options, attempts=1)
-    path = solve_dead(sample.S, mesh.dead, replace(once, mu_end=PROBE, tolerance=PROBE))
-    short = sample.E - strain_of(path.pose, mesh.sides)
-    far = np.abs(short).max(axis=1) > ALIKE
-    loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))
-    missing = mesh.sides[0] * mesh.sides[1] * double_dot(unit_loads(sample.S), short) / PROBE
-    left = np.flatnonzero(far & (missing < loaded - PROMISE) & (path.status == "converged"))
-    pose, S = path.pose.take(left), sample.S[left]
-    if len(left):
-        found = solve_dead(S, mesh.dead, replace(once, mu_start=PROBE), pose)
-        good = np.flatnonzero(found.status == "converged")
-        pose, S = found.pose.take(good), S[good]
-    return States(pose, S, strain_of(pose, mesh.sides)).with_images(mesh.has_images)
+    n = len(sample.S)
+    S, E = np.tile(sample.S, (2, 1)), np.tile(sample.E, (2, 1))
+    start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n)])
+    pick, found = promising(S, E, mesh.dead, mesh.sides, mesh.options, start)
+    ended = np.flatnonzero(found.status == "converged")
+    pose = found.pose.take(ended)
+    return States(pose, S[pick[ended]], strain_of(pose, mesh.sides)).with_images(mesh.has_images)
 
 
 def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:

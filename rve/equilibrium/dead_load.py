@@ -5,7 +5,9 @@ stationary points of S:E over the admissible poses, and the support function h(S
 derivative of the load is symmetric, and E is quadratic in the lattice vectors, so it does not depend on the pose.
 
 Every locked state is an admissible pose, so it is a start for every other load: a restart from a state that does more
-work than the one known so far climbs from there. What remains assumed is that the starts together reach the largest.
+work than the one known so far climbs from there. The slack pose of a weave has the symmetry of `symmetry`, and paths
+from it keep that symmetry though a state without it may do more work: random admissible poses are starts as well. What
+remains assumed is that the starts together reach the largest.
 """
 
 from __future__ import annotations
@@ -17,12 +19,13 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from rve.common.records import Index, Rows
-from rve.common.tensor import WEIGHT, disc, double_dot, mirror
+from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
 from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
 from rve.equilibrium.system import Equations, add_lattice_curvature, weighted_size
+from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import green_lagrange
-from rve.geometry.pose import Pose, mirrored, moved
+from rve.geometry.pose import Pose, mirrored, moved, start_pose
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -43,6 +46,21 @@ S_j:(E_j - E_i) agree to second order in the distance. Where one is less than th
 from j. A tenth of the pairs is, and at r1/r2 = 50 all that lead to a state of more work are among them."""
 ROUNDS = 6
 """Rounds of restarts at most; a load that is still below a known state then has the status "below"."""
+VICINITY = 0.15
+"""Distance in the disc of loads up to which the states found from random starts are shared."""
+STARTS = 16
+"""Random starts of the loads of one vicinity together; docs/theory.md, 4 has the hit rate."""
+WALK, STRIDE = 20, 0.12
+"""Steps of a random walk from the slack pose, and the largest of them in r1 and radians."""
+SPARE = 1e-3
+"""Gaps in r1 that random poses keep."""
+NONE = 1e6
+"""Minus this stands for the work of a load for which no state is known."""
+PROBE, ALIKE = 1e-4, 5e-3
+"""Complementarity mu at which a path is compared with the state that is known, and the difference of strains up to
+which it leads there."""
+PROMISE = 0.5
+"""Contacts by which the work on a path must be nearer to that of the known state than a path to equal work would be."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +168,8 @@ class States(Rows):
 @dataclass(frozen=True)
 class Largest:
     """Locked states of largest work under the loads S (n, 3): equilibria; h (n,), -inf where there is none; branch
-    (n,): "slack", "neighbour" or "restart"; works: per load the works S:E, at unit trace of S and in ascending order,
-    of the states that were found under it.
+    (n,): "slack", "random", "neighbour" or "restart"; works: per load the works S:E, at unit trace of S and in
+    ascending order, of the states that were found under it.
     """
 
     S: Array
@@ -177,15 +195,30 @@ class Largest:
         h[rows[up]], names[rows[up]] = work[up], branch
         return Largest(self.S, self.found.put(rows[up], new.take(up)), h, names, works)
 
+    def raised_by_all(self, rows: Index, new: Equilibrium, work: Array, branch: str) -> Largest:
+        """The same for loads that may occur several times in `rows`."""
+        best = self
+        for row in np.unique(rows):
+            tries = np.flatnonzero(rows == row)
+            for k in tries[np.argsort(work[tries])]:
+                best = best.raised(rows[k : k + 1], new.take(np.array([k])), work[k : k + 1], branch)
+        return best
+
 
 def largest(
-    S: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions, known: States | None = None
+    S: Array,
+    equations: Equations,
+    sides: tuple[float, float],
+    options: DirectOptions,
+    known: States | None = None,
+    company: States | None = None,
 ) -> Largest:
     """The states of largest work under the dead loads S (n, 3) of unit trace, weave axes.
 
-    From the slack pose first; then from the states of the nearest loads, those of `known` included; then, where a state
-    of another load does more work, from that state, until none does. With options.branches = "first" the states reached
-    from the slack pose are all.
+    From the slack pose first; then from random admissible poses; then from the states of the nearest loads, those of
+    `known` included; then, where a state of another load does more work, from that state, until none does. With
+    options.branches = "first" the states reached from the slack pose are all. company: further known states, reached
+    from the slack pose only.
     """
     found = solve_dead(S, equations, options)
     h = np.where(found.status == "converged", double_dot(S, strain_of(found.pose, sides)), -np.inf)
@@ -193,8 +226,9 @@ def largest(
     if options.branches == "first":
         return best
     images = equations.weave.is_mirrored and equations.weave.classes == 2
-    states = best.states(sides) if known is None else known.plus(best.states(sides))
-    states = states.with_images(images)
+    best = with_random_starts(best, S if known is None else np.concatenate([S, known.S]), equations, sides, options)
+    states = best.states(sides)
+    states = states.join([more for more in (known, company) if more is not None]).with_images(images)
     best = with_neighbours(best, states, equations, sides, options)
     states = states.plus(best.states(sides).with_images(images))
     tried: set[tuple[int, int]] = set()
@@ -224,12 +258,63 @@ def with_neighbours(
     if not len(rows):
         return best
     new = restarted(best.S[rows], equations, states.pose.take(source), NEAR_MARGIN, options)
-    work = works_of(new, best.S[rows], sides)
-    for row in np.unique(rows):
-        tries = np.flatnonzero(rows == row)
-        for k in tries[np.argsort(work[tries])]:
-            best = best.raised(rows[k : k + 1], new.take(np.array([k])), work[k : k + 1], "neighbour")
-    return best
+    return best.raised_by_all(rows, new, works_of(new, best.S[rows], sides), "neighbour")
+
+
+def with_random_starts(
+    best: Largest, near: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions
+) -> Largest:
+    """The best states after random starts; a load has the fewer of them, the more of the loads `near` are about it."""
+    about = (np.linalg.norm(disc(best.S)[:, None] - disc(near)[None], axis=2) < VICINITY).sum(axis=1)
+    rows = np.repeat(np.arange(len(best.S)), -(-STARTS // np.maximum(about, 1)))
+    start = random_poses(equations, len(rows))
+    E = np.where(np.isfinite(best.h)[:, None], strain_of(best.found.pose, sides), -NONE * IDENTITY)
+    pick, new = promising(best.S[rows], E[rows], equations, sides, options, start)
+    rows = rows[pick]
+    return best.raised_by_all(rows, new, works_of(new, best.S[rows], sides), "random")
+
+
+def promising(
+    S: Array, E: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions, start: Pose | None
+) -> tuple[Index, Equilibrium]:
+    """Cases whose paths under the dead loads S (n, 3) of unit trace promise more work than the strains E, and their
+    ends.
+
+    Paths are followed to mu = `PROBE` from the slack pose or from `start`, and to the end where they promise more: on a
+    path every loaded contact (lam > gap) takes mu from the work at the end, to first order.
+    """
+    once = replace(options, attempts=1)
+    path = solve_dead(S, equations, replace(once, mu_end=PROBE, tolerance=PROBE), start)
+    short = E - strain_of(path.pose, sides)
+    far = np.abs(short).max(axis=1) > ALIKE
+    loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))
+    missing = sides[0] * sides[1] * double_dot(unit_loads(S), short) / PROBE
+    pick = np.flatnonzero(far & (missing < loaded - PROMISE) & (path.status == "converged"))
+    found = path.take(pick)
+    if len(pick):
+        found = solve_dead(S[pick], equations, replace(once, mu_start=PROBE), found.pose)
+    return pick, found
+
+
+def random_poses(equations: Equations, count: int) -> Pose:
+    """Admissible poses (count,) that random walks of seeded steps reach from the slack pose, the same in every call.
+
+    They are `STARTS` poses in turn. Steps that would make rings overlap or pass through each other are left out.
+    """
+    rng, pose = np.random.default_rng(0), start_pose(equations.weave, STARTS)
+    shape, stride = (STARTS, equations.modes.shape[1]), np.full((STARTS, 1), STRIDE)
+    drift = rng.uniform(-1.0, 1.0, shape)
+    for _ in range(WALK):
+        step = stride * (0.4 * drift + 0.6 * rng.uniform(-1.0, 1.0, shape))
+        there = moved(pose, equations.displacement(step, pose))
+        contacts = equations.contacts(there, STRIDE)
+        good = contacts.links_intact & (contacts.min_gap > SPARE)
+        good &= parallel_clearance(pose, there, equations.weave, equations.wire) > 0.0
+        rows = np.flatnonzero(good)
+        pose = pose.put(rows, there.take(rows))
+        stride = np.where(good[:, None], np.minimum(1.5 * stride, STRIDE), 0.5 * stride)
+        drift = np.where(good[:, None], drift, rng.uniform(-1.0, 1.0, shape))
+    return pose.take(np.arange(count) % STARTS)
 
 
 def works_of(found: Equilibrium, S: Array, sides: tuple[float, float]) -> Array:
@@ -254,7 +339,7 @@ def nearest_states(best: Largest, states: States, sides: tuple[float, float]) ->
 
 def better_states(best: Largest, states: States, tried: set[tuple[int, int]]) -> tuple[Index, Index]:
     """Loads (k,) and, for each, the state of most work among those not tried that do more than h; notes them."""
-    gain = (best.S * WEIGHT) @ states.E.T - np.maximum(best.h, -1e6)[:, None]
+    gain = (best.S * WEIGHT) @ states.E.T - np.maximum(best.h, -NONE)[:, None]
     for row, column in tried:
         gain[row, column] = -np.inf
     rows = np.flatnonzero(gain.max(axis=1, initial=-np.inf) > GAIN)

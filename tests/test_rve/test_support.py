@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.every_ring import brute
 from rve.cli import main
 from rve.common.errors import InputError, NotConverged
 from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
 from rve.directions import grid
-from rve.equilibrium.dead_load import DeadLoad, largest, opened, solve_dead, strain_of
+from rve.equilibrium.dead_load import DeadLoad, largest, opened, random_poses, solve_dead, strain_of
 from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.symmetry import is_symmetric, symmetry_of
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
@@ -133,6 +135,64 @@ def test_thin_wire_takes_the_longest_of_its_states():
     assert found.h[0] == pytest.approx(0.0586, abs=5e-5)
     assert np.hypot(*found.x3_mm[0]) == pytest.approx(found.b_y_mm * np.sqrt(1.0 + 2.0 * found.h[0]), rel=1e-9)
     assert found.x2_mm[0, 0] < 0.8 * found.b_x_mm
+
+
+SKEW = [([0.8, 0.0, 0.2], 0.74291), ([0.6, 0.2, 0.4], 0.45863)]
+
+
+@pytest.mark.parametrize(("S", "work"), SKEW)
+def test_a_state_without_the_symmetry_of_the_slack_pose_is_found(S, work):
+    """Independent values: sequential quadratic programming from disturbed slack cells (benchmarks/every_ring).
+
+    Paths from the slack pose keep its symmetry and end in states of less work, whatever the load near S.
+    """
+    cell = Cell(5.0, 0.25, SIX_IN_ONE)
+    found, first = support(cell, S), support(cell, S, FIRST)
+    assert found.status[0] == "converged"
+    assert work <= found.h[0] < work + 1e-4
+    assert first.h[0] < found.h[0] - 5e-3
+    assert found.works[0][0] == pytest.approx(first.h[0], abs=1e-9)
+    middle = symmetry_of(SIX_IN_ONE).middle
+    assert is_symmetric(first.states.pose, middle, 1e-6)[0]
+    pose = found.states.pose.take(np.array([len(found.states) - 1]))
+    assert not is_symmetric(pose, middle, 1e-2)[0]
+    E = strain_of(pose, (found.b_x_mm / 5.0, found.b_y_mm / 5.0))
+    assert double_dot(np.array([S]), E)[0] == pytest.approx(found.h[0], abs=1e-12)
+    assert_admissible(pose, cell)
+
+
+def assert_admissible(pose, cell):
+    """No ring overlaps another among 9 x 9 cells, and those of the weave are linked, by brute force."""
+    around = [(i, j) for i in range(-4, 5) for j in range(-4, 5)]
+    at = np.array([pose.centres[0, k] + i * pose.a1[0] + j * pose.a2[0] for i, j in around for k in range(2)])
+    centre, normal = np.column_stack([at, np.zeros(len(at))]), np.tile(pose.normals[0], (len(around), 1))
+    name = [(k, i, j) for i, j in around for k in range(2)]
+    home = [name.index((k, 0, 0)) for k in range(2)]
+    far = np.linalg.norm(centre[home][:, None] - centre[None], axis=2)
+    pairs = np.array([(home[k], b) for k, b in np.argwhere((far > 0.0) & (far < 2.0 + 2.0 * cell.wire))])
+    distances = [rows[:, 1].min() for rows in brute.minima(centre, normal, pairs, 1.0) if len(rows)]
+    assert len(distances) > 12
+    assert min(distances) > 2.0 * cell.wire - 1e-9
+    woven = {(0, 1, i, j) for a, b, i, j in cell.weave.pairs[cell.weave.linked].tolist()}
+    near = np.unique(pairs)
+    linked = brute.linked_pairs(centre[near], normal[near], 1.0, 100)
+    first = [(name[near[a]], name[near[b]]) for a, b in linked]
+    seen = {(a[0], b[0], b[1] - a[1], b[2] - a[2]) for a, b in (sorted(pair) for pair in first)}
+    assert seen == woven
+
+
+@pytest.mark.parametrize(("ratio", "weave"), [(4.5, FOUR_IN_ONE), (50.0, FOUR_IN_ONE), (20.0, SIX_IN_ONE)])
+def test_random_starts_are_admissible_and_far_apart(ratio, weave):
+    equations = Equations.of(weave, 1.0 / ratio, load=DeadLoad((2.2, 2.53)))
+    pose = random_poses(equations, 18)
+    contacts = find_contacts(pose, weave, equations.wire, 0.6)
+    assert contacts.links_intact.all()
+    assert (contacts.min_gap > 0.0).all()
+    np.testing.assert_array_equal(pose.lattice[16:], pose.lattice[:2])
+    np.testing.assert_array_equal(random_poses(equations, 3).normals, pose.normals[:3])
+    skew = ~is_symmetric(pose, symmetry_of(weave).middle, 1e-3)
+    assert skew.all()
+    assert np.ptp(pose.lattice[:, :2], axis=0).min() > (0.2 if ratio > 10.0 else 0.01)
 
 
 def test_free_strains_are_flagged():
