@@ -136,7 +136,7 @@ class Rows:
             return None
         place, row, value = self._products
         scaled = self.v * weight / self.size**2
-        return np.bincount(place, value * scaled[row], minlength=self.fem.pattern.nnz).astype(float)
+        return np.asarray(np.bincount(place, value * scaled[row], minlength=self.fem.pattern.nnz), dtype=np.float64)
 
     @cached_property
     def _products(self) -> tuple[np.ndarray, np.ndarray, Array]:

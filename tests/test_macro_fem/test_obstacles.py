@@ -186,15 +186,12 @@ def test_a_strip_that_clears_a_cylinder_with_whole_cells_converges_to_the_rope(f
         push = pushes_of(solution, 0)[1].sum(axis=0)[1]
         exact_push = DENSITY * solution.problem.scene.curtain.width * (LENGTH - end)
         errors.append([solution.mean_height() - exact, solution.x[:, 1].min() - end, abs(push / exact_push - 1.0)])
-        disc = solution.problem.disc
-        free = ~solution.problem.fem.held.any(axis=1)[disc.lattice.node].any(axis=1)
-        x = disc.lattice.places(solution.x)[free]
-        inside.append(R - np.hypot(x[:, 1], x[:, 2]).min())
+        inside.append(solution.settling.between_nodes_mm / (LENGTH / cells) ** 2 * 8.0 * R)
     coarse, fine = np.array(errors)
     assert np.all(fine[:2] > 0.0)
     assert np.all(fine[:2] < coarse[:2] / 3.4)
     assert np.all(fine < [4e-3 * LENGTH, 5e-3 * LENGTH, 0.01])
-    assert max(inside) < 1e-5  # cells at the held edge are inside by a quarter of the chord's height
+    assert max(inside) < 0.4  # of the height of a chord, beside the held edge; nodes alone leave 1.33
 
 
 def pushed(scene_tables, travel, **more):
