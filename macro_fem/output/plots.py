@@ -15,7 +15,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
 from rve.common.errors import InputError
 from rve.common.files import write_whole
-from rve.common.render import pixels, write_gif
+from rve.common.render import colour_map, pixels, write_gif
 from rve.common.types import Array
 from rve.common.views import Scale, rounded_up
 
@@ -32,16 +32,16 @@ STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 def plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.colors import Normalize
 
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)[:, :2]
-    shades = LinearSegmentedColormap.from_list("scale", scale.colours)
-    shades.set_over(scale.over)
-    mapped = ScalarMappable(Normalize(0.0, 1.0), shades)
+    shades = colour_map(scale)
+    norm = Normalize(0.0, 1.0)
+    mapped = ScalarMappable(norm, shades)
     shown = scale.share(np.asarray(values))[cell]
-    ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=shown, cmap=shades, norm=mapped.norm)
+    ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=shown, cmap=shades, norm=norm)
     assert ax.figure is not None
     extend = "max" if scale.is_exceeded else "neither"
     bar = ax.figure.colorbar(mapped, ax=ax, shrink=0.75, pad=0.02, extend=extend)
@@ -164,10 +164,15 @@ def _axes(ax: Axes | None) -> Axes:
     return figure.subplots()
 
 
+NARROW = 1.5
+"""The title over a curtain that is this many times higher than wide has two lines."""
+
+
 def _title(solution: CurtainSolution) -> str:
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
-    return f"total load {load:.4g} N, {height}"
+    width, tall = np.ptp(solution.problem.disc.nodes[:, :2], axis=0)
+    return f"total load {load:.4g} N,{chr(10) if tall > NARROW * width else ' '}{height}"
 
 
 def _frame(solution: CurtainSolution, ax: Axes) -> None:
