@@ -31,25 +31,30 @@ STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 
 def plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)[:, :2]
-    shades = colour_map(scale)
-    norm = Normalize(0.0, 1.0)
-    mapped = ScalarMappable(norm, shades)
-    shown = scale.share(np.asarray(values))[cell]
-    ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=shown, cmap=shades, norm=norm)
+    shown = np.maximum(values, scale.low)[cell]
+    style: dict[str, Any] = {"cmap": colour_map(scale), "norm": _norm(scale)}
+    colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=shown, **style)
     assert ax.figure is not None
     extend = "max" if scale.is_exceeded else "neither"
-    bar = ax.figure.colorbar(mapped, ax=ax, shrink=0.75, pad=0.02, extend=extend)
-    bar.set_ticks(scale.share(np.array(scale.ticks())).tolist(), labels=scale.tick_labels())
+    bar = ax.figure.colorbar(colours, ax=ax, shrink=0.75, pad=0.02, extend=extend)
+    bar.set_ticks(scale.ticks(), labels=scale.tick_labels())
+    bar.ax.minorticks_off()
     above = f"; above: up to {scale.largest:.3g}" if scale.is_exceeded else ""
     bar.set_label(scale.label.replace(", ", ",\n", 1) + above)
     _frame(solution, ax)
     return ax
+
+
+def _norm(scale: Scale) -> Any:
+    """The spread of a scale for matplotlib."""
+    from matplotlib.colors import LogNorm, Normalize, PowerNorm
+
+    if scale.spread == "root":
+        return PowerNorm(0.5, scale.low, scale.top)
+    return (LogNorm if scale.spread == "log" else Normalize)(scale.low, scale.top)
 
 
 def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale: Scale | None = None) -> Axes:
