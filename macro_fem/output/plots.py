@@ -15,7 +15,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
 from rve.common.errors import InputError
 from rve.common.files import write_whole
-from rve.common.render import pixels, write_gif
+from rve.common.render import colour_map, pixels, write_gif
 from rve.common.types import Array
 from rve.common.views import Scale, rounded_up
 
@@ -31,27 +31,30 @@ STATE_NAMES = ("slack", "drawn in one direction", "taut in both")
 
 def plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None = None) -> Axes:
     """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.tri import Triangulation
-
     ax = _axes(ax)
     triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
     corners = corner_positions(solution)[:, :2]
-    shades = LinearSegmentedColormap.from_list("scale", scale.colours)
-    shades.set_over(scale.over)
-    mapped = ScalarMappable(Normalize(0.0, 1.0), shades)
-    shown = scale.share(np.asarray(values))[cell]
-    net = Triangulation(corners[:, 0], corners[:, 1], triangles)
-    ax.tripcolor(net, facecolors=shown, cmap=shades, vmin=0.0, vmax=1.0)
+    shown = np.maximum(values, scale.low)[cell]
+    style: dict[str, Any] = {"cmap": colour_map(scale), "norm": _norm(scale)}
+    colours = ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=shown, **style)
     assert ax.figure is not None
     extend = "max" if scale.is_exceeded else "neither"
-    bar = ax.figure.colorbar(mapped, ax=ax, shrink=0.75, pad=0.02, extend=extend)
-    bar.set_ticks(scale.share(np.array(scale.ticks())).tolist(), labels=scale.tick_labels())
+    bar = ax.figure.colorbar(colours, ax=ax, shrink=0.75, pad=0.02, extend=extend)
+    bar.set_ticks(scale.ticks(), labels=scale.tick_labels())
+    bar.ax.minorticks_off()
     above = f"; above: up to {scale.largest:.3g}" if scale.is_exceeded else ""
     bar.set_label(scale.label.replace(", ", ",\n", 1) + above)
     _frame(solution, ax)
     return ax
+
+
+def _norm(scale: Scale) -> Any:
+    """The spread of a scale for matplotlib."""
+    from matplotlib.colors import LogNorm, Normalize, PowerNorm
+
+    if scale.spread == "root":
+        return PowerNorm(0.5, scale.low, scale.top)
+    return (LogNorm if scale.spread == "log" else Normalize)(scale.low, scale.top)
 
 
 def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale: Scale | None = None) -> Axes:
@@ -166,10 +169,15 @@ def _axes(ax: Axes | None) -> Axes:
     return figure.subplots()
 
 
+NARROW = 1.5
+"""The title over a curtain that is this many times higher than wide has two lines."""
+
+
 def _title(solution: CurtainSolution) -> str:
     load = float(np.linalg.norm(solution.problem.force.sum(axis=0)))
     height = f"mean height {solution.mean_height():.1f} mm, lowest point {solution.x[:, 1].min():.1f} mm"
-    return f"total load {load:.4g} N, {height}"
+    width, tall = np.ptp(solution.problem.disc.nodes[:, :2], axis=0)
+    return f"total load {load:.4g} N,{chr(10) if tall > NARROW * width else ' '}{height}"
 
 
 def _frame(solution: CurtainSolution, ax: Axes) -> None:

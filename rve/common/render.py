@@ -126,7 +126,7 @@ def _add(plotter: Any, part: Surface | Lines, scale: Scale | None) -> None:
         return
     mesh.point_data["shown"] = scale.share(values).astype(np.float32)
     style |= {"above_color": scale.over} if scale.is_exceeded else {}
-    plotter.add_mesh(mesh, scalars="shown", cmap=_colour_map(scale), clim=(0.0, 1.0), show_scalar_bar=False, **style)
+    plotter.add_mesh(mesh, scalars="shown", cmap=colour_map(scale), clim=(0.0, 1.0), show_scalar_bar=False, **style)
 
 
 def _poly(points: Array, triangles: Any) -> Any:
@@ -163,10 +163,11 @@ def _tubes(part: Lines) -> Any:
     return _poly(points.reshape(-1, 3), (one.reshape(1, -1, 3) + start).reshape(-1, 3))
 
 
-def _colour_map(scale: Scale) -> Any:
+def colour_map(scale: Scale) -> Any:
+    """The colours of a scale for matplotlib, with that of values above its top."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("scale", scale.colours, N=256)
+    return LinearSegmentedColormap.from_list("scale", scale.colours, N=256).with_extremes(over=scale.over)
 
 
 def picture(view: View, aims: Sequence[Aim] | None = None) -> Figure:
@@ -201,8 +202,7 @@ def _bar(figure: Figure, scale: Scale, size: tuple[float, float], top: float) ->
 
     width, height = size
     ax = figure.add_axes((0.55 / width, (top - 0.63) / height, 5.2 / width, 0.2 / height))
-    colours = _colour_map(scale)
-    colours.set_over(scale.over)
+    colours = colour_map(scale)
     extend = "max" if scale.is_exceeded else "neither"
     bar = figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), colours), cax=ax, orientation="horizontal", extend=extend)
     values = scale.ticks()

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rve.common.render import colour_map
 from rve.common.solids import quads_cut
 from rve.common.types import Array
 from rve.common.views import PLASMA, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, rounded_up
@@ -57,12 +58,10 @@ def plot_rings(
 
 def _colour(drawn: LineCollection, force: Array, ax: Axes) -> None:
     """Colours of the forces, with their bar, on a logarithmic scale."""
-    from matplotlib.colors import LinearSegmentedColormap, LogNorm
+    from matplotlib.colors import LogNorm
 
     scale = force_scale(force)
-    shades = LinearSegmentedColormap.from_list("rings", scale.colours)
-    shades.set_over(scale.over)
-    drawn.set(array=np.maximum(force, scale.low), cmap=shades, norm=LogNorm(scale.low, scale.top))
+    drawn.set(array=np.maximum(force, scale.low), cmap=colour_map(scale), norm=LogNorm(scale.low, scale.top))
     extend = "both" if scale.is_exceeded else "min"
     bar = ax.figure.colorbar(drawn, ax=ax, shrink=0.75, pad=0.02, extend=extend)
     above = f"; black: up to {scale.largest:.3g}" if scale.is_exceeded else ""
