@@ -42,9 +42,6 @@ def plot_rings(
     if ax is None:
         ax = Figure(figsize=(7.0, 6.0), layout="constrained").subplots()
     lines = circles(centre, normal, r1, LINE[0])[0][:, :, :2]
-    if force is not None:
-        order = np.argsort(force, kind="stable")  # the greatest are drawn last
-        lines, force = lines[order], force[order]
     drawn = LineCollection(list(np.concatenate([lines, lines[:, :1]], axis=1)), linewidths=width)
     ax.add_collection(drawn)
     if force is not None:

@@ -49,7 +49,7 @@ def _in_space(ax: Any, names: tuple[str, str, str]) -> None:
     ax.set(xlabel=names[0], ylabel=names[1], zlabel=names[2])
     ax.set_box_aspect(None, zoom=0.82)
     ax.locator_params(nbins=5)
-    ax.zaxis.labelpad = 8.0
+    ax.xaxis.labelpad = ax.yaxis.labelpad = ax.zaxis.labelpad = 8.0
 
 
 def _shades() -> Any:
