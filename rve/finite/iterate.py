@@ -22,6 +22,7 @@ class State:
     mu: float
     damping: float
     local: Array
+    convex: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,8 @@ class Work:
 
     damping: float
     local: Array
+    convex: float = 0.0
+    lacking: Array | None = None
     trials: int = 0
     factors: int = 0
     why: str = ""

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, blocks, gradients, matrix, metric, pair_vectors, spread, times
+from rve.finite.equations import BLOCK, blocks, gradients, lacking, matrix, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
 from rve.finite.iterate import Linear, State, Step, Work, barrier, central
 from rve.finite.records import FiniteOptions, Found, Record, Task
@@ -28,6 +28,7 @@ _SOFT = 1e-10
 """Stiffness of every coordinate: rings that nothing touches stay where they are."""
 _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
+X = dict(proj=1, c0=0.2, c1=3.0, cd=0.3, low=0.3, high=1e6, patience=12, lift=30.0, grow=1.5)
 _TRIES = 7
 """Times a step is damped pair by pair before it is shortened."""
 
@@ -46,6 +47,7 @@ def solve_rings(
     history: list[Record] = []
     least, finest = np.inf, state
     idle, best, status, is_minimum, turns = 0, np.inf, "iterations", False, 0
+    base, here, patience = options, 0, float(X['patience'])
     for _ in range(options.max_iterations):
         G = gradients(state.placed, state.touching)
         residual, product = kkt(state.touching, G, state.force, task)
@@ -58,18 +60,23 @@ def solve_rings(
             least, finest = merit, state
         idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
         is_calm = state.mu > options.mu_end and _is_calm(history, state, options)
-        if has_arrived and (is_calm or idle >= options.patience):
-            if state.mu <= options.mu_end and idle >= options.patience:
-                # Points beside a minimum move with it and may keep a last residual: the end goes without them.
-                turns += 1
-                if turns > options.retries:
-                    status = "stalled"
-                    break
+        here += 1
+        mu = state.mu
+        if has_arrived and is_calm:
+            mu = max(options.mu_end, min(options.shrink * mu, mu**options.power))
+        elif has_arrived and here > patience and (state.mu > options.mu_end or idle >= options.patience):
+            turns += 1
+            if turns > options.retries:
+                status = "stalled"
+                break
+            if state.mu <= options.mu_end:
                 task = replace(task, beside=not task.beside)
                 state = _found_again(state, task, options.reach)
-            lower = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
-            state, idle, best = replace(state, mu=lower), 0, np.inf
-            state, options = _nearer(state, task, options)
+            mu = min(options.mu_start, X['lift'] * mu)
+            patience *= X['grow']
+        if mu != state.mu:
+            state, idle, best, here = replace(state, mu=mu), 0, np.inf, 0
+            state, options = _nearer(state, task, options, base.reach)
             G = gradients(state.placed, state.touching)
         state, record, is_minimum = _advanced(state, task, G, options, factorize)
         history.append(replace(record, residual=residual))
@@ -86,10 +93,10 @@ def _answer(state: State, task: Task, status: str, history: list[Record]) -> Fou
     return Found(state.placed, state.touching, state.force, status, residual, tuple(history))
 
 
-def _nearer(state: State, task: Task, options: FiniteOptions) -> tuple[State, FiniteOptions]:
+def _nearer(state: State, task: Task, options: FiniteOptions, widest: float) -> tuple[State, FiniteOptions]:
     """The state with the contacts that count at its mu: the smaller mu, the nearer they are."""
     part = next(part for least, part in _NEARER if state.mu >= least)
-    reach = min(options.reach, part)
+    reach = min(widest, part)
     if reach == options.reach:
         return state, options
     return _found_again(state, task, reach), replace(options, reach=reach)
@@ -150,6 +157,10 @@ def _newton(
     con, n = state.touching, len(task.force)
     while True:
         K = line.blocks + metric(line.heavy * (work.damping + work.local))
+        if work.convex > 0.0:
+            if work.lacking is None:
+                work.lacking = lacking(line.blocks)
+            K += work.convex * work.lacking
         push = line.rhs - times(con, K, line.held, n) if line.is_moving else line.rhs
         solve = factorize(matrix(con, K, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
         work.factors += 1
@@ -157,6 +168,9 @@ def _newton(
             break
         if work.damping > 1e8:
             return None
+        if X['proj'] and work.convex < 1.0:
+            work.convex = min(1.0, max(X['c0'], X['c1'] * work.convex))
+            continue
         work.damping = max(1e-3, 5.0 * work.damping)
     q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)
     q = np.where(task.free, q, 0.0) + line.held
@@ -172,7 +186,7 @@ def _advanced(
 ) -> tuple[State, Record, bool]:
     """The next iterate, its record, and whether the matrix was positive definite without damping."""
     line = _linearized(state, task, G, options)
-    work = Work(state.damping, state.local.copy())
+    work = Work(state.damping, state.local.copy(), state.convex)
     new, step, length = None, None, 0.0
     for attempt in range(_TRIES + 1):
         step = _newton(state, task, line, options, factorize, work)
@@ -181,7 +195,7 @@ def _advanced(
         new, length = searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
         if new is not None:
             break
-    is_minimum = work.factors == 1 and state.damping < 1e-6 and state.local.max(initial=0.0) < 1e-2
+    is_minimum = work.factors == 1 and state.damping < 1e-6 and state.convex == 0.0 and state.local.max(initial=0.0) < 1e-2
     if step is None or new is None:
         damping = max(10.0 * work.damping, 1e-6)
         record = Record(state.mu, 0.0, -1.0, 0.0, damping, len(state.force), work.trials, work.factors)
@@ -198,8 +212,15 @@ def _accepted(state: State, new: State, step: Step, length: float, options: Fini
     force = force + min(float(longest), length) * step.dforce
     fresh = central(new.touching.gap, state.mu, options.reach)
     force = handed_on(state.touching, force, new.touching, fresh)
-    force = np.clip(force, 1e-6 * fresh, 1e6 * state.mu / new.touching.gap)
+    force = np.clip(force, X['low'] * fresh, X['high'] * state.mu / new.touching.gap)
     damping = 0.3 * work.damping if length > 0.3 else work.damping
     rows = of_pairs(state.touching.key, new.touching.key)
     local = np.where(rows >= 0, work.local[rows], 0.0)
-    return replace(new, force=force, damping=damping if damping > 1e-9 else 0.0, local=local)
+    convex = X['cd'] * work.convex if length > 0.3 else work.convex
+    return replace(
+        new,
+        force=force,
+        damping=damping if damping > 1e-9 else 0.0,
+        local=local,
+        convex=convex if convex > 0.02 else 0.0,
+    )
