@@ -6,7 +6,8 @@ units of the load's mean force on a link, so that mu is relative.
 
 Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel
 to their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected for what was
-missed; where that is not enough, the two rings of the pair are damped against each other, and only they.
+missed; where that is not enough, the two rings of the pair are damped against each other, and only they. mu is lifted
+where the iterates do not settle at it, so that a fold which runs through the mesh passes in few steps.
 """
 
 from __future__ import annotations
