@@ -22,9 +22,11 @@ from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import in_space_of
 from macro_fem.scene.loads import nodal_forces, weight_per_area
 from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.outline import regular_polygon
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.scene.supports import Held, build_supports, pin_sliding
+from macro_fem.scene.tables import in_3d
 from rve import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides
 from rve.common.errors import InputError, require
 from rve.common.files import versions, write_text, write_whole
@@ -79,8 +81,11 @@ def ring_scene(scene: Scene, law: MembraneLaw | None = None) -> RingScene:
         raise InputError(
             f"{scene.source}: [load.bar] straight = true: rings are not tied to a bar, use straight = false"
         )
-    if scene.obstacle or any(wind.follows for wind in scene.load.wind):
-        raise InputError(f"{scene.source}: [obstacle], and follows = true of [load.wind]: are not for every ring")
+    if any(wind.follows for wind in scene.load.wind):
+        raise InputError(f"{scene.source}: follows = true of [load.wind]: is not for every ring")
+    round_ = [item.name for item in scene.obstacle if not is_flat(item)]
+    if round_:
+        raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
     mesh = _finite_mesh(scene, info)
     return _with_loads(_by_cells(scene, info), info, mesh)
 
@@ -145,7 +150,17 @@ def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
     if not scene.in_space:
         held[:, 2] = held[:, 0] | held[:, 1]
     at = np.column_stack([mesh.X, np.zeros(n)]) + way
-    return RingScene(scene, mesh, force, held, at, _groups(supports.held, ring))
+    return RingScene(scene, mesh, force, held, at, _groups(supports.held, ring), _walls(scene))
+
+
+def _walls(scene: Scene) -> tuple[HalfSpace, ...]:
+    """Floors and walls of a scene at the end of their moves."""
+    out = []
+    for item in scene.obstacle:
+        m = item.normal(np.zeros((1, 3)))
+        offset = float(item.support(m)[0] + m[0] @ in_3d(item.move))
+        out.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
+    return tuple(out)
 
 
 def _groups(supports: tuple[Held, ...], ring: np.ndarray) -> tuple[tuple[str, np.ndarray], ...]:

@@ -83,6 +83,15 @@ def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Ar
     return out
 
 
+def lacking(pairs: Array) -> Array:
+    """What the blocks (p, 10, 10) lack to be positive semidefinite, each by itself."""
+    felt = np.flatnonzero(pairs.any(axis=(1, 2)))
+    values, vectors = np.linalg.eigh(pairs[felt])
+    out = np.zeros_like(pairs)
+    out[felt] = np.matmul(vectors * np.maximum(-values, 0.0)[:, None, :], vectors.transpose(0, 2, 1))
+    return out
+
+
 def metric(weight: Array) -> Array:
     """Blocks (p, 10, 10) that measure, by pair, how far two rings move relative to each other and how far they turn."""
     one = np.zeros((2 * BLOCK, 2 * BLOCK))

@@ -14,7 +14,8 @@ from rve.finite.touching import Placed, Touching
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it."""
+    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it; convex: which part of the
+    negative curvature of each pair is left out."""
 
     placed: Placed
     touching: Touching
@@ -22,28 +23,36 @@ class State:
     mu: float
     damping: float
     local: Array
+    convex: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A Newton step q (n, 5), forecast of the gaps and forces, slope of the barrier function along it, and a
-    function that solves with its matrix."""
+    """A Newton step q (n, 5), forecast of the gaps and forces, slope of the barrier function along it, stiffness of
+    contacts, and a function that solves with its matrix."""
 
     q: Array
     dgap: Array
     dforce: Array
     slope: float
+    stiff: Array
     solve: Solve
 
 
 @dataclass
 class Work:
-    """Counts of one iteration, and the damping as it is raised."""
+    """Counts of one iteration, the damping as it is raised, and stiffness (m,) that contacts have on top of theirs;
+    lacking: what the blocks of pairs lack to be positive semidefinite."""
 
     damping: float
     local: Array
+    extra: Array
+    convex: float = 0.0
+    turns: int = 0
+    lacking: Array | None = None
     trials: int = 0
     factors: int = 0
+    failed: int = 0
     why: str = ""
 
 

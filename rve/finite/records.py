@@ -24,10 +24,9 @@ class FiniteOptions:
 
     tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
     power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
-    ring, or after `patience` iterations without progress. retries: how often the
-    last mu is tried again without, or with, points beside minima before `stalled`. reach: gap beyond which a contact
-    has no force. step: largest way of a held ring in one iteration. method: "cholmod", "superlu", or "auto" for the
-    first that is installed.
+    ring. After `patience` iterations without that it is multiplied by `lift`, at most `retries` times before `stalled`.
+    reach: gap beyond which a contact has no force. step: largest way of a held ring in one iteration.
+    method: "cholmod", "superlu", or "auto" for the first that is installed.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
 
@@ -36,8 +35,9 @@ class FiniteOptions:
     mu_end: float = 1e-9
     shrink: float = 0.3
     power: float = 1.15
-    calm: float = 0.2
+    calm: float = 0.5
     patience: int = 12
+    lift: float = 30.0
     retries: int = 20
     reach: float = 0.6
     step: float = 0.3

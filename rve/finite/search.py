@@ -75,7 +75,7 @@ def _damp_pairs(con: Touching, bad: Index, work: Work) -> None:
     """More damping for the pairs whose gaps would close; for all where one of them was not near before."""
     rows = of_pairs(con.key, bad)
     known = rows >= 0
-    work.local[rows[known]] = np.maximum(8.0 * work.local[rows[known]], 1.0)
+    work.local[rows[known]] = np.maximum(30.0 * work.local[rows[known]], 5.0)
     if not known.all() or not len(bad):
         work.damping = max(4.0 * work.damping, 1e-2)
 
@@ -101,7 +101,7 @@ def _corrected(
         closed = np.unique(con.key[con.minima.pair[gap < least]])
         if turn and len(closed) >= len(last):
             break
-        back = spread(con, line.G, -line.stiff * np.minimum(gap - forecast, 0.0), n)
+        back = spread(con, line.G, -step.stiff * np.minimum(gap - forecast, 0.0), n)
         q = q + step.solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
     return None, closed
 

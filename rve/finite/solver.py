@@ -6,30 +6,35 @@ units of the load's mean force on a link, so that mu is relative.
 
 Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel
 to their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected for what was
-missed; where that is not enough, the two rings of the pair are damped against each other, and only they.
+missed; where that is not enough, the two rings of the pair are damped against each other, and only they. mu is lifted
+where the iterates do not settle at it, so that a fold which runs through the mesh passes in few steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rve.common.progress import tell, way
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, blocks, gradients, matrix, metric, pair_vectors, spread, times
+from rve.finite.equations import BLOCK, blocks, gradients, lacking, matrix, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
 from rve.finite.iterate import Linear, State, Step, Work, barrier, central
 from rve.finite.records import FiniteOptions, Found, Record, Task
 from rve.finite.search import searched
-from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
+from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs, safe_parts
 
 _SOFT = 1e-10
 """Stiffness of every coordinate: rings that nothing touches stay where they are."""
 _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
-_TRIES = 7
+_TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
+_TURNS = 3
+"""Times pairs that would make a step short are made stiffer before it is taken."""
+_SHORT = 0.3
+"""Part of a step that counts as short."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
@@ -43,36 +48,32 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     state = State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
     history: list[Record] = []
     least, finest = np.inf, state
-    idle, best, status, is_minimum, turns = 0, np.inf, "iterations", False, 0
-    first = options
+    pace, status, is_minimum, near = Pace(float(options.patience)), "iterations", False, options
     for _ in range(options.max_iterations):
-        share = way(first.mu_start, state.mu, first.mu_end)
+        share = way(options.mu_start, state.mu, options.mu_end)
         tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {state.mu:.0e}", share)
         G = gradients(state.placed, state.touching)
         residual, product = kkt(state.touching, G, state.force, task)
-        has_arrived = _way_to_go(state, task) < 1e-12
-        if has_arrived and is_minimum and max(residual, product) < options.tolerance and state.mu <= options.mu_end:
+        merit, has_arrived = max(residual, product), _way_to_go(state, task) < 1e-12
+        is_last = state.mu <= options.mu_end
+        if has_arrived and is_last and merit < options.tolerance and is_minimum:
             status = "converged"
             break
-        merit = max(residual, product)
-        if has_arrived and state.mu <= options.mu_end and merit < least:
+        if has_arrived and is_last and merit < least:
             least, finest = merit, state
-        idle, best = (0, merit) if merit < 0.9 * best else (idle + 1, best)
-        is_calm = state.mu > options.mu_end and _is_calm(history, state, options)
-        if has_arrived and (is_calm or idle >= options.patience):
-            if state.mu <= options.mu_end and idle >= options.patience:
-                # Points beside a minimum move with it and may keep a last residual: the end goes without them.
-                turns += 1
-                if turns > options.retries:
-                    status = "stalled"
-                    break
+        pace = pace.after(merit)
+        is_calm = not is_last and _is_calm(history, state, options)
+        if has_arrived and (is_calm or pace.is_over(options, is_last)):
+            if not is_calm and pace.lifts == options.retries:
+                status = "stalled"
+                break
+            if not is_calm and is_last:
+                # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
                 task = replace(task, beside=not task.beside)
-                state = _found_again(state, task, options.reach)
-            lower = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
-            state, idle, best = replace(state, mu=lower), 0, np.inf
-            state, options = _nearer(state, task, options)
+            state, near = _at_next_mu(state, task, options, is_calm)
+            pace = pace.at_next(is_calm)
             G = gradients(state.placed, state.touching)
-        state, record, is_minimum = _advanced(state, task, G, options, factorize)
+        state, record, is_minimum = _advanced(state, task, G, near, factorize)
         history.append(replace(record, residual=residual))
         if _is_stuck(history):
             status = "stalled" if has_arrived else "out-of-reach"
@@ -80,18 +81,52 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     return _answer(finest if np.isfinite(least) and status != "converged" else state, task, status, history)
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How many iterations mu has been what it is, and how many of them in a row without a lower residual."""
+
+    patience: float
+    lifts: int = 0
+    here: int = 0
+    idle: int = 0
+    best: float = np.inf
+
+    def after(self, merit: float) -> Pace:
+        """The pace after one more iterate."""
+        is_better = merit < 0.9 * self.best
+        return replace(
+            self,
+            here=self.here + 1,
+            idle=0 if is_better else self.idle + 1,
+            best=merit if is_better else self.best,
+        )
+
+    def at_next(self, is_calm: bool) -> Pace:
+        """The pace at another mu; a lift costs iterations, so that the next one is longer in coming."""
+        return Pace(self.patience if is_calm else min(1.5 * self.patience, 100.0), self.lifts + (not is_calm))
+
+    def is_over(self, options: FiniteOptions, is_last: bool) -> bool:
+        """Whether mu is to be lifted; the last one only where the residual does not fall."""
+        return self.idle > options.patience if is_last else self.here > self.patience
+
+
 def _answer(state: State, task: Task, status: str, history: list[Record]) -> Found:
     residual = max(kkt(state.touching, gradients(state.placed, state.touching), state.force, task))
     return Found(state.placed, state.touching, state.force, status, residual, tuple(history))
 
 
-def _nearer(state: State, task: Task, options: FiniteOptions) -> tuple[State, FiniteOptions]:
-    """The state with the contacts that count at its mu: the smaller mu, the nearer they are."""
-    part = next(part for least, part in _NEARER if state.mu >= least)
-    reach = min(options.reach, part)
-    if reach == options.reach:
-        return state, options
-    return _found_again(state, task, reach), replace(options, reach=reach)
+def _at_next_mu(state: State, task: Task, options: FiniteOptions, is_calm: bool) -> tuple[State, FiniteOptions]:
+    """The state with a lower mu, or a higher one where it did not get calm, and the contacts that count there.
+
+    The smaller mu, the nearer are the contacts that count. Where a fold runs through the mesh at a small mu, every ring
+    that it meets shortens the steps; at a higher one it passes in a few.
+    """
+    if is_calm:
+        mu = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
+    else:
+        mu = min(options.mu_start, options.lift * state.mu)
+    near = replace(options, reach=min(options.reach, next(part for least, part in _NEARER if mu >= least)))
+    return _found_again(replace(state, mu=mu), task, near.reach), near
 
 
 def _found_again(state: State, task: Task, reach: float) -> State:
@@ -145,25 +180,68 @@ def _linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> L
 def _newton(
     state: State, task: Task, line: Linear, options: FiniteOptions, factorize: Factorizer, work: Work
 ) -> Step | None:
-    """The step of the damped equations, with more damping where their matrix is not positive definite."""
-    con, n = state.touching, len(task.force)
+    """The step of the damped equations, with less negative curvature where their matrix is not positive definite.
+
+    Where few pairs would make the step short, they are made stiffer.
+    """
+    con, n, gap = state.touching, len(task.force), state.touching.gap
     while True:
-        K = line.blocks + metric(line.heavy * (work.damping + work.local))
-        push = line.rhs - times(con, K, line.held, n) if line.is_moving else line.rhs
-        solve = factorize(matrix(con, K, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
+        pairs = _pairs(con, line, work)
+        push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
+        solve = factorize(matrix(con, pairs, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
         work.factors += 1
         if solve is not None:
-            break
-        if work.damping > 1e8:
+            q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)
+            q = np.where(task.free, q, 0.0) + line.held
+            dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
+            if work.turns == _TURNS or not _stiffened(state, task, line, (q, dgap), options, work):
+                break
+            work.turns += 1
+            continue
+        work.failed += 1
+        if work.convex < 1.0:
+            work.convex = min(1.0, max(0.2, 3.0 * work.convex))
+        elif work.damping > 1e8:
             return None
-        work.damping = max(1e-3, 5.0 * work.damping)
-    q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)
-    q = np.where(task.free, q, 0.0) + line.held
-    gap = con.gap
-    dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
-    dforce = (state.mu * (1.0 - gap / options.reach) - state.force * gap) / gap - line.stiff * dgap
+        else:
+            work.damping = max(1e-3, 5.0 * work.damping)
+    stiff = line.stiff + work.extra
+    dforce = (state.mu * (1.0 - gap / options.reach) - state.force * gap) / gap - stiff * dgap
     slope = -float((np.where(task.free, line.rhs, 0.0) * q).sum())
-    return Step(q, dgap, dforce, slope, solve)
+    return Step(q, dgap, dforce, slope, stiff, solve)
+
+
+def _pairs(con: Touching, line: Linear, work: Work) -> Array:
+    """Blocks (p, 10, 10) of the matrix: exact, damped, with a part of their negative curvature left out."""
+    out = line.blocks + metric(line.heavy * (work.damping + work.local))
+    if work.convex > 0.0:
+        if work.lacking is None:
+            work.lacking = lacking(line.blocks)
+        out += work.convex * work.lacking
+    rows = np.flatnonzero(work.extra)
+    if len(rows):
+        G = line.G[rows]
+        np.add.at(out, con.minima.pair[rows], work.extra[rows, None, None] * G[:, :, None] * G[:, None, :])
+    return out
+
+
+def _stiffened(
+    state: State, task: Task, line: Linear, step: tuple[Array, Array], options: FiniteOptions, work: Work
+) -> bool:
+    """Whether some pairs or contacts would make the step (n, 5), change of gaps (m,) short; they are stiffer then."""
+    con, (q, dgap) = state.touching, step
+    safe = safe_parts(con, q, task.wire, options.reach)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        open_ = np.where(dgap < 0.0, -con.gap / dgap, np.inf)
+    if min(safe.min(), open_.min(initial=1.0)) > _SHORT:
+        return False
+    if safe.min() < 0.1 and 0.0 < work.convex < 1.0:
+        work.convex = 1.0
+        return True
+    tight, closing = safe < _SHORT, open_ < 1.2 * _SHORT
+    work.local[tight] = np.maximum(4.0 * work.local[tight], 0.2)
+    work.extra[closing] += line.stiff[closing] * np.minimum(0.7 / open_[closing], 100.0)
+    return True
 
 
 def _advanced(
@@ -171,7 +249,7 @@ def _advanced(
 ) -> tuple[State, Record, bool]:
     """The next iterate, its record, and whether the matrix was positive definite without damping."""
     line = _linearized(state, task, G, options)
-    work = Work(state.damping, state.local.copy())
+    work = Work(state.damping, state.local.copy(), np.zeros(len(state.force)), state.convex)
     new, step, length = None, None, 0.0
     for attempt in range(_TRIES + 1):
         step = _newton(state, task, line, options, factorize, work)
@@ -180,7 +258,8 @@ def _advanced(
         new, length = searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
         if new is not None:
             break
-    is_minimum = work.factors == 1 and state.damping < 1e-6 and state.local.max(initial=0.0) < 1e-2
+    is_exact = state.damping < 1e-6 and state.convex == 0.0 and state.local.max(initial=0.0) < 1e-2
+    is_minimum = is_exact and work.failed == 0
     if step is None or new is None:
         damping = max(10.0 * work.damping, 1e-6)
         record = Record(state.mu, 0.0, -1.0, 0.0, damping, len(state.force), work.trials, work.factors)
@@ -197,8 +276,15 @@ def _accepted(state: State, new: State, step: Step, length: float, options: Fini
     force = force + min(float(longest), length) * step.dforce
     fresh = central(new.touching.gap, state.mu, options.reach)
     force = handed_on(state.touching, force, new.touching, fresh)
-    force = np.clip(force, 1e-6 * fresh, 1e6 * state.mu / new.touching.gap)
+    force = np.clip(force, 0.3 * fresh, 1e6 * state.mu / new.touching.gap)
     damping = 0.3 * work.damping if length > 0.3 else work.damping
     rows = of_pairs(state.touching.key, new.touching.key)
     local = np.where(rows >= 0, work.local[rows], 0.0)
-    return replace(new, force=force, damping=damping if damping > 1e-9 else 0.0, local=local)
+    convex = 0.3 * work.convex if length > 0.3 else work.convex
+    return replace(
+        new,
+        force=force,
+        damping=damping if damping > 1e-9 else 0.0,
+        local=local,
+        convex=convex if convex > 0.02 else 0.0,
+    )

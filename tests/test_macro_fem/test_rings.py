@@ -104,11 +104,28 @@ def test_compare_puts_both_side_by_side(tmp_path):
     assert summary["line_load_distance"] < 0.3
 
 
+def test_rings_lie_on_the_floor_and_against_the_wall_of_a_scene():
+    floor = {"kind": "floor", "height": -8.0, "move": [0.0, 4.0]}
+    wall = {"kind": "wall", "facing": [3.0, 0.0], "point": [-7.0, 0.0]}
+    rings = ring_scene(scene(2, 1, support={"kind": "top"}, obstacle=[floor, wall]))
+    found = rings.solve(space=False)
+    assert found.status == "converged"
+    for m, offset in (([0.0, 1.0, 0.0], -4.0), ([1.0, 0.0, 0.0], -7.0)):
+        lowest = found.centre @ m - 5.0 * np.sqrt(1.0 - (found.normal @ m) ** 2) - 0.5
+        assert lowest.min() > offset - 1e-6
+    # the floor carries a part of the weight, the top the rest
+    weight = 9.81 * rings.mesh.mass.sum()
+    assert 0.01 * weight < found.wall_force[0, 1] < weight
+    total = found.load.sum(axis=0) + found.reaction.sum(axis=0) + found.wall_force.sum(axis=0)
+    assert total == pytest.approx(np.zeros(3), abs=1e-6 * weight)
+
+
 @pytest.mark.parametrize(
     ("tables", "says"),
     [
         ({"load": {"bar": {"mass": 1.0}}}, "straight = false"),
         ({"load": {"gravity": 0.0}}, "no load"),
+        ({"obstacle": [{"kind": "sphere", "centre": [0.0, 0.0, -20.0], "radius": 9.0}]}, "floors and walls"),
         ({"curtain": {"width": 5.0, "height": 3.0}}, "rings"),
         ({"curtain": {"width": 1e5, "height": 1e5}}, "make it smaller"),
     ],

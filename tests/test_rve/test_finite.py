@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
-from rve.finite.equations import blocks, gradients, matrix, spread, times
+from rve.finite.equations import blocks, gradients, lacking, matrix, spread, times
 from rve.finite.factor import Factorizer
 from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
@@ -144,6 +144,19 @@ def test_matrix_and_products_are_sums_over_pairs():
         whole[con.a[pair]] += force[row] * jac[row, :5]
         whole[con.b[pair]] += force[row] * jac[row, 5:]
     assert np.allclose(spread(con, jac, force, n), whole)
+
+
+def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((3, 10, 4))
+    convex = np.matmul(root, root.transpose(0, 2, 1))
+    v = rng.standard_normal((3, 10))
+    v -= np.einsum("pij,pj->pi", np.matmul(root, np.linalg.pinv(root)), v)  # normal to the range of the convex part
+    concave = v[:, :, None] * v[:, None, :]
+    concave[0] = 0.0
+    pairs = np.concatenate([convex - concave, np.zeros((1, 10, 10))])
+    assert np.allclose(lacking(pairs)[:3], concave)
+    assert not lacking(pairs)[3].any()
 
 
 def test_no_step_carries_a_ring_through_another():
