@@ -54,6 +54,7 @@ KEYS = {
 }
 REFUSED = {
     "no-node": "has no nodes at",  # Crouzeix-Raviart
+    "plane": "as the scene lies in the plane",  # held = "z"
     "two-places": "at different places",  # top and bottom of a disk meet
     "no-edge": "the curtain has no such edge",  # a disk has top and bottom only
     "slides": "in which the supports let",
