@@ -14,6 +14,7 @@ from macro_fem.scene.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError
+from rve.common.tensor import WEIGHT
 
 KINDS = ("rigid", "clarabel", "elastic")
 NAMED = {"converged", "taut", "infeasible"}
@@ -147,9 +148,11 @@ def check_agreement(found):
 
 
 def stored(rigid):
-    """Energy that rings store under the stress of a rigid curtain, half of w (S11 + S22)^2 d(S)."""
+    """Energy that rings store under the stress of a rigid curtain: half of w (S11 + S22)^2 d(S), or of w S:D S."""
     hung = rigid.problem.law
     law, S = (hung.law, rigid.S @ hung.to_weave.T) if isinstance(hung, RotatedLaw) else (hung, rigid.S)
+    if law.strength is None:
+        return float(rigid.problem.disc.weight @ (0.5 * S * WEIGHT * (S @ law.compliance.T)).sum(axis=1))
     size = S[:, 0] + S[:, 2]
     some = size > 1e-12 * size.max()
     energy = 0.5 * size[some] ** 2 * law.strength.compliance_along(S[some])
