@@ -18,8 +18,6 @@ _ZOOMS, _FINER = 3, 4
 """How often, and by how much, the steps of the search shrink: 64 in all, for a stress within 1e-6 of a smooth peak."""
 _BEFORE = 1e-9
 """N jumps at a load with a part along the ring: the section this angle before it is looked at as well."""
-JOINTS = 72
-"""Angles at which the joint of a butted ring is tried for the worst one."""
 
 
 @dataclass(frozen=True)
@@ -76,18 +74,3 @@ def _best(phi: Array, forces: Array, at: Array, fibre: Array, kind: tuple[Ring, 
         np.take_along_axis(at, row, -1)[..., 0],
         np.take_along_axis(fibre, column, -1)[..., 0],
     )
-
-
-def worst_joint(phi: Array, forces: Array, ring: Ring, section: Section | None = None) -> tuple[Array, Peak]:
-    """The angle (...) of the joint at which butted rings are stressed most, of `JOINTS` tried, and the peak there."""
-    peaks = []
-    angles = 2.0 * np.pi / JOINTS * np.arange(JOINTS)
-    for angle in angles:
-        peaks.append(peak_stress(phi, forces, ring, section, np.full(phi.shape[:-1], angle)))
-    stress = np.stack([peak.stress for peak in peaks])
-    worst = stress.argmax(axis=0)[None]
-
-    def of_worst(name: str) -> Array:
-        return np.asarray(np.take_along_axis(np.stack([getattr(peak, name) for peak in peaks]), worst, 0)[0])
-
-    return angles[worst[0]], Peak(of_worst("stress"), of_worst("angle"), of_worst("fibre"))
