@@ -12,7 +12,7 @@ from rve.common.errors import InputError
 from rve.common.rings import Joint, joint_name
 from rve.common.types import Array
 from rve.common.values import Options, entry, finite, flag, optional
-from rve.equilibrium.compliance import deformation, soften
+from rve.equilibrium.compliance import soften
 from rve.equilibrium.elastic_rings import RingStates, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.loaded_rings import LARGEST_OVERLAP, loaded_states
@@ -20,6 +20,7 @@ from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.pose import deformation
 from rve.ring.section import Ring
 from rve.solve import lattice_mm, locked_states, reference_sides, weave_sides
 from rve.table import StrainTable

@@ -24,8 +24,7 @@ from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
 from rve.equilibrium.system import Equations, add_lattice_curvature, weighted_size
 from rve.geometry.contacts import parallel_clearance
-from rve.geometry.kinematics import green_lagrange
-from rve.geometry.pose import Pose, mirrored, moved, start_pose
+from rve.geometry.pose import Pose, mirrored, moved, start_pose, strain_of
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -89,11 +88,6 @@ class DeadLoad:
     def size(self, f: Array, M: Array) -> Array:
         """See Load."""
         return weighted_size(f, M)
-
-
-def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
-    """Green-Lagrange strain (n, 3) of the poses, in weave axes, for a reference cell with these sides in r1."""
-    return green_lagrange(np.stack([pose.a1 / sides[0], pose.a2 / sides[1]], axis=2))
 
 
 def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Pose | None = None) -> Equilibrium:

@@ -19,12 +19,12 @@ from rve.common.records import Index, Rows
 from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
-from rve.equilibrium.compliance import deformation
+from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility, local_flexibility
-from rve.equilibrium.system import Equations, weighted_size
-from rve.geometry.kinematics import second_pk
-from rve.geometry.pose import Pose
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import lattice_strain, second_pk
+from rve.geometry.pose import deformation
 from rve.ring.collapse import checked_sections, largest_factors, relative_moments
 from rve.ring.kernels import internal_forces, opened_forces, self_stress
 from rve.ring.section import Ring
@@ -59,47 +59,6 @@ class RingStates(Rows):
     first_yield: Array
     collapse: Array
     angle_deg: Array
-
-
-@dataclass(frozen=True)
-class DeadLoad:
-    """Constant second Piola-Kirchhoff line loads, the rows of `s`: their work is A_ref S:E, so J is symmetric.
-
-    reference: sides of the reference cell in r1.
-    """
-
-    reference: tuple[float, float]
-
-    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See `Load`."""
-        n, m = len(s), T.shape[2]
-        area = self.reference[0] * self.reference[1]
-        f, J = np.zeros((n, m)), np.zeros((n, m, m))
-        f[:, :3] = area * np.einsum("ni,nij->nj", s * WEIGHT, strain_gradient(pose, self.reference))
-        x2, y3, t = pose.lattice.T
-        b_x, b_y = self.reference
-        S11, S12, S22 = area * s[:, 0] / b_x**2, 2.0 * area * s[:, 1] / (b_x * b_y), area * s[:, 2] / b_y**2
-        J[:, 0, 0], J[:, 1, 1] = S11 * (1.0 + t**2), S22 * (1.0 + t**2)
-        J[:, 2, 2] = S11 * x2**2 + S22 * y3**2
-        J[:, 0, 1] = J[:, 1, 0] = S12 * t
-        J[:, 0, 2] = J[:, 2, 0] = 2.0 * S11 * t * x2 + S12 * y3
-        J[:, 1, 2] = J[:, 2, 1] = 2.0 * S22 * t * y3 + S12 * x2
-        return f, J
-
-    def size(self, f: Array, M: Array) -> Array:
-        """See `Load`."""
-        return weighted_size(f, M)
-
-
-def strain_gradient(pose: Pose, reference: tuple[float, float]) -> Array:
-    """Derivative (n, 3, 3) of E11, E12, E22 with respect to x2, y3, t."""
-    b_x, b_y = reference
-    x2, y3, t = pose.lattice.T
-    B = np.zeros((len(x2), 3, 3))
-    B[:, 0, 0], B[:, 0, 2] = x2 * (1.0 + t**2) / b_x**2, t * x2**2 / b_x**2
-    B[:, 1, 0], B[:, 1, 1], B[:, 1, 2] = t * y3 / (b_x * b_y), t * x2 / (b_x * b_y), x2 * y3 / (b_x * b_y)
-    B[:, 2, 1], B[:, 2, 2] = y3 * (1.0 + t**2) / b_y**2, t * y3**2 / b_y**2
-    return B
 
 
 def ring_states(
@@ -201,7 +160,7 @@ def _cells(
     system = dead.assemble(found.pose, found.contacts, found.lam, S)
     G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
     start = np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1)
-    B = strain_gradient(found.pose, reference)
+    B = lattice_strain(found.pose.lattice, reference)[1]
     return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1], size)
 
 

@@ -14,7 +14,7 @@ from rve.common.errors import InputError
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.weave import SIX_IN_ONE
 from rve.localization.curtain import Curtain, read_curtain
@@ -24,7 +24,6 @@ from rve.localization.frames import turns
 from rve.localization.picture import CLOSE, axes_of_sheet, close_view, ring_view
 from rve.localization.poses import PoseOptions, locked_arrangements, nearest_poses, shares
 from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
-from rve.localization.springs import lattice_strain
 from rve.solve import locked
 
 CELL, OPTIONS = Cell(), PoseOptions()
