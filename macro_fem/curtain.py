@@ -134,8 +134,9 @@ def held_in_place(found: CurtainSolution) -> CurtainSolution:
         forces = np.where(pinned, found.unbalanced, 0.0).sum(axis=0)
         axis = int(np.abs(forces).argmax())
         if abs(forces[axis]) > SLIDES * load_scale(problem.force, problem.disc.weight):
+            table = "obstacle" if problem.scene.obstacle else "load.wind"
             raise InputError(
-                f"{problem.scene.source}: [obstacle]: nothing carries the force of {-forces[axis]:.6g} N along "
+                f"{problem.scene.source}: [{table}]: nothing carries the force of {-forces[axis]:.6g} N along "
                 f"{'xyz'[axis]}, in which the supports let the curtain slide: hold it there"
             )
     return found

@@ -22,7 +22,7 @@ from rve.common.records import Index, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
 from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
-from rve.equilibrium.system import Equations, add_lattice_curvature, weighted_size
+from rve.equilibrium.system import Equations, on_coordinates, weighted_size
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.pose import Pose, mirrored, moved, start_pose, strain_of
 
@@ -79,11 +79,7 @@ class DeadLoad:
             K[:, x, x] = s[:, 0] * b2 / b1
             K[:, x, 2 + x] = K[:, 2 + x, x] = s[:, 1]
             K[:, 2 + x, 2 + x] = s[:, 2] * b1 / b2
-        on_lattice = np.einsum("nij,nj->ni", K, np.concatenate([pose.a1, pose.a2], axis=1))
-        Ta = T[:, :4]
-        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K), Ta)
-        add_lattice_curvature(J, on_lattice)
-        return np.einsum("ni,nij->nj", on_lattice, Ta), J
+        return on_coordinates(K, pose, T)
 
     def size(self, f: Array, M: Array) -> Array:
         """See Load."""

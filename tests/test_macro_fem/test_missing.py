@@ -115,7 +115,7 @@ def test_joining_keeps_the_unknowns_and_the_central_path(problem, rings):
     assert end.violation[found.is_missing].max() < 0.0
 
 
-def test_pruning_leaves_what_carries(problem, rings):
+def test_pruning_leaves_what_carries(problem):
     program, state = begun(problem)
     while (now := measure(program, state)).gap > 0.03:
         state = moved(state, search(program, state, now, 1e-10))

@@ -350,7 +350,7 @@ def test_links_are_those_of_the_weave():
     assert are_linked(near, n_a, n_b, 1.0).tolist() == [True] * 4 + [False] * 3
 
 
-def test_every_equilibrium_is_point_symmetric(paper_table):
+def test_every_equilibrium_is_point_symmetric():
     alpha, beta = np.array([3.0, 28.0, 45.0]), np.array([15.0, 40.0, 70.0])
     found = locked(alpha, beta, Cell(), OPTIONS)[0]
     middle = 0.5 * (found.pose.a1 + found.pose.a2)

@@ -357,7 +357,7 @@ def _centre_of_second(found):
     return found.branch[row]
 
 
-def test_forces_of_rounded_directions_are_those_of_the_cell(table):
+def test_forces_of_rounded_directions_are_those_of_the_cell():
     loads = np.array([2.0 * cauchy_line_load([30.0], [20.0])[0], [0.0, 0.0, 0.0], cauchy_line_load([30.0], [20.4])[0]])
     largest = largest_forces(loads, CELL)
     exact = cell_forces(loads[0], CELL)
