@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -229,8 +228,8 @@ def _first_cones(
     """
     scene, points = problem.scene, problem.disc.n_points
 
-    def told(why: str, cones: Cones | None = None, feature: str = "coarse-start") -> tuple[Cones | None, Any]:
-        return cones, (Decision(feature, cones is not None, why),)
+    def told(why: str, cones: Cones | None = None) -> tuple[Cones | None, tuple[Decision, ...]]:
+        return cones, (Decision("coarse-start", cones is not None, why),)
 
     if by_clarabel(scene):
         return told("clarabel takes no start")

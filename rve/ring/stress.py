@@ -29,13 +29,11 @@ class Peak:
     fibre: Array
 
 
-def peak_stress(
-    phi: Array, forces: Array, ring: Ring, section: Section | None = None, joint: Array | None = None
-) -> Peak:
+def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = None) -> Peak:
     """The largest von Mises stress over all sections and fibres of rings under forces (..., m, 3) at phi (..., m).
 
-    section: by default that of the curved bar; joint (...): the angle at which a butted ring is open, None for a welded
-    one. Exact but for a search whose first steps could rank two peaks wrongly that differ by less than 3e-3.
+    joint (...): the angle at which a butted ring is open, None for a welded one. Exact but for a search whose first
+    steps could rank two peaks wrongly that differ by less than 3e-3.
 
     >>> pull = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     >>> found = peak_stress(np.array([0.0, np.pi]), pull, Ring(1000.0, 1.0, 2e5, 0.3))
@@ -43,17 +41,17 @@ def peak_stress(
     >>> bool(abs(found.stress / thin - 1.0) < 2e-3)
     True
     """
-    section = section or ring.curved()
+    kind = (ring, ring.curved(), joint)
     shape = phi.shape[:-1]
     uniform = np.broadcast_to(2.0 * np.pi / SECTIONS * np.arange(SECTIONS), (*shape, SECTIONS))
     at = np.concatenate([uniform, phi, phi - _BEFORE], axis=-1)
     fibre = np.broadcast_to(2.0 * np.pi / FIBRES * np.arange(FIBRES), (*shape, FIBRES))
-    best = _best(phi, forces, at, fibre, (ring, section, joint))
+    best = _best(phi, forces, at, fibre, kind)
     wide, round_ = 2.0 * np.pi / SECTIONS, 2.0 * np.pi / FIBRES
     steps = np.linspace(-1.0, 1.0, 2 * _FINER + 1)
     for _ in range(_ZOOMS):
         near, skin = best.angle[..., None] + wide * steps, best.fibre[..., None] + round_ * steps
-        best = _best(phi, forces, near, skin, (ring, section, joint))
+        best = _best(phi, forces, near, skin, kind)
         wide, round_ = wide / _FINER, round_ / _FINER
     return best
 
