@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rve.common.progress import tell
-from rve.common.records import Index, Rows
+from rve.common.records import Flags, Index, Rows
 from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
@@ -38,7 +38,8 @@ _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
-_ROUNDS = 40
+_ROUNDS, _SETTLED = 40, 1e-9
+"""Most rounds for the forces where crossing wires give, and the change of forces in s r1 at which they end."""
 WELDED = Joint.of("welded")
 
 
@@ -75,7 +76,7 @@ def ring_states(
     reference: sides of the reference cell in r1. Of butted rings with several angles, first yield and collapse are each
     those at the worst angle, forces and compliance those at the angle that gives most. With size (n,), the loads' sizes
     in E r1, wires also give where they cross, as much as these loads press them (`rve.ring.hertz`). Rows that have not
-    converged have nan.
+    converged have nan, and so have those whose forces at crossing wires have not settled.
     """
     good = np.flatnonzero(found.status == "converged")
     states = RingStates(
@@ -121,16 +122,18 @@ def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_de
     joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
     C = contact_flexibility(ends, ring, joint)
     lam = _forces(cells, ends, C)
+    lost = np.zeros(len(lam))
     if not np.isnan(cells.size).any():
-        C, lam = _pressed(cells, ends, ring, C, lam)
-    locking, elastic = _compliances(found, cells, ends, C, lam)
-    stress = np.zeros(len(lam))
+        C, lam, settled = _pressed(cells, ends, ring, C, lam)
+        lost = np.where(settled, 0.0, np.nan)
+    locking, elastic = (D + lost[:, None, None] for D in _compliances(found, cells, ends, C, lam))
+    stress = lost
     for k in range(ends.grain.shape[1]):
         phi, direction, contact = ends.on(k)
         open_at = None if joint is None else joint[:, k]
         forces = _at_ends(lam, contact) * direction
         stress = np.maximum(stress, peak_stress(phi, forces, ring, joint=open_at).stress)
-    collapse = _collapse(cells, ends, lam, ring, joint)
+    collapse = _collapse(cells, ends, lam, ring, joint) + lost
     energy = np.einsum("nc,ncd,nd->n", lam, C, lam)
     angles = np.full(len(lam), angle_deg)
     return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse, angles), energy
@@ -174,8 +177,9 @@ def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
     return lam
 
 
-def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array]:
-    """C with what crossing wires give at their forces, and the forces that go with it, from those without it.
+def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array, Flags]:
+    """C with what crossing wires give at their forces, the forces that go with it, from those without it, and whether
+    those of each cell have settled (n,).
 
     Where balance leaves a choice, each round leaves a third of the error, as the approach over the force falls with its
     cube root.
@@ -183,10 +187,10 @@ def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tup
     for _ in range(_ROUNDS):
         full = C + local_flexibility(ends, ring, lam, cells.size)[:, :, None] * np.eye(C.shape[1])
         new = _forces(cells, ends, full)
-        change, lam = np.abs(new - lam).max(), new
-        if change < 1e-9:
+        change, lam = np.abs(new - lam).max(axis=1), new
+        if change.max() < _SETTLED:
             break
-    return full, lam
+    return full, lam, change < _SETTLED
 
 
 def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array, lam: Array) -> tuple[Array, Array]:
