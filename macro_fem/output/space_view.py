@@ -61,7 +61,7 @@ def curtain_view(solution: CurtainSolution, frame: Frame | None = None) -> View:
     frame = Frame.of([solution]) if frame is None else frame
     room, size = frame.room, float(np.linalg.norm(frame.room[1] - frame.room[0]))
     ground = ground_level(solution, room)
-    surface = sheet(solution)
+    surface = sheet(solution, frame.scale)
     bodies = obstacles(solution, room, ground)
     parts: list[Surface | Lines] = [surface, *supports(solution, size), *bodies]
     parts += arrows("force of supports", REACTION, pulls(solution), size, frame.force)
@@ -83,7 +83,7 @@ def title(solution: CurtainSolution) -> str:
     return f"total load {load:.4g} N, {height}"
 
 
-def sheet(solution: CurtainSolution) -> Surface:
+def sheet(solution: CurtainSolution, scale: Scale) -> Surface:
     """The deformed curtain with the largest principal line load at its corners."""
     mesh = solution.problem.mesh.mesh
     cells, values = counterclockwise(mesh.p.T, mesh.t.T), solution.principal()[0][:, 0]
