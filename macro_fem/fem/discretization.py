@@ -137,7 +137,11 @@ class Discretization:
     @cached_property
     def lattice(self) -> Points:
         """Points in all cells, FINE along a side."""
-        X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, FINE + 1)] * 2)).reshape(2, -1)
+        return self.lattice_of(FINE)
+
+    def lattice_of(self, fine: int) -> Points:
+        """Points in all cells that cut every side into `fine` parts."""
+        X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, fine + 1)] * 2)).reshape(2, -1)
         return self.points_at(X if self.element.startswith("Q") else X[:, X.sum(axis=0) < 1.0 + 1e-9])
 
     def points_at(self, X: Array) -> Points:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.obstacles import obstacle_forces, pushes_of
@@ -344,6 +345,10 @@ IMPOSSIBLE = [
         },
         "[obstacle]: the curtain cannot clear its obstacles",
     ),
+    (
+        {"obstacle": {"kind": "sphere", "centre": [54.0, 53.0, -30.0], "radius": 4.0, "move": [0.0, 0.0, 50.0]}},
+        "sphere: half its least width, 4 mm, is less than a fifth of the sides of cells",
+    ),
 ]
 
 
@@ -353,6 +358,37 @@ def test_impossible_scenes_end_in_one_sentence(fitted_law, scene_tables, more, s
         solve(read_scene(scene_tables(mesh={"cells": 4}) | more), fitted_law)
     assert sentence in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_body_that_has_passed_between_nodes_on_the_way_is_told():
+    """Rows of nodes 38 mm apart let a bar of 30 mm through, and the strip ends below it without touching it."""
+    strip = {
+        "curtain": {"width": 75.0, "height": 300.0, "areal_mass": 2.0},
+        "mesh": {"cells": 2, "pattern": "diagonal"},
+        "support": {"kind": "edge", "edge": "top", "move": [0.0, -305.0, -90.0]},
+        "obstacle": {"kind": "cylinder", "axis": [1.0, 0.0, 0.0], "radius": 15.0, "clear": "nodes"},
+        "start": {"origin": [0.0, 15.1, 283.0], "y_axis": [0.0, 0.0, -1.0]},
+    }
+    found = answer(strip, default_law())
+    assert found.x[:, 1].mean() < -150.0
+    assert found.settling.between_nodes_mm == 0.0
+    assert found.status == "pierced"
+    assert "gone through the mesh" in found.message
+
+
+def test_least_distance_from_a_way_is_that_of_its_nearest_point():
+    rng, t = np.random.default_rng(4), np.linspace(0.0, 1.0, 4001)[:, None]
+    bodies = [
+        {"kind": "sphere", "centre": [1.0, 2.0, 3.0], "radius": 4.0},
+        {"kind": "cylinder", "axis": [1.0, 2.0, -1.0], "point": [0.0, 1.0, 0.0], "radius": 3.0},
+        {"kind": "box", "corner": [-3.0, -2.0, -4.0], "size": [6.0, 5.0, 7.0], "rounding": 1.0},
+    ]
+    for number, body in enumerate(read_kinds(bodies, OBSTACLES, "obstacle", "scene")):
+        one = placed(number, body, 0.0, 3)
+        start, end = rng.normal(scale=9.0, size=(2, 40, 3))
+        sampled = np.array([one.gap(a + t * (b - a)).min() for a, b in zip(start, end, strict=True)])
+        assert sampled.min() < -1.0
+        assert np.abs(one.least_gap(start, end) - sampled).max() < 1e-2
 
 
 def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables):
