@@ -266,7 +266,8 @@ def _with_obstacles(problem: Problem) -> Problem:
                 raise InputError(
                     f"{scene.source}: [obstacle] {one.obstacle.name}: {held.name} is {deep:.4g} mm inside it{at}"
                 )
-    flat = [tangent_walls(one, fem, one.normal(fem.reference)) for one in obstacles if is_flat(one.obstacle)]
+    points = problem.disc.hull.places(fem.reference)
+    flat = [tangent_walls(one, fem, one.normal(points)) for one in obstacles if is_flat(one.obstacle)]
     bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
     follows = tuple(wind for wind in scene.load.wind if wind.follows)
     return replace(problem, walls=Walls.joined(flat), bodies=bodies, follows=follows)
@@ -285,7 +286,10 @@ def _check_is_met(obstacle: Obstacle, scene: Scene, mesh: CurtainMesh) -> None:
 
 
 def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
-    """The points of a mesh that stay outside of an obstacle: nodes, and for most bodies middles of sides and cells."""
+    """The points of a mesh that stay outside of an obstacle: those whose hull holds the mesh for a half-space, nodes
+    for a body, and for most bodies middles of sides and cells."""
+    if is_flat(obstacle):
+        return disc.hull
     return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
 
 

@@ -124,6 +124,18 @@ def test_bounds_of_the_potential_contain_that_of_the_sheet_on_the_floor(fitted_l
 R, LENGTH = 200.0, 2000.0
 
 
+@pytest.mark.parametrize("element", ["P2", "CR", "Q1", "Q2"])
+def test_no_element_dips_below_a_floor_between_its_nodes(fitted_law, scene_tables, element):
+    """With half-spaces on nodes alone P2 is 1.3 mm below it here, Q2 1.0 mm, and corners of CR 13 mm."""
+    rod = {"kind": "edge", "edge": "top", "along": [[0.0, 100.0, 0.0], [80.0, 125.0, 10.0]]}
+    tables = on_floor(scene_tables, 3, 40.0, support=rod) | {"mesh": {"cells": 3, "element": element}}
+    solution = answer(tables, fitted_law)
+    assert solution.status == "converged", solution.message
+    assert_balanced(solution)
+    assert solution.problem.disc.lattice.places(solution.x)[:, 1].min() > 40.0 - 1e-6
+    assert solution.pushes[:, 1].sum() > 0.1 * -solution.problem.force[:, 1].sum()
+
+
 def rope(cells, clear="nodes"):
     """A strip held at (y, z) = (0, -R) that goes over a cylinder of radius R and hangs down in front of it."""
     width = 2.0 * LENGTH / cells
