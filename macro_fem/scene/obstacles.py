@@ -276,6 +276,15 @@ def placed(number: int, obstacle: Obstacle, factor: float, d: int) -> Placed:
     return Placed(number, obstacle, tuple(factor * way for way in in_3d(obstacle.move)), d)
 
 
+def check_obstacle(item: Obstacle, source: str | Path) -> None:
+    """InputError for a box whose edges are to be rounder than it is thick."""
+    if isinstance(item, Box) and item.rounding is not None and item.rounding > 0.5 * min(item.size) * (1.0 + 1e-9):
+        raise InputError(
+            f"{source}: [obstacle] (box) rounding = {item.rounding:g}: is more than half of its least length, "
+            f"{min(item.size):g} mm"
+        )
+
+
 def read_start(table: Any, source: str | Path) -> Start | None:
     """The record of [start], None without one; InputError for axes that are not at right angles."""
     if table is None:

@@ -418,6 +418,10 @@ BAD = [
     ({"obstacle": {"kind": "sphere", "centre": [0, 0, 0], "radius": -1}}, "radius = -1"),
     ({"obstacle": {"kind": "cylinder", "axis": [0, 0, 0], "radius": 1}}, "axis = [0, 0, 0]: has no direction"),
     ({"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [1, 0, 1]}}, "size = [1, 0, 1]: has a component"),
+    (
+        {"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [9, 4, 9], "rounding": 3}},
+        "(box) rounding = 3: is more than half of its least length, 4 mm",
+    ),
     ({"obstacle": {"kind": "wall", "facing": [0, 0]}}, "facing = [0, 0]: has no direction"),
     ({"obstacle": {"kind": "floor", "height": "low"}}, "height = 'low': is not a number"),
     ({"obstacle": {"kind": "floor", "move": [1]}}, "move = [1]"),
