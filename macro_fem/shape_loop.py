@@ -12,6 +12,7 @@ starts ([start], or the curtain without bodies), pushed along by the bodies as t
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from typing import cast
 import numpy as np
 
 from macro_fem.fem.assembly import gradient, load_vector
+from macro_fem.fem.discretization import FINE
 from macro_fem.scene.loads import wind_per_area
 from macro_fem.scene.obstacles import Body, Placed, breadth, placed, unit
 from macro_fem.solution import CurtainSolution, Problem, meeting_points, tangent_walls, unit_tensors
@@ -72,14 +74,15 @@ def solve_shape(
     first = start if start is not None else _first(problem, solve)
     shape, mixer = first.F, _Mixer(options.memory)
     force = following(problem, shape, sense)
-    normals, found = _approached(problem, first, force, start, solve, options)
+    watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
+    normals, found = _approached(problem, first, force, start, solve, options, watch)
     record, misfits = None, list[float]()
     for rounds in range(1, options.rounds + 1):
         if found.status in ("infeasible", "not_finite"):
             break
         change = following(problem, found.F, sense) - force
         turned = _normals(problem.bodies, problem, found.x)
-        record = _record(problem, found, turned, change, rounds, options)
+        record = replace(_record(problem, found, turned, change, rounds, options), crossed=watch.deepest)
         if record.is_settled:
             break
         misfits.append(record.misfit)
@@ -92,7 +95,8 @@ def solve_shape(
         if rounds < options.rounds:
             share = way(misfits[0], record.misfit, options.settled)
             with part_of(f"shape of the curtain, round {rounds}", share, share):
-                found = solve(_posed(problem, normals, force), found)
+                last, found = found, solve(_posed(problem, normals, force), found)
+            watch.look(problem.bodies, last.x, found.x)
     own = replace(found.problem, bodies=problem.bodies, follows=problem.follows)
     return replace(found, problem=own, settling=record, wall_s=time.perf_counter() - begin)
 
@@ -104,6 +108,7 @@ def _approached(
     start: CurtainSolution | None,
     solve: Solve,
     options: ShapeOptions,
+    watch: _Watch,
 ) -> tuple[list[Array], CurtainSolution]:
     """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place.
 
@@ -118,16 +123,17 @@ def _approached(
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
         bodies = tuple(placed(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
-        pushed = _ploughed(problem, x, *factors, options)
+        pushed = _ploughed(problem, x, *factors, options, watch)
         normals = _normals(bodies, problem, pushed)
         with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
             found = solve(_posed(replace(problem, fem=fem, bodies=bodies), normals, force), last)
         if found.status == "infeasible" and stride > options.shortest:
             stride *= 0.5
-        elif found.status == "infeasible" or part == 1.0:
+            continue
+        watch.look(bodies, pushed, found.x)
+        if found.status == "infeasible" or part == 1.0:
             return normals, found
-        else:
-            done, x, last = part, found.x, found
+        done, x, last = part, found.x, found
 
 
 def _normals(bodies: Sequence[Placed], problem: Problem, x: Array) -> list[Array]:
@@ -146,6 +152,32 @@ def _stride(problem: Problem, before: float, options: ShapeOptions) -> float:
         way = (problem.factor - before) * float(np.linalg.norm(body.obstacle.move))
         parts.append(options.pace * breadth(cast(Body, body.obstacle)) / max(way, 1e-300))
     return max(options.shortest, min(parts))
+
+
+class _Watch:
+    """How deep points of the mesh, at its nodes and between them, have been inside a body, over half its least width.
+
+    They lie a third of that apart. Cells at held nodes are left out, as supports take these along.
+    """
+
+    def __init__(self, problem: Problem, deepest: float) -> None:
+        disc, half = problem.disc, min([breadth(cast(Body, body.obstacle)) for body in problem.bodies], default=np.inf)
+        fine = max(FINE, math.ceil(3.0 * problem.mesh.longest_side / half))
+        lattice = disc.lattice if fine == FINE else disc.lattice_of(fine)
+        is_held = np.isin(lattice.node, np.flatnonzero(problem.fem.held.any(axis=1)))
+        is_held = (is_held & (lattice.share != 0.0)).any(axis=1)
+        self.lattice = lattice.only(np.flatnonzero(~is_held))
+        self.deepest = deepest
+
+    def look(self, bodies: Sequence[Placed], before: Array, after: Array) -> None:
+        """Look at straight ways between two shapes (n_nodes, d)."""
+        start, end = self.lattice.places(before), self.lattice.places(after)
+        way = np.linalg.norm(end - start, axis=1)
+        for body in bodies:
+            half = breadth(cast(Body, body.obstacle))
+            may = np.flatnonzero(0.5 * (body.gap(start) + body.gap(end) - way) < -self.deepest * half)
+            deep = -float(body.least_gap(start[may], end[may]).min(initial=0.0))
+            self.deepest = max(self.deepest, deep / half)
 
 
 class _Mixer:
@@ -207,7 +239,7 @@ def _first(problem: Problem, solve: Solve) -> CurtainSolution:
     return found
 
 
-def _ploughed(problem: Problem, x: Array, before: float, after: float, options: ShapeOptions) -> Array:
+def _ploughed(problem: Problem, x: Array, before: float, after: float, options: ShapeOptions, watch: _Watch) -> Array:
     """Places (n_nodes, d) after the bodies have gone from one share of their moves to another.
 
     Nodes that a body meets are pushed to its surface.
@@ -217,6 +249,7 @@ def _ploughed(problem: Problem, x: Array, before: float, after: float, options: 
             if any(body.obstacle.move):
                 here = placed(body.number, body.obstacle, float(factor), body.d)
                 x = x + np.maximum(-here.gap(x), 0.0)[:, None] * here.normal(x)
+                watch.look([here], x, x)
     return x
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
 from macro_fem.scene.mesh import CurtainMesh
-from macro_fem.scene.obstacles import Obstacle, Placed, is_flat, placed, with_rounding
+from macro_fem.scene.obstacles import Body, Obstacle, Placed, breadth, is_flat, placed, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding
 from macro_fem.scene.tables import Wind
@@ -33,6 +34,11 @@ SLACK = 1e-3
 """A larger principal line load below this part of the greatest one anywhere counts as none: slack."""
 WRINKLED = 0.05
 """A smaller principal line load below this part of the larger one beside it counts as none: drawn in one direction."""
+
+
+THINNEST = 0.2
+"""Half the least width of a body over the longest side of a cell. Thinner bodies pass between the points that meet
+them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +257,7 @@ def _with_obstacles(problem: Problem) -> Problem:
     met = [with_rounding(item, cell) for item in scene.obstacle]
     obstacles = [placed(number, item, problem.factor, fem.d) for number, item in enumerate(met)]
     for one in obstacles:
+        _check_is_met(one.obstacle, scene, problem.mesh)
         for held in supports.held:
             fixed = held.nodes[(supports.mask & fem.held)[held.nodes].all(axis=1)]
             deep = -one.gap(supports.positions[fixed]).min(initial=np.inf)
@@ -259,14 +266,30 @@ def _with_obstacles(problem: Problem) -> Problem:
                 raise InputError(
                     f"{scene.source}: [obstacle] {one.obstacle.name}: {held.name} is {deep:.4g} mm inside it{at}"
                 )
-    flat = [tangent_walls(one, fem, one.normal(fem.reference)) for one in obstacles if is_flat(one.obstacle)]
+    points = problem.disc.hull.places(fem.reference)
+    flat = [tangent_walls(one, fem, one.normal(points)) for one in obstacles if is_flat(one.obstacle)]
     bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
     follows = tuple(wind for wind in scene.load.wind if wind.follows)
     return replace(problem, walls=Walls.joined(flat), bodies=bodies, follows=follows)
 
 
+def _check_is_met(obstacle: Obstacle, scene: Scene, mesh: CurtainMesh) -> None:
+    """InputError for a body that is so thin that it would pass between the points of a cell."""
+    if is_flat(obstacle):
+        return
+    half, side = breadth(cast(Body, obstacle)), mesh.longest_side
+    if half < THINNEST * side:
+        raise InputError(
+            f"{scene.source}: [obstacle] {obstacle.name}: half its least width, {half:.4g} mm, is less than a fifth of "
+            f"the sides of cells, up to {side:.4g} mm, between which it would pass: use more cells"
+        )
+
+
 def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
-    """The points of a mesh that stay outside of an obstacle: nodes, and for most bodies middles of sides and cells."""
+    """The points of a mesh that stay outside of an obstacle: those whose hull holds the mesh for a half-space, nodes
+    for a body, and for most bodies middles of sides and cells."""
+    if is_flat(obstacle):
+        return disc.hull
     return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
 
 

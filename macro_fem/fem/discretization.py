@@ -126,6 +126,19 @@ class Discretization:
         return Points(np.arange(self.n_nodes)[:, None], np.ones((self.n_nodes, 1)))
 
     @cached_property
+    def hull(self) -> Points:
+        """Points whose convex hull holds all cells: nodes of linear elements, control points of quadratic ones (their
+        coefficients of Bernstein polynomials), and corners of CR, which may gape there.
+        """
+        if self.element in ("P1", "Q1"):
+            return self.at_nodes
+        if self.element == "CR":
+            return self.points_at(np.array(MEETS)[:, :3])
+        X = _ELEMENTS[self.element][1]().doflocs.T
+        control = np.asarray(np.linalg.inv(_bernstein(X, is_triangle=self.element == "P2")), dtype=np.float64)
+        return self._points_of(control)
+
+    @cached_property
     def meeting(self) -> Points:
         """Where the mesh meets bodies: corners, middles of sides and middles of cells; CR has none at corners."""
         if self.element.startswith("Q"):
@@ -137,14 +150,23 @@ class Discretization:
     @cached_property
     def lattice(self) -> Points:
         """Points in all cells, FINE along a side."""
-        X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, FINE + 1)] * 2)).reshape(2, -1)
+        return self.lattice_of(FINE)
+
+    def lattice_of(self, fine: int) -> Points:
+        """Points in all cells that cut every side into `fine` parts."""
+        X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, fine + 1)] * 2)).reshape(2, -1)
         return self.points_at(X if self.element.startswith("Q") else X[:, X.sum(axis=0) < 1.0 + 1e-9])
 
     def points_at(self, X: Array) -> Points:
         """The points of all cells at the places X (2, n) of the reference element, those that cells share once."""
         element = _ELEMENTS[self.element][1]()
         ones = np.ones(X.shape[1])
-        shape = np.stack([element.lbasis(X, a)[0] * ones for a in range(self.cell_dofs.shape[1])], axis=-1)
+        return self._points_of(
+            np.stack([element.lbasis(X, a)[0] * ones for a in range(self.cell_dofs.shape[1])], axis=-1)
+        )
+
+    def _points_of(self, shape: Array) -> Points:
+        """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""
         share = np.repeat(np.where(np.abs(shape) > 1e-12, shape, 0.0), self.n_cells, axis=0)
         node = np.where(share != 0.0, np.tile(self.cell_dofs, (len(shape), 1)), -1)
         order = np.argsort(node, axis=1, kind="stable")
@@ -170,6 +192,16 @@ class Discretization:
     def _jacobian_at_points(self) -> Array:
         shape = (2, 2, self.n_quad, self.n_cells)
         return np.broadcast_to(self.inverse_jacobian, shape)
+
+
+def _bernstein(X: Array, is_triangle: bool) -> Array:
+    """Quadratic Bernstein polynomials (n, k) at places X (2, n) of the reference triangle or square."""
+    x, y = X
+    if is_triangle:
+        a, b, c = 1.0 - x - y, x, y
+        return np.stack([a * a, b * b, c * c, 2.0 * a * b, 2.0 * b * c, 2.0 * c * a], axis=-1)
+    along, up = (np.stack([(1.0 - s) ** 2, 2.0 * s * (1.0 - s), s * s], axis=-1) for s in (x, y))
+    return np.asarray((along[:, :, None] * up[:, None, :]).reshape(len(x), 9))
 
 
 def discretize(mesh: Any, element: str, order: int | None = None) -> Discretization:

@@ -21,10 +21,12 @@ SHRUNK = 0.003
 """Obstacles are drawn smaller by this part of the size of the curtain."""
 
 
-def ground_level(solution: CurtainSolution, room: Array) -> float:
-    """Height of the floor of the scene, or of a ground a little below the lowest point."""
+def ground_level(solution: CurtainSolution, room: Array, lowest: float = np.inf) -> float:
+    """Height of the floor of the scene, or of a ground a little below the curtain's box `room` (2, 3) and below
+    `lowest`, the y of all else that must be seen."""
     floors = [item.height + shift[1] for item, shift in _obstacles(solution) if isinstance(item, Floor)]
-    return float(max(floors)) if floors else float(room[0, 1] - 0.06 * np.linalg.norm(room[1] - room[0]))
+    below = min(float(room[0, 1] - 0.06 * np.linalg.norm(room[1] - room[0])), lowest)
+    return float(max(floors)) if floors else below
 
 
 def _obstacles(solution: CurtainSolution) -> list[tuple[Obstacle, Array]]:
@@ -83,13 +85,15 @@ def _cylinder(item: Cylinder, shift: Array, beside: Beside) -> Solid:
 
 
 def _box(item: Box, shift: Array, beside: Beside) -> Solid:
-    """The part of the box above the ground and not far from the curtain."""
+    """The part of the box above the ground and not far from the curtain, with flat faces where it is cut off."""
     reach = 0.25 * beside.size
     corner = np.array(item.corner) + shift
-    low = np.maximum(corner + beside.less, [-np.inf, beside.ground, -np.inf])
-    low = np.maximum(low, beside.room[0] - reach)
-    high = np.minimum(corner + np.array(item.size) - beside.less, beside.room[1] + reach)
-    return rounded_box(low, high, item.rounding) if item.rounding else box(low, high)
+    low, high = corner + beside.less, corner + np.array(item.size) - beside.less
+    points, triangles = rounded_box(low, high, item.rounding) if item.rounding else box(low, high)
+    least = np.maximum(beside.room[0] - reach, [-np.inf, beside.ground, -np.inf])
+    most = beside.room[1] + reach
+    apart = (high < least) | (low > most)
+    return np.clip(points, np.where(apart, -np.inf, least), np.where(apart, np.inf, most)), triangles
 
 
 def _wall(item: Wall, shift: Array, beside: Beside) -> Solid:

@@ -10,7 +10,7 @@ import numpy as np
 from macro_fem.fem.space import padded
 from macro_fem.output.files import corner_positions
 from macro_fem.output.space_bodies import ground_level, obstacles
-from macro_fem.output.space_forces import arrows, pulls, pushes
+from macro_fem.output.space_forces import LONGEST, arrows, pulls, pushes
 from macro_fem.scene.cables import track_of
 from macro_fem.scene.obstacles import Floor
 from macro_fem.scene.places import counterclockwise
@@ -42,25 +42,30 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What pictures of a series share: colours, box (2, 3) of the curtain in mm, force of the longest arrow in N."""
+    """What pictures of a series share: colours, box (2, 3) of the curtain in mm, force of the longest arrow in N, and
+    y of the lowest tip of an arrow in mm."""
 
     scale: Scale
     room: Array
     force: float
+    lowest: float
 
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> Frame:
         """The frame of one solution, or of all load steps."""
-        forces = [force for step in steps for _, force in (pulls(step), pushes(step))]
-        largest = float(np.linalg.norm(np.concatenate(forces), axis=1).max(initial=0.0))
-        return cls(line_load_scale(steps), box_of(steps), largest)
+        both = [forces(step) for step in steps for forces in (pulls, pushes)]
+        at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
+        largest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
+        room = box_of(steps)
+        way = LONGEST * float(np.linalg.norm(room[1] - room[0])) / max(largest, 1e-300)
+        return cls(line_load_scale(steps), room, largest, float((at + way * force)[:, 1].min(initial=np.inf)))
 
 
 def curtain_view(solution: CurtainSolution, frame: Frame | None = None) -> View:
     """The curtain with all around it; `frame`: that of a series, else its own."""
     frame = Frame.of([solution]) if frame is None else frame
     room, size = frame.room, float(np.linalg.norm(frame.room[1] - frame.room[0]))
-    ground = ground_level(solution, room)
+    ground = ground_level(solution, room, frame.lowest)
     surface = sheet(solution, frame.scale)
     bodies = obstacles(solution, room, ground)
     parts: list[Surface | Lines] = [surface, *supports(solution, size), *bodies]

@@ -63,6 +63,11 @@ class CurtainMesh:
         """Diagonal of the bounding box, mm."""
         return float(np.hypot(*np.ptp(self.mesh.p, axis=1)))
 
+    @property
+    def longest_side(self) -> float:
+        """Length of the longest side of a cell, mm."""
+        return float(np.linalg.norm(np.diff(self.mesh.p[:, self.mesh.facets], axis=1), axis=0).max())
+
 
 def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     """The mesh a scene asks for, with nodes where it holds and loads points.
@@ -95,7 +100,7 @@ def _hooks(scene: Scene, mesh: CurtainMesh) -> dict[int, Array]:
 def _wanted(scene: Scene, mesh: CurtainMesh) -> tuple[Array, list[str]]:
     """Where nodes are needed (k, 2), and how each place is named in messages (k,)."""
     hooks = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places in mesh.hooks.values() for x, y in places]
-    longest = float(np.linalg.norm(np.diff(mesh.mesh.p[:, mesh.mesh.facets], axis=1), axis=0).max())
+    longest = mesh.longest_side
     points = [("[support] (point)", item.at) for item in scene.support if isinstance(item, Point)]
     points += [("[load.point]", point.at) for point in scene.load.point]
     points += [("[load.patch]", patch.at) for patch in scene.load.patch if patch.radius < longest]

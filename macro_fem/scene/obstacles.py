@@ -20,6 +20,9 @@ from rve.common.values import choice, entry, finite, read_record, text
 MOST = 1e9
 """Largest coordinate, mm."""
 
+HALVINGS = 40
+"""Steps of the search for the least distance along a way; each leaves two thirds of the bracket."""
+
 RIGHT_ANGLE = 1e-3
 """Largest cosine of the angle between the two axes along which a sheet starts."""
 
@@ -254,10 +257,32 @@ class Placed:
         normal = self.normal(x)
         return np.asarray((normal * x).sum(axis=1) - self.offset(normal))
 
+    def least_gap(self, start: Array, end: Array) -> Array:
+        """Least distance (n,) of the obstacle from straight ways between places (n, d), mm; negative inside.
+
+        The distance from a convex body is convex along a line, so that its least value can be bracketed.
+        """
+        low, high = np.zeros(len(start)), np.ones(len(start))
+        for _ in range(HALVINGS):
+            third = (high - low) / 3.0
+            first, second = (self.gap(start + at[:, None] * (end - start)) for at in (low + third, high - third))
+            low, high = np.where(first > second, low + third, low), np.where(first > second, high, high - third)
+        ends = np.minimum(self.gap(start), self.gap(end))
+        return np.minimum(ends, self.gap(start + 0.5 * (low + high)[:, None] * (end - start)))
+
 
 def placed(number: int, obstacle: Obstacle, factor: float, d: int) -> Placed:
     """An obstacle after `factor` of its move."""
     return Placed(number, obstacle, tuple(factor * way for way in in_3d(obstacle.move)), d)
+
+
+def check_obstacle(item: Obstacle, source: str | Path) -> None:
+    """InputError for a box whose edges are to be rounder than it is thick."""
+    if isinstance(item, Box) and item.rounding is not None and item.rounding > 0.5 * min(item.size) * (1.0 + 1e-9):
+        raise InputError(
+            f"{source}: [obstacle] (box) rounding = {item.rounding:g}: is more than half of its least length, "
+            f"{min(item.size):g} mm"
+        )
 
 
 def read_start(table: Any, source: str | Path) -> Start | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from macro_fem.scene.obstacles import OBSTACLES, Obstacle, Start, is_flat, is_in_plane, read_start
+from macro_fem.scene.obstacles import OBSTACLES, Obstacle, Start, check_obstacle, is_flat, is_in_plane, read_start
 from macro_fem.scene.old_names import with_new_names
 from macro_fem.scene.tables import (
     LIVE_LOADS,
@@ -278,6 +278,8 @@ def _check_effect(scene: Scene, source: str | Path) -> None:
             raise InputError(f"{source}: [support] held = 'z': holds nothing, as the scene lies in the plane")
     for wind in scene.load.wind:
         _check_wind(wind, source)
+    for obstacle in scene.obstacle:
+        check_obstacle(obstacle, source)
     load = scene.load
     uses_start = any(not is_flat(item) for item in scene.obstacle) or any(wind.follows for wind in load.wind)
     if scene.start is not None and not uses_start:

@@ -137,7 +137,7 @@ class Settling:
     misfit: forces that turned in the last round, reactions of bodies and following pressure; complementarity: reactions
     times the distance of their nodes from the body, over load times size; asked: what both must not exceed;
     between_nodes_mm: how deep bodies are inside the mesh between its nodes, which only a finer mesh makes less;
-    depth: the same over half the least width of the body.
+    depth: the same over half the least width of the body; crossed: how deep the mesh has been on its way there.
     """
 
     rounds: int
@@ -146,6 +146,7 @@ class Settling:
     asked: float
     between_nodes_mm: float
     depth: float
+    crossed: float = 0.0
 
     @property
     def is_settled(self) -> bool:
@@ -156,8 +157,8 @@ class Settling:
         """The verdict of the last round, or "unsettled" where that has converged and the rounds have not."""
         if last.status not in ("converged", "taut"):
             return last
-        if self.depth > PIERCED:
-            return Verdict("pierced", THROUGH.format(self))
+        if max(self.depth, self.crossed) > PIERCED:
+            return Verdict("pierced", THROUGH.format(self, 100.0 * max(self.depth, self.crossed)))
         if self.is_settled:
             return last
         return Verdict("unsettled", UNSETTLED.format(self))
@@ -166,8 +167,8 @@ class Settling:
 PIERCED = 0.5
 """Depth of a body between nodes from which it counts as having gone through the mesh."""
 THROUGH = (
-    "an obstacle has gone through the mesh between its nodes, {0.between_nodes_mm:.4g} mm deep: take a finer mesh, or "
-    "more load steps"
+    "an obstacle has gone through the mesh between its nodes: cells were inside it by up to {1:.3g} % of half its "
+    "least width, here or on the way; take a finer mesh, or more load steps"
 )
 UNSETTLED = (
     "contact with bodies, or pressure that follows the surface, has not settled after {0.rounds} rounds: forces of "
@@ -180,7 +181,8 @@ INFEASIBLE = (
 )
 BLOCKED = (
     "the curtain cannot clear its obstacles: no state that hangs from its supports is in their half-spaces, of which "
-    "the cone program has a certificate; move the obstacles away or in smaller load steps, or the supports together"
+    "the cone program has a certificate; move the obstacles away or in smaller load steps, or the supports together, "
+    "or take a finer mesh if a body is not much larger than its cells"
 )
 CONVERGED = "the gap between upper and lower bound is closed"
 ROUNDED = "the gap between upper and lower bound is closed up to rounding: {numbers}"

@@ -124,6 +124,26 @@ def test_obstacles_are_drawn_where_they_are_at_this_load_step(hammock):
     assert "ground is drawn" not in " ".join(curtain_view(among(hammock.solution, Floor(height=-40.0))).notes)
 
 
+def test_a_rounded_box_is_round_where_it_ends_and_flat_where_it_is_cut_off(hammock):
+    room, ground = np.array([[0.0, 0.0, 0.0], [240.0, 300.0, 150.0]]), -40.0
+    house = Box(corner=(0.0, -500.0, 20.0), size=(100.0, 600.0, 90.0), rounding=12.0)
+    points = obstacles(among(hammock.solution, house), room, ground)[0].points
+    ends = [points[np.isclose(points[:, 1], y)] for y in (points[:, 1].min(), points[:, 1].max())]
+    assert points[:, 1].min() == ground
+    assert np.ptp(ends[0][:, [0, 2]], axis=0) == pytest.approx(np.ptp(points[:, [0, 2]], axis=0))
+    assert np.ptp(ends[1][:, [0, 2]], axis=0) == pytest.approx(np.ptp(points[:, [0, 2]], axis=0) - 24.0)
+
+
+def test_the_ground_is_below_all_arrows():
+    """Wind against a sheet held above and below: both edges pull hard."""
+    sheet = macro_fem.Scene.rectangle(100.0, 100.0, cells=3)
+    scene = sheet.hung_by("top").hung_by("edge", edge="bottom", move=(0.0, 10.0))
+    view = curtain_view(macro_fem.solve(scene.loaded_by("wind", pressure=200.0, direction=(0.0, 0.0, 1.0))).solution)
+    ground = part(view, "ground").points[:, 1].max()
+    assert part(view, "force of supports").points[:, 1].min() > ground - 0.5
+    assert part(view, "curtain").points[:, 1].min() > ground + 10.0
+
+
 @dataclass(frozen=True)
 class Cone:
     """An obstacle of a kind that has no drawing."""

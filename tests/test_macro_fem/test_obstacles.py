@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.obstacles import obstacle_forces, pushes_of
@@ -121,6 +122,18 @@ def test_bounds_of_the_potential_contain_that_of_the_sheet_on_the_floor(fitted_l
 
 
 R, LENGTH = 200.0, 2000.0
+
+
+@pytest.mark.parametrize("element", ["P2", "CR", "Q1", "Q2"])
+def test_no_element_dips_below_a_floor_between_its_nodes(fitted_law, scene_tables, element):
+    """With half-spaces on nodes alone P2 is 1.3 mm below it here, Q2 1.0 mm, and corners of CR 13 mm."""
+    rod = {"kind": "edge", "edge": "top", "along": [[0.0, 100.0, 0.0], [80.0, 125.0, 10.0]]}
+    tables = on_floor(scene_tables, 3, 40.0, support=rod) | {"mesh": {"cells": 3, "element": element}}
+    solution = answer(tables, fitted_law)
+    assert solution.status == "converged", solution.message
+    assert_balanced(solution)
+    assert solution.problem.disc.lattice.places(solution.x)[:, 1].min() > 40.0 - 1e-6
+    assert solution.pushes[:, 1].sum() > 0.1 * -solution.problem.force[:, 1].sum()
 
 
 def rope(cells, clear="nodes"):
@@ -344,6 +357,10 @@ IMPOSSIBLE = [
         },
         "[obstacle]: the curtain cannot clear its obstacles",
     ),
+    (
+        {"obstacle": {"kind": "sphere", "centre": [54.0, 53.0, -30.0], "radius": 4.0, "move": [0.0, 0.0, 50.0]}},
+        "sphere: half its least width, 4 mm, is less than a fifth of the sides of cells",
+    ),
 ]
 
 
@@ -353,6 +370,37 @@ def test_impossible_scenes_end_in_one_sentence(fitted_law, scene_tables, more, s
         solve(read_scene(scene_tables(mesh={"cells": 4}) | more), fitted_law)
     assert sentence in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_body_that_has_passed_between_nodes_on_the_way_is_told():
+    """Rows of nodes 38 mm apart let a bar of 30 mm through, and the strip ends below it without touching it."""
+    strip = {
+        "curtain": {"width": 75.0, "height": 300.0, "areal_mass": 2.0},
+        "mesh": {"cells": 2, "pattern": "diagonal"},
+        "support": {"kind": "edge", "edge": "top", "move": [0.0, -305.0, -90.0]},
+        "obstacle": {"kind": "cylinder", "axis": [1.0, 0.0, 0.0], "radius": 15.0, "clear": "nodes"},
+        "start": {"origin": [0.0, 15.1, 283.0], "y_axis": [0.0, 0.0, -1.0]},
+    }
+    found = answer(strip, default_law())
+    assert found.x[:, 1].mean() < -150.0
+    assert found.settling.between_nodes_mm == 0.0
+    assert found.status == "pierced"
+    assert "gone through the mesh" in found.message
+
+
+def test_least_distance_from_a_way_is_that_of_its_nearest_point():
+    rng, t = np.random.default_rng(4), np.linspace(0.0, 1.0, 4001)[:, None]
+    bodies = [
+        {"kind": "sphere", "centre": [1.0, 2.0, 3.0], "radius": 4.0},
+        {"kind": "cylinder", "axis": [1.0, 2.0, -1.0], "point": [0.0, 1.0, 0.0], "radius": 3.0},
+        {"kind": "box", "corner": [-3.0, -2.0, -4.0], "size": [6.0, 5.0, 7.0], "rounding": 1.0},
+    ]
+    for number, body in enumerate(read_kinds(bodies, OBSTACLES, "obstacle", "scene")):
+        one = placed(number, body, 0.0, 3)
+        start, end = rng.normal(scale=9.0, size=(2, 40, 3))
+        sampled = np.array([one.gap(a + t * (b - a)).min() for a, b in zip(start, end, strict=True)])
+        assert sampled.min() < -1.0
+        assert np.abs(one.least_gap(start, end) - sampled).max() < 1e-2
 
 
 def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables):
@@ -370,6 +418,10 @@ BAD = [
     ({"obstacle": {"kind": "sphere", "centre": [0, 0, 0], "radius": -1}}, "radius = -1"),
     ({"obstacle": {"kind": "cylinder", "axis": [0, 0, 0], "radius": 1}}, "axis = [0, 0, 0]: has no direction"),
     ({"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [1, 0, 1]}}, "size = [1, 0, 1]: has a component"),
+    (
+        {"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [9, 4, 9], "rounding": 3}},
+        "(box) rounding = 3: is more than half of its least length, 4 mm",
+    ),
     ({"obstacle": {"kind": "wall", "facing": [0, 0]}}, "facing = [0, 0]: has no direction"),
     ({"obstacle": {"kind": "floor", "height": "low"}}, "height = 'low': is not a number"),
     ({"obstacle": {"kind": "floor", "move": [1]}}, "move = [1]"),
