@@ -195,6 +195,37 @@ def test_the_last_line_says_what_to_do_next(command, quick):
     assert words[0].startswith("--") or os.path.exists(words[0])
 
 
+def test_the_next_command_is_that_of_the_interpreter_and_asks_for_no_picture_that_cannot_be_drawn(quick, monkeypatch):
+    def last(called):
+        words = ["run", "scene.toml", "--out", "curtain", "--no-picture"]
+        done = CliRunner().invoke(GROUPS["macro_fem"], words, prog_name=called)
+        assert done.exit_code == 0, done.output
+        return done.stdout.splitlines()[-1].removeprefix("next: ").split("  #")[0]
+
+    there, here = os.environ["PATH"], os.path.dirname(sys.executable)
+    monkeypatch.setenv("PATH", os.pathsep.join([here, there]))
+    assert last("python -m macro_fem") == "python -m rve localize curtain --out curtain_rings"
+    assert last("macro-fem") == "rve localize curtain --out curtain_rings"
+    monkeypatch.setenv("PATH", "")
+    assert last("python -m macro_fem").startswith(f"{sys.executable} -m rve localize curtain ")
+    monkeypatch.setattr("rve.common.command_line.find_spec", lambda name: None)
+    assert last("macro-fem").endswith(" --no-picture")
+
+
+def test_a_rigid_curtain_on_hooks_says_that_other_forces_balance_its_load_too(quick, tmp_path):
+    hooks = SCENE.replace('kind = "corners"', 'kind = "hooks"\npitch = 11.0')
+    told = {}
+    for kind in ("rigid", "elastic"):
+        (tmp_path / f"{kind}.toml").write_text(f'{hooks}[solver]\nkind = "{kind}"\n')
+        words = ["run", str(tmp_path / f"{kind}.toml"), "--out", str(tmp_path / kind), "--no-picture"]
+        told[kind] = CliRunner().invoke(GROUPS["macro_fem"], words).output
+        note = json.loads((tmp_path / kind / "summary.json").read_text())["support_forces_note"]
+        assert (note is None) == (kind == "elastic")
+    assert "\nrigid rings can share the load in many ways" in told["rigid"]
+    assert 'kind = "elastic" under [solver]' in told["rigid"]
+    assert "many ways" not in told["elastic"]
+
+
 @pytest.mark.parametrize(
     ("package", "command"), [(package, name) for package, group in GROUPS.items() for name in group.commands]
 )

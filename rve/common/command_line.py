@@ -18,11 +18,15 @@ import math
 import os
 import shlex
 import signal
+import sys
 import threading
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
 from types import FrameType
 from typing import Any
 
@@ -120,9 +124,24 @@ def say(*lines: str, err: bool = False) -> None:
 def say_next(package: str, *words: object, why: str = "") -> None:
     """The last sentence of a command: one that can be typed next, and what for."""
     called = click.get_current_context().find_root().info_name or ""
-    script = f"python -m {package}" if called.startswith("python") else package.replace("_", "-")
-    command = shlex.join([*script.split(), *map(str, words)])
+    is_module = called.startswith("python") or called.endswith(".py")
+    script = [_python(), "-m", package] if is_module else [package.replace("_", "-")]
+    command = shlex.join([*script, *map(str, words)])
     say(f"next: {command}{f'  # {why}' if why else ''}")
+
+
+def no_picture(module: str) -> tuple[str, ...]:
+    """What a next command is given where its picture needs a module that is not installed."""
+    return () if find_spec(module) is not None else ("--no-picture",)
+
+
+def _python() -> str:
+    """What has to be typed for the interpreter that runs: `python` where that is it, else its path."""
+    here = Path(sys.executable)
+    found = which("python")
+    if found is not None and Path(found).absolute().parent == here.parent:
+        return "python"
+    return str(here.relative_to(Path.cwd()) if here.is_relative_to(Path.cwd()) else here)
 
 
 def answer(record: Mapping[str, Any], text: str | None = None, *, always: bool = False) -> None:
