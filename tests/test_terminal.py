@@ -162,6 +162,7 @@ def test_work_is_shown_in_a_terminal_and_json_is_one_record(command, quick, monk
     code, out, screen = typed(command, "--json")
     assert code == 0
     assert isinstance(json.loads(out), dict)
+    assert "starting" in screen  # before packages are imported
     if command in SHORT:
         return
     assert "0:00:0" in screen  # the clock
