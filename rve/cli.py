@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
-from rve.common.command_line import Group, answer, idle_option, options, say, say_next
-from rve.common.errors import SENTENCES, InputError, NotConverged, require
+from rve.common.command_line import Group, answer, check_plot, idle_option, options, say, say_next
+from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import check_out_file, check_out_folder, check_out_table, sidecar_path
 from rve.common.progress import tell
 from rve.common.reading import read_json_object
@@ -247,8 +247,7 @@ def case(
     from rve.table import COLUMNS
 
     if plot is not None:
-        require("matplotlib", "plots", "--plot")
-        check_out_file(plot, "--plot")
+        check_plot(plot)
     _check_views(html, animation)
     found = solve_table(_cell(**cell), ([alpha], [beta]))
     if explain:

@@ -256,6 +256,7 @@ def test_choices_are_those_of_the_packages():
         ("rve", ["table", "--out", "t.csv", "--weave", "felt"]),
         ("rve", ["table"]),
         ("rve", ["tables"]),
+        ("rve", ["--tables"]),
         ("rve", ["case", "--alpha", "north", "--beta", "0"]),
         ("homogenize", ["fit", "t.csv", "--out", "l.json", "--kind", "soft"]),
         ("macro_fem", ["run", "s.toml", "--out", "o", "--colour"]),
@@ -267,6 +268,25 @@ def test_what_click_refuses_is_one_sentence(package, words):
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("Error: ")
     assert "--help" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("package", "words", "sentence"),
+    [
+        ("homogenize", ["fit", "table.csv", "--out", "l.json", "--noise", "-1"], "--noise = -1.0: must be at least 0"),
+        (
+            "rve",
+            ["case", "--alpha", "0", "--beta", "45", "--plot", "p.xyz"],
+            "--plot = p.xyz: give a name that ends in",
+        ),
+        ("homogenize", ["strength", "law.json", "--S", "0,0,1", "--plot", "p.xyz"], "--plot = p.xyz: give a name"),
+    ],
+)
+def test_what_is_wrong_with_an_option_is_said_by_its_name_before_anything_is_printed(package, words, sentence, quick):
+    done = CliRunner().invoke(GROUPS[package], words)
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"Error: {sentence}")
 
 
 @pytest.mark.parametrize("package", GROUPS)

@@ -22,7 +22,7 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,7 +32,8 @@ from typing import Any
 
 import click
 
-from rve.common.errors import InputError, NotConverged, OldName
+from rve.common.errors import InputError, NotConverged, OldName, require
+from rve.common.files import check_out_file
 from rve.common.progress import shown, tell
 
 _TRACE = "rve.common.command_line.traceback"
@@ -99,6 +100,11 @@ class Group(click.Group):
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
 
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """The group with its options read; one sentence for what is wrong with them."""
+        with _usage_in_one_sentence():
+            return super().make_context(*args, **kwargs)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Find and run the command; one sentence for one that is not there."""
         with _usage_in_one_sentence():
@@ -128,6 +134,16 @@ def say_next(package: str, *words: object, why: str = "") -> None:
     script = [_python(), "-m", package] if is_module else [package.replace("_", "-")]
     command = shlex.join([*script, *map(str, words)])
     say(f"next: {command}{f'  # {why}' if why else ''}")
+
+
+def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:
+    """InputError, before anything is solved, for a picture of --plot that cannot be written."""
+    require("matplotlib", "plots", "--plot")
+    check_out_file(path, "--plot", inputs)
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    if path.suffix and path.suffix[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
+        raise InputError(f"--plot = {path}: give a name that ends in .png, .svg or .pdf")
 
 
 def no_picture(module: str) -> tuple[str, ...]:
