@@ -38,6 +38,8 @@ from rve.common.progress import shown, tell
 
 _TRACE = "rve.common.command_line.traceback"
 _QUIET = "rve.common.command_line.quiet"
+_ANEW = "no file is left half-written, and the same command begins anew"
+"""What a command says that is stopped and has nothing to go on from."""
 _JSON = "rve.common.command_line.json"
 _STOPS = ("SIGTERM", "SIGHUP")
 
@@ -74,7 +76,7 @@ class Command(click.Command):
             if ctx.meta.get(_TRACE):
                 click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             code, sentence = ending(error)
-            notes = getattr(error, "__notes__", [])
+            notes = getattr(error, "__notes__", [_ANEW] if isinstance(error, (KeyboardInterrupt, Stopped)) else [])
             click.echo(f"Error: {'; '.join(_one_line(text) for text in (sentence, *notes))}", err=True)
             ctx.exit(code)
 
