@@ -91,6 +91,9 @@ def test_scenes_side_by_side(tmp_path):
     rows = rows_of(tmp_path / "out")
     assert [row["status"] for row in rows] == ["converged", "converged", ""]
     assert float(rows[0]["mass_kg"]) == pytest.approx(0.005)
+    run(macro_fem, "sweep", *scenes, "--no-picture", "--out", tmp_path / "one")
+    for name in ("low/curtain.vtu", "low/support_forces.csv", "high/curtain.vtu", "sweep.csv"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(
