@@ -245,6 +245,7 @@ def test_choices_are_those_of_the_packages():
     from homogenize.fitting.fit import KINDS
 
     assert tuple(WEAVES) == rve.cli.WEAVE_NAMES
+    assert tuple(rve.MATERIALS) == rve.cli.MATERIAL_NAMES
     assert set(KINDS) == set(homogenize.cli.KINDS)
     weave = next(one for one in macro_fem.cli.main.commands["run"].params if one.name == "weave")
     assert tuple(weave.type.choices) == tuple(WEAVES)
