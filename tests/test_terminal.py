@@ -290,6 +290,15 @@ def test_what_is_wrong_with_an_option_is_said_by_its_name_before_anything_is_pri
     assert done.stderr.startswith(f"Error: {sentence}")
 
 
+def test_a_scene_that_cannot_ask_its_rings_says_how_to_get_their_law(quick, tmp_path):
+    (tmp_path / "elastic.toml").write_text(SCENE + '[solver]\nkind = "elastic"\n')
+    words = ["run", str(tmp_path / "elastic.toml"), "--rings", "5,0.5", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(GROUPS["macro_fem"], words)
+    assert done.exit_code == 2
+    assert done.stderr.endswith("make their table by rve table --rings, fit a law, and give it by --law\n")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("package", GROUPS)
 def test_the_shell_completes_commands_and_choices(package):
     """What the line `eval "$(_RVE_COMPLETE=bash_source rve)"` brings into bash, and what it then asks."""
