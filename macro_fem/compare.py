@@ -149,5 +149,11 @@ def side_by_side(summary: dict[str, Any]) -> list[str]:
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
-        return "; ".join("-" if force is None else " ".join(f"{x:.3g}" for x in force[:2]) for force in value)
+        return "; ".join("-" if force is None else _force(*force) for force in value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _force(x: float, y: float, z: float = 0.0) -> str:
+    """Components with three digits; the third one only where there is one beside the others."""
+    is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
+    return " ".join(f"{one:.3g}" for one in ((x, y) if is_flat else (x, y, z)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -134,8 +133,9 @@ def held_in_place(found: CurtainSolution) -> CurtainSolution:
         forces = np.where(pinned, found.unbalanced, 0.0).sum(axis=0)
         axis = int(np.abs(forces).argmax())
         if abs(forces[axis]) > SLIDES * load_scale(problem.force, problem.disc.weight):
+            table = "obstacle" if problem.scene.obstacle else "load.wind"
             raise InputError(
-                f"{problem.scene.source}: [obstacle]: nothing carries the force of {-forces[axis]:.6g} N along "
+                f"{problem.scene.source}: [{table}]: nothing carries the force of {-forces[axis]:.6g} N along "
                 f"{'xyz'[axis]}, in which the supports let the curtain slide: hold it there"
             )
     return found
@@ -228,8 +228,8 @@ def _first_cones(
     """
     scene, points = problem.scene, problem.disc.n_points
 
-    def told(why: str, cones: Cones | None = None, feature: str = "coarse-start") -> tuple[Cones | None, Any]:
-        return cones, (Decision(feature, cones is not None, why),)
+    def told(why: str, cones: Cones | None = None) -> tuple[Cones | None, tuple[Decision, ...]]:
+        return cones, (Decision("coarse-start", cones is not None, why),)
 
     if by_clarabel(scene):
         return told("clarabel takes no start")

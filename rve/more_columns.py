@@ -12,7 +12,7 @@ from rve.common.errors import InputError
 from rve.common.rings import Joint, joint_name
 from rve.common.types import Array
 from rve.common.values import Options, entry, finite, flag, optional
-from rve.equilibrium.compliance import deformation, soften
+from rve.equilibrium.compliance import soften
 from rve.equilibrium.elastic_rings import RingStates, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.loaded_rings import LARGEST_OVERLAP, loaded_states
@@ -20,6 +20,7 @@ from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.pose import deformation
 from rve.ring.section import Ring
 from rve.solve import lattice_mm, locked_states, reference_sides, weave_sides
 from rve.table import StrainTable
@@ -185,7 +186,7 @@ def with_compliance(
     return replace(table, compliance=D, provenance=table.provenance | springs)
 
 
-def strain_span(table: StrainTable, cell: Cell, options: DirectOptions | None = None, size: float = 2e-3) -> Array:
+def strain_span(table: StrainTable, cell: Cell, size: float = 2e-3) -> Array:
     """Least and largest E11, E12, E22 of the rows that leave the strain free, (m, 3, 2), m = number of such rows.
 
     The admissible strains under such a load are a face of the locking surface. Its extent in one component of E is what
@@ -198,8 +199,7 @@ def strain_span(table: StrainTable, cell: Cell, options: DirectOptions | None = 
     loads = (s[:, None] + size * _SIDES).reshape(-1, 3)
     if cell.grain == "x":
         loads = loads[:, ::-1]
-    quick = replace(options or DirectOptions(), attempts=3)
-    found = solve_equilibrium(loads, Equations.of(cell.weave, cell.wire), quick)
+    found = solve_equilibrium(loads, Equations.of(cell.weave, cell.wire))
     x2, x3 = lattice_mm(found.pose, cell)
     b_x, b_y = _sides(table, cell)
     F = np.stack([x2 / b_x, x3 / b_y], axis=2)
@@ -208,10 +208,10 @@ def strain_span(table: StrainTable, cell: Cell, options: DirectOptions | None = 
     return np.stack([np.nanmin(E, axis=1), np.nanmax(E, axis=1)], axis=2)
 
 
-def with_span(table: StrainTable, cell: Cell, options: DirectOptions | None = None) -> StrainTable:
+def with_span(table: StrainTable, cell: Cell) -> StrainTable:
     """The table with the spans of its free rows in the provenance, under "free_strains"; see `strain_span`."""
     rows = np.flatnonzero(~table.unique & table.converged)
-    span = strain_span(table, cell, options) if len(rows) else np.zeros((0, 3, 2))
+    span = strain_span(table, cell) if len(rows) else np.zeros((0, 3, 2))
     records: list[dict[str, Any]] = [
         {"alpha_deg": float(table.alpha_deg[row]), "beta_deg": float(table.beta_deg[row])}
         | {name: ends.tolist() for name, ends in zip(("E11", "E12", "E22"), one, strict=True)}

@@ -19,7 +19,7 @@ from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
-from rve.equilibrium.dead_load import DeadLoad, solve_dead, strain_of
+from rve.equilibrium.dead_load import DeadLoad, solve_dead
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.locked_states import LockedStates
@@ -29,7 +29,7 @@ from rve.explain import Work
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, deformation, strain_of
 from rve.table import StrainTable
 
 BLOCK = 256
@@ -216,8 +216,7 @@ def largest_table(
 def under_own_load(states: LockedStates, rows: Rows, mesh: Mesh) -> LockedStates:
     """The states with the Cauchy load of size 1 that each coexisting one carries in its own pose, and its forces."""
     mixed = np.flatnonzero(rows.branch == "coexisting")
-    pose = states.pose.take(mixed)
-    F = np.stack([pose.a1 / mesh.sides[0], pose.a2 / mesh.sides[1]], axis=2)
+    F = deformation(states.pose.take(mixed), mesh.sides)
     # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
     s = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(rows.S[mixed]))
     size = np.sqrt(double_dot(s, s))[:, None]

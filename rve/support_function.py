@@ -12,12 +12,13 @@ from rve.common.errors import InputError
 from rve.common.notebook import as_html
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest, strain_of
+from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.pairs import unlisted_gap, widened
+from rve.geometry.pose import strain_of
 from rve.geometry.weave import Weave
 from rve.solve import lattice_mm, reference_sides, weave_axes, weave_sides
 

@@ -84,7 +84,8 @@ class StrainTable:
     unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
     method, tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to
     files, None for a table that was read. branch (n,) str or None: how the locked state was reached, "slack",
-    "restart", or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`).
+    "restart", or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`); "below"
+    only in rows of that status.
     strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first yield
     and of plastic collapse. loaded (n, 3) or None: E of elastic rings under a line load of the size that the provenance
     states, nan where it was not found or is not unique.

@@ -51,12 +51,12 @@ def test_the_curtain_is_what_its_summary_says(chain):
 def test_the_law_predicts_loads_off_the_grid(chain):
     out, _ = chain
     rng = np.random.default_rng(4)
-    alpha, beta = rng.uniform(-45.0, 45.0, 60), rng.uniform(1.0, 89.0, 60)
+    alpha, beta = rng.uniform(-45.0, 45.0, 24), rng.uniform(1.0, 89.0, 24)
     truth = solve_table(Cell(), (alpha, beta))
     answers = [strain_answer(out / "law.json", a, b) for a, b in zip(alpha, beta, strict=True)]
     predicted = np.array([[answer[name] for name in ("E11", "E12", "E22")] for answer in answers], dtype=float)
     unique = truth.unique & np.array([answer["unique"] for answer in answers], dtype=bool)
-    assert unique.sum() > 40
+    assert unique.sum() > 16
     np.testing.assert_allclose(predicted[unique], truth.E[unique], atol=5e-3)
 
 

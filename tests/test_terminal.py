@@ -355,7 +355,7 @@ def test_the_way_of_numbers_that_do_not_fall_is_unknown(numbers):
     assert way(1.0, 1e-9, 1e-3) == 1.0
 
 
-def test_load_steps_have_their_shares(tmp_path):
+def test_load_steps_have_their_shares():
     import macro_fem as fem
 
     scene = (

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.every_ring import cell, disk, edges, generic, leaving, loose, starts
+from benchmarks.every_ring import cell, disk, edges, engine, generic, leaving, loose, starts
 from benchmarks.every_ring.cases import Store
 from benchmarks.machine import ROOT
 from benchmarks.report.files import FOLDER, OUT, make
@@ -14,12 +14,12 @@ from benchmarks.report.records import Report
 REPORT = Report(
     "every_ring",
     "Every ring and the disk",
-    "The finite mesh, in which every ring is a rigid body, against the homogenized disk, the periodic cell and a "
-    "generic solver; what its answer depends on, and what it leaves undetermined. Every solved case is kept as a "
-    "file: the seconds below a section are those of its making from the cases that were there.",
+    "The finite mesh, in which every ring is a rigid body, against the homogenized disk, the periodic cell, a "
+    "generic solver and a physics engine; what its answer depends on, and what it leaves undetermined. Every solved "
+    "case is kept as a file: the seconds below a section are those of its making from the cases that were there.",
     "OMP_NUM_THREADS=1 python -m benchmarks.every_ring --full",
 )
-SECTIONS = (disk, edges, cell, generic, starts, leaving, loose)
+SECTIONS = (disk, edges, cell, generic, engine, starts, leaving, loose)
 KEPT = ROOT / "build" / "every_ring"
 NAMES = tuple(module.__name__.split(".")[-1] for module in SECTIONS)
 

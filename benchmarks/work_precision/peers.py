@@ -176,11 +176,11 @@ def _ring_body(name: str, ring: list[int], cell: Cell, options: MujocoOptions) -
     lean = -math.degrees(_tilt(cell, kind))
     return (
         f'<body pos="{i * x2} {j * y3} 0">{slides}<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-6 1e-6 1e-6"/>'
-        f'<body name="{name}" euler="{lean} 0 0">{tilts}{_ring_shape(cell, options)}</body></body>'
+        f'<body name="{name}" euler="{lean} 0 0">{tilts}{ring_shape(cell, options)}</body></body>'
     )
 
 
-def _ring_shape(cell: Cell, options: MujocoOptions) -> str:
+def ring_shape(cell: Cell, options: MujocoOptions) -> str:
     """The torus, or a polygon of capsules that lies as far inside the centre circle as outside."""
     n = options.capsules
     if n == 0:

@@ -23,7 +23,7 @@ from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, deformation, strain_of
 from rve.paper import stewart_trinkle as st
 from rve.solve import reference_sides
 
@@ -58,13 +58,9 @@ class Problem:
         """Reference strains, (n, 3)."""
         return self.strain(self.found.pose)
 
-    def deformation(self, pose: Pose) -> Array:
-        """F (n, 2, 2) of poses."""
-        return np.stack([pose.a1 / self.sides[0], pose.a2 / self.sides[1]], axis=2)
-
     def strain(self, pose: Pose) -> Array:
         """E (n, 3) of poses."""
-        return green_lagrange(self.deformation(pose))
+        return strain_of(pose, self.sides)
 
 
 class Answer(NamedTuple):
@@ -155,7 +151,7 @@ def extrapolated(given: Problem, k: float) -> Answer:
 
 def generic(given: Problem, tolerance: float, name: str, start: str) -> Answer:
     """A solver of nonlinear programmes from the slack pose or from near the answer; its own status is ignored."""
-    S = second_pk(given.deformation(given.found.pose), given.s) * given.sides[0] * given.sides[1]
+    S = second_pk(deformation(given.found.pose, given.sides), given.s) * given.sides[0] * given.sides[1]
     rng, E, calls = np.random.default_rng(0), np.zeros_like(S), 0
     for i in range(len(S)):
         programme = Programme(S[i], given.equations, given.sides)

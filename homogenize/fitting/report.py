@@ -59,15 +59,15 @@ def error_report(
     )
 
 
-def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw], folds: int = FOLDS) -> Misfit | None:
+def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw]) -> Misfit | None:
     """Every row left out once, with its neighbours kept; rows at the rim of the sampled cone stay in, they span it."""
     inner = np.flatnonzero(~on_hull(rows))
-    if len(inner) < folds:
+    if len(inner) < FOLDS:
         return None
     S, error = [], []
-    for fold in range(folds):
-        tell("error of the law at rows left out", fold / folds)
-        out = inner[fold::folds]
+    for fold in range(FOLDS):
+        tell("error of the law at rows left out", fold / FOLDS)
+        out = inner[fold::FOLDS]
         keep = np.setdiff1d(np.arange(len(rows)), out)
         try:
             law = refit(rows.take(keep))

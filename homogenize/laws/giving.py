@@ -76,15 +76,15 @@ def work_along(S: Array, A: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class GivingLaw:
-    """`law` whose rings give by direction: floor (3, 3) in tensor components, mm/N, and extra (m,), the roots g_i of
-    the law's half-spaces, in (mm/N)^0.5.
+    """`law` whose rings give by direction: compliance (3, 3), the floor D0 in tensor components, mm/N, and extra (m,),
+    the roots g_i of the law's half-spaces, in (mm/N)^0.5.
 
     A membrane law for elastic curtains. Strains may have a fourth component, tau, by which `cut` widens every
     half-space.
     """
 
     law: PolyhedralLaw
-    floor: Array
+    compliance: Array
     extra: Array
 
     @property
@@ -96,11 +96,6 @@ class GivingLaw:
     def cell(self) -> CellInfo | None:
         """The rings behind the law."""
         return self.law.cell
-
-    @property
-    def compliance(self) -> Array:
-        """The floor."""
-        return self.floor
 
     def support(self, S: Array) -> Array:
         """h(S) of the locked rings, see MembraneLaw."""
@@ -126,7 +121,7 @@ class GivingLaw:
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent; E_star is the strain E* of the minimum."""
-        metric = metric_of(np.asarray(np.linalg.inv(self.floor)))
+        metric = metric_of(np.asarray(np.linalg.inv(self.compliance)))
         normals = np.column_stack([self.law.S * WEIGHT @ metric.inverse, -self.extra])
         y = np.column_stack([E @ metric.R.T, np.zeros(len(E))])
         parts = [_projected(y[i : i + BLOCK], normals, self.law.h) for i in range(0, len(E), BLOCK)]
@@ -138,7 +133,7 @@ class GivingLaw:
 
     def to_dict(self) -> dict[str, Any]:
         """The law, floor and roots as plain numbers; law files hold the strength, from which these follow."""
-        return self.law.to_dict() | {"floor_mm_per_N": self.floor.tolist(), "extra": self.extra.tolist()}
+        return self.law.to_dict() | {"floor_mm_per_N": self.compliance.tolist(), "extra": self.extra.tolist()}
 
     def compliance_along(self, S: Array, size: float) -> Array:
         """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads
@@ -152,7 +147,7 @@ class GivingLaw:
         slope = np.diff(H, axis=0) / np.diff(tau)[:, None]
         at = np.clip(size * slope, tau[:-1, None], tau[1:, None])
         most = (size * (H[:-1] + slope * (at - tau[:-1, None])) - 0.5 * at**2).max(axis=0)
-        return np.asarray(2.0 * (most - size * H[0]) / size**2 + work_along(S, self.floor))
+        return np.asarray(2.0 * (most - size * H[0]) / size**2 + work_along(S, self.compliance))
 
 
 def elastic_law(law: MembraneLaw) -> MembraneLaw:

@@ -128,7 +128,7 @@ class Demand:
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """What does not change: scene, rings, their reference cell, cache, options, who is told."""
+    """What does not change: scene, rings, their reference cell, cache, options, and when the run began, s."""
 
     scene: Scene
     cell: Cell
@@ -326,7 +326,7 @@ def _doubted(law: LawInterval, status: str, message: str) -> tuple[str, str]:
 
 
 def _is_idle(turns: Sequence[Turn]) -> bool:
-    """Whether the last two turns on one law have learnt nothing."""
+    """Whether the last turn has added no row to the law."""
     return len(turns) > 1 and turns[-1].rows == turns[-2].rows
 
 

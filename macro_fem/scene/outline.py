@@ -172,12 +172,3 @@ def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
             if (min(a, b), max(a, b)) not in edges:
                 raise ValueError("outline and holes: come closer to each other than the cells are wide; use more cells")
         start += length
-
-
-def least_angle(points: Array, triangles: np.ndarray) -> float:
-    """The smallest angle of all triangles in degrees: the quality of a mesh."""
-    p = points[triangles]
-    edge = np.roll(p, -1, axis=1) - p
-    back = -np.roll(edge, 1, axis=1)
-    cosine = (edge * back).sum(-1) / (np.linalg.norm(edge, axis=-1) * np.linalg.norm(back, axis=-1))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)).min()))

@@ -79,11 +79,6 @@ class PathResult(Judged):
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
 
     @property
-    def residual(self) -> float:
-        """Sum of the unbalanced forces over that of the loads."""
-        return self.evidence.unbalanced
-
-    @property
     def converged(self) -> bool:
         """Whether the gap was closed."""
         return self.status == "converged"

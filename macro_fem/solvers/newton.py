@@ -64,7 +64,6 @@ class NewtonRecord:
     evaluations of the law in it; eps, N/mm; factorizations until the matrix was definite.
     """
 
-    iteration: int
     potential: float
     residual: float
     length: float
@@ -217,10 +216,8 @@ class _Descent:
         # Short steps mean that the model reaches too far, mostly where slack cells move freely: hold them more.
         self.caution *= 4.0 if length < 0.03 else 0.25 if length > 0.2 else 1.0
         self.caution = float(np.clip(self.caution, 1.0, 1e3))
-        number, calls = len(self.history), self.evaluations - before
-        self.history.append(
-            NewtonRecord(number, balance.potential, balance.relative, length, calls, eps, factorizations)
-        )
+        calls = self.evaluations - before
+        self.history.append(NewtonRecord(balance.potential, balance.relative, length, calls, eps, factorizations))
         return after, balance_after
 
     def _direction(self, data: Array, eps: float, residual: Array) -> tuple[Array, float, int] | None:

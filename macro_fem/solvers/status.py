@@ -150,7 +150,7 @@ class Settling:
     @property
     def is_settled(self) -> bool:
         """Whether both residuals are as small as asked."""
-        return max(self.misfit, self.complementarity) <= self.asked
+        return self.misfit <= self.asked and self.complementarity <= self.asked
 
     def verdict(self, last: Verdict) -> Verdict:
         """The verdict of the last round, or "unsettled" where that has converged and the rounds have not."""

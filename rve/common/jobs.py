@@ -77,16 +77,16 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
                 one.rmdir()
 
 
-def check_out_job(folder: AnyPath, record: str, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
+def check_out_job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = ()) -> None:
     """Refuse, before any work, a folder for a job that cannot be written or whose old files are among `inputs`.
 
     Raises InputError; nothing is made, but an interrupted job of the folder is completed.
     """
-    check_out_folder(folder, option)
+    check_out_folder(folder)
     out, inputs = Path(folder), list(inputs)
     complete(out, record)
     for name in (record, *_listed(out / record)):
-        check_replaceable(out / name, option, inputs)
+        check_replaceable(out / name, "--out", inputs)
 
 
 def complete(folder: AnyPath, record: str) -> None:

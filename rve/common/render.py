@@ -1,13 +1,12 @@
 """Views as pictures (PNG) and animations (GIF) by pyvista and matplotlib, without a display.
 
 `render` does it in a process of its own, `python -m rve.common.render OUT`, because a renderer without a screen may
-crash. That process reads the views from its standard input.
+crash. That process reads the views, `packed`, from its standard input.
 """
 
 from __future__ import annotations
 
 import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from rve.common.errors import NotConverged, require
 from rve.common.files import atomic_path
 from rve.common.progress import tell
 from rve.common.types import Array
-from rve.common.views import Camera, Lines, Scale, Surface, View
+from rve.common.views import Camera, Lines, Scale, Surface, View, packed, unpacked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,9 +51,7 @@ def render(path: str | os.PathLike[str], views: Sequence[View]) -> None:
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
     with atomic_path(path) as temporary:
         command = [sys.executable, "-m", "rve.common.render", str(temporary)]
-        run = subprocess.run(
-            command, input=pickle.dumps(list(views)), capture_output=True, env=os.environ | {"PYTHONPATH": paths}
-        )
+        run = subprocess.run(command, input=packed(views), capture_output=True, env=os.environ | {"PYTHONPATH": paths})
         if run.returncode:
             last = (run.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
             raise NotConverged(
@@ -270,4 +267,4 @@ def _save(path: Path, views: Sequence[View]) -> None:
 
 
 if __name__ == "__main__":
-    _save(Path(sys.argv[1]), pickle.load(sys.stdin.buffer))
+    _save(Path(sys.argv[1]), unpacked(sys.stdin.buffer.read()))

@@ -6,7 +6,11 @@ The same `View` makes a picture and an animation (`rve.common.render`) and a pag
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,3 +193,44 @@ def merged(name: str, solids: list[tuple[Array, Index]], colour: str, **style: b
     triangles = [triangles + start for (_, triangles), start in zip(solids, starts, strict=False)]
     points = np.concatenate([points for points, _ in solids])
     return Surface(name, points, np.concatenate(triangles), colour, None, **style)  # type: ignore[arg-type]
+
+
+def packed(views: Sequence[View]) -> bytes:
+    """Views as an npz archive: their arrays, and `tree`, JSON of all else that names each array by its number.
+
+    >>> view = View("two", (Lines("rail", np.zeros((1, 2, 3)), 2.0),), notes=("a", "b"))
+    >>> [again] = unpacked(packed([view]))
+    >>> again.notes, again.parts[0].points.shape, again.cameras[0].direction
+    (('a', 'b'), (1, 2, 3), (0.0, -0.12, -1.0))
+    """
+    entries: dict[str, Any] = {}
+
+    def tree(node: Any) -> Any:
+        if isinstance(node, np.ndarray):
+            entries[name := str(len(entries))] = node
+            return {"array": name}
+        if is_dataclass(node):
+            return {"kind": type(node).__name__} | {one.name: tree(getattr(node, one.name)) for one in fields(node)}
+        return [tree(one) for one in node] if isinstance(node, Sequence) and not isinstance(node, str) else node
+
+    entries["tree"] = np.array(json.dumps(tree(views)))
+    stream = io.BytesIO()
+    np.savez(stream, **entries)
+    return stream.getvalue()
+
+
+def unpacked(data: bytes) -> tuple[View, ...]:
+    """The views that `packed` has written; nothing in `data` is executed. ValueError for a pickle."""
+    kinds = {kind.__name__: kind for kind in (View, Surface, Lines, Scale, Camera)}
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+
+        def value(node: Any) -> Any:
+            if isinstance(node, list):
+                return tuple(value(one) for one in node)
+            if not isinstance(node, dict):
+                return node
+            if "array" in node:
+                return stored[node["array"]]
+            return kinds[node["kind"]](**{name: value(one) for name, one in node.items() if name != "kind"})
+
+        return tuple(value(json.loads(str(stored["tree"]))))

@@ -29,14 +29,13 @@ from rve.equilibrium.dead_load import (
     promising,
     random_poses,
     restarted,
-    strain_of,
 )
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import deformation_gradient, second_pk
-from rve.geometry.pose import Pose, start_pose
+from rve.geometry.pose import Pose, start_pose, strain_of
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""

@@ -24,8 +24,8 @@ from rve.equilibrium.contact_qp import Programme, solve_contact_step
 from rve.equilibrium.interior_point import Equilibrium, carry_forces
 from rve.equilibrium.system import Equations, System, lattice_load
 from rve.geometry.contacts import Contacts, find_contacts
-from rve.geometry.kinematics import green_lagrange, second_pk
-from rve.geometry.pose import Pose, moved, reduction
+from rve.geometry.kinematics import lattice_strain, second_pk
+from rve.geometry.pose import Pose, deformation, moved, reduction
 
 _CONVEX, _STIFF = 1e-4, 1e6
 """Least curvature and largest stiffness of the quadratic programme that finds the loaded contacts."""
@@ -197,11 +197,6 @@ def _stage(
     return soft.put(rows, replace(part, status=status))
 
 
-def deformation(pose: Pose, reference: tuple[float, float]) -> Array:
-    """Deformation gradients (n, 2, 2) of poses, eq. (1), for a reference cell with sides b_x, b_y in r1."""
-    return np.stack([pose.a1 / reference[0], pose.a2 / reference[1]], axis=2)
-
-
 def locking_compliance(
     equations: Equations, soft: SoftEquilibrium, s: Array, kappa: Array, reference: tuple[float, float]
 ) -> Array:
@@ -226,9 +221,7 @@ def locking_compliance(
     dq = np.linalg.solve(K, np.concatenate([df, np.zeros((n, K.shape[1] - m, 3))], axis=1))[:, :m]
     F = deformation(soft.pose, reference)
     dF = np.einsum("nxym,nmj->nxyj", _gradient_of_F(soft.pose, reference), dq[:, :3])
-    FtdF = np.einsum("nkx,nkyj->nxyj", F, dF)
-    dE = 0.5 * (FtdF + FtdF.transpose(0, 2, 1, 3))
-    D = np.einsum("nij,njk->nik", _triples(dE), np.linalg.inv(_pk_derivative(F, dF, s)))
+    D = lattice_strain(soft.pose.lattice, reference)[1] @ dq[:, :3] @ np.linalg.inv(_pk_derivative(F, dF, s))
     D[free] = np.nan
     return D
 
@@ -257,8 +250,3 @@ def _pk_derivative(F: Array, dF: Array, s: Array) -> Array:
     back = np.einsum("nxkj,nky->nxyj", turn, S)
     direct = np.stack([second_pk(F, np.tile(e, (n, 1))) for e in np.eye(3)], axis=2)
     return direct + triple[:, :, None] * dJ_over_J[:, None, :] - _triples(back + back.transpose(0, 2, 1, 3))
-
-
-def strain(pose: Pose, reference: tuple[float, float]) -> Array:
-    """Green-Lagrange strain (n, 3) of poses."""
-    return green_lagrange(deformation(pose, reference))

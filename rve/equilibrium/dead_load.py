@@ -22,10 +22,9 @@ from rve.common.records import Index, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
 from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
-from rve.equilibrium.system import Equations, add_lattice_curvature, weighted_size
+from rve.equilibrium.system import Equations, on_coordinates, weighted_size
 from rve.geometry.contacts import parallel_clearance
-from rve.geometry.kinematics import green_lagrange
-from rve.geometry.pose import Pose, mirrored, moved, start_pose
+from rve.geometry.pose import Pose, mirrored, moved, start_pose, strain_of
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -80,20 +79,11 @@ class DeadLoad:
             K[:, x, x] = s[:, 0] * b2 / b1
             K[:, x, 2 + x] = K[:, 2 + x, x] = s[:, 1]
             K[:, 2 + x, 2 + x] = s[:, 2] * b1 / b2
-        on_lattice = np.einsum("nij,nj->ni", K, np.concatenate([pose.a1, pose.a2], axis=1))
-        Ta = T[:, :4]
-        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K), Ta)
-        add_lattice_curvature(J, on_lattice)
-        return np.einsum("ni,nij->nj", on_lattice, Ta), J
+        return on_coordinates(K, pose, T)
 
     def size(self, f: Array, M: Array) -> Array:
         """See Load."""
         return weighted_size(f, M)
-
-
-def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
-    """Green-Lagrange strain (n, 3) of the poses, in weave axes, for a reference cell with these sides in r1."""
-    return green_lagrange(np.stack([pose.a1 / sides[0], pose.a2 / sides[1]], axis=2))
 
 
 def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Pose | None = None) -> Equilibrium:

@@ -15,16 +15,16 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rve.common.progress import tell
-from rve.common.records import Index, Rows
+from rve.common.records import Flags, Index, Rows
 from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
-from rve.equilibrium.compliance import deformation
+from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility, local_flexibility
-from rve.equilibrium.system import Equations, weighted_size
-from rve.geometry.kinematics import second_pk
-from rve.geometry.pose import Pose
+from rve.equilibrium.system import Equations
+from rve.geometry.kinematics import lattice_strain, second_pk
+from rve.geometry.pose import deformation
 from rve.ring.collapse import checked_sections, largest_factors, relative_moments
 from rve.ring.kernels import internal_forces, opened_forces, self_stress
 from rve.ring.section import Ring
@@ -38,7 +38,8 @@ _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
-_ROUNDS = 40
+_ROUNDS, _SETTLED = 40, 1e-9
+"""Most rounds for the forces where crossing wires give, and the change of forces in s r1 at which they end."""
 WELDED = Joint.of("welded")
 
 
@@ -61,47 +62,6 @@ class RingStates(Rows):
     angle_deg: Array
 
 
-@dataclass(frozen=True)
-class DeadLoad:
-    """Constant second Piola-Kirchhoff line loads, the rows of `s`: their work is A_ref S:E, so J is symmetric.
-
-    reference: sides of the reference cell in r1.
-    """
-
-    reference: tuple[float, float]
-
-    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See `Load`."""
-        n, m = len(s), T.shape[2]
-        area = self.reference[0] * self.reference[1]
-        f, J = np.zeros((n, m)), np.zeros((n, m, m))
-        f[:, :3] = area * np.einsum("ni,nij->nj", s * WEIGHT, strain_gradient(pose, self.reference))
-        x2, y3, t = pose.lattice.T
-        b_x, b_y = self.reference
-        S11, S12, S22 = area * s[:, 0] / b_x**2, 2.0 * area * s[:, 1] / (b_x * b_y), area * s[:, 2] / b_y**2
-        J[:, 0, 0], J[:, 1, 1] = S11 * (1.0 + t**2), S22 * (1.0 + t**2)
-        J[:, 2, 2] = S11 * x2**2 + S22 * y3**2
-        J[:, 0, 1] = J[:, 1, 0] = S12 * t
-        J[:, 0, 2] = J[:, 2, 0] = 2.0 * S11 * t * x2 + S12 * y3
-        J[:, 1, 2] = J[:, 2, 1] = 2.0 * S22 * t * y3 + S12 * x2
-        return f, J
-
-    def size(self, f: Array, M: Array) -> Array:
-        """See `Load`."""
-        return weighted_size(f, M)
-
-
-def strain_gradient(pose: Pose, reference: tuple[float, float]) -> Array:
-    """Derivative (n, 3, 3) of E11, E12, E22 with respect to x2, y3, t."""
-    b_x, b_y = reference
-    x2, y3, t = pose.lattice.T
-    B = np.zeros((len(x2), 3, 3))
-    B[:, 0, 0], B[:, 0, 2] = x2 * (1.0 + t**2) / b_x**2, t * x2**2 / b_x**2
-    B[:, 1, 0], B[:, 1, 1], B[:, 1, 2] = t * y3 / (b_x * b_y), t * x2 / (b_x * b_y), x2 * y3 / (b_x * b_y)
-    B[:, 2, 1], B[:, 2, 2] = y3 * (1.0 + t**2) / b_y**2, t * y3**2 / b_y**2
-    return B
-
-
 def ring_states(
     equations: Equations,
     found: Equilibrium,
@@ -116,7 +76,7 @@ def ring_states(
     reference: sides of the reference cell in r1. Of butted rings with several angles, first yield and collapse are each
     those at the worst angle, forces and compliance those at the angle that gives most. With size (n,), the loads' sizes
     in E r1, wires also give where they cross, as much as these loads press them (`rve.ring.hertz`). Rows that have not
-    converged have nan.
+    converged have nan, and so have those whose forces at crossing wires have not settled.
     """
     good = np.flatnonzero(found.status == "converged")
     states = RingStates(
@@ -162,16 +122,18 @@ def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_de
     joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
     C = contact_flexibility(ends, ring, joint)
     lam = _forces(cells, ends, C)
+    lost = np.zeros(len(lam))
     if not np.isnan(cells.size).any():
-        C, lam = _pressed(cells, ends, ring, C, lam)
-    locking, elastic = _compliances(found, cells, ends, C, lam)
-    stress = np.zeros(len(lam))
+        C, lam, settled = _pressed(cells, ends, ring, C, lam)
+        lost = np.where(settled, 0.0, np.nan)
+    locking, elastic = (D + lost[:, None, None] for D in _compliances(found, cells, ends, C, lam))
+    stress = lost
     for k in range(ends.grain.shape[1]):
         phi, direction, contact = ends.on(k)
         open_at = None if joint is None else joint[:, k]
         forces = _at_ends(lam, contact) * direction
         stress = np.maximum(stress, peak_stress(phi, forces, ring, joint=open_at).stress)
-    collapse = _collapse(cells, ends, lam, ring, joint)
+    collapse = _collapse(cells, ends, lam, ring, joint) + lost
     energy = np.einsum("nc,ncd,nd->n", lam, C, lam)
     angles = np.full(len(lam), angle_deg)
     return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse, angles), energy
@@ -201,7 +163,7 @@ def _cells(
     system = dead.assemble(found.pose, found.contacts, found.lam, S)
     G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
     start = np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1)
-    B = strain_gradient(found.pose, reference)
+    B = lattice_strain(found.pose.lattice, reference)[1]
     return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1], size)
 
 
@@ -215,8 +177,9 @@ def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
     return lam
 
 
-def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array]:
-    """C with what crossing wires give at their forces, and the forces that go with it, from those without it.
+def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array, Flags]:
+    """C with what crossing wires give at their forces, the forces that go with it, from those without it, and whether
+    those of each cell have settled (n,).
 
     Where balance leaves a choice, each round leaves a third of the error, as the approach over the force falls with its
     cube root.
@@ -224,10 +187,10 @@ def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tup
     for _ in range(_ROUNDS):
         full = C + local_flexibility(ends, ring, lam, cells.size)[:, :, None] * np.eye(C.shape[1])
         new = _forces(cells, ends, full)
-        change, lam = np.abs(new - lam).max(), new
-        if change < 1e-9:
+        change, lam = np.abs(new - lam).max(axis=1), new
+        if change.max() < _SETTLED:
             break
-    return full, lam
+    return full, lam, change < _SETTLED
 
 
 def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array, lam: Array) -> tuple[Array, Array]:

@@ -250,7 +250,7 @@ def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[l
     """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
     finished: list[_State] = []
     anchor, anchor_system, cases = state, None, len(state.row)
-    for _ in range(options.max_iterations + 1):
+    for iteration in range(options.max_iterations + 1):
         curved = state.mu <= options.curvature_below
         system = equations.assemble(state.pose, state.contacts, state.lam, state.s, curved)
         R, off, merit = _measure(state, system)
@@ -269,7 +269,7 @@ def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[l
             finished.append(state.take(done))
             go = ~done
             state, system, off, merit = state.take(go), system.take(go), off[go], merit[go]
-        if not len(state.row):
+        if not len(state.row) or iteration == options.max_iterations:
             break
         here = way(options.mu_start, float(np.median(state.mu)), options.mu_end) or 0.0
         tell(f"{cases} loads of rings", 1.0 - (1.0 - here) * len(state.row) / cases)

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from rve.common.records import Flags, Rows
 from rve.common.types import Array
-from rve.equilibrium.compliance import strain
-from rve.equilibrium.elastic_rings import DeadLoad, RingStates
+from rve.equilibrium.dead_load import DeadLoad
+from rve.equilibrium.elastic_rings import RingStates
 from rve.equilibrium.interior_point import Equilibrium, carry_forces
 from rve.equilibrium.ring_contacts import contact_ends, contact_flexibility, local_flexibility
 from rve.equilibrium.system import Equations
-from rve.geometry.pose import moved
+from rve.geometry.pose import moved, strain_of
 from rve.ring.section import Ring
 
 LARGEST_OVERLAP = 0.1
@@ -80,7 +80,7 @@ def loaded_states(
             done = sound & (change < _DONE)
             good[go[done]] = True
             go = go[sound & ~done]
-    E = np.where(good[:, None], strain(state.pose, reference), np.nan)
+    E = np.where(good[:, None], strain_of(state.pose, reference), np.nan)
     status = np.where(good, np.where(overlap > LARGEST_OVERLAP, "large", "converged"), "stalled")
     return LoadedStates(E, np.where(good, overlap, np.nan), status.astype("<U16"))
 

@@ -75,15 +75,20 @@ class LineLoad:
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """See Load."""
-        f4, K4 = lattice_load(pose, s)
-        Ta = T[:, :4]
-        J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K4), Ta)
-        add_lattice_curvature(J, f4)
-        return np.einsum("ni,nij->nj", f4, Ta), J
+        return on_coordinates(lattice_load(pose, s)[1], pose, T)
 
     def size(self, f: Array, M: Array) -> Array:
         """See Load."""
         return weighted_size(f, M)
+
+
+def on_coordinates(K: Array, pose: Pose, T: Array) -> tuple[Array, Array]:
+    """Generalised force (n, m) on the reduced coordinates, and its derivative, of the forces K (a1, a2), K (n, 4, 4),
+    on the lattice vectors; T is reduction(pose)."""
+    on_lattice, Ta = np.einsum("nij,nj->ni", K, np.concatenate([pose.a1, pose.a2], axis=1)), T[:, :4]
+    J = np.matmul(np.matmul(Ta.transpose(0, 2, 1), K), Ta)
+    add_lattice_curvature(J, on_lattice)
+    return np.einsum("ni,nij->nj", on_lattice, Ta), J
 
 
 def add_lattice_curvature(J: Array, on_lattice: Array) -> None:

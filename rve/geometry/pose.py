@@ -15,6 +15,7 @@ import numpy as np
 from rve.common.records import Index, Rows
 from rve.common.types import Array
 from rve.geometry.circles import cross, dot, tangent_frame
+from rve.geometry.kinematics import green_lagrange
 from rve.geometry.weave import Weave
 
 
@@ -69,6 +70,16 @@ def mirrored(pose: Pose) -> Pose:
     turned = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres * [-1.0, 1.0], pose.normals * [-1.0, 1.0, 1.0])
     turned.centres[:, 1:] += turned.a1[:, None]
     return turned
+
+
+def deformation(pose: Pose, sides: tuple[float, float]) -> Array:
+    """Deformation gradients (n, 2, 2) of the poses, eq. (1), for a reference cell with these sides in r1."""
+    return np.stack([pose.a1 / sides[0], pose.a2 / sides[1]], axis=2)
+
+
+def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
+    """Green-Lagrange strain (n, 3) of the poses, in weave axes, for a reference cell with these sides in r1."""
+    return green_lagrange(deformation(pose, sides))
 
 
 def reduction(pose: Pose) -> Array:

@@ -26,8 +26,9 @@ from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import Contacts, find_contacts
+from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
-from rve.localization.springs import Spring, lattice_strain
+from rve.localization.springs import Spring
 from rve.solve import locked, reference_sides
 
 _BLOCK = 1024

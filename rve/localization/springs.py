@@ -19,6 +19,7 @@ from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.equilibrium.system import add_lattice_curvature
 from rve.geometry.circles import cross, dot, tangent_frame
+from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose
 
 
@@ -75,34 +76,6 @@ class Spring:
                 column = 2 * k + 1 + 2 * ring + axis
                 f[:, column] += self.weak * dot(cross(e[:, ring], pose.normals[:, ring]), target[:, ring])
                 J[:, column, column] -= self.weak * along[:, ring]
-
-
-def lattice_strain(lattice: Array, sides: tuple[float, float]) -> tuple[Array, Array, Array]:
-    """Green-Lagrange strain (n, 3) of lattices x2, y3, t (n, 3) with both derivatives, (n, 3, 3) and (n, 3, 3, 3).
-
-    F = [[u, t v], [t u, v]] with u = x2/b_x, v = y3/b_y.
-    """
-    bx, by = sides
-    u, v, t = lattice[:, 0] / bx, lattice[:, 1] / by, lattice[:, 2]
-    square = 1.0 + t**2
-    E = np.stack([0.5 * (u**2 * square - 1.0), t * u * v, 0.5 * (v**2 * square - 1.0)], axis=1)
-    d, dd = np.zeros((len(t), 3, 3)), np.zeros((len(t), 3, 3, 3))
-    d[:, 0, 0], d[:, 0, 2] = u * square / bx, u**2 * t
-    d[:, 1, 0], d[:, 1, 1], d[:, 1, 2] = t * v / bx, t * u / by, u * v
-    d[:, 2, 1], d[:, 2, 2] = v * square / by, v**2 * t
-    for i, x, y, value in (
-        (0, 0, 0, square / bx**2),
-        (0, 0, 2, 2.0 * u * t / bx),
-        (0, 2, 2, u**2),
-        (1, 0, 1, t / (bx * by)),
-        (1, 0, 2, v / bx),
-        (1, 1, 2, u / by),
-        (2, 1, 1, square / by**2),
-        (2, 1, 2, 2.0 * v * t / by),
-        (2, 2, 2, v**2),
-    ):
-        dd[:, i, x, y] = dd[:, i, y, x] = value
-    return E, d, dd
 
 
 def split_response(D: Array, fold: float) -> tuple[Array, Array]:

@@ -18,8 +18,6 @@ _ZOOMS, _FINER = 3, 4
 """How often, and by how much, the steps of the search shrink: 64 in all, for a stress within 1e-6 of a smooth peak."""
 _BEFORE = 1e-9
 """N jumps at a load with a part along the ring: the section this angle before it is looked at as well."""
-JOINTS = 72
-"""Angles at which the joint of a butted ring is tried for the worst one."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +29,11 @@ class Peak:
     fibre: Array
 
 
-def peak_stress(
-    phi: Array, forces: Array, ring: Ring, section: Section | None = None, joint: Array | None = None
-) -> Peak:
+def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = None) -> Peak:
     """The largest von Mises stress over all sections and fibres of rings under forces (..., m, 3) at phi (..., m).
 
-    section: by default that of the curved bar; joint (...): the angle at which a butted ring is open, None for a welded
-    one. Exact but for a search whose first steps could rank two peaks wrongly that differ by less than 3e-3.
+    joint (...): the angle at which a butted ring is open, None for a welded one. Exact but for a search whose first
+    steps could rank two peaks wrongly that differ by less than 3e-3.
 
     >>> pull = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     >>> found = peak_stress(np.array([0.0, np.pi]), pull, Ring(1000.0, 1.0, 2e5, 0.3))
@@ -45,17 +41,17 @@ def peak_stress(
     >>> bool(abs(found.stress / thin - 1.0) < 2e-3)
     True
     """
-    section = section or ring.curved()
+    kind = (ring, ring.curved(), joint)
     shape = phi.shape[:-1]
     uniform = np.broadcast_to(2.0 * np.pi / SECTIONS * np.arange(SECTIONS), (*shape, SECTIONS))
     at = np.concatenate([uniform, phi, phi - _BEFORE], axis=-1)
     fibre = np.broadcast_to(2.0 * np.pi / FIBRES * np.arange(FIBRES), (*shape, FIBRES))
-    best = _best(phi, forces, at, fibre, (ring, section, joint))
+    best = _best(phi, forces, at, fibre, kind)
     wide, round_ = 2.0 * np.pi / SECTIONS, 2.0 * np.pi / FIBRES
     steps = np.linspace(-1.0, 1.0, 2 * _FINER + 1)
     for _ in range(_ZOOMS):
         near, skin = best.angle[..., None] + wide * steps, best.fibre[..., None] + round_ * steps
-        best = _best(phi, forces, near, skin, (ring, section, joint))
+        best = _best(phi, forces, near, skin, kind)
         wide, round_ = wide / _FINER, round_ / _FINER
     return best
 
@@ -76,18 +72,3 @@ def _best(phi: Array, forces: Array, at: Array, fibre: Array, kind: tuple[Ring, 
         np.take_along_axis(at, row, -1)[..., 0],
         np.take_along_axis(fibre, column, -1)[..., 0],
     )
-
-
-def worst_joint(phi: Array, forces: Array, ring: Ring, section: Section | None = None) -> tuple[Array, Peak]:
-    """The angle (...) of the joint at which butted rings are stressed most, of `JOINTS` tried, and the peak there."""
-    peaks = []
-    angles = 2.0 * np.pi / JOINTS * np.arange(JOINTS)
-    for angle in angles:
-        peaks.append(peak_stress(phi, forces, ring, section, np.full(phi.shape[:-1], angle)))
-    stress = np.stack([peak.stress for peak in peaks])
-    worst = stress.argmax(axis=0)[None]
-
-    def of_worst(name: str) -> Array:
-        return np.asarray(np.take_along_axis(np.stack([getattr(peak, name) for peak in peaks]), worst, 0)[0])
-
-    return angles[worst[0]], Peak(of_worst("stress"), of_worst("angle"), of_worst("fibre"))

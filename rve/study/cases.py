@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import InputError
 from rve.common.types import Array
-from rve.equilibrium.compliance import strain
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, strain_of
 from rve.paper import stewart_trinkle as st
 from rve.paper.dynamics import StewartTrinkleOptions
 from rve.paper.stewart_trinkle import History, Settled
@@ -73,7 +72,7 @@ def solve_study(
     rest = st.solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
     ended = time.perf_counter()
     sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
-    E = strain(rest.pose, sides)
+    E = strain_of(rest.pose, sides)
     return Study(alpha, beta, s, cell, options, rest, E, table, (ended - between, between - began))
 
 
@@ -98,4 +97,4 @@ def history_strain(study: Study, rows: NDArray[np.intp]) -> Array:
     """Strains (m, 3) of rows of the history."""
     b_x, b_y = (study.table.provenance[name] / study.cell.r1 for name in ("b_x_mm", "b_y_mm"))
     none = np.zeros((len(rows), 0, 2))
-    return strain(Pose(study.history.lattice[rows], none, none), (b_x, b_y))
+    return strain_of(Pose(study.history.lattice[rows], none, none), (b_x, b_y))

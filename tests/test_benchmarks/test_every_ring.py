@@ -174,9 +174,21 @@ def test_quick_report_goes_on_where_it_was(tmp_path):
     assert done.exit_code == 0, done.output
     report = json.loads((tmp_path / "out" / "every_ring.json").read_text())
     assert {section["key"] for section in report["sections"]} == {"loose", "starts"}
-    assert {"loose", "starts", "disk", "edges", "cell", "generic", "leaving"} == set(NAMES)
+    assert {"loose", "starts", "disk", "edges", "cell", "generic", "engine", "leaving"} == set(NAMES)
     starts = next(section for section in report["sections"] if section["key"] == "starts")
     assert "3 of 3 runs" in starts["conclusion"]
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "cases").iterdir()}
     assert CliRunner().invoke(main, [*arguments, str(tmp_path / "cases")]).exit_code == 0
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "cases").iterdir()}
+
+
+@pytest.mark.slow
+def test_a_physics_engine_hangs_the_same_sheet():
+    pytest.importorskip("mujoco")
+    from benchmarks.every_ring.engine import DIFFERENCE, compared
+
+    row = compared(0, 1, False, 24)
+    assert row["MuJoCo"] == "at rest"
+    assert row["links of MuJoCo intact"]
+    assert abs(row[DIFFERENCE]) < 0.3
+    assert row["least gap of MuJoCo, r1"] > -0.02

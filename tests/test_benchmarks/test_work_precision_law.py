@@ -94,7 +94,7 @@ def test_a_finer_resolution_has_more_half_spaces_within_the_bounds(coarse, unsee
     assert (h <= bounds.upper(unseen.S) + 1e-12).all()
 
 
-def test_the_baseline_without_a_law_is_named(coarse, unseen):
+def test_the_baseline_without_a_law_is_named(coarse):
     inside = unseen_directions(5)
     note = kind_table([], coarse, inside).note
     assert "linear mean" in note

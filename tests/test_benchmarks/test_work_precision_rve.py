@@ -25,6 +25,7 @@ from benchmarks.work_precision.rve import (
     scheme,
 )
 from rve.geometry.kinematics import second_pk
+from rve.geometry.pose import deformation
 
 LOADS = ((0.0, 45.0), (20.0, 30.0))
 
@@ -35,7 +36,7 @@ def given():
 
 
 def programme(given, case):
-    F = given.deformation(given.found.pose)
+    F = deformation(given.found.pose, given.sides)
     S = second_pk(F, given.s) * given.sides[0] * given.sides[1]
     return Programme(S[case], given.equations, given.sides)
 

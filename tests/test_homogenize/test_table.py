@@ -48,7 +48,7 @@ def test_the_rows_are_points_of_one_convex_set(table):
     assert normality(rows_from_table(table)).slack > -1e-8
 
 
-def test_the_shipped_law_is_what_the_script_makes(table):
+def test_the_shipped_law_is_what_the_script_makes():
     made = json.loads(json.dumps(shipped_record(DATA / "table190.csv")))
     shipped = json.loads(SHIPPED.read_text())
     assert made["provenance"]["table"] == shipped["provenance"]["table"]
@@ -69,7 +69,7 @@ def test_strength_leaves_the_mechanics_of_the_shipped_law_as_they_are(table):
     assert np.array_equal(plain.stiffness, law.stiffness)
 
 
-def test_support_off_the_grid(table, directions):
+def test_support_off_the_grid(directions):
     """The figures of docs/explanation/laws.md; the aim was 5e-4 and 1e-4 (missed by 1 direction in 1000, met)."""
     _, _, S, E = directions
     error = np.abs(default_law().support(S) - double_dot(S, E))

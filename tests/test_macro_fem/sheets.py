@@ -28,6 +28,14 @@ def rectangle(element, width, height, nx, ny):
     return discretize(mesh_of(element, width, height, nx, ny), element)
 
 
+def least_angle(p, t):
+    """The smallest angle in degrees of triangles t (n, 3) of points p: the quality of a mesh."""
+    edge = np.roll(p[t], -1, axis=1) - p[t]
+    back = -np.roll(edge, 1, axis=1)
+    cosine = (edge * back).sum(-1) / (np.linalg.norm(edge, axis=-1) * np.linalg.norm(back, axis=-1))
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)).min())
+
+
 def held(disc, where, d=2):
     """A mask (n_nodes, d) of the nodes for whose coordinates x (2, n_nodes) `where` is true."""
     return np.repeat(where(disc.nodes.T)[:, None], d, axis=1)

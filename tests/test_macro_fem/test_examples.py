@@ -11,9 +11,9 @@ from homogenize.io import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.outline import least_angle
 from macro_fem.scene.schema import load_scene, read_scene
 from macro_fem.solution import make_problem
+from tests.test_macro_fem.sheets import least_angle
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 

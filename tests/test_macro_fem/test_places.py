@@ -17,11 +17,11 @@ from macro_fem.curtain import solve_scene
 from macro_fem.output.files import summarize
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.mesh import build_mesh, signed_areas
-from macro_fem.scene.outline import least_angle
 from macro_fem.scene.places import LEAST_SINE, make_sheet, with_nodes_at
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import least_angle
 
 LAW = diagonal_net(1.1)
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)

@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from macro_fem import read_scene
 from macro_fem.cli import main
+from macro_fem.compare import side_by_side
 from macro_fem.every_ring import ring_scene
 from rve import InputError
 
@@ -102,6 +103,16 @@ def test_compare_puts_both_side_by_side(tmp_path):
     assert rings["support_forces_N"][0][1] == pytest.approx(disk["support_forces_N"][0][1], rel=1e-4)
     assert 0.0 < summary["shape_distance_mm"] < 2.0
     assert summary["line_load_distance"] < 0.3
+
+
+def test_forces_out_of_the_plane_are_shown():
+    keys = ("status", "unknowns", "potential_N_mm", "mean_height_mm", "lowest_point_mm")
+    disk = dict.fromkeys(keys, 1.0) | {"support_forces_N": [[1.0, 2.0], [0.5, 0.25, -3.0]], "wall_s": 0.1}
+    rings = disk | {"support_forces_N": [[1.0, 2.0, 1e-12], None]}
+    lines = side_by_side({"disk": disk, "rings": rings, "apart": 0.25})
+    forces = next(line for line in lines if line.startswith("support_forces_N"))
+    assert forces.split() == ["support_forces_N", *["1", "2;", "0.5", "0.25", "-3"], *["1", "2;", "-"]]
+    assert lines[-1] == "apart: 0.25"
 
 
 def test_rings_lie_on_the_floor_and_against_the_wall_of_a_scene():

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from rve.equilibrium.compliance import deformation, soften, strain
+from rve.equilibrium.compliance import soften
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import cauchy_line_load, second_pk
+from rve.geometry.pose import deformation, strain_of
 from rve.geometry.weave import FOUR_IN_ONE
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)
@@ -43,8 +44,8 @@ def test_forces_are_stiffness_times_penetration(rigid, loads, cell, kappa):
 
 
 def test_strain_goes_to_the_rigid_one_like_one_over_stiffness(rigid, loads, cell):
-    exact = strain(rigid.pose, cell)
-    at = {kappa: strain(soften(rigid, loads, EQUATIONS, kappa, cell).pose, cell) for kappa in (1e3, 1e4, 1e5)}
+    exact = strain_of(rigid.pose, cell)
+    at = {kappa: strain_of(soften(rigid, loads, EQUATIONS, kappa, cell).pose, cell) for kappa in (1e3, 1e4, 1e5)}
     error = {kappa: np.abs(E - exact).max(axis=1) for kappa, E in at.items()}
     unique = np.arange(len(ALPHA)) < 6  # the kink (0, 0) is softer: two minima merge
     assert error[1e4][unique] / error[1e5][unique] == pytest.approx(10.0, rel=0.01)
@@ -70,7 +71,7 @@ def test_compliance_is_the_derivative_of_strain_by_load(rigid, loads, cell, kapp
                 start = _row(rigid, i)
                 soft = soften(start, s[one], EQUATIONS, kappa / size[i], cell)
                 assert soft.status[0] == "converged"
-                E.append(strain(soft.pose, cell)[0])
+                E.append(strain_of(soft.pose, cell)[0])
                 S.append(second_pk(deformation(soft.pose, cell), s[one])[0])
         half = len(loads)
         dE, dS = np.array(E[:half]) - np.array(E[half:]), np.array(S[:half]) - np.array(S[half:])

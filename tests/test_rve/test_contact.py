@@ -79,6 +79,7 @@ def test_gradient_and_hessian_are_derivatives(seed):
     d, n_a, n_b = random_pairs(rng, 60)
     found = local_minima(d, n_a, n_b, 1.0)
     found = found.take((found.curvature > 0.05) & (found.distance > 0.05))
+    assert len(found.pair) > 50
     gradient, hessian = distance_gradient(found), distance_hessian(found, n_a[found.pair], n_b[found.pair], 1.0)
 
     def moved(row, q):

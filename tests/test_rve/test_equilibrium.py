@@ -143,7 +143,7 @@ def test_grain_along_x_is_the_mesh_turned_over():
     assert x.provenance["b_x_mm"] == pytest.approx(y.provenance["b_y_mm"], abs=1e-9)
 
 
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=4)
 @given(st.floats(1e-4, 1e4), st.floats(-85, 85), st.floats(2, 88))
 def test_units_do_not_matter(scale, alpha, beta):
     plain = solve_table(Cell(5.0, 0.5), ([alpha], [beta]))
@@ -274,14 +274,17 @@ def test_random_starts_reach_the_same_strain():
 
 
 def test_merging_contacts_need_both_twins(monkeypatch):
-    """Near beta = 8 degrees two contacts of a pair merge. With the coarse sampling alone the iteration cycles there."""
+    """Near beta = 8 degrees two contacts of a pair merge. With the coarse sampling alone the iteration cycles there.
+
+    At most 44 iterations are taken with twins; more of them do not help without.
+    """
     rng = np.random.default_rng(2)
     s = cauchy_line_load(rng.uniform(15.0, 50.0, 60), rng.uniform(3.0, 16.0, 60))
     equations = Equations.of(FOUR_IN_ONE, 0.1)
-    once = DirectOptions(attempts=1)
+    once = DirectOptions(attempts=1, max_iterations=75)
     assert (solve_equilibrium(s, equations, once).status == "converged").all()
     monkeypatch.setattr("rve.geometry.circles._with_twins", lambda found, near, *rest: found.take(near))
-    assert (solve_equilibrium(s, equations, once).status == "stalled").any()
+    assert (solve_equilibrium(s, equations, once).status == "stalled").sum() > 10
 
 
 def test_options_change_the_outcome():
@@ -350,7 +353,7 @@ def test_links_are_those_of_the_weave():
     assert are_linked(near, n_a, n_b, 1.0).tolist() == [True] * 4 + [False] * 3
 
 
-def test_every_equilibrium_is_point_symmetric(paper_table):
+def test_every_equilibrium_is_point_symmetric():
     alpha, beta = np.array([3.0, 28.0, 45.0]), np.array([15.0, 40.0, 70.0])
     found = locked(alpha, beta, Cell(), OPTIONS)[0]
     middle = 0.5 * (found.pose.a1 + found.pose.a2)

@@ -116,7 +116,7 @@ def test_the_paper_s_scheme_explains_itself(tmp_path):
     assert "damping         used" in result.stderr
 
 
-def test_force_is_accepted_without_effect(plain):
+def test_force_is_accepted_without_effect():
     """An option of older versions: one warning, the same numbers, and no word of it in the help."""
     old, new = (run("case", "--alpha", 20, "--beta", 30, *more) for more in (["--force", "asymmetry"], []))
     assert old.exit_code == 0, old.output

@@ -123,6 +123,22 @@ def test_rings_give_more_by_the_work_of_their_contacts():
     )
 
 
+def test_forces_that_have_not_settled_give_no_numbers(monkeypatch):
+    """No change is below zero, so that no forces settle."""
+    equations = Equations.of(FOUR_IN_ONE, 0.1)
+    s = cauchy_line_load([20.0, 0.0], [30.0, 45.0])
+    found = solve_equilibrium(s, equations, DirectOptions())
+
+    def finite():
+        states = ring_states(equations, found, s, (2.2, 2.53), 0.3, size=np.full(2, 1e-5))
+        names = ("locking", "elastic", "first_yield", "collapse")
+        return [np.isfinite(getattr(states, name)).reshape(2, -1).all(axis=1).tolist() for name in names]
+
+    assert finite() == [[True, True]] * 4
+    monkeypatch.setattr("rve.equilibrium.elastic_rings._SETTLED", 0.0)
+    assert finite() == [[False, False]] * 4
+
+
 def test_forces_of_a_choice_are_those_of_least_energy():
     """Along the grain balance leaves a choice: strain energy and the contacts' 3/5 delta F together are least."""
     equations, sides = Equations.of(FOUR_IN_ONE, 0.1), (2.2, 2.53)

@@ -7,13 +7,14 @@ import pytest
 from click.testing import CliRunner
 
 from rve.cli import main
-from rve.equilibrium.compliance import deformation, soften
+from rve.equilibrium.compliance import soften
 from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.loaded_rings import complementary, loaded_states
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.pose import deformation
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.more_columns import RingOptions, with_rings
 from rve.ring.section import Ring

@@ -14,7 +14,7 @@ from rve.common.errors import InputError
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, second_pk
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.weave import SIX_IN_ONE
 from rve.localization.curtain import Curtain, read_curtain
@@ -24,7 +24,6 @@ from rve.localization.frames import turns
 from rve.localization.picture import CLOSE, axes_of_sheet, close_view, ring_view
 from rve.localization.poses import PoseOptions, locked_arrangements, nearest_poses, shares
 from rve.localization.rings import axes_of_weave, find_sites, fit_of, place_rings
-from rve.localization.springs import lattice_strain
 from rve.solve import locked
 
 CELL, OPTIONS = Cell(), PoseOptions()
@@ -358,7 +357,7 @@ def _centre_of_second(found):
     return found.branch[row]
 
 
-def test_forces_of_rounded_directions_are_those_of_the_cell(table):
+def test_forces_of_rounded_directions_are_those_of_the_cell():
     loads = np.array([2.0 * cauchy_line_load([30.0], [20.0])[0], [0.0, 0.0, 0.0], cauchy_line_load([30.0], [20.4])[0]])
     largest = largest_forces(loads, CELL)
     exact = cell_forces(loads[0], CELL)

@@ -5,7 +5,7 @@ import pytest
 
 from rve.ring.kernels import internal_forces, opened_forces
 from rve.ring.section import Ring, skin_stress
-from rve.ring.stress import peak_stress, worst_joint
+from rve.ring.stress import peak_stress
 
 from .frame import balanced
 
@@ -69,15 +69,15 @@ def test_the_peak_is_that_of_a_much_finer_search(seed):
     assert skin_stress(there[0], found.fibre, 5.0, 0.8) == pytest.approx(found.stress, rel=1e-12)
 
 
-def test_the_worst_joint_is_worse_than_any_other():
+def test_the_peak_of_a_butted_ring_is_where_it_is_said_to_be():
     phi, forces = random_load(5)
-    angle, worst = worst_joint(phi, forces, RING)
-    welded = peak_stress(phi, forces, RING).stress
-    others = [peak_stress(phi, forces, RING, joint=np.array(a)).stress for a in (0.0, 1.0, 2.0, 4.0)]
-    assert worst.stress > welded
-    assert all(worst.stress >= 0.98 * other for other in others)
-    q = opened_forces(phi, forces, worst.angle[None], angle, RING.curved())
-    assert skin_stress(q[0], worst.fibre, 5.0, 0.8) == pytest.approx(worst.stress, rel=1e-12)
+    peaks = []
+    for angle in np.array([0.0, 1.0, 2.0, 4.0]):
+        found = peak_stress(phi, forces, RING, joint=angle)
+        q = opened_forces(phi, forces, found.angle[None], angle, RING.curved())
+        assert skin_stress(q[0], found.fibre, 5.0, 0.8) == pytest.approx(found.stress, rel=1e-12)
+        peaks.append(found.stress)
+    assert max(peaks) > peak_stress(phi, forces, RING).stress
 
 
 def test_joints_between_two_neighbouring_contacts_are_the_same_joint():

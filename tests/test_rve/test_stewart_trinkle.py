@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
-from rve.equilibrium.compliance import soften, strain
+from rve.equilibrium.compliance import soften
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import strain_of
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.paper import stewart_trinkle as st
 from rve.paper.dynamics import Dynamics, StewartTrinkleOptions, copies
@@ -58,7 +59,7 @@ def test_rest_is_the_soft_equilibrium_that_newton_finds(rest, rigid, loads):
     kappa = Dynamics.of(EQUATIONS, OPTIONS).stiffness
     soft = soften(rigid, loads, EQUATIONS, kappa, reference(rigid))
     assert list(soft.status) == ["converged"] * len(ALPHA)
-    off = strain(rest.pose, reference(rigid)) - strain(soft.pose, reference(rigid))
+    off = strain_of(rest.pose, reference(rigid)) - strain_of(soft.pose, reference(rigid))
     assert np.abs(off).max() < 2e-8  # the motion ends somewhere below R = 1e-9; another stiffness is off by 1e-6
 
 
@@ -71,12 +72,12 @@ def test_penetration_falls_in_proportion_to_load_over_stiffness(rest, rigid, loa
     rows = np.array([0, 1, 4])
     stiffer = replace(OPTIONS, stiffness=4.0 * OPTIONS.stiffness)
     harder = st.solve(loads[rows], EQUATIONS, stiffer)
-    exact = strain(rigid.pose, reference(rigid))[rows]
-    soft_error = np.abs(strain(rest.pose, reference(rigid))[rows] - exact).max(axis=1)
-    hard_error = np.abs(strain(harder.pose, reference(rigid)) - exact).max(axis=1)
+    exact = strain_of(rigid.pose, reference(rigid))[rows]
+    soft_error = np.abs(strain_of(rest.pose, reference(rigid))[rows] - exact).max(axis=1)
+    hard_error = np.abs(strain_of(harder.pose, reference(rigid)) - exact).max(axis=1)
     assert soft_error / hard_error == pytest.approx(4.0, rel=0.01)
     assert soft_error.max() < 2e-6
-    limit = (4.0 * strain(harder.pose, reference(rigid)) - strain(rest.pose, reference(rigid))[rows]) / 3.0
+    limit = (4.0 * strain_of(harder.pose, reference(rigid)) - strain_of(rest.pose, reference(rigid))[rows]) / 3.0
     assert np.abs(limit - exact).max() < 1e-8
 
 
@@ -189,7 +190,7 @@ def test_all_cases_of_the_paper_fall_in_energy_and_keep_their_links():
     # its working contacts (at equal ones it does); there the rigid strain is the measure, penetration included.
     hard = unique & (soft.status != "converged")
     assert set(zip(alpha[hard], beta[hard], strict=True)) <= {(45.0, 0.0), (45.0, 90.0)}
-    E = strain(rest.pose, cell)
-    off = np.abs(E - strain(soft.pose, cell)).max(axis=1)
+    E = strain_of(rest.pose, cell)
+    off = np.abs(E - strain_of(soft.pose, cell)).max(axis=1)
     assert off[unique & ~hard].max() < 1e-6
-    assert np.abs(E - strain(rigid.pose, cell)).max(axis=1)[hard].max(initial=0.0) < 5e-6
+    assert np.abs(E - strain_of(rigid.pose, cell)).max(axis=1)[hard].max(initial=0.0) < 5e-6

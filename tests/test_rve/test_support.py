@@ -12,13 +12,13 @@ from rve.cli import main
 from rve.common.errors import InputError, NotConverged
 from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
 from rve.directions import grid
-from rve.equilibrium.dead_load import DeadLoad, largest, opened, random_poses, solve_dead, strain_of
+from rve.equilibrium.dead_load import DeadLoad, largest, opened, random_poses, solve_dead
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.symmetry import is_symmetric, symmetry_of
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
-from rve.geometry.pose import moved, reduction, start_pose
+from rve.geometry.pose import moved, reduction, start_pose, strain_of
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, WEAVES
 from rve.solve import reference_sides, solve_table
 from rve.support_function import support

@@ -44,12 +44,13 @@ def test_derivative_of_the_symmetric_equations_by_differences():
     pose = symmetric_start(FOUR_IN_ONE, symmetry, 1)
     pose = moved(pose, half.displacement(0.08 * rng.uniform(-1.0, 1.0, (1, 5)), pose))
     s = cauchy_line_load([25.0], [30.0])
-    here = half.contacts(pose, 0.45)
+    here = half.contacts(pose, 0.75)
+    assert here.present.sum() > 4
     lam = np.where(here.present, rng.uniform(0.5, 1.5, here.gap.shape), 0.0)
 
     def lattice_residual(y):
         there = moved(pose, half.displacement(y[None], pose))
-        contacts = half.contacts(there, 0.6)
+        contacts = half.contacts(there, 0.9)
         force = np.zeros(contacts.gap.shape)
         for p, slot in np.argwhere(here.present[0]):
             way = np.linalg.norm(contacts.rho[0, p] - here.rho[0, p, slot], axis=1)

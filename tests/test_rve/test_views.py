@@ -1,12 +1,13 @@
 """Views in space: scales of colours, solids, cameras, pictures and pages, down to the pixels of a real browser."""
 
 import base64
+import io
 import json
 import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,19 @@ from rve.common.errors import NotConverged
 from rve.common.page import STRIP, write_page
 from rve.common.render import aim, render
 from rve.common.solids import PERSON_MM, arrow, box, capsule, cylinder, person, rounded_box, sphere
-from rve.common.views import FRONT, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, merged, rounded_up
+from rve.common.views import (
+    FRONT,
+    THREE_QUARTERS,
+    Camera,
+    Lines,
+    Scale,
+    Surface,
+    View,
+    merged,
+    packed,
+    rounded_up,
+    unpacked,
+)
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import read_table
@@ -112,6 +125,35 @@ def wave():
         Lines("rail", lines, 2.0, "#1f4e79", width=6.0),
     )
     return View("a wave <b>", parts, scale, notes=("a note",))
+
+
+def same(one, other):
+    """Whether two views, or parts of views, hold the same, array by array."""
+    if is_dataclass(one):
+        return type(one) is type(other) and all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, np.ndarray):
+        return one.dtype == other.dtype and np.array_equal(one, other)
+    return one == other
+
+
+def test_packed_views_come_back_whole():
+    focused = Camera("close", (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), np.arange(6.0).reshape(2, 3), ("rail",))
+    views = (wave(), replace(wave(), scale=None, cameras=(focused,), title="two\nlines Σ", notes=("a", "b")))
+    again = unpacked(packed(views))
+    assert same(views, again)
+    assert not same(views[0], again[1])
+
+
+def test_a_pickle_is_not_taken_for_views():
+    """Neither one that would call a function, nor one inside the archive."""
+    with pytest.raises(ValueError, match="pickle"):
+        unpacked(b"cos\ngetcwd\n(tR.")
+    stream = io.BytesIO()
+    np.savez(stream, tree=np.array([Path()], dtype=object))
+    with pytest.raises(ValueError, match="pickle"):
+        unpacked(stream.getvalue())
 
 
 def share_near(image, colour, reach):
