@@ -64,7 +64,8 @@ def gallery() -> str:
         parts.append(f"## {name.capitalize()}\n\n{words}\n")
         picture = EXAMPLES / "pictures" / f"{path.stem}.png"
         if picture.exists():
-            parts.append(f"![{name}](../{picture.relative_to(HERE.parent).as_posix()})\n")
+            shown = picture.relative_to(HERE.parent).as_posix()
+            parts.append(f"```{{image}} ../{shown}\n:alt: {name}\n:width: 100%\n```\n")
         parts.append(f"```bash\npython -m macro_fem run {where} --out out\n```\n")
         parts.append(f"```{{literalinclude}} ../{where}\n:language: toml\n```\n")
     return "\n".join(parts)

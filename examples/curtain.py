@@ -24,7 +24,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from rve.common.command_line import Command, answer, say, say_next
+from rve.common.command_line import Command, answer, no_picture, say, say_next
 from rve.common.errors import noted_if_stopped, require
 from rve.common.files import write_text
 from rve.common.jobs import check_out_job, job
@@ -158,7 +158,8 @@ def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     found = run(out, setting)
     say(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
     answer(found)
-    say_next("rve", "localize", out / "curtain", "--out", f"{out}_rings", why="every ring of the curtain")
+    words = ("localize", out / "curtain", "--out", f"{out}_rings", *no_picture("pyvista"))
+    say_next("rve", *words, why="every ring of the curtain")
 
 
 if __name__ == "__main__":

@@ -8,9 +8,10 @@ from typing import Any
 import click
 import numpy as np
 
-from rve.common.command_line import Group, answer, say, say_next
+from rve.common.command_line import Group, answer, check_plot, say, say_next
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
+from rve.common.values import checked
 
 KINDS = ("refined", "outer", "inner", "net")
 """Those of `homogenize.fitting.fit`, which is not imported to print a help text."""
@@ -38,6 +39,9 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
     from homogenize.fitting.fit import FitOptions, fit_table
 
     check_out_file(out, inputs=[table])
+    for option, name, value in (("--noise", "normality", noise), ("--resolution", "resolution", resolution)):
+        if value is not None:
+            checked({option: value}, option, FitOptions.__dataclass_fields__[name].metadata["check"], "")
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
@@ -86,8 +90,7 @@ def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float
     if load is None and plot is None:
         raise InputError("give --S S11,S12,S22 for the strength along a load, --plot FILE for a picture, or both")
     if plot is not None:
-        require("matplotlib", "plots", "--plot")
-        check_out_file(plot, "--plot", inputs=[law])
+        check_plot(plot, inputs=[law])
     if load is not None:
         answer(strength_at(law, parse_load(load), yield_stress), always=True)
     if plot is not None:

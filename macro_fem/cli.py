@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from macro_fem.scene.old_names import FORCE_IS_IDLE
-from rve.common.command_line import Group, answer, idle_option, options, say, say_next
+from rve.common.command_line import Group, answer, idle_option, no_picture, options, say, say_next
 from rve.common.errors import InputError
 from rve.common.reading import read_json_object
 from rve.common.sweeps import run_sweep, sweep_options
@@ -80,6 +80,7 @@ def run(
     )
     if summary["status"] == "converged":
         say(holds_line(summary))
+        say(*filter(None, [summary["support_forces_note"]]))
     if "ring_solves" in summary:
         say(_interval_line(summary))
     if explain:
@@ -129,6 +130,7 @@ def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
     area = 1e6 * summary["mass_kg"] / (summary["areal_mass_kg_per_m2"] or math.inf)
     count = area * cell.weave.classes / (b_x * b_y * nx * ny)
     words += ["--max-rings", math.ceil(1.05 * count)] if count > MOST_RINGS else []
+    words += no_picture("pyvista")
     say_next(
         "rve", "localize", out, "--out", f"{out}_rings", *words, why="every ring, and the forces in the worst cell"
     )

@@ -241,7 +241,14 @@ def _on_demand(
     from macro_fem.demand.ring_strength import with_strength
 
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
-    check_solver(bounded, scene.source)
+    try:
+        check_solver(bounded, scene.source)
+    except InputError as error:
+        error.add_note(
+            "asking the rings on the way needs bounds: make their table by rve table --rings, fit a law, and give it "
+            "by --law"
+        )
+        raise
     options = DemandOptions() if accuracy is None else DemandOptions(accuracy)
     if law is not None and not isinstance(law, LawInterval):
         raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")

@@ -19,9 +19,8 @@ COLUMNS = (
     "utilisation_max",
     "safety_factor",
     "cells",
-    "wall_s",
 )
-"""What sweep.csv takes from summary.json."""
+"""What sweep.csv takes from summary.json; no times, so that the same sweep gives the same file."""
 
 
 def scene_items(scenes: Sequence[Path], out: Path, further: Sequence[str]) -> list[Item]:

@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
-from rve.common.command_line import Group, answer, idle_option, options, say, say_next
-from rve.common.errors import SENTENCES, InputError, NotConverged, require
+from rve.common.command_line import Group, answer, check_plot, idle_option, options, say, say_next
+from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import check_out_file, check_out_folder, check_out_table, sidecar_path
 from rve.common.progress import tell
 from rve.common.reading import read_json_object
@@ -21,7 +21,8 @@ METHODS = ("direct", "stewart-trinkle")
 FIT_FROM = 10
 """Rows from which a law is offered."""
 WEAVE_NAMES = ("4-in-1", "6-in-1")
-"""The names in `rve.geometry.weave.WEAVES`, which is not imported to print a help text."""
+MATERIAL_NAMES = ("steel", "steel 1.4301", "steel 1.4404", "titanium grade 2")
+"""The names in `rve.geometry.weave.WEAVES` and `rve.common.materials.MATERIALS`, not imported to print a help text."""
 _IDLE_FORCE = (
     "has no effect any more and will be removed; python -m benchmarks.omissions measures what each omission saves"
 )
@@ -39,7 +40,7 @@ _weave_options = options(
 _cell_options = options(
     click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
     click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
-    click.option("--material", help="Named material, e.g. 'steel 1.4404'.  [default: steel]"),
+    click.option("--material", help=f"Named material: {', '.join(MATERIAL_NAMES)}.  [default: steel]"),
     click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
     click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
     click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
@@ -247,8 +248,7 @@ def case(
     from rve.table import COLUMNS
 
     if plot is not None:
-        require("matplotlib", "plots", "--plot")
-        check_out_file(plot, "--plot")
+        check_plot(plot)
     _check_views(html, animation)
     found = solve_table(_cell(**cell), ([alpha], [beta]))
     if explain:

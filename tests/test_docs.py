@@ -1,4 +1,4 @@
-"""Every command, scene and Python block of tutorial and how-to runs, page by page, in the order of the page."""
+"""Every command, scene and Python block of tutorial, how-to and the page of Python runs, in the order of the page."""
 
 import os
 import re
@@ -19,11 +19,14 @@ def blocks(page: str) -> list[tuple[str, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["tutorial.md", "how_to.md"])
-def test_the_page_runs_as_it_stands(page, tmp_path):
+@pytest.mark.parametrize(
+    ("page", "kinds"),
+    [("tutorial.md", {"bash", "toml"}), ("how_to.md", {"bash", "toml"}), ("reference/python.md", {"python"})],
+)
+def test_the_page_runs_as_it_stands(page, kinds, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(DOCS.parent), "MPLBACKEND": "Agg"}
     found = blocks(page)
-    assert {kind for kind, _ in found} >= {"bash", "toml"}
+    assert {kind for kind, _ in found} >= kinds
     for kind, text in found:
         if kind == "toml":
             tomllib.loads(text)

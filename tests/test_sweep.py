@@ -47,6 +47,15 @@ def single(tmp_path_factory):
     return tables
 
 
+@pytest.mark.parametrize("words", [("--weave", "felt"), ("--bogus",), ("--jobs", "2", "--load", "heavy")])
+def test_options_that_no_table_takes_are_refused_before_the_first_one(tmp_path, words):
+    found = run(rve, "sweep", "--out", tmp_path / "out", "--r1", "5", "--r2", "0.5,1", *words)
+    assert found.exit_code == 2
+    assert found.output.count("\n") == 1
+    assert "see rve table --help" in found.output
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_sweep_writes_what_single_commands_do_and_names_what_failed(tmp_path, single):
     found = run(rve, "sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5,1,3", *GRID)
     assert found.exit_code == 1
@@ -82,6 +91,9 @@ def test_scenes_side_by_side(tmp_path):
     rows = rows_of(tmp_path / "out")
     assert [row["status"] for row in rows] == ["converged", "converged", ""]
     assert float(rows[0]["mass_kg"]) == pytest.approx(0.005)
+    run(macro_fem, "sweep", *scenes, "--no-picture", "--out", tmp_path / "one")
+    for name in ("low/curtain.vtu", "low/support_forces.csv", "high/curtain.vtu", "sweep.csv"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(

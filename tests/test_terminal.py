@@ -162,6 +162,7 @@ def test_work_is_shown_in_a_terminal_and_json_is_one_record(command, quick, monk
     code, out, screen = typed(command, "--json")
     assert code == 0
     assert isinstance(json.loads(out), dict)
+    assert "starting" in screen  # before packages are imported
     if command in SHORT:
         return
     assert "0:00:0" in screen  # the clock
@@ -195,6 +196,37 @@ def test_the_last_line_says_what_to_do_next(command, quick):
     assert words[0].startswith("--") or os.path.exists(words[0])
 
 
+def test_the_next_command_is_that_of_the_interpreter_and_asks_for_no_picture_that_cannot_be_drawn(quick, monkeypatch):
+    def last(called):
+        words = ["run", "scene.toml", "--out", "curtain", "--no-picture"]
+        done = CliRunner().invoke(GROUPS["macro_fem"], words, prog_name=called)
+        assert done.exit_code == 0, done.output
+        return done.stdout.splitlines()[-1].removeprefix("next: ").split("  #")[0]
+
+    there, here = os.environ["PATH"], os.path.dirname(sys.executable)
+    monkeypatch.setenv("PATH", os.pathsep.join([here, there]))
+    assert last("python -m macro_fem") == "python -m rve localize curtain --out curtain_rings"
+    assert last("macro-fem") == "rve localize curtain --out curtain_rings"
+    monkeypatch.setenv("PATH", "")
+    assert last("python -m macro_fem").startswith(f"{sys.executable} -m rve localize curtain ")
+    monkeypatch.setattr("rve.common.command_line.find_spec", lambda name: None)
+    assert last("macro-fem").endswith(" --no-picture")
+
+
+def test_a_rigid_curtain_on_hooks_says_that_other_forces_balance_its_load_too(quick, tmp_path):
+    hooks = SCENE.replace('kind = "corners"', 'kind = "hooks"\npitch = 11.0')
+    told = {}
+    for kind in ("rigid", "elastic"):
+        (tmp_path / f"{kind}.toml").write_text(f'{hooks}[solver]\nkind = "{kind}"\n')
+        words = ["run", str(tmp_path / f"{kind}.toml"), "--out", str(tmp_path / kind), "--no-picture"]
+        told[kind] = CliRunner().invoke(GROUPS["macro_fem"], words).output
+        note = json.loads((tmp_path / kind / "summary.json").read_text())["support_forces_note"]
+        assert (note is None) == (kind == "elastic")
+    assert "\nrigid rings can share the load in many ways" in told["rigid"]
+    assert 'kind = "elastic" under [solver]' in told["rigid"]
+    assert "many ways" not in told["elastic"]
+
+
 @pytest.mark.parametrize(
     ("package", "command"), [(package, name) for package, group in GROUPS.items() for name in group.commands]
 )
@@ -213,6 +245,7 @@ def test_choices_are_those_of_the_packages():
     from homogenize.fitting.fit import KINDS
 
     assert tuple(WEAVES) == rve.cli.WEAVE_NAMES
+    assert tuple(rve.MATERIALS) == rve.cli.MATERIAL_NAMES
     assert set(KINDS) == set(homogenize.cli.KINDS)
     weave = next(one for one in macro_fem.cli.main.commands["run"].params if one.name == "weave")
     assert tuple(weave.type.choices) == tuple(WEAVES)
@@ -224,6 +257,7 @@ def test_choices_are_those_of_the_packages():
         ("rve", ["table", "--out", "t.csv", "--weave", "felt"]),
         ("rve", ["table"]),
         ("rve", ["tables"]),
+        ("rve", ["--tables"]),
         ("rve", ["case", "--alpha", "north", "--beta", "0"]),
         ("homogenize", ["fit", "t.csv", "--out", "l.json", "--kind", "soft"]),
         ("macro_fem", ["run", "s.toml", "--out", "o", "--colour"]),
@@ -235,6 +269,34 @@ def test_what_click_refuses_is_one_sentence(package, words):
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("Error: ")
     assert "--help" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("package", "words", "sentence"),
+    [
+        ("homogenize", ["fit", "table.csv", "--out", "l.json", "--noise", "-1"], "--noise = -1.0: must be at least 0"),
+        (
+            "rve",
+            ["case", "--alpha", "0", "--beta", "45", "--plot", "p.xyz"],
+            "--plot = p.xyz: give a name that ends in",
+        ),
+        ("homogenize", ["strength", "law.json", "--S", "0,0,1", "--plot", "p.xyz"], "--plot = p.xyz: give a name"),
+    ],
+)
+def test_what_is_wrong_with_an_option_is_said_by_its_name_before_anything_is_printed(package, words, sentence, quick):
+    done = CliRunner().invoke(GROUPS[package], words)
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"Error: {sentence}")
+
+
+def test_a_scene_that_cannot_ask_its_rings_says_how_to_get_their_law(quick, tmp_path):
+    (tmp_path / "elastic.toml").write_text(SCENE + '[solver]\nkind = "elastic"\n')
+    words = ["run", str(tmp_path / "elastic.toml"), "--rings", "5,0.5", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(GROUPS["macro_fem"], words)
+    assert done.exit_code == 2
+    assert done.stderr.endswith("make their table by rve table --rings, fit a law, and give it by --law\n")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("package", GROUPS)

@@ -33,6 +33,11 @@ from rve.common.vtu import DIRECTION_1, DISPLACEMENT, LINE_LOAD_1, LINE_LOAD_2, 
 if TYPE_CHECKING:
     from macro_fem.bounds.adapt import Level
 
+NOT_UNIQUE = (
+    "rigid rings can share the load in many ways, and forces of single points, line loads and the safety factor are "
+    'those of one of them; kind = "elastic" under [solver] gives those that the stiffness of the rings decides'
+)
+"""What a rigid curtain that hangs from several points says of its forces."""
 VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
 
 
@@ -101,6 +106,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         **strength.summary(solution),
         "total_load_N": problem.force.sum(axis=0).tolist(),
         "support_forces": support_forces(solution),
+        "support_forces_note": forces_note(solution),
         "nodes_held": int(problem.supports.mask.any(axis=1).sum()),
         "length_held_mm": held_length(problem, [held.facets for held in problem.supports.held]),
         "potential_primal_N_mm": solution.primal,
@@ -184,6 +190,12 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
             }
         )
     return forces
+
+
+def forces_note(solution: CurtainSolution) -> str | None:
+    """Why forces of single points are one choice of many; None of elastic rings, and of one or two points."""
+    is_elastic = solution.problem.scene.solver.kind == "elastic"
+    return None if is_elastic or solution.problem.supports.mask.any(axis=1).sum() <= 2 else NOT_UNIQUE
 
 
 def _points(at: Array, force: Array, place: Array) -> list[dict[str, list[float]]]:

@@ -39,6 +39,11 @@ KEYS = (
     "first_yield_near",
 )
 """Keys of summary.json that are null where the strength is not known."""
+_OF_FORCE = (
+    "triangles there are too large for an average over one cell of the rings, so the factor is that of the force at "
+    "this point over the width of one cell"
+)
+"""What is said of a factor that follows from the force at a point."""
 _TOGETHER = 32
 """Averages whose utilisation is found at once. Larger: fewer calls, and more averages made for nothing."""
 
@@ -253,7 +258,7 @@ def holds_line(summary: dict[str, Any]) -> str:
     if summary.get("utilisation_mesh_too_coarse"):
         parts.append((np.inf, "the mesh is too coarse there: the factor of the rings falls with refinement"))
     elif (summary.get("utilisation_of_point_forces_max") or 0.0) > (summary.get("utilisation_of_averages_max") or 0.0):
-        parts.append((np.inf, "the mesh is too coarse there, so that the factor is that of the force at this point"))
+        parts.append((np.inf, _OF_FORCE))
     return "; ".join([head, *(text for _, text in parts)])
 
 

@@ -18,21 +18,28 @@ import math
 import os
 import shlex
 import signal
+import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
 from types import FrameType
 from typing import Any
 
 import click
 
-from rve.common.errors import InputError, NotConverged, OldName
+from rve.common.errors import InputError, NotConverged, OldName, require
+from rve.common.files import check_out_file
 from rve.common.progress import shown, tell
 
 _TRACE = "rve.common.command_line.traceback"
 _QUIET = "rve.common.command_line.quiet"
+_ANEW = "no file is left half-written, and the same command begins anew"
+"""What a command says that is stopped and has nothing to go on from."""
 _JSON = "rve.common.command_line.json"
 _STOPS = ("SIGTERM", "SIGHUP")
 
@@ -69,7 +76,7 @@ class Command(click.Command):
             if ctx.meta.get(_TRACE):
                 click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             code, sentence = ending(error)
-            notes = getattr(error, "__notes__", [])
+            notes = getattr(error, "__notes__", [_ANEW] if isinstance(error, (KeyboardInterrupt, Stopped)) else [])
             click.echo(f"Error: {'; '.join(_one_line(text) for text in (sentence, *notes))}", err=True)
             ctx.exit(code)
 
@@ -94,6 +101,11 @@ class Group(click.Group):
         kwargs.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """The group with its options read; one sentence for what is wrong with them."""
+        with _usage_in_one_sentence():
+            return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Find and run the command; one sentence for one that is not there."""
@@ -120,9 +132,34 @@ def say(*lines: str, err: bool = False) -> None:
 def say_next(package: str, *words: object, why: str = "") -> None:
     """The last sentence of a command: one that can be typed next, and what for."""
     called = click.get_current_context().find_root().info_name or ""
-    script = f"python -m {package}" if called.startswith("python") else package.replace("_", "-")
-    command = shlex.join([*script.split(), *map(str, words)])
+    is_module = called.startswith("python") or called.endswith(".py")
+    script = [_python(), "-m", package] if is_module else [package.replace("_", "-")]
+    command = shlex.join([*script, *map(str, words)])
     say(f"next: {command}{f'  # {why}' if why else ''}")
+
+
+def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:
+    """InputError, before anything is solved, for a picture of --plot that cannot be written."""
+    require("matplotlib", "plots", "--plot")
+    check_out_file(path, "--plot", inputs)
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    if path.suffix and path.suffix[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
+        raise InputError(f"--plot = {path}: give a name that ends in .png, .svg or .pdf")
+
+
+def no_picture(module: str) -> tuple[str, ...]:
+    """What a next command is given where its picture needs a module that is not installed."""
+    return () if find_spec(module) is not None else ("--no-picture",)
+
+
+def _python() -> str:
+    """What has to be typed for the interpreter that runs: `python` where that is it, else its path."""
+    here = Path(sys.executable)
+    found = which("python")
+    if found is not None and Path(found).absolute().parent == here.parent:
+        return "python"
+    return str(here.relative_to(Path.cwd()) if here.is_relative_to(Path.cwd()) else here)
 
 
 def answer(record: Mapping[str, Any], text: str | None = None, *, always: bool = False) -> None:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import base64
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rve.common.errors import require
 from rve.common.files import write_text
+from rve.common.progress import tell
 from rve.common.types import Array
 from rve.common.views import Lines, Scale, Surface, View
 
@@ -32,6 +34,7 @@ def check_page(purpose: str = "a page", instead: str = "ask for none") -> None:
 def write_page(path: str | os.PathLike[str], view: View, *beside: View) -> None:
     """Write the view, and others beside it, as one HTML file, atomically; InputError if plotly is missing."""
     check_page(str(path))
+    tell(f"writing {Path(path).name}")
     from plotly.io import to_html
 
     views = (view, *beside)

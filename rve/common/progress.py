@@ -98,6 +98,7 @@ def shown() -> Iterator[None]:
             yield
         return
     line = _Line()
+    line("starting", None)  # a command may import for a second before it does anything
     try:
         with heard_by(line):
             yield
@@ -144,7 +145,7 @@ def _new_bar() -> Any:
         BarColumn(12),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=Console(file=sys.stderr),  # not where standard error is redirected to later, as by a sweep
         transient=True,
         redirect_stdout=False,
         redirect_stderr=False,

@@ -18,6 +18,7 @@ import numpy as np
 
 from rve.common.errors import NotConverged, require
 from rve.common.files import atomic_path
+from rve.common.progress import tell
 from rve.common.types import Array
 from rve.common.views import Camera, Lines, Scale, Surface, View, packed, unpacked
 
@@ -45,6 +46,7 @@ def render(path: str | os.PathLike[str], views: Sequence[View]) -> None:
     Atomic. InputError if pyvista is missing, NotConverged with the renderer's last words if it fails.
     """
     check_render(str(path))
+    tell(f"drawing {Path(path).name}")
     here = str(Path(__file__).resolve().parents[2])
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
     with atomic_path(path) as temporary:

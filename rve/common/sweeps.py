@@ -195,8 +195,15 @@ def sweep_options(command: Callable[..., None]) -> Callable[..., None]:
 def run_sweep(
     items: Sequence[Item], out: Path, columns: Callable[[dict[str, Any]], dict[str, Any]], **how: Any
 ) -> list[dict[str, Any]]:
-    """Runs a sweep, says how it ended and returns the rows of sweep.csv; exit code 1 if an item failed."""
+    """Runs a sweep, says how it ended and returns the rows of sweep.csv; exit code 1 if an item failed.
+
+    Options that the command of an item has not are refused before the first one runs.
+    """
     count = 0
+    for item in items:
+        name, *words = item.arguments
+        command = import_module(f"{item.package}.cli").main.commands[name]
+        command.make_context(f"{item.package} {name}", words)
 
     def done(name: str) -> None:
         nonlocal count

@@ -295,4 +295,5 @@ def follow_motion(s: Array, equations: Equations, options: StewartTrinkleOptions
         if h[0] == 0.0:
             break
         way.append(motion)
+        tell(f"motion of the cell, step {motion.steps[0]}")
     return way

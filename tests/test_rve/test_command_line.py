@@ -50,7 +50,7 @@ def ended(error, *options):
         (OSError(28, "No space left on device", "out.csv"), 1, "out.csv: No space left on device; make room"),
         (FileNotFoundError(2, "No such file", "law.json"), 1, "law.json: No such file"),
         (OSError(36, "File name too long", "nnn.toml"), 2, "nnn.toml: File name too long; choose a shorter name"),
-        (KeyboardInterrupt(), 130, "stopped by SIGINT"),
+        (KeyboardInterrupt(), 130, "stopped by SIGINT; no file is left half-written, and the same command begins anew"),
     ],
 )
 def test_whatever_a_command_raises_is_one_sentence(error, code, words):
