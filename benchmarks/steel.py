@@ -4,6 +4,8 @@
 the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
 """
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from math import log2
@@ -26,7 +28,10 @@ from macro_fem.output.strength import summary, utilisation
 from macro_fem.scene.mesh import CurtainMesh, refine
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
+from rve.common.cells import triangle_areas
+from rve.common.files import write_text
 from rve.common.tensor import trace
+from rve.common.types import Array
 
 EXAMPLES = (
     "corner_hung",
@@ -42,10 +47,12 @@ EXAMPLES = (
     "to_the_floor",
     "turned_weave",
 )
-SIDES = (6.0, 3.0, 1.5)
-"""Sides in mm of the finest cells: half, a quarter and an eighth of the side of the averaging area."""
+SIDES = (4.0, 2.0, 1.0)
+"""Sides in mm of the finest cells: a third, a sixth and a twelfth of the side of the averaging area."""
 HIGH = 0.7
 """Cells are refined where the utilisation is above this part of the largest average."""
+HALVINGS = 2
+"""How often cells are halved before the curtain is solved again."""
 COARSE = 0.5
 """Cells of the mesh to begin with over those of the example."""
 ELASTIC_AT = 0.25
@@ -111,11 +118,20 @@ def refined(scene: Scene, mesh: CurtainMesh, side: float) -> CurtainSolution:
         found = solve_problem(make_problem(scene, law, mesh))
         used = utilisation(found)
         assert used is not None
-        is_coarse = np.sqrt(found.problem.disc.cell_area) > side
-        where = np.flatnonzero((used > HIGH * summary(found)["utilisation_of_averages_max"]) & is_coarse)
-        if not len(where):
+        high = used > HIGH * summary(found)["utilisation_of_averages_max"]
+        which, finer = mesh.mesh.element_finder(), mesh
+        for _ in range(HALVINGS):
+            middle = finer.mesh.p[:, finer.mesh.t].mean(axis=1)
+            where = np.flatnonzero(high[which(*middle)] & (_sides(finer) > side))
+            finer = refine(finer, where, scene) if len(where) else finer
+        if finer is mesh:
             return found
-        mesh = refine(mesh, where, scene)
+        mesh = finer
+
+
+def _sides(mesh: CurtainMesh) -> Array:
+    """Sides in mm of squares as large as the cells of a mesh of triangles, (n_cells,)."""
+    return np.sqrt(triangle_areas(mesh.mesh.p.T[mesh.mesh.t.T]))
 
 
 def utilisation_row(name: str) -> Row:
@@ -123,17 +139,18 @@ def utilisation_row(name: str) -> Row:
     scene = scene_of(name, 1.0)
     own = solved(name, 1.0)
     cells = float(np.sqrt(own.problem.disc.cell_area.mean()))
-    values, finest = [], own
+    finest: list[CurtainSolution] = []
     mesh = solved(name, COARSE).problem.mesh
     for side in SIDES:
-        finest = refined(scene, mesh, side)
-        mesh = finest.problem.mesh
-        values.append(summary(finest))
+        finest.append(refined(scene, mesh, side))
+        mesh = finest[-1].problem.mesh
+    values = [summary(one) for one in finest]
     used, known = [float(one["utilisation_of_averages_max"]) for one in values], summary(own)
     first, last = used[-2] - used[-3], used[-1] - used[-2]
     return {
         "example": name,
         "side of its cells, mm": cells,
+        "status": ", ".join(sorted({one.status for one in (own, *finest)})),
         "its own mesh": float(known["utilisation_of_averages_max"]),
         "its own mesh, force at a point": known["utilisation_of_point_forces_max"] or None,
         "its own mesh, told too coarse": known["utilisation_mesh_too_coarse"],
@@ -145,14 +162,24 @@ def utilisation_row(name: str) -> Row:
         "pointwise": float(values[-1]["utilisation_pointwise_max"]),
         "pointwise, last change": 1.0
         - values[-2]["utilisation_pointwise_max"] / values[-1]["utilisation_pointwise_max"],
-        "cells": finest.problem.disc.n_cells,
+        "cells": finest[-1].problem.disc.n_cells,
     }
 
 
-def measure(names: tuple[str, ...], finer: tuple[str, ...]) -> Section:
+def kept(make: Callable[[str], Row], name: str, folder: Path | None) -> Row:
+    """The row of an example that `folder` holds, or a new one, which it holds from now on."""
+    if folder is None:
+        return make(name)
+    path = folder / f"{make.__name__}_{name}.json"
+    if not path.exists():
+        write_text(path, json.dumps(make(name)))
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def measure(names: tuple[str, ...], finer: tuple[str, ...], folder: Path | None) -> Section:
     """Both tables."""
-    apart = [giving_row(name) for name in names]
-    fine = [utilisation_row(name) for name in finer]
+    apart = [kept(giving_row, name, folder) for name in names]
+    fine = [kept(utilisation_row, name, folder) for name in finer]
     lengths = dict.fromkeys((key for key in apart[0] if key.endswith(", mm")), ".3f")
     return Section(
         "Steel",
@@ -172,13 +199,14 @@ def measure(names: tuple[str, ...], finer: tuple[str, ...]) -> Section:
 @click.option("--only", multiple=True, type=click.Choice(EXAMPLES), help="These examples; all by default.")
 @click.option("--fine", multiple=True, type=click.Choice(EXAMPLES), help="Refined ones; all of these by default.")
 @click.option("--out", type=click.Path(path_type=Path), default=ROOT / "docs" / "measured", help="Folder for steel.md.")
-def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path) -> None:
+@click.option("--rows", type=click.Path(path_type=Path), help="Existing folder that keeps rows of an interrupted run.")
+def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path, rows: Path | None) -> None:
     """Solve all and write steel.md."""
     names = only or EXAMPLES
     title = "The examples in steel: what rings give and how much they bear"
     words = [*(f"--only {name}" for name in only), *(f"--fine {name}" for name in fine)]
     command = " ".join(["python -m benchmarks.steel", *words])
-    write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names))
+    write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names, rows))
 
 
 if __name__ == "__main__":

@@ -196,6 +196,8 @@ def test_a_law_without_strength_says_what_to_do(table, tmp_path):
         ("is_mirrored", "yes", "is_mirrored"),
         ("material", {"young_N_per_mm2": -1.0}, "young_N_per_mm2"),
         ("compliance_mm_per_N", "none", "compliance_mm_per_N"),
+        ("compliance_mm_per_N", [-1.0] * 121, "compliance_mm_per_N .* must be at least 0"),
+        ("material", {"ultimate_N_per_mm2": 1.0}, "^law.json: strength material .* is less than yield"),
         ("error", {"rows": 3}, "first_yield_max"),
     ],
 )

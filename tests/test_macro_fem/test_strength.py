@@ -302,7 +302,8 @@ def test_elastic_curtains_follow_the_material():
         ({"yield": "high"}, "yield = 'high': is not a number"),
         ({"poisson": 0.4}, "poisson = 0.4: is that of the law's table, 0.3"),
         ({"colour": 1}, "colour = 1: unknown key; known are material, density"),
-        ({"yield": 400.0, "ultimate": 300.0}, "is less than yield"),
+        ({"yield": 400.0, "ultimate": 300.0}, "[material] ultimate = 300: is less than the yield stress, 400"),
+        ({"young": 210.0}, "[material] young = 210.0: must be at least 500"),  # GPa
         (3, "is not a table"),
     ],
 )
