@@ -47,10 +47,12 @@ EXAMPLES = (
     "to_the_floor",
     "turned_weave",
 )
-SIDES = (4.0, 2.0, 1.0)
-"""Sides in mm of the finest cells: a third, a sixth and a twelfth of the side of the averaging area."""
+SIDES = (6.0, 3.0, 1.5)
+"""Sides in mm of the finest cells: half, a quarter and an eighth of the side of the averaging area."""
 HIGH = 0.7
-"""Cells are refined where the utilisation is above this part of the largest average."""
+"""Cells are refined where the utilisation is above this part of the largest average, and at its place."""
+REACH = 40.0
+"""How far from the place of the largest utilisation cells are refined, mm: more than three sides of an average."""
 HALVINGS = 2
 """How often cells are halved before the curtain is solved again."""
 COARSE = 0.5
@@ -62,7 +64,7 @@ TEXT = (
     "The first table has rigid and elastic curtains on even meshes with a quarter of the cells of the scenes, and the "
     "changes of the mean height against the rigid one. The second has the utilisation of rigid ones, which is that of "
     "the line load averaged over one cell of the weave, 139 mm2: on the mesh of the scene, and on meshes whose finest "
-    "cells are as small as the head says, refined where the utilisation is high. Utilisation is 1 at first yield. "
+    "cells are as small as the head says, refined where the utilisation is largest. Utilisation is 1 at first yield. "
     "Force at a point: what the rings there bear if it goes through the width of an average, as told on the mesh of "
     "the scene; the utilisation that a run prints is the larger one of both."
 )
@@ -112,13 +114,16 @@ def giving_row(name: str) -> Row:
 
 
 def refined(scene: Scene, mesh: CurtainMesh, side: float) -> CurtainSolution:
-    """The rigid curtain on a mesh whose cells are `side` mm small wherever the rings' utilisation is high."""
+    """The rigid curtain on a mesh whose cells are `side` mm small where the rings' utilisation is largest."""
     law = default_law()
     while True:
         found = solve_problem(make_problem(scene, law, mesh))
-        used = utilisation(found)
+        told, used = summary(found), utilisation(found)
         assert used is not None
-        high = used > HIGH * summary(found)["utilisation_of_averages_max"]
+        at = np.array(told["utilisation_max_at_mm"])
+        distance = np.linalg.norm(mesh.mesh.p - at[:, None], axis=0)[mesh.mesh.t]
+        high = (used > HIGH * told["utilisation_of_averages_max"]) & (distance.min(axis=0) < REACH)
+        high |= distance.min(axis=0) <= distance.min()
         which, finer = mesh.mesh.element_finder(), mesh
         for _ in range(HALVINGS):
             middle = finer.mesh.p[:, finer.mesh.t].mean(axis=1)

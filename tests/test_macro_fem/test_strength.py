@@ -236,10 +236,17 @@ def test_hooks_are_compared_with_their_capacity():
         (held,) = support_forces(solution)
         assert held["capacity_N"] == share * half
         assert held["largest_nodal_force_N"] == pytest.approx(half, rel=1e-6)
-        line = holds_line(summarize(solution))
+        told = summarize(solution)
+        assert told["mechanism"] == "capacity of hooks of support 1"
+        assert told["mechanism_factor"] == pytest.approx(share, rel=1e-6)
+        line = holds_line(told)
         assert line.startswith(words)
         assert f"bear up to {half:.4g} N of {share * half:g} N" in line
-    assert support_forces(hung(kind="hooks", pitch=WIDTH, sliding=True))[0]["capacity_N"] is None
+    solution = hung(kind="hooks", pitch=WIDTH, sliding=True)
+    assert support_forces(solution)[0]["capacity_N"] is None
+    told = summarize(solution)
+    assert told["mechanism"] == f"first yield of rings near {told['first_yield_near']}"
+    assert told["mechanism_factor"] == told["safety_factor"] > 1.0
 
 
 def test_the_command_line_says_whether_it_holds(tmp_path):
