@@ -177,7 +177,7 @@ def main(
     found = "none of these wires is just enough" if least is None else f"from {least:.2f} mm on"
     click.echo(f"factor {factor:g}: {found}; see {out}/wires.png")
     if any(wire["mesh_too_coarse"] for wire in answer["wires"]):
-        click.echo("the mesh is too coarse where rings yield first, and factors fall with refinement: give more --cells")
+        click.echo("the mesh is too coarse where rings yield first; factors fall with refinement: give more --cells")
 
 
 if __name__ == "__main__":

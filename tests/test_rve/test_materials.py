@@ -54,7 +54,7 @@ def test_bad_values_are_one_sentence(given, message):
 
 
 def test_strengths_of_a_file_that_contradict_each_other_name_the_file():
-    with pytest.raises(InputError, match="^table.json: material 'steel': ultimate_N_per_mm2 = 1: is less than"):
+    with pytest.raises(InputError, match=r"^table.json: material 'steel': ultimate_N_per_mm2 = 1: is less than"):
         read_material(asdict(Material()) | {"ultimate_N_per_mm2": 1.0}, "table.json:")
 
 
