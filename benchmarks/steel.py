@@ -1,7 +1,7 @@
 """Curtains of the examples in steel: what the rings give, and how their utilisation converges with the mesh.
 
-`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--out DIR]` writes steel.md. The rings are those of
-the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
+`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--rows DIR] [--out DIR]` writes steel.md. The rings
+are those of the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
 """
 
 import json
@@ -66,7 +66,8 @@ TEXT = (
     "the line load averaged over one cell of the weave, 139 mm2: on the mesh of the scene, and on meshes whose finest "
     "cells are as small as the head says, refined where the utilisation is largest. Utilisation is 1 at first yield. "
     "Force at a point: what the rings there bear if it goes through the width of an average, as told on the mesh of "
-    "the scene; the utilisation that a run prints is the larger one of both."
+    "the scene; the utilisation that a run prints is the larger one of both. With --rows the seconds at the end are "
+    "those of the rows that were not kept from an earlier run."
 )
 
 
@@ -213,6 +214,7 @@ def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path, rows: Path | N
     names = only or EXAMPLES
     title = "The examples in steel: what rings give and how much they bear"
     words = [*(f"--only {name}" for name in only), *(f"--fine {name}" for name in fine)]
+    words += ["--rows rows"] if rows is not None else []
     command = " ".join(["python -m benchmarks.steel", *words])
     write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names, rows))
 
