@@ -105,6 +105,8 @@ def load(basis: object, case: Case) -> Array:
         if phi < -1e-9:
             continue  # the mirror image carries it
         facets = np.flatnonzero(np.abs(np.abs(angles) - phi).max(axis=0) < 1e-6)
+        if not len(facets):
+            raise ValueError(f"no section of the mesh at {np.degrees(phi):g} degrees: slices must be a multiple of 6")
         c, s = np.cos(phi), np.sin(phi)
         vector = np.array([c * force[0] - s * force[1], s * force[0] + c * force[1], force[2]])
         share = 0.5 if abs(s) < 1e-9 else 1.0

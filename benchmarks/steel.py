@@ -1,9 +1,11 @@
 """Curtains of the examples in steel: what the rings give, and how their utilisation converges with the mesh.
 
-`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--out DIR]` writes steel.md. The rings are those of
-the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
+`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--rows DIR] [--out DIR]` writes steel.md. The rings
+are those of the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
 """
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from math import log2
@@ -26,7 +28,10 @@ from macro_fem.output.strength import summary, utilisation
 from macro_fem.scene.mesh import CurtainMesh, refine
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
+from rve.common.cells import triangle_areas
+from rve.common.files import write_text
 from rve.common.tensor import trace
+from rve.common.types import Array
 
 EXAMPLES = (
     "corner_hung",
@@ -45,7 +50,11 @@ EXAMPLES = (
 SIDES = (6.0, 3.0, 1.5)
 """Sides in mm of the finest cells: half, a quarter and an eighth of the side of the averaging area."""
 HIGH = 0.7
-"""Cells are refined where the utilisation is above this part of the largest average."""
+"""Cells are refined where the utilisation is above this part of the largest average, and at its place."""
+REACH = 40.0
+"""How far from the place of the largest utilisation cells are refined, mm: more than three sides of an average."""
+HALVINGS = 2
+"""How often cells are halved before the curtain is solved again."""
 COARSE = 0.5
 """Cells of the mesh to begin with over those of the example."""
 ELASTIC_AT = 0.25
@@ -55,9 +64,10 @@ TEXT = (
     "The first table has rigid and elastic curtains on even meshes with a quarter of the cells of the scenes, and the "
     "changes of the mean height against the rigid one. The second has the utilisation of rigid ones, which is that of "
     "the line load averaged over one cell of the weave, 139 mm2: on the mesh of the scene, and on meshes whose finest "
-    "cells are as small as the head says, refined where the utilisation is high. Utilisation is 1 at first yield. "
+    "cells are as small as the head says, refined where the utilisation is largest. Utilisation is 1 at first yield. "
     "Force at a point: what the rings there bear if it goes through the width of an average, as told on the mesh of "
-    "the scene; the utilisation that a run prints is the larger one of both."
+    "the scene; the utilisation that a run prints is the larger one of both. With --rows the seconds at the end are "
+    "those of the rows that were not kept from an earlier run."
 )
 
 
@@ -104,18 +114,31 @@ def giving_row(name: str) -> Row:
     }
 
 
-def refined(scene: Scene, mesh: CurtainMesh, side: float) -> CurtainSolution:
-    """The rigid curtain on a mesh whose cells are `side` mm small wherever the rings' utilisation is high."""
+def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> CurtainSolution:
+    """The rigid curtain on a mesh whose cells are `side` mm small at a place (2,) in mm of the reference state, by
+    default where the rings' utilisation is largest."""
     law = default_law()
     while True:
         found = solve_problem(make_problem(scene, law, mesh))
-        used = utilisation(found)
+        told, used = summary(found), utilisation(found)
         assert used is not None
-        is_coarse = np.sqrt(found.problem.disc.cell_area) > side
-        where = np.flatnonzero((used > HIGH * summary(found)["utilisation_of_averages_max"]) & is_coarse)
-        if not len(where):
+        at = np.array(told["utilisation_max_at_mm"] if place is None else place)
+        distance = np.linalg.norm(mesh.mesh.p - at[:, None], axis=0)[mesh.mesh.t]
+        high = (used > HIGH * told["utilisation_of_averages_max"]) & (distance.min(axis=0) < REACH)
+        high |= distance.min(axis=0) <= distance.min()
+        which, finer = mesh.mesh.element_finder(), mesh
+        for _ in range(HALVINGS):
+            middle = finer.mesh.p[:, finer.mesh.t].mean(axis=1)
+            where = np.flatnonzero(high[which(*middle)] & (_sides(finer) > side))
+            finer = refine(finer, where, scene) if len(where) else finer
+        if finer is mesh:
             return found
-        mesh = refine(mesh, where, scene)
+        mesh = finer
+
+
+def _sides(mesh: CurtainMesh) -> Array:
+    """Sides in mm of squares as large as the cells of a mesh of triangles, (n_cells,)."""
+    return np.sqrt(triangle_areas(mesh.mesh.p.T[mesh.mesh.t.T]))
 
 
 def utilisation_row(name: str) -> Row:
@@ -123,17 +146,20 @@ def utilisation_row(name: str) -> Row:
     scene = scene_of(name, 1.0)
     own = solved(name, 1.0)
     cells = float(np.sqrt(own.problem.disc.cell_area.mean()))
-    values, finest = [], own
-    mesh = solved(name, COARSE).problem.mesh
+    finest: list[CurtainSolution] = []
+    mesh, known = solved(name, COARSE).problem.mesh, summary(own)
+    # The force at a hook hardly depends on the mesh: the worst hook stays the worst one.
+    is_force = known["utilisation_of_point_forces_max"] > known["utilisation_of_averages_max"]
     for side in SIDES:
-        finest = refined(scene, mesh, side)
-        mesh = finest.problem.mesh
-        values.append(summary(finest))
-    used, known = [float(one["utilisation_of_averages_max"]) for one in values], summary(own)
+        finest.append(refined(scene, mesh, side, known["utilisation_max_at_mm"] if is_force else None))
+        mesh = finest[-1].problem.mesh
+    values = [summary(one) for one in finest]
+    used = [float(one["utilisation_of_averages_max"]) for one in values]
     first, last = used[-2] - used[-3], used[-1] - used[-2]
     return {
         "example": name,
         "side of its cells, mm": cells,
+        "status": ", ".join(sorted({one.status for one in (own, *finest)})),
         "its own mesh": float(known["utilisation_of_averages_max"]),
         "its own mesh, force at a point": known["utilisation_of_point_forces_max"] or None,
         "its own mesh, told too coarse": known["utilisation_mesh_too_coarse"],
@@ -145,14 +171,24 @@ def utilisation_row(name: str) -> Row:
         "pointwise": float(values[-1]["utilisation_pointwise_max"]),
         "pointwise, last change": 1.0
         - values[-2]["utilisation_pointwise_max"] / values[-1]["utilisation_pointwise_max"],
-        "cells": finest.problem.disc.n_cells,
+        "cells": finest[-1].problem.disc.n_cells,
     }
 
 
-def measure(names: tuple[str, ...], finer: tuple[str, ...]) -> Section:
+def kept(make: Callable[[str], Row], name: str, folder: Path | None) -> Row:
+    """The row of an example that `folder` holds, or a new one, which it holds from now on."""
+    if folder is None:
+        return make(name)
+    path = folder / f"{make.__name__}_{name}.json"
+    if not path.exists():
+        write_text(path, json.dumps(make(name)))
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def measure(names: tuple[str, ...], finer: tuple[str, ...], folder: Path | None) -> Section:
     """Both tables."""
-    apart = [giving_row(name) for name in names]
-    fine = [utilisation_row(name) for name in finer]
+    apart = [kept(giving_row, name, folder) for name in names]
+    fine = [kept(utilisation_row, name, folder) for name in finer]
     lengths = dict.fromkeys((key for key in apart[0] if key.endswith(", mm")), ".3f")
     return Section(
         "Steel",
@@ -172,13 +208,15 @@ def measure(names: tuple[str, ...], finer: tuple[str, ...]) -> Section:
 @click.option("--only", multiple=True, type=click.Choice(EXAMPLES), help="These examples; all by default.")
 @click.option("--fine", multiple=True, type=click.Choice(EXAMPLES), help="Refined ones; all of these by default.")
 @click.option("--out", type=click.Path(path_type=Path), default=ROOT / "docs" / "measured", help="Folder for steel.md.")
-def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path) -> None:
+@click.option("--rows", type=click.Path(path_type=Path), help="Existing folder that keeps rows of an interrupted run.")
+def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path, rows: Path | None) -> None:
     """Solve all and write steel.md."""
     names = only or EXAMPLES
     title = "The examples in steel: what rings give and how much they bear"
     words = [*(f"--only {name}" for name in only), *(f"--fine {name}" for name in fine)]
+    words += ["--rows rows"] if rows is not None else []
     command = " ".join(["python -m benchmarks.steel", *words])
-    write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names))
+    write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names, rows))
 
 
 if __name__ == "__main__":

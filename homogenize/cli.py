@@ -11,10 +11,13 @@ import numpy as np
 from rve.common.command_line import Group, answer, check_plot, say, say_next
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
+from rve.common.materials import STRESS
 from rve.common.values import checked
 
 KINDS = ("refined", "outer", "inner", "net")
 """Those of `homogenize.fitting.fit`, which is not imported to print a help text."""
+LARGEST_LOAD = 1e100
+"""Components of --S beyond this are refused; sums and squares of them overflow."""
 
 
 @click.group(cls=Group)
@@ -89,6 +92,8 @@ def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float
 
     if load is None and plot is None:
         raise InputError("give --S S11,S12,S22 for the strength along a load, --plot FILE for a picture, or both")
+    if yield_stress is not None:
+        checked({"--yield": yield_stress}, "--yield", STRESS, "")
     if plot is not None:
         check_plot(plot, inputs=[law])
     if load is not None:
@@ -175,6 +180,6 @@ def parse_load(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:
         S = np.array([float(part) for part in parts])
     except ValueError as error:
         raise InputError(f"--S {text}: expected three numbers S11,S12,S22") from error
-    if len(parts) != 3 or not np.isfinite(S).all():
-        raise InputError(f"--S {text}: expected three finite numbers S11,S12,S22")
+    if len(parts) != 3 or not (np.abs(S) <= LARGEST_LOAD).all():
+        raise InputError(f"--S {text}: expected three finite numbers S11,S12,S22, at most {LARGEST_LOAD:g} in size")
     return S

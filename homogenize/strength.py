@@ -297,7 +297,7 @@ def read_strength(table: Mapping[str, Any], where: str) -> Strength:
 def _numbers_or_none(value: Any) -> Array:
     if not isinstance(value, list) or not value:
         raise ValueError("is not a list of numbers")
-    known = numbers(None)([0.0 if x is None else x for x in value])
+    known = numbers(None, least=0.0)([0.0 if x is None else x for x in value])
     return np.where([x is None for x in value], np.nan, known)
 
 

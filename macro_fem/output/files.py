@@ -95,6 +95,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     disc = problem.disc
     state = solution.state()
     area = disc.cell_area
+    told, forces = strength.summary(solution), support_forces(solution)
     return {
         "status": solution.status,
         "message": solution.message,
@@ -103,9 +104,10 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         **_places_in_space(solution),
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
         **line_load.summary(solution),
-        **strength.summary(solution),
+        **told,
+        **strength.mechanism(told, forces),
         "total_load_N": problem.force.sum(axis=0).tolist(),
-        "support_forces": support_forces(solution),
+        "support_forces": forces,
         "support_forces_note": forces_note(solution),
         "nodes_held": int(problem.supports.mask.any(axis=1).sum()),
         "length_held_mm": held_length(problem, [held.facets for held in problem.supports.held]),

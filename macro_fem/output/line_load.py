@@ -27,7 +27,8 @@ WIDEST = 2.5
 LOCAL = 1.25
 """Line loads this many times their average over a cell change over less than a cell."""
 FINE = 0.25
-"""Sides of mesh cells over that of the averaging area with which the average at a held point is known to 5 %."""
+"""Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
+15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: more meshes are told coarse."""
 NEAR = 2.0
 """The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 
@@ -116,14 +117,18 @@ class Nearby:
         self.corners, self.P, self.area = corners, P, area
         self.middle = corners.mean(axis=1)
         self.size = np.linalg.svd(P, compute_uv=False)[:, 0] if size is None else size
-        self.reach = float(np.linalg.norm(corners - self.middle[:, None], axis=-1).max())
+        self.half = np.linalg.norm(corners - self.middle[:, None], axis=-1).max(axis=1)
         self.radius = float(np.sqrt(area / np.pi))
         self.tree = cKDTree(self.middle)
 
     def bound(self, X: Array) -> Array:
         """The largest size of any triangle that an average at each of X (n, 2) may take in (n,)."""
-        around = self.tree.query_ball_point(X, WIDEST * self.radius + self.reach)
-        return np.array([self.size[cells].max() for cells in around])
+        return np.array([self.size[self._around(x, WIDEST * self.radius)].max() for x in X])
+
+    def _around(self, x: Array, radius: float) -> np.ndarray:
+        """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""
+        cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
+        return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
 
     def mean(self, x: Array) -> Array:
         """P averaged over the area nearest to x (2,); over all triangles if they have less."""
@@ -138,7 +143,7 @@ class Nearby:
         """Triangles (k,) of the pieces around x (2,), the area (k,) of each that counts, and how far they reach."""
         radius = 1.1 * self.radius
         while True:
-            cells = np.array(self.tree.query_ball_point(x, radius + self.reach, return_sorted=True), dtype=int)
+            cells = self._around(x, radius)
             points, weight, cell = _pieces(self.corners[cells], 2.0 * self.radius / PIECES)
             distance = np.linalg.norm(points - x, axis=1)
             order = np.argsort(distance, kind="stable")

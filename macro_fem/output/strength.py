@@ -243,7 +243,7 @@ def holds_line(summary: dict[str, Any]) -> str:
     rings near support 1 (hooks), at (0, 80) mm, would yield first (steel, 235 N/mm2);
     hooks of support 1 bear up to 10 N of 50 N
     """
-    hooks = list(_hooks(summary))
+    hooks = [(share, text) for share, _, text in _hooks(summary["support_forces"])]
     factor, place = summary["safety_factor"], summary["utilisation_max_at_mm"]
     parts = hooks if factor is None else [(factor, _rings(summary, min([factor, *(f for f, _ in hooks)]))), *hooks]
     parts.sort(key=lambda part: part[0])
@@ -271,11 +271,34 @@ def _rings(summary: dict[str, Any], least: float) -> str:
     return f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm, {what} ({material})"
 
 
-def _hooks(summary: dict[str, Any]) -> Iterator[tuple[float, str]]:
-    """Capacity over largest force of each support by hooks or runners that states one, and a sentence that says so."""
-    for number, support in enumerate(summary["support_forces"], 1):
+def _hooks(support_forces: list[dict[str, Any]]) -> Iterator[tuple[float, str, str]]:
+    """Capacity over largest force of each support by hooks or runners that states one, its name, and a sentence."""
+    for number, support in enumerate(support_forces, 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
         if capacity is not None:
             share = capacity / force if force > 0.0 else np.inf
-            what = "runners" if support["support"] == "track" else "hooks"
-            yield share, f"{what} of support {number} bear up to {force:.4g} N of {capacity:g} N"
+            name = f"{'runners' if support['support'] == 'track' else 'hooks'} of support {number}"
+            yield share, name, f"{name} bear up to {force:.4g} N of {capacity:g} N"
+
+
+def mechanism(told: dict[str, Any], support_forces: list[dict[str, Any]]) -> dict[str, Any]:
+    """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded.
+
+    told: as from `summary`. The rings by first yield, or hooks or runners by the capacity that the scene states.
+
+    >>> hooks = [{"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}]
+    >>> mechanism({"safety_factor": 2.5, "first_yield_near": "support 1 (hooks)"}, hooks)
+    {'mechanism': 'first yield of rings near support 1 (hooks)', 'mechanism_factor': 2.5}
+    """
+    known = [(share, f"capacity of {name}") for share, name, _ in _hooks(support_forces)]
+    if told["safety_factor"] is not None:
+        known.append((told["safety_factor"], f"first yield of rings near {told['first_yield_near']}"))
+    least, what = min(known, default=(np.inf, ""))
+    return (
+        dict.fromkeys(("mechanism", "mechanism_factor"))
+        if np.isinf(least)
+        else {
+            "mechanism": what,
+            "mechanism_factor": float(least),
+        }
+    )

@@ -16,8 +16,8 @@ from rve.common.errors import InputError
 from rve.common.rings import DENSITY_KG_PER_M3, LEAST_KG_PER_MM3, MOST_KG_PER_MM3, STEEL_KG_PER_MM3
 from rve.common.values import Check, checked, entry, finite, optional, read_record, shown, shown_key, string
 
-YOUNG = finite(least=1.0, most=2e6)
-"""N/mm2: from rubber to diamond. 210 would be GPa."""
+YOUNG = finite(least=500.0, most=2e6)
+"""N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
 POISSON = finite(least=0.0, most=0.5)
 STRESS = finite(above=0.0, most=2e4)
 _DENSITY = finite(least=LEAST_KG_PER_MM3, most=MOST_KG_PER_MM3)
@@ -106,6 +106,9 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", bas
             values[field] = checked({prefix + key: given[key]}, prefix + key, check, where)
     if "density_kg_per_mm3" in values:
         values["density_kg_per_mm3"] /= 1e9
+    low, high = values.get("yield_N_per_mm2", base.yield_N_per_mm2), values.get("ultimate_N_per_mm2")
+    if low is not None and high is not None and high < low:
+        raise InputError(f"{where} {prefix}ultimate = {high:g}: is less than the yield stress, {low:g}".lstrip())
     strength = values.get("yield_N_per_mm2", 0.0)
     if "ultimate_N_per_mm2" not in values and strength > (base.ultimate_N_per_mm2 or strength):
         values["ultimate_N_per_mm2"] = None
@@ -123,11 +126,16 @@ def described(table: Any, where: str) -> tuple[tuple[str, Any], ...]:
             raise InputError(f"{where} {shown_key(key)} = {shown(value)}: unknown key; known are {', '.join(known)}")
     if "material" in table:
         named_material(checked(table, "material", string, where), f"{where} material")
-    for key in _KEYS.keys() & table.keys():
-        checked(table, key, _KEYS[key][1], where)
+    for key, (_, check) in _KEYS.items():
+        if key in table:
+            checked(table, key, check, where)
     return tuple(table.items())
 
 
 def read_material(table: Mapping[str, Any], where: str) -> Material:
     """The material that a file holds, as `dataclasses.asdict` writes it; InputError names file, key and value."""
-    return read_record(Material, table, where)
+    try:
+        return read_record(Material, table, where)
+    except InputError as error:
+        text = str(error)
+        raise error if text.startswith(where) else InputError(f"{where} {text}") from None

@@ -236,10 +236,17 @@ def test_hooks_are_compared_with_their_capacity():
         (held,) = support_forces(solution)
         assert held["capacity_N"] == share * half
         assert held["largest_nodal_force_N"] == pytest.approx(half, rel=1e-6)
-        line = holds_line(summarize(solution))
+        told = summarize(solution)
+        assert told["mechanism"] == "capacity of hooks of support 1"
+        assert told["mechanism_factor"] == pytest.approx(share, rel=1e-6)
+        line = holds_line(told)
         assert line.startswith(words)
         assert f"bear up to {half:.4g} N of {share * half:g} N" in line
-    assert support_forces(hung(kind="hooks", pitch=WIDTH, sliding=True))[0]["capacity_N"] is None
+    solution = hung(kind="hooks", pitch=WIDTH, sliding=True)
+    assert support_forces(solution)[0]["capacity_N"] is None
+    told = summarize(solution)
+    assert told["mechanism"] == f"first yield of rings near {told['first_yield_near']}"
+    assert told["mechanism_factor"] == told["safety_factor"] > 1.0
 
 
 def test_the_command_line_says_whether_it_holds(tmp_path):
@@ -302,7 +309,8 @@ def test_elastic_curtains_follow_the_material():
         ({"yield": "high"}, "yield = 'high': is not a number"),
         ({"poisson": 0.4}, "poisson = 0.4: is that of the law's table, 0.3"),
         ({"colour": 1}, "colour = 1: unknown key; known are material, density"),
-        ({"yield": 400.0, "ultimate": 300.0}, "is less than yield"),
+        ({"yield": 400.0, "ultimate": 300.0}, "[material] ultimate = 300: is less than the yield stress, 400"),
+        ({"young": 210.0}, "[material] young = 210.0: must be at least 500"),  # GPa
         (3, "is not a table"),
     ],
 )

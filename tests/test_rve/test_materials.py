@@ -33,11 +33,12 @@ def test_given_values_replace_those_of_the_named_material():
     ("given", "message"),
     [
         ({"material": "mithril"}, "known are steel"),
-        ({"young": 0.21}, "young = 0.21: must be at least 1"),
+        ({"young": 210.0}, "young = 210.0: must be at least 500"),  # GPa
         ({"poisson": 0.7}, "poisson = 0.7: must be at most 0.5"),
         ({"yield": 0.0}, "yield = 0.0: must be greater than 0"),
         ({"yield": float("nan")}, "yield = nan: is not a finite number"),
-        ({"yield": 400.0, "ultimate": 300.0}, "ultimate_N_per_mm2 = 300: is less than yield_N_per_mm2 = 400"),
+        ({"yield": 400.0, "ultimate": 300.0}, "^ultimate = 300: is less than the yield stress, 400"),
+        ({"ultimate": 100.0}, "^(--)?ultimate = 100: is less than the yield stress, 235"),
         ({"density": 7.85}, "density = 7.85: must be at least 100"),
     ],
 )
@@ -50,6 +51,11 @@ def test_bad_values_are_one_sentence(given, message):
         result = CliRunner().invoke(main, ["table", "--out", "t.csv", f"--{name}", str(value)])
         assert result.exit_code == 2
         assert f"--{name}" in result.stderr
+
+
+def test_strengths_of_a_file_that_contradict_each_other_name_the_file():
+    with pytest.raises(InputError, match=r"^table.json: material 'steel': ultimate_N_per_mm2 = 1: is less than"):
+        read_material(asdict(Material()) | {"ultimate_N_per_mm2": 1.0}, "table.json:")
 
 
 def test_a_cell_has_one_density():
