@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from rve.common.types import Array
-from rve.finite.touching import Placed, Touching
+from rve.finite.fronts import BLOCK, Blocks
+from rve.finite.touching import Index, Placed, Touching
 from rve.finite.walls import wall_derivatives
 from rve.geometry.circles import distance_gradient, distance_hessian, tangent_frame
 
-BLOCK = 5
+_CHUNK = 2048
+"""Pairs whose blocks are made together: they stay in the cache of a processor."""
 
 
 def gradients(placed: Placed, touching: Touching) -> Array:
@@ -31,8 +32,8 @@ def gradients(placed: Placed, touching: Touching) -> Array:
     return out
 
 
-def _of_walls(placed: Placed, touching: Touching, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """First and second derivative of the gaps of contacts `rows` (m,), which are with half-spaces."""
+def _of_walls(placed: Placed, touching: Touching, rows: Index | NDArray[np.bool_]) -> tuple[Array, Array]:
+    """First and second derivative of the gaps of contacts `rows`, which are with half-spaces."""
     pair = touching.minima.pair[rows]
     ring, wall = touching.a[pair], touching.b[pair]
     return wall_derivatives(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall])
@@ -58,29 +59,34 @@ def spread(touching: Touching, G: Array, force: Array, n: int) -> Array:
 def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Array, idle: float) -> Array:
     """Blocks (p, 10, 10) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` have no curvature."""
     pair = touching.minima.pair
-    per = (stiff[:, None] * G)[:, :, None] * G[:, None, :]
-    curved = np.flatnonzero(force > idle)
-    minima = touching.minima.take(curved)
-    rows = pair[curved]
-    H = distance_hessian(
-        minima, placed.normal[touching.a[rows]], placed.normal[touching.b[rows]], 1.0, touching.fixed[curved]
-    )
+    first = np.searchsorted(pair, np.arange(len(touching.a) + 1))
+    some = np.flatnonzero(first[1:] > first[:-1])
+    out = np.zeros((len(touching.a), 10, 10))
     frame = np.stack(tangent_frame(placed.normal), axis=2)
-    B = np.zeros((len(curved), 9, 10))
+    for part in range(0, len(some), _CHUNK):
+        mine = some[part : part + _CHUNK]
+        rows = np.arange(first[mine[0]], first[mine[-1] + 1])
+        per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
+        curved = np.flatnonzero(force[rows] > idle)
+        per[curved] -= force[rows[curved], None, None] * _curvatures(placed, touching, rows[curved], frame)
+        out[mine] = np.add.reduceat(per, first[mine] - rows[0], axis=0)
+    return out
+
+
+def _curvatures(placed: Placed, touching: Touching, rows: Index, frame: Array) -> Array:
+    """Second derivatives (k, 10, 10) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
+    pair = touching.minima.pair[rows]
+    a, b = touching.a[pair], touching.b[pair]
+    H = distance_hessian(touching.minima.take(rows), placed.normal[a], placed.normal[b], 1.0, touching.fixed[rows])
+    B = np.zeros((len(rows), 9, 10))
     for k in range(3):
         B[:, k, k], B[:, k, BLOCK + k] = -1.0, 1.0
-    B[:, 3:6, 3:5], B[:, 6:9, 8:10] = frame[touching.a[rows]], frame[touching.b[rows]]
+    B[:, 3:6, 3:5], B[:, 6:9, 8:10] = frame[a], frame[b]
     second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
     if placed.walls:
-        at_wall = touching.at_wall & (force > idle)
-        second[at_wall[curved]] = _of_walls(placed, touching, at_wall)[1]
-    per[curved] -= force[curved, None, None] * second
-    first = np.searchsorted(pair, np.arange(len(touching.a)))
-    some = np.flatnonzero(np.append(first[1:], len(pair)) > first)
-    out = np.zeros((len(touching.a), 10, 10))
-    if len(some):
-        out[some] = np.add.reduceat(per, first[some], axis=0)
-    return out
+        at_wall = touching.at_wall[rows]
+        second[at_wall] = _of_walls(placed, touching, rows[at_wall])[1]
+    return np.asarray(second)
 
 
 def lacking(pairs: Array) -> Array:
@@ -116,8 +122,9 @@ def times(touching: Touching, pairs: Array, q: Array, n: int) -> Array:
     return np.asarray(np.stack(columns, axis=1) + np.stack(others, axis=1))
 
 
-def matrix(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.bool_]) -> sparse.csc_matrix:
-    """The symmetric matrix (5 n, 5 n) of blocks of pairs (p, 10, 10) and a diagonal (n, 5); free (n, 5)."""
+def summed(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.bool_]) -> Blocks:
+    """The symmetric matrix of blocks of pairs (p, 10, 10) and a diagonal (n, 5); rows that are not free (n, 5) are
+    those of the unit matrix."""
     n = len(free)
     felt = np.flatnonzero(pairs.any(axis=(1, 2)))  # pairs without contact stay out of the pattern
     a, b, pairs = touching.a[felt], touching.b[felt], pairs[felt]
@@ -127,13 +134,7 @@ def matrix(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.b
         for k in range(BLOCK * BLOCK):
             own.reshape(n, -1)[:, k] += np.bincount(rings, flat[:, k], minlength=n)
     own[:, np.arange(BLOCK), np.arange(BLOCK)] += diagonal
-    rows = np.concatenate([np.arange(n), a, b])
-    columns = np.concatenate([np.arange(n), b, a])
-    off = pairs[:, :BLOCK, BLOCK:]
-    data = np.concatenate([own, off, off.transpose(0, 2, 1)])
-    data *= free[rows][:, :, None] & free[columns][:, None, :]
-    data[:n][:, np.arange(BLOCK), np.arange(BLOCK)] += ~free
-    order = np.lexsort((columns, rows))
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))])
-    whole = sparse.bsr_matrix((data[order], columns[order], indptr), shape=(BLOCK * n, BLOCK * n))
-    return whole.tocsc()
+    own *= free[:, :, None] & free[:, None, :]
+    own[:, np.arange(BLOCK), np.arange(BLOCK)] += ~free
+    off = pairs[:, :BLOCK, BLOCK:] * (free[a][:, :, None] & free[b][:, None, :])
+    return Blocks(a, b, own, off)

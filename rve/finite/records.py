@@ -26,7 +26,7 @@ class FiniteOptions:
     power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
     ring. After `patience` iterations without that it is multiplied by `lift`, at most `retries` times before `stalled`.
     reach: gap beyond which a contact has no force. step: largest way of a held ring in one iteration.
-    method: "cholmod", "superlu", or "auto" for the first that is installed.
+    method: of factors, "nested" for dense fronts of nested parts of the mesh, "superlu" to check them.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
 
@@ -42,7 +42,7 @@ class FiniteOptions:
     reach: float = 0.6
     step: float = 3.0
     max_iterations: int = 1000
-    method: str = "auto"
+    method: str = "nested"
     disturbance: float = 0.01
     seed: int = 0
 

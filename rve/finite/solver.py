@@ -18,7 +18,7 @@ import numpy as np
 
 from rve.common.progress import tell, way
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, blocks, gradients, lacking, matrix, metric, pair_vectors, spread, times
+from rve.finite.equations import BLOCK, blocks, gradients, lacking, metric, pair_vectors, spread, summed, times
 from rve.finite.factor import Factorizer
 from rve.finite.iterate import Linear, State, Step, Work, barrier, central
 from rve.finite.records import FiniteOptions, Found, Record, Task
@@ -42,7 +42,7 @@ _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 
 def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
-    factorize = Factorizer(options.method)
+    factorize = Factorizer(start.x, options.method)
     touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
     force = central(touching.gap, options.mu_start, options.reach)
     state = State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
@@ -188,7 +188,7 @@ def _newton(
     while True:
         pairs = _pairs(con, line, work)
         push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
-        solve = factorize(matrix(con, pairs, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
+        solve = factorize(summed(con, pairs, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
         work.factors += 1
         if solve is not None:
             q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)

@@ -247,9 +247,7 @@ def ways(placed: Placed, touching: Touching, q: Array) -> Array:
     return np.asarray(np.minimum(plain, size(shift) + size(turn) + 0.5 * late))
 
 
-def safe_parts(
-    placed: Placed, touching: Touching, q: Array, wire: float, reach: float, share: float = 0.9
-) -> Array:
+def safe_parts(placed: Placed, touching: Touching, q: Array, wire: float, reach: float, share: float = 0.9) -> Array:
     """The part (p,) of a step within which no wire of a pair can pass through the other.
 
     Circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the longest way of a point of

@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import minimize
 
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
-from rve.finite.equations import blocks, gradients, lacking, matrix, spread, times
-from rve.finite.factor import Factorizer
+from rve.finite.equations import blocks, gradients, lacking, spread, summed, times
+from rve.finite.factor import Factorizer, matrix
 from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
@@ -133,11 +133,13 @@ def test_matrix_and_products_are_sums_over_pairs():
     dense += np.diag(diagonal.ravel())
     dense[~free.ravel()] = dense[:, ~free.ravel()] = 0.0
     dense += np.diag(~free.ravel())
-    found = matrix(con, K, diagonal, free)
-    assert np.allclose(found.toarray(), dense)
-    solve = Factorizer("superlu")(found)
-    assert np.allclose(dense @ solve(q.ravel()), q.ravel())
-    assert Factorizer("superlu")(found - 3.0 * matrix(con, 0.0 * K, np.ones((n, 5)), free)) is None
+    found = summed(con, K, diagonal, free)
+    assert np.allclose(matrix(found).toarray(), dense)
+    indefinite = summed(con, K, diagonal - 3.0, free)
+    for method in ("nested", "superlu"):
+        factorize = Factorizer(placed.x, method)
+        assert np.allclose(dense @ factorize(found)(q.ravel()), q.ravel())
+        assert factorize(indefinite) is None
     force = rng.uniform(size=m)
     whole = np.zeros((n, 5))
     for row, pair in enumerate(con.minima.pair):
