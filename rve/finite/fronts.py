@@ -60,7 +60,7 @@ class Plan:
 
 
 def dissected(points: Array, a: Index, b: Index) -> list[tuple[Index, tuple[int, ...]]]:
-    """Parts of the rings at points (n, d) with pairs a, b: the rings of each, and which parts before it are below it."""
+    """Parts of the rings at points (n, d) with pairs a, b: the rings of each, and the parts that it separates."""
     parts: list[tuple[Index, tuple[int, ...]]] = []
     side = np.zeros(len(points), dtype=np.int8)
 
