@@ -10,7 +10,8 @@ from benchmarks.every_ring.starts import slack_start, solved_from, task_of
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
 from macro_fem.every_ring import ring_scene
-from rve.finite.equations import BLOCK, blocks, gradients, matrix
+from rve.finite.equations import BLOCK, blocks, gradients, summed
+from rve.finite.factor import matrix
 from rve.finite.records import Found, Task
 from rve.finite.touching import Placed
 
@@ -76,7 +77,7 @@ def _counted(found: Found, task: Task, scene: str, space: bool) -> Row:
     dense[rows, con.b[pair[loaded]]] = G[loaded, BLOCK:]
     Z = null_space(dense[:, free], rcond=1e-9)
     K = blocks(found.placed, con, G, np.zeros(len(G)), np.where(loaded, found.force, 0.0), 0.0)
-    H = matrix(con, K, np.zeros((n, BLOCK)), task.free).toarray()
+    H = matrix(summed(con, K, np.zeros((n, BLOCK)), task.free)).toarray()
     H = H[np.ix_(free.ravel(), free.ravel())]
     values, vectors = np.linalg.eigh(Z.T @ H @ Z)
     soft = values < SOFT * max(float(np.abs(values).max(initial=0.0)), 1e-300)
