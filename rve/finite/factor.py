@@ -8,7 +8,7 @@ from scipy.sparse.linalg import splu
 
 from rve.common.errors import InputError
 from rve.common.types import Array
-from rve.finite.fronts import BLOCK, Blocks, Plan, Solve, factored, plan
+from rve.finite.fronts import BLOCK, Blocks, Index, Plan, Solve, factored, plan
 
 METHODS = ("nested", "superlu")
 
@@ -24,7 +24,7 @@ class Factorizer:
         if method not in METHODS:
             raise InputError(f"method {method!r} is none of {', '.join(METHODS)}")
         self.method, self._points = method, points
-        self._pairs: tuple[Array, Array] | None = None
+        self._pairs: tuple[Index, Index] | None = None
         self._plan: Plan | None = None
 
     def __call__(self, blocks: Blocks) -> Solve | None:
