@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.every_ring import cell, disk, edges, engine, generic, leaving, loose, starts
+from benchmarks.every_ring import cell, disk, edges, engine, generic, growth, leaving, loose, starts
 from benchmarks.every_ring.cases import Store
 from benchmarks.machine import ROOT
 from benchmarks.report.files import FOLDER, OUT, make
@@ -19,7 +19,7 @@ REPORT = Report(
     "case is kept as a file: the seconds below a section are those of its making from the cases that were there.",
     "OMP_NUM_THREADS=1 python -m benchmarks.every_ring --full",
 )
-SECTIONS = (disk, edges, cell, generic, engine, starts, leaving, loose)
+SECTIONS = (disk, edges, cell, generic, engine, starts, leaving, loose, growth)
 KEPT = ROOT / "build" / "every_ring"
 NAMES = tuple(module.__name__.split(".")[-1] for module in SECTIONS)
 

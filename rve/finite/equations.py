@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from rve.common.types import Array
-from rve.finite.touching import Placed, Touching
+from rve.finite.touching import Index, Placed, Touching
 from rve.finite.walls import wall_derivatives
 from rve.geometry.circles import distance_gradient, distance_hessian, tangent_frame
 
 BLOCK = 5
+_CHUNK = 2048
+"""Pairs whose blocks are made together: they stay in the cache of a processor."""
 
 
 def gradients(placed: Placed, touching: Touching) -> Array:
@@ -31,8 +33,8 @@ def gradients(placed: Placed, touching: Touching) -> Array:
     return out
 
 
-def _of_walls(placed: Placed, touching: Touching, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """First and second derivative of the gaps of contacts `rows` (m,), which are with half-spaces."""
+def _of_walls(placed: Placed, touching: Touching, rows: Index | NDArray[np.bool_]) -> tuple[Array, Array]:
+    """First and second derivative of the gaps of contacts `rows`, which are with half-spaces."""
     pair = touching.minima.pair[rows]
     ring, wall = touching.a[pair], touching.b[pair]
     return wall_derivatives(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall])
@@ -58,29 +60,34 @@ def spread(touching: Touching, G: Array, force: Array, n: int) -> Array:
 def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Array, idle: float) -> Array:
     """Blocks (p, 10, 10) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` have no curvature."""
     pair = touching.minima.pair
-    per = (stiff[:, None] * G)[:, :, None] * G[:, None, :]
-    curved = np.flatnonzero(force > idle)
-    minima = touching.minima.take(curved)
-    rows = pair[curved]
-    H = distance_hessian(
-        minima, placed.normal[touching.a[rows]], placed.normal[touching.b[rows]], 1.0, touching.fixed[curved]
-    )
+    first = np.searchsorted(pair, np.arange(len(touching.a) + 1))
+    some = np.flatnonzero(first[1:] > first[:-1])
+    out = np.zeros((len(touching.a), 10, 10))
     frame = np.stack(tangent_frame(placed.normal), axis=2)
-    B = np.zeros((len(curved), 9, 10))
+    for part in range(0, len(some), _CHUNK):
+        mine = some[part : part + _CHUNK]
+        rows = np.arange(first[mine[0]], first[mine[-1] + 1])
+        per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
+        curved = np.flatnonzero(force[rows] > idle)
+        per[curved] -= force[rows[curved], None, None] * _curvatures(placed, touching, rows[curved], frame)
+        out[mine] = np.add.reduceat(per, first[mine] - rows[0], axis=0)
+    return out
+
+
+def _curvatures(placed: Placed, touching: Touching, rows: Index, frame: Array) -> Array:
+    """Second derivatives (k, 10, 10) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
+    pair = touching.minima.pair[rows]
+    a, b = touching.a[pair], touching.b[pair]
+    H = distance_hessian(touching.minima.take(rows), placed.normal[a], placed.normal[b], 1.0, touching.fixed[rows])
+    B = np.zeros((len(rows), 9, 10))
     for k in range(3):
         B[:, k, k], B[:, k, BLOCK + k] = -1.0, 1.0
-    B[:, 3:6, 3:5], B[:, 6:9, 8:10] = frame[touching.a[rows]], frame[touching.b[rows]]
+    B[:, 3:6, 3:5], B[:, 6:9, 8:10] = frame[a], frame[b]
     second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
     if placed.walls:
-        at_wall = touching.at_wall & (force > idle)
-        second[at_wall[curved]] = _of_walls(placed, touching, at_wall)[1]
-    per[curved] -= force[curved, None, None] * second
-    first = np.searchsorted(pair, np.arange(len(touching.a)))
-    some = np.flatnonzero(np.append(first[1:], len(pair)) > first)
-    out = np.zeros((len(touching.a), 10, 10))
-    if len(some):
-        out[some] = np.add.reduceat(per, first[some], axis=0)
-    return out
+        at_wall = touching.at_wall[rows]
+        second[at_wall] = _of_walls(placed, touching, rows[at_wall])[1]
+    return np.asarray(second)
 
 
 def lacking(pairs: Array) -> Array:

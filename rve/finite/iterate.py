@@ -76,5 +76,6 @@ def central(gap: Array, mu: float, reach: float) -> Array:
 
 
 def barrier(placed: Placed, touching: Touching, task: Task, mu: float, reach: float) -> float:
+    """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, without units: falls along a step at one mu."""
     gap = np.minimum(touching.gap / reach, 1.0)
     return float(-(task.force * placed.x).sum() + mu * (gap - 1.0 - np.log(gap)).sum())

@@ -40,7 +40,7 @@ class FiniteOptions:
     lift: float = 30.0
     retries: int = 20
     reach: float = 0.6
-    step: float = 0.3
+    step: float = 3.0
     max_iterations: int = 1000
     method: str = "auto"
     disturbance: float = 0.01

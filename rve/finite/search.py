@@ -47,7 +47,7 @@ def searched(
 ) -> tuple[State | None, float]:
     """The iterate after the longest good part of the step; None where more damping was asked for instead."""
     con, gap = state.touching, state.touching.gap
-    safe = safe_parts(con, step.q, task.wire, options.reach)
+    safe = safe_parts(state.placed, con, step.q, task.wire, options.reach)
     with np.errstate(divide="ignore", invalid="ignore"):
         open_ = np.where(step.dgap < 0.0, -_FARTHEST * gap / step.dgap, 1.0)
     length = min(1.0, float(safe.min()), float(open_.min(initial=1.0)))

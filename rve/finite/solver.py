@@ -230,7 +230,7 @@ def _stiffened(
 ) -> bool:
     """Whether some pairs or contacts would make the step (n, 5), change of gaps (m,) short; they are stiffer then."""
     con, (q, dgap) = state.touching, step
-    safe = safe_parts(con, q, task.wire, options.reach)
+    safe = safe_parts(state.placed, con, q, task.wire, options.reach)
     with np.errstate(divide="ignore", invalid="ignore"):
         open_ = np.where(dgap < 0.0, -con.gap / dgap, np.inf)
     if min(safe.min(), open_.min(initial=1.0)) > _SHORT:
@@ -280,7 +280,7 @@ def _accepted(state: State, new: State, step: Step, length: float, options: Fini
     damping = 0.3 * work.damping if length > 0.3 else work.damping
     rows = of_pairs(state.touching.key, new.touching.key)
     local = np.where(rows >= 0, work.local[rows], 0.0)
-    convex = 0.3 * work.convex if length > 0.3 else work.convex
+    convex = 0.3 * work.convex if length > 0.3 and not work.failed else work.convex
     return replace(
         new,
         force=force,

@@ -218,21 +218,43 @@ def links_intact(placed: Placed, touching: Touching, linked_keys: Index) -> bool
     return bool((found == np.isin(touching.key[rings], linked_keys)).all())
 
 
-def ways(touching: Touching, q: Array) -> Array:
-    """The longest way (p,) of any point of ring b as seen from ring a in the step q (n, 5), for every near pair."""
-    turn = np.sqrt((q[:, 3:] ** 2).sum(axis=1))
-    between = q[touching.b, :3] - q[touching.a, :3]
-    return np.asarray(np.sqrt(dot(between, between)) + turn[touching.a] + turn[touching.b])
+def ways(placed: Placed, touching: Touching, q: Array) -> Array:
+    """A bound (p,) on the way of any point of ring b as seen from ring a in the step q (n, 5), for every near pair.
+
+    Two rings that turn together have no way. Seen from ring a, which turns with W_a, a point r of ring b moves with
+    v - W_a x d + (W_b - W_a) x r, where d goes from a to b and v is its rate. W may have any part along the ring's own
+    normal n, since a spin moves no circle; the spins are those of least squares of both terms. While the step lasts, n
+    turns and d changes, each in proportion to the time.
+    """
+    a, b = touching.a, touching.b
+    e1, e2 = tangent_frame(placed.normal)
+    tilt = q[:, 3:4] * e1 + q[:, 4:] * e2
+    wa, wb, na, nb = tilt[a], tilt[b], placed.normal[a], placed.normal[b]
+    d, v = placed.x[b] - placed.x[a], q[b, :3] - q[a, :3]
+    turn, shift, arm = wb - wa, v - cross(wa, d), cross(na, d)
+    aa, bb, ab = dot(arm, arm) + 1.001, 1.001, -dot(na, nb)
+    ra, rb = dot(na, turn) + dot(arm, shift), -dot(nb, turn)
+    det = aa * bb - ab * ab
+    sa, sb = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
+
+    def size(u: Array) -> Array:
+        return np.asarray(np.sqrt(dot(u, u)))
+
+    turn, shift = turn + sb[:, None] * nb - sa[:, None] * na, shift - sa[:, None] * arm
+    changing_a, changing_b = np.abs(sa) * size(wa), np.abs(sb) * size(wb)
+    late = (1.0 + size(d) + size(v)) * changing_a + changing_b + (size(wa) + np.abs(sa)) * size(v)
+    plain = size(v) + size(wa) + size(wb)
+    return np.asarray(np.minimum(plain, size(shift) + size(turn) + 0.5 * late))
 
 
-def safe_parts(touching: Touching, q: Array, wire: float, reach: float, share: float = 0.9) -> Array:
+def safe_parts(placed: Placed, touching: Touching, q: Array, wire: float, reach: float, share: float = 0.9) -> Array:
     """The part (p,) of a step within which no wire of a pair can pass through the other.
 
     Circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the longest way of a point of
     one as seen from the other. D(1) >= 2 wire, so less than D(0) + 2 wire is safe; `share` of it is allowed.
     """
     distance = np.minimum(touching.deepest, reach) + 2.0 * wire
-    part = share * (distance + 2.0 * wire) / np.maximum(ways(touching, q), 1e-300)
+    part = share * (distance + 2.0 * wire) / np.maximum(ways(placed, touching, q), 1e-300)
     return np.asarray(np.where(touching.b < touching.rings, np.minimum(1.0, part), 1.0))
 
 
@@ -248,7 +270,7 @@ def is_passage_safe(
     start = np.minimum(old.deepest + 2.0 * wire, limit)
     rows = of_pairs(new.key, old.key)
     end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * wire, limit), limit)
-    if ((ways(old, q) >= start + np.maximum(end, 2.0 * wire)) & (old.b < old.rings)).any():
+    if ((ways(before, old, q) >= start + np.maximum(end, 2.0 * wire)) & (old.b < old.rings)).any():
         return False
     return not _far_pairs_meet(before, after, old.key)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.every_ring import growth
 from benchmarks.every_ring.__main__ import NAMES, main
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima
 from benchmarks.every_ring.cases import SHEETS, Case, Store, kept, those_there
@@ -142,6 +143,14 @@ def test_the_limit_of_many_rings():
     assert abs(limit - 1.0) < 3.0 * error < 0.1
 
 
+def test_growth_reports_work_and_memory_of_a_process_of_its_own():
+    row = growth._alone(1, False).numbers
+    assert (row["rings"], row["centres"], row["status"], row["links intact"]) == (5, "plane", "converged", True)
+    assert row["factors"] >= row["iterations"] > 10
+    assert row["KKT residual"] < 1e-8
+    assert 20.0 < row["MB"] < 1000.0
+
+
 def test_distances_count_rings():
     mesh = FiniteMesh.rectangle(Cell(), 8, 6)
     zero = np.zeros((len(mesh.X), 3))
@@ -174,7 +183,7 @@ def test_quick_report_goes_on_where_it_was(tmp_path):
     assert done.exit_code == 0, done.output
     report = json.loads((tmp_path / "out" / "every_ring.json").read_text())
     assert {section["key"] for section in report["sections"]} == {"loose", "starts"}
-    assert {"loose", "starts", "disk", "edges", "cell", "generic", "engine", "leaving"} == set(NAMES)
+    assert {"loose", "starts", "disk", "edges", "cell", "generic", "engine", "leaving", "growth"} == set(NAMES)
     starts = next(section for section in report["sections"] if section["key"] == "starts")
     assert "3 of 3 runs" in starts["conclusion"]
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "cases").iterdir()}

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
 from rve.finite.equations import blocks, gradients, lacking, matrix, spread, times
 from rve.finite.factor import Factorizer
-from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact
+from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
 
@@ -144,6 +144,45 @@ def test_matrix_and_products_are_sums_over_pairs():
         whole[con.a[pair]] += force[row] * jac[row, :5]
         whole[con.b[pair]] += force[row] * jac[row, 5:]
     assert np.allclose(spread(con, jac, force, n), whole)
+
+
+def crossing_pairs(seed, size):
+    """Two rings, 200 times, and steps (2, 5) on whose middle their circles cross."""
+    rng = np.random.default_rng(seed)
+    for _ in range(200):
+        normal = rng.standard_normal((2, 3))
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        e1, e2 = tangent_frame(normal)
+        t = rng.uniform(0.0, 2.0 * np.pi, (2, 1))
+        middle = Placed(-(np.cos(t) * e1 + np.sin(t) * e2), normal)  # both circles pass through the origin
+        q = size * rng.uniform(-1.0, 1.0, (2, 5))
+        omega = q[:, 3:4] * e1 + q[:, 4:] * e2
+        before = middle.moved(-0.5 * q)
+        f1, f2 = tangent_frame(before.normal)
+        yield before, np.column_stack([q[:, :3], (omega * f1).sum(axis=1), (omega * f2).sum(axis=1)])
+
+
+def test_circles_that_cross_on_the_way_have_ways_as_long_as_their_distances():
+    pair = np.array([[0, 1]])
+    ratio = []
+    for size in (0.02, 0.3, 1.0):
+        for before, q in crossing_pairs(6, size):
+            old, new = (find_touching(placed, pair, 0.0, 9.0, beside=False) for placed in (before, before.moved(q)))
+            ratio.append((old.deepest[0] + new.deepest[0]) / ways(before, old, q)[0])
+    assert max(ratio) <= 1.0
+    assert max(ratio) > 0.5  # the bound is no mere multiple of the way
+
+
+def test_rings_that_turn_together_have_next_to_no_way():
+    mesh, placed, rng = disturbed(7)
+    con = find_touching(placed, mesh.linked, 0.1, 0.6)
+    about, middle = rng.standard_normal(3), placed.x.mean(axis=0)
+    about /= np.linalg.norm(about)
+    for angle, most in ((1e-2, 2e-3), (1e-3, 2e-5)):
+        e1, e2 = tangent_frame(placed.normal)
+        turn = angle * np.cross(about, placed.x - middle)
+        q = np.column_stack([turn, angle * e1 @ about, angle * e2 @ about])
+        assert ways(placed, con, q).max() < most
 
 
 def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
