@@ -49,7 +49,7 @@ def started(arguments, processes):
     allow |= {"OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     environment = os.environ | allow | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = ["mpiexec", "-n", str(processes), sys.executable, *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=1200, check=False)
 
 
 @pytest.mark.parametrize(
