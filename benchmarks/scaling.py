@@ -23,7 +23,7 @@ from benchmarks.report.measure import Row, last_line
 from benchmarks.report.records import Diagram, Section, curves, table
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 

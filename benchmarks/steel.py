@@ -25,11 +25,11 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.strength import summary, utilisation
-from macro_fem.scene.mesh import CurtainMesh, refine
+from macro_fem.scene.meshing.mesh import CurtainMesh, refine
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution, make_problem
 from rve.common.cells import triangle_areas
-from rve.common.files import write_text
+from rve.common.storage.files import write_text
 from rve.common.tensor import trace
 from rve.common.types import Array
 

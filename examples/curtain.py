@@ -26,8 +26,8 @@ import numpy as np
 
 from rve.common.command_line import Command, answer, no_picture, say, say_next
 from rve.common.errors import noted_if_stopped, require
-from rve.common.files import write_text
-from rve.common.jobs import check_out_job, job
+from rve.common.storage.files import write_text
+from rve.common.storage.jobs import check_out_job, job
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)

@@ -25,8 +25,8 @@ import numpy as np
 
 from rve.common.command_line import Command
 from rve.common.errors import InputError, require
-from rve.common.files import write_text
-from rve.common.jobs import check_out_job, job
+from rve.common.storage.files import write_text
+from rve.common.storage.jobs import check_out_job, job
 
 if TYPE_CHECKING:
     from macro_fem.scene.schema import Scene

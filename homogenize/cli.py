@@ -10,8 +10,8 @@ import numpy as np
 
 from rve.common.command_line import Group, answer, check_plot, say, say_next
 from rve.common.errors import InputError, require
-from rve.common.files import check_out_file
 from rve.common.materials import STRESS
+from rve.common.storage.files import check_out_file
 from rve.common.values import checked
 
 KINDS = ("refined", "outer", "inner", "net")
@@ -118,8 +118,8 @@ def plot(law: Path, table: Path, out: Path, html: bool) -> None:
     from homogenize.io import load_law
     from homogenize.plots import RECORD, write_pictures
     from rve import read_table
-    from rve.common.jobs import check_out_job
-    from rve.common.page import check_page
+    from rve.common.drawing.page import check_page
+    from rve.common.storage.jobs import check_out_job
 
     require("matplotlib", "plots", "homogenize plot")
     if html:

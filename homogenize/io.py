@@ -17,8 +17,8 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, save_law
 from homogenize.strength import Strength, read_strength
 from rve.common.errors import InputError
-from rve.common.reading import read_json
 from rve.common.rings import check_rings
+from rve.common.storage.reading import read_json
 from rve.common.values import checked, mapping, numbers, optional, read_record, shown
 
 __all__ = ["Law", "default_law", "load_law", "save_law", "strength_of_law"]

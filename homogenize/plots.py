@@ -17,9 +17,9 @@ from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from homogenize.view import gap_scale, surface_with_gap, write_law_page
 from rve.common.errors import InputError
-from rve.common.files import atomic_path, write_text
-from rve.common.jobs import job
 from rve.common.progress import tell
+from rve.common.storage.files import atomic_path, write_text
+from rve.common.storage.jobs import job
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ COMPONENTS = ("E11", "E12", "E22")
 DPI = 150
 PAGE = "law.html"
 RECORD = "pictures.json"
-"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.jobs`)."""
+"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.storage`)."""
 
 
 def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:

@@ -13,11 +13,11 @@ from homogenize.fitting.rows import Rows, with_mirror
 from homogenize.laws.picture import VERMILION, strength_loads, surface_height
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import Strength
+from rve.common.drawing.page import write_page
+from rve.common.drawing.solids import quads_cut, sphere
+from rve.common.drawing.views import Camera, Lines, Scale, Surface, View, merged, rounded_up
 from rve.common.errors import InputError
-from rve.common.page import write_page
-from rve.common.solids import quads_cut, sphere
 from rve.common.types import Array
-from rve.common.views import Camera, Lines, Scale, Surface, View, merged, rounded_up
 
 NET, ROW = "#3f4650", "#000000"
 POINTS, EVERY = 81, 8

@@ -13,7 +13,7 @@ import click
 from macro_fem.scene.old_names import FORCE_IS_IDLE
 from rve.common.command_line import Group, answer, idle_option, no_picture, options, say, say_next
 from rve.common.errors import InputError
-from rve.common.reading import read_json_object
+from rve.common.storage.reading import read_json_object
 from rve.common.sweeps import run_sweep, sweep_options
 
 MOST_RINGS = 90_000
@@ -199,7 +199,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -
     Exit code 0: both converged; 1: one of them did not; 2: bad input.
     """
     from macro_fem.compare import compare_files, side_by_side
-    from rve.common.files import check_out_file, write_text
+    from rve.common.storage.files import check_out_file, write_text
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])

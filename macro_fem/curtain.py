@@ -12,7 +12,7 @@ from homogenize import MembraneLaw, with_material
 from macro_fem.elastic_curtain import polished
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
 from macro_fem.shape_loop import solve_shape

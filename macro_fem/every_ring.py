@@ -21,17 +21,17 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import in_space_of
 from macro_fem.scene.loads import nodal_forces, weight_per_area
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.meshing.outline import regular_polygon
 from macro_fem.scene.obstacles import is_flat
-from macro_fem.scene.outline import regular_polygon
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.scene.supports import Held, build_supports, pin_sliding
 from macro_fem.scene.tables import in_3d
 from rve import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides
+from rve.common.drawing.page import check_page
 from rve.common.errors import InputError, require
-from rve.common.files import versions, write_text, write_whole
-from rve.common.jobs import check_out_job, job
-from rve.common.page import check_page
+from rve.common.storage.files import versions, write_text, write_whole
+from rve.common.storage.jobs import check_out_job, job
 from rve.common.types import Array
 
 RECORD = "summary.json"

@@ -36,16 +36,16 @@ from macro_fem.output.files import (
 )
 from macro_fem.output.looks import Looks, write_looks
 from macro_fem.output.space_view import curtain_view
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, check_scene, check_solver, load_scene
 from macro_fem.solution import CurtainSolution, Problem, make_problem
+from rve.common.drawing.page import write_page
 from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
-from rve.common.files import check_out_file
-from rve.common.jobs import check_out_job, complete, job
 from rve.common.materials import material_of
 from rve.common.notebook import as_html
-from rve.common.page import write_page
 from rve.common.progress import part_of, tell
+from rve.common.storage.files import check_out_file
+from rve.common.storage.jobs import check_out_job, complete, job
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class CurtainResult:
 
         With more than one load step curtain.pvd lists one VTU per step. `animation`: curtain.gif of the load steps;
         `html`: curtain.html, which turns in a browser. All files appear together, and what they replace is gone
-        (`rve.common.jobs`). InputError where they cannot be written, or would overwrite `inputs`; NotConverged if a
+        (`rve.common.storage`). InputError where they cannot be written, or would overwrite `inputs`; NotConverged if a
         picture in space cannot be drawn, the other files are written then.
         """
         wanted = Looks(picture, animation, html)

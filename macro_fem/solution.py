@@ -16,7 +16,7 @@ from macro_fem.fem.rotated import elastic, rotated
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
-from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import Body, Obstacle, Placed, breadth, is_flat, placed, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding

@@ -6,12 +6,12 @@ import os
 
 import numpy as np
 
+from rve.common.drawing.page import write_page
+from rve.common.drawing.render import check_render, render
+from rve.common.drawing.solids import Solid, arrow, quads_cut, sphere
+from rve.common.drawing.views import Camera, Lines, Scale, Surface, View, merged
 from rve.common.errors import InputError, NotConverged
-from rve.common.page import write_page
-from rve.common.render import check_render, render
-from rve.common.solids import Solid, arrow, quads_cut, sphere
 from rve.common.types import Array
-from rve.common.views import Camera, Lines, Scale, Surface, View, merged
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations

@@ -12,9 +12,9 @@ import click
 
 from rve.common.command_line import Group, answer, check_plot, idle_option, options, say, say_next
 from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import check_out_file, check_out_folder, check_out_table, sidecar_path
 from rve.common.progress import tell
-from rve.common.reading import read_json_object
+from rve.common.storage.files import check_out_file, check_out_folder, check_out_table, sidecar_path
+from rve.common.storage.reading import read_json_object
 from rve.common.sweeps import numbers_of, run_sweep, sweep_options
 
 METHODS = ("direct", "stewart-trinkle")
@@ -280,7 +280,7 @@ def case(
 def _check_views(html: Path | None, animation: Path | None) -> None:
     """InputError, before anything is solved, for views of a cell that cannot be written."""
     from rve.cell_view import check_animation
-    from rve.common.page import check_page
+    from rve.common.drawing.page import check_page
 
     if html is not None:
         check_page("--html", "leave it out")

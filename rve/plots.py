@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rve.common.errors import SENTENCES, InputError, NotConverged, require
-from rve.common.files import atomic_path
+from rve.common.storage.files import atomic_path
 from rve.common.types import Array
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.locked_states import LockedStates

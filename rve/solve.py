@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import TABLE_FORMAT, versions
 from rve.common.progress import part_of
 from rve.common.records import Flags
 from rve.common.rings import areal_mass
+from rve.common.storage.files import TABLE_FORMAT, versions
 from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rve.common.errors import InputError
-from rve.common.files import sidecar_path
+from rve.common.storage.files import sidecar_path
 from rve.common.sweeps import Item
 
 MOST_CELLS = 10_000

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError, require
-from rve.common.files import TABLE_FORMAT, check_out_table, sidecar_path, write_text
-from rve.common.jobs import check_belongs, complete, job
-from rve.common.reading import MOST_CSV_BYTES, read_json_object, read_text
 from rve.common.rings import check_rings
+from rve.common.storage.files import TABLE_FORMAT, check_out_table, sidecar_path, write_text
+from rve.common.storage.jobs import check_belongs, complete, job
+from rve.common.storage.reading import MOST_CSV_BYTES, read_json_object, read_text
 from rve.common.types import Array
 from rve.common.values import shown, shown_key
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
@@ -190,7 +190,7 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     """Write the CSV and its sidecar JSON, both or none; an unknown number is an empty cell.
 
     The sidecar holds the SHA-256 of the CSV, which `read_table` checks. Raises InputError where they cannot be written,
-    or would overwrite something else (`rve.common.files.check_out_table`).
+    or would overwrite something else (`rve.common.storage.files.check_out_table`).
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), provenance_path(path)

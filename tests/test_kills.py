@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from rve.common.files import checksum
-from rve.common.jobs import complete
+from rve.common.storage.files import checksum
+from rve.common.storage.jobs import complete
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "test_homogenize" / "data" / "table190.csv"

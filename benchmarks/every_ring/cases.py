@@ -19,7 +19,7 @@ from macro_fem.every_ring import ring_scene
 from macro_fem.job import solve
 from macro_fem.scene.schema import Scene
 from rve import FiniteSolution
-from rve.common.files import write_text
+from rve.common.storage.files import write_text
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

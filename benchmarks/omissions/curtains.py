@@ -15,7 +15,7 @@ from homogenize.io import default_law
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem.curtain import CURTAIN, CurtainOptions, solve_problem
 from macro_fem.fem.assembly import load_vector
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension, unit_tensors
 from macro_fem.solvers.central_path import PathResult, solve_path

@@ -17,7 +17,7 @@ import click
 from benchmarks.machine import ROOT, describe
 from benchmarks.report.picture import svg
 from benchmarks.report.records import Report, Section, Table, from_json, shown, to_json
-from rve.common.files import write_text
+from rve.common.storage.files import write_text
 
 FOLDER = ROOT / "docs" / "reports"
 OUT = click.Path(path_type=Path, file_okay=False)

@@ -17,7 +17,7 @@ from homogenize.laws.protocol import MembraneLaw
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.assembly import stiffness
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, read_scene
 from macro_fem.solution import CurtainSolution, make_problem
 from rve.common.errors import InputError

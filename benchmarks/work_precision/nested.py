@@ -25,7 +25,7 @@ from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.loop import DemandOptions, solve_on_demand
 from macro_fem.demand.ring_answers import first_directions, ring_info, rounded
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, read_scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, solve_table, support

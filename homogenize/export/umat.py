@@ -17,7 +17,7 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.projection import DEGENERATE, MAX_ROUNDS, polyhedron_of
 from homogenize.laws.protocol import MembraneLaw
 from rve.common.errors import InputError
-from rve.common.files import write_text
+from rve.common.storage.files import write_text
 from rve.common.types import Array
 
 PER_STATEMENT = 40

@@ -13,7 +13,7 @@ from typing import Any
 
 from homogenize.fitting.fit import fit_table
 from homogenize.laws.stored import law_record
-from rve.common.files import write_text
+from rve.common.storage.files import write_text
 
 SHIPPED = Path(__file__).parents[1] / "data" / "rings_10.json"
 

@@ -11,8 +11,8 @@ from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, report_from_dict
 from homogenize.strength import Strength
 from rve.common.errors import require
-from rve.common.files import write_text
 from rve.common.notebook import as_html
+from rve.common.storage.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

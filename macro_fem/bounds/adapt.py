@@ -12,7 +12,7 @@ from homogenize import LawInterval, MembraneLaw
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Bounds, bound
 from macro_fem.curtain import solve_problem
-from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
+from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution, Problem
 from macro_fem.solvers.cones import supported, taken_from

@@ -14,7 +14,7 @@ import skfem
 
 from homogenize import MembraneLaw
 from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import Problem, make_problem
 from rve.common.errors import InputError

@@ -29,7 +29,7 @@ from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.fem.rotated import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
-from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError

@@ -16,7 +16,7 @@ from typing import Any
 
 from rve import Cell
 from rve.common.errors import InputError
-from rve.common.files import check_out_folder, versions, write_text
+from rve.common.storage.files import check_out_folder, versions, write_text
 from rve.common.types import Array
 
 Beside = tuple[tuple[float, float], ...]

@@ -26,7 +26,7 @@ from macro_fem.demand.cache import NO_CACHE, RingCache
 from macro_fem.demand.directions import between, widest
 from macro_fem.demand.ring_answers import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
 from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.scene.mesh import CurtainMesh, build_mesh, refine
+from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from macro_fem.output.files import corner_positions
-from macro_fem.scene.places import counterclockwise
+from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.solution import CurtainSolution
 from rve import Curtain
 

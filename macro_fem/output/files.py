@@ -21,14 +21,14 @@ from macro_fem.fem.linear import chosen
 from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
 from macro_fem.scene.loads import PER_MM2, areal_mass
-from macro_fem.scene.places import counterclockwise
+from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.tables import Hooks, Track
 from macro_fem.scene.wind import wind_summary
 from macro_fem.solution import CurtainSolution, Problem
 from rve.common.cells import mean_at_corners
-from rve.common.files import write_text, write_whole
+from rve.common.storage.files import write_text, write_whole
+from rve.common.storage.vtu import DIRECTION_1, DISPLACEMENT, LINE_LOAD_1, LINE_LOAD_2, STATE, STRAIN, STRESS
 from rve.common.types import Array
-from rve.common.vtu import DIRECTION_1, DISPLACEMENT, LINE_LOAD_1, LINE_LOAD_2, STATE, STRAIN, STRESS
 
 if TYPE_CHECKING:
     from macro_fem.bounds.adapt import Level

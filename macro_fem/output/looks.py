@@ -9,11 +9,11 @@ from pathlib import Path
 from macro_fem.output.space_view import Frame, curtain_view
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
+from rve.common.drawing.page import check_page, write_page
+from rve.common.drawing.render import check_render, render
+from rve.common.drawing.views import THREE_QUARTERS, View
 from rve.common.errors import InputError, NotConverged, require
-from rve.common.page import check_page, write_page
-from rve.common.render import check_render, render
 from rve.common.types import Array
-from rve.common.views import THREE_QUARTERS, View
 
 PICTURE, ANIMATION, PAGE = "curtain.png", "curtain.gif", "curtain.html"
 

@@ -13,11 +13,11 @@ from macro_fem.output.files import corner_positions
 from macro_fem.output.space_view import line_load_scale
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles
+from rve.common.drawing.render import colour_map, pixels, write_gif
+from rve.common.drawing.views import Scale, rounded_up
 from rve.common.errors import InputError
-from rve.common.files import write_whole
-from rve.common.render import colour_map, pixels, write_gif
+from rve.common.storage.files import write_whole
 from rve.common.types import Array
-from rve.common.views import Scale, rounded_up
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

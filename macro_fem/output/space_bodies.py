@@ -12,9 +12,9 @@ from macro_fem.fem.space import padded
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
 from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
-from rve.common.solids import Solid, box, cylinder, rectangle, rounded_box, sphere
+from rve.common.drawing.solids import Solid, box, cylinder, rectangle, rounded_box, sphere
+from rve.common.drawing.views import Surface, merged
 from rve.common.types import Array
-from rve.common.views import Surface, merged
 
 OBSTACLE = "#c9b18f"
 SHRUNK = 0.003

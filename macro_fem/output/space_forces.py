@@ -6,9 +6,9 @@ import numpy as np
 
 from macro_fem.fem.space import padded
 from macro_fem.solution import CurtainSolution
-from rve.common.solids import arrow
+from rve.common.drawing.solids import arrow
+from rve.common.drawing.views import Surface, merged
 from rve.common.types import Array
-from rve.common.views import Surface, merged
 
 MOST_ARROWS = 14
 """Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""

@@ -12,14 +12,14 @@ from macro_fem.output.files import corner_positions
 from macro_fem.output.space_bodies import ground_level, obstacles
 from macro_fem.output.space_forces import LONGEST, arrows, pulls, pushes
 from macro_fem.scene.cables import track_of
+from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.obstacles import Floor
-from macro_fem.scene.places import counterclockwise
 from macro_fem.scene.tables import Hooks, Track
 from macro_fem.solution import CurtainSolution
 from rve.common.cells import as_triangles, mean_at_corners
-from rve.common.solids import PERSON_MM, Solid, person, rectangle, sphere
+from rve.common.drawing.solids import PERSON_MM, Solid, person, rectangle, sphere
+from rve.common.drawing.views import Lines, Scale, Surface, View, merged, rounded_up
 from rve.common.types import Array
-from rve.common.views import Lines, Scale, Surface, View, merged, rounded_up
 
 HELD, TRACK, REACTION, PUSH = "#1f4e79", "#4a4f57", "#d7263d", "#e07b00"
 GROUND, SHADOW, FIGURE = "#ebedf0", "#cdd2d8", "#8d96a1"

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from homogenize import MembraneLaw
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.rotated import largest_stretch
-from macro_fem.scene.edges import paths
-from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.meshing.edges import paths
+from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Track
 from macro_fem.scene.tracks import Curve, track_curve, track_places

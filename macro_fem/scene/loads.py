@@ -8,7 +8,7 @@ import skfem
 from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.mesh import CurtainMesh
+from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import point_node

@@ -31,7 +31,7 @@ from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
 from rve.common.materials import described
 from rve.common.notebook import as_html
-from rve.common.reading import read_toml
+from rve.common.storage.reading import read_toml
 from rve.common.values import read_record, shown, shown_key
 
 

@@ -16,7 +16,7 @@ from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.space import in_space_of
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import Sliding, edge_line, placed_along, sliding_nodes, sloping, track_of, unit_direction
-from macro_fem.scene.mesh import CurtainMesh, components
+from macro_fem.scene.meshing.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import NO_MOVE, Bar, Corners, Edge, Hooks, Point, Rail, Top, Track, Vector, in_3d
 from macro_fem.scene.tracks import track_places

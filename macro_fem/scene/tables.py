@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from macro_fem.fem.linear import METHODS
-from macro_fem.scene.edges import canonical
+from macro_fem.scene.meshing.edges import canonical
 from rve.common.errors import InputError
 from rve.common.values import (
     MISSING,

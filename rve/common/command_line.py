@@ -33,8 +33,8 @@ from typing import Any
 import click
 
 from rve.common.errors import InputError, NotConverged, OldName, require
-from rve.common.files import check_out_file
 from rve.common.progress import shown, tell
+from rve.common.storage.files import check_out_file
 
 _TRACE = "rve.common.command_line.traceback"
 _QUIET = "rve.common.command_line.quiet"

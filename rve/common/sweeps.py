@@ -24,9 +24,9 @@ import click
 
 from rve.common.command_line import answer, say
 from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
-from rve.common.files import check_out_folder, checksum, versions, write_text
 from rve.common.progress import tell
-from rve.common.reading import read_json_object
+from rve.common.storage.files import check_out_folder, checksum, versions, write_text
+from rve.common.storage.reading import read_json_object
 
 MARKS = ".sweep"
 """Folder of the marks of finished items, inside that of the sweep."""

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from rve.common.drawing.page import write_page
+from rve.common.drawing.views import View
 from rve.common.errors import InputError, require
 from rve.common.notebook import as_html
-from rve.common.page import write_page
 from rve.common.types import Array
-from rve.common.views import View
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
 from rve.finite.records import SENTENCES, FiniteOptions, Found, Record, Task

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rve.common.solids import arrow, sphere
-from rve.common.views import FRONT, THREE_QUARTERS, Surface, View, merged
+from rve.common.drawing.solids import arrow, sphere
+from rve.common.drawing.views import FRONT, THREE_QUARTERS, Surface, View, merged
 from rve.localization.picture import ring_view
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from rve.common.cells import as_triangles, recovered, triangle_areas
 from rve.common.errors import InputError
-from rve.common.jobs import check_belongs
-from rve.common.reading import read_json_object
 from rve.common.rings import RING_CHECKS, check_rings
+from rve.common.storage.jobs import check_belongs
+from rve.common.storage.reading import read_json_object
+from rve.common.storage.vtu import DISPLACEMENT, LINE_LOAD_1, OLD_REFERENCE, STATE, STRAIN, STRESS, VtuFile, read_vtu
 from rve.common.types import Array
 from rve.common.values import checked, finite, shown
-from rve.common.vtu import DISPLACEMENT, LINE_LOAD_1, OLD_REFERENCE, STATE, STRAIN, STRESS, VtuFile, read_vtu
 
 CURTAIN_RECORD, CURTAIN_VTU = "summary.json", "curtain.vtu"
 """The file that stands for a curtain's job and lists the others by their checksums, and the one with its fields."""

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.drawing.page import check_page, write_page
+from rve.common.drawing.render import check_render, render
+from rve.common.drawing.views import View
 from rve.common.errors import NotConverged, require
-from rve.common.files import versions, write_text
-from rve.common.jobs import check_out_job, job
 from rve.common.notebook import as_html
-from rve.common.page import check_page, write_page
-from rve.common.render import check_render, render
+from rve.common.storage.files import versions, write_text
+from rve.common.storage.jobs import check_out_job, job
 from rve.common.types import Array
-from rve.common.views import View
 from rve.geometry.cell import Cell
 from rve.localization.curtain import Curtain, WeaveOfCurtain
 from rve.localization.files import LINE, TUBE, write_forces_csv, write_ring_vtu
@@ -106,7 +106,7 @@ class RingField:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
         `tubes`: write tori instead of centre lines; `html`: rings.html, which turns in a browser. All files appear
-        together, and what they replace is gone (`rve.common.jobs`). InputError where they cannot be written or would
+        together, and what they replace is gone (`rve.common.storage`). InputError where they cannot be written or would
         overwrite one of `inputs`; NotConverged if the picture cannot be drawn, the other files are written then.
         """
         if picture:

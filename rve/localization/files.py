@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.files import write_text
+from rve.common.storage.files import write_text
 from rve.common.types import Array
 from rve.geometry.circles import tangent_frame
 from rve.localization.forces import CellForces

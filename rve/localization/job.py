@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from rve.common.drawing.page import check_page
 from rve.common.errors import InputError, require
-from rve.common.jobs import check_out_job, complete
-from rve.common.page import check_page
 from rve.common.progress import tell
+from rve.common.storage.jobs import check_out_job, complete
 from rve.common.types import Array
 from rve.common.values import Options, choice, whole
 from rve.geometry.cell import Cell

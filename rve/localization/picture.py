@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rve.common.render import colour_map
-from rve.common.solids import quads_cut
+from rve.common.drawing.render import colour_map
+from rve.common.drawing.solids import quads_cut
+from rve.common.drawing.views import PLASMA, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, rounded_up
 from rve.common.types import Array
-from rve.common.views import PLASMA, THREE_QUARTERS, Camera, Lines, Scale, Surface, View, rounded_up
 from rve.localization.files import LINE, circles, tubes
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from rve.common.errors import InputError, NotConverged
-from rve.common.files import AnyPath, check_out_folder, write_text
 from rve.common.progress import part_of, tell
-from rve.common.reading import read_json_object
+from rve.common.storage.files import AnyPath, check_out_folder, write_text
+from rve.common.storage.reading import read_json_object
 from rve.common.types import Array
 from rve.common.values import Check, Options, checked, list_of, numbers, one_of, whole
 from rve.common.workers import worker_pool

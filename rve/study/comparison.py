@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rve.common.errors import require
-from rve.common.files import versions, write_text
-from rve.common.jobs import check_out_job, job
+from rve.common.storage.files import versions, write_text
+from rve.common.storage.jobs import check_out_job, job
 from rve.common.types import Array
 from rve.directions import grid
 from rve.paper.dynamics import StewartTrinkleOptions
@@ -131,7 +131,7 @@ def run(
     study.json and the pictures fig_09.png to fig_17.png and contacts_missed.png. Returns what was solved.
 
     Without angles these are the paper's 190 cases: about two minutes on one core.
-    All files appear together, and what they replace is gone (`rve.common.jobs`). Raises InputError when matplotlib is
+    All files appear together, and what they replace is gone (`rve.common.storage`). InputError when matplotlib is
     missing or the folder cannot be made or written, before anything is solved.
     """
     require("matplotlib", "plots", "the study")

@@ -17,7 +17,7 @@ from homogenize.io import load_law, save_law
 from homogenize.laws.cloth import ClothLaw
 from homogenize.laws.net import ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from rve.directions import parse_angles, parse_window, read_loads
 from rve.equilibrium.system import Equations

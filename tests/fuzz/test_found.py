@@ -11,11 +11,11 @@ from click.testing import CliRunner
 from homogenize.cli import main as homogenize
 from homogenize.io import load_law, save_law
 from macro_fem.cli import main as macro_fem
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from rve.cli import main as rve
 from rve.common.errors import InputError
-from rve.common.reading import MOST_JSON_BYTES
+from rve.common.storage.reading import MOST_JSON_BYTES
 from rve.directions import parse_angles
 from rve.localization.curtain import read_curtain, read_weave
 from rve.table import read_table

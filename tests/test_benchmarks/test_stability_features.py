@@ -14,7 +14,7 @@ from homogenize.io import default_law
 from homogenize.laws.net import ring_cell, ring_net
 from macro_fem import curtain as solvers
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers import central_path, newton

@@ -12,7 +12,7 @@ from macro_fem.bounds.equilibrated import dual_mesh
 from macro_fem.bounds.interval import _near_points, bound, dual_problem
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
-from macro_fem.scene.mesh import build_mesh, refine
+from macro_fem.scene.meshing.mesh import build_mesh, refine
 from macro_fem.scene.schema import read_scene
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6

@@ -8,7 +8,7 @@ import pytest
 from macro_fem.bounds import interval as bounds
 from macro_fem.bounds.interval import bound, dual_problem
 from macro_fem.curtain import solve_problem, solve_scene
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers.central_path import solve_path

@@ -14,8 +14,8 @@ import skfem
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.output.files import summarize
-from macro_fem.scene.mesh import build_mesh, cut_in_four
-from macro_fem.scene.places import counterclockwise
+from macro_fem.scene.meshing.mesh import build_mesh, cut_in_four
+from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError

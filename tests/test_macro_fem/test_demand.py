@@ -36,7 +36,7 @@ from macro_fem.demand.options import ring_options
 from macro_fem.demand.ring_answers import Asked, ask, contradictions, first_directions, rounded, settled
 from macro_fem.demand.ring_strength import strength_of_rows
 from macro_fem.job import solve
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers.cones import least_slack

@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_scene
 from macro_fem.output.files import held_length, summarize
-from macro_fem.scene.edges import named_edges
-from macro_fem.scene.mesh import build_mesh, refine
-from macro_fem.scene.outline import mesh_outline
+from macro_fem.scene.meshing.edges import named_edges
+from macro_fem.scene.meshing.mesh import build_mesh, refine
+from macro_fem.scene.meshing.outline import mesh_outline
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError

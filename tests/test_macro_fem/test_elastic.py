@@ -12,7 +12,7 @@ from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.membrane import evaluate
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers.central_path import solve_path

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from homogenize.io import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from macro_fem.solution import make_problem
 from tests.test_macro_fem.sheets import least_angle

@@ -13,7 +13,7 @@ from macro_fem.cli import main
 from macro_fem.curtain import CurtainOptions, solve_problem
 from macro_fem.fem.rotated import RotatedLaw
 from macro_fem.output.explain import decisions
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem, spread_tension, unit_tensors
 from macro_fem.solvers.central_path import solve_path

@@ -8,7 +8,7 @@ import pytest
 from homogenize import ClothLaw
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.assembly import gradient
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.supports import Supports
 from macro_fem.shape_loop import following

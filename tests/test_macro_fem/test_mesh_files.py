@@ -6,10 +6,10 @@ import meshio
 import numpy as np
 import pytest
 
-from macro_fem.scene.gmsh import read_gmsh
-from macro_fem.scene.mesh_files import read_mesh_file
+from macro_fem.scene.meshing.gmsh import read_gmsh
+from macro_fem.scene.meshing.mesh_files import read_mesh_file
 from rve.common.errors import InputError
-from rve.common.vtu import read_vtu
+from rve.common.storage.vtu import read_vtu
 from tests.fuzz.targets import TARGETS, make_curtain, make_vtu, msh_41, square
 
 

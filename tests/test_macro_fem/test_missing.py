@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize.io import default_law
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers import soc

@@ -9,7 +9,7 @@ from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.obstacles import obstacle_forces, pushes_of
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import OBSTACLES, placed
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.tables import read_kinds

@@ -7,8 +7,8 @@ import pytest
 
 from macro_fem.curtain import solve_scene
 from macro_fem.output.files import corner_positions
-from macro_fem.scene.mesh import build_mesh
-from macro_fem.scene.outline import mesh_outline
+from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.meshing.outline import mesh_outline
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 

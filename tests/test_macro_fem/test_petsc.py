@@ -21,7 +21,7 @@ from homogenize import default_law
 from macro_fem import Scene
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.petsc import processes
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.solution import make_problem
 scene = Scene.rectangle(1000.0, 1000.0, cells=12).hung_by("corners", gather=0.95)
 scene = replace(scene, solver=replace(scene.solver, kind={kind!r}))

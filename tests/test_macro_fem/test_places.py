@@ -16,8 +16,8 @@ from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.output.files import summarize
 from macro_fem.scene.loads import disk_areas
-from macro_fem.scene.mesh import build_mesh, signed_areas
-from macro_fem.scene.places import LEAST_SINE, make_sheet, with_nodes_at
+from macro_fem.scene.meshing.mesh import build_mesh, signed_areas
+from macro_fem.scene.meshing.places import LEAST_SINE, make_sheet, with_nodes_at
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError

@@ -10,7 +10,7 @@ import pytest
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.fem.rotated import RotatedLaw
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from rve.common.errors import InputError

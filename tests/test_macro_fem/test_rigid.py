@@ -10,7 +10,7 @@ from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.membrane import first_piola
 from macro_fem.fem.rotated import rotated
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers.central_path import solve_path

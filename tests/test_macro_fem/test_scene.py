@@ -14,7 +14,7 @@ from homogenize.laws.net import diagonal_net, ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.mesh import build_mesh, signed_areas
+from macro_fem.scene.meshing.mesh import build_mesh, signed_areas
 from macro_fem.scene.schema import load_scene, read_scene
 from macro_fem.scene.tables import Bar, Corners, Hooks
 from rve.common.errors import InputError, OldName

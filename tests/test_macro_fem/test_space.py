@@ -17,7 +17,7 @@ from macro_fem.every_ring import ring_scene
 from macro_fem.job import solve
 from macro_fem.output.explain import decisions
 from macro_fem.output.files import support_table
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from macro_fem.scene.tables import HELD
 from macro_fem.solution import gathered_start, make_problem

@@ -12,7 +12,7 @@ from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene, supports_reach
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers.central_path import solve_path

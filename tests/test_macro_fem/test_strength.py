@@ -18,7 +18,7 @@ from macro_fem.output.strength import critical_load, holds_line, summary, utilis
 from macro_fem.scene.schema import read_scene
 from rve import named_material
 from rve.common.errors import InputError
-from rve.common.vtu import read_vtu
+from rve.common.storage.vtu import read_vtu
 from rve.table import read_table
 
 TABLE = Path(__file__).parents[1] / "test_homogenize" / "data" / "table190.csv"

@@ -5,7 +5,7 @@ import pytest
 
 from homogenize.laws.net import diagonal_net
 from macro_fem.fem.membrane import evaluate
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solution import make_problem
 from macro_fem.solvers.clarabel import ClarabelOptions, solve_clarabel

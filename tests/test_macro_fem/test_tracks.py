@@ -11,7 +11,7 @@ from homogenize.io import default_law
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_problem, solve_scene
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.tables import Track
 from macro_fem.scene.tracks import track_curve, track_places

@@ -10,7 +10,7 @@ import rve
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_scene
-from macro_fem.scene.mesh import build_mesh
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.wind import drag_coefficient, ring_solidity
 from macro_fem.solution import make_problem

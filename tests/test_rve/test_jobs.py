@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
-from rve.common.files import atomic_path, check_out_file, check_out_folder, checksum
-from rve.common.jobs import check_out_job, complete, job
+from rve.common.storage.files import atomic_path, check_out_file, check_out_folder, checksum
+from rve.common.storage.jobs import check_out_job, complete, job
 from rve.geometry.kinematics import cauchy_line_load
 from rve.table import StrainTable, provenance_path, read_table, write_table
 
@@ -99,7 +99,7 @@ import os, signal, sys
 from pathlib import Path
 sys.path[:0] = [{root!r}, {here!r}]
 from test_jobs import KILLS, NEW, OLD, content, publish
-from rve.common.jobs import complete
+from rve.common.storage.jobs import complete
 base = Path({base!r})
 for step in range(400):
     out = base / str(step)
@@ -189,7 +189,7 @@ def test_signals_wait_for_the_end_of_publication(tmp_path, monkeypatch):
                 (staged / name).write_text("{}")
             monkeypatch.setattr(os, "replace", interrupted)
 
-    monkeypatch.setattr("rve.common.jobs._sign", lambda *args: None)
+    monkeypatch.setattr("rve.common.storage.jobs._sign", lambda *args: None)
     with pytest.raises(KeyboardInterrupt):
         go()
     assert content(tmp_path) == {"a.txt": "{}", "summary.json": "{}"}

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rve.common.errors import InputError
-from rve.common.files import atomic_path
+from rve.common.storage.files import atomic_path
 from rve.directions import graded_grid, parse_angles, product, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table

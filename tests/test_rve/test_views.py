@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from homogenize import default_law
-from rve.common.errors import NotConverged
-from rve.common.page import STRIP, write_page
-from rve.common.render import aim, render
-from rve.common.solids import PERSON_MM, arrow, box, capsule, cylinder, person, rounded_box, sphere
-from rve.common.views import (
+from rve.common.drawing.page import STRIP, write_page
+from rve.common.drawing.render import aim, render
+from rve.common.drawing.solids import PERSON_MM, arrow, box, capsule, cylinder, person, rounded_box, sphere
+from rve.common.drawing.views import (
     FRONT,
     THREE_QUARTERS,
     Camera,
@@ -31,6 +30,7 @@ from rve.common.views import (
     rounded_up,
     unpacked,
 )
+from rve.common.errors import NotConverged
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import read_table
@@ -326,6 +326,6 @@ def test_views_stand_side_by_side_with_their_own_axes(tmp_path):
 
 
 def test_the_modules_of_views_import_nothing_heavy():
-    code = "import sys, rve.common.views, rve.common.solids, rve.common.page, rve.common.render; "
+    code = "import sys; from rve.common.drawing import views, solids, page, render; "
     code += "print([m for m in ('matplotlib', 'pyvista', 'plotly', 'PIL') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.scene.outline import distance_to_polygon
+from macro_fem.scene.meshing.outline import distance_to_polygon
 from rve.common.errors import InputError
 from rve.common.types import Array
 

@@ -1,7 +1,7 @@
 """What is looked at in space: surfaces and lines with a colour or with values on one scale of colours.
 
-The same `View` makes a picture and an animation (`rve.common.render`) and a page that turns in a browser
-(`rve.common.page`). Coordinates are mm, or the `unit` of the view; the second axis points up.
+The same `View` makes a picture and an animation (`rve.common.drawing.render`) and a page that turns in a browser
+(`rve.common.drawing.page`). Coordinates are mm, or the `unit` of the view; the second axis points up.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.scene.edges import CORNER, paths
+from macro_fem.scene.meshing.edges import CORNER, paths
 from rve.common.errors import InputError
 from rve.common.types import Array
 

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.reading import parse_numbers
+from rve.common.storage.reading import parse_numbers
 from rve.common.types import Array
 from rve.common.values import shown
 

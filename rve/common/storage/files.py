@@ -1,6 +1,6 @@
 """Single files: atomic writes, checksums, what an output may not overwrite, and versions of what has written it.
 
-Jobs of several files are in `rve.common.jobs`.
+Jobs of several files are in `rve.common.storage.jobs`.
 """
 
 from __future__ import annotations

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.scene.gmsh import GmshFile, read_gmsh
+from macro_fem.scene.meshing.gmsh import GmshFile, read_gmsh
 from rve.common.errors import InputError
-from rve.common.reading import MOST_MESH_BYTES, first_line, read_bytes
-from rve.common.vtu import VtuFile, read_vtu
+from rve.common.storage.reading import MOST_MESH_BYTES, first_line, read_bytes
+from rve.common.storage.vtu import VtuFile, read_vtu
 
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
 

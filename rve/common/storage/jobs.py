@@ -39,7 +39,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rve.common.errors import InputError
-from rve.common.files import AnyPath, check_out_folder, check_replaceable, checksum, write_text
+from rve.common.storage.files import AnyPath, check_out_folder, check_replaceable, checksum, write_text
 
 FILES, PLAN = "files", "plan.json"
 """Inside the hidden folder: the files of the job, and which names to remove and which to place, in this order."""

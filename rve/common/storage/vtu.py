@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError
-from rve.common.reading import MOST_MESH_BYTES, first_line, parse_numbers, read_bytes
+from rve.common.storage.reading import MOST_MESH_BYTES, first_line, parse_numbers, read_bytes
 from rve.common.types import Array
 from rve.common.values import shown
 

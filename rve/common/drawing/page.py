@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from rve.common.drawing.views import Lines, Scale, Surface, View
 from rve.common.errors import require
-from rve.common.files import write_text
 from rve.common.progress import tell
+from rve.common.storage.files import write_text
 from rve.common.types import Array
-from rve.common.views import Lines, Scale, Surface, View
 
 AXES = [2, 0, 1]
 """Our axes z, x, y as x, y, z of plotly, whose third axis points up."""

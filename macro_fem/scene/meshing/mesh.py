@@ -1,7 +1,7 @@
 """Meshes of curtains: rectangles in rows, any outline with holes by Delaunay's rule on a lattice of the weave, files.
 
-A mesh comes with its named edges, see `macro_fem.scene.edges`, and has nodes at hooks, at held and loaded points, and
-at the centres of patches that are smaller than its cells, see `macro_fem.scene.places`.
+A mesh comes with its named edges, see `edges`, and has nodes at hooks, at held and loaded points, and
+at the centres of patches that are smaller than its cells, see `places`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
-from macro_fem.scene.edges import facets_between, inherited_edges, named_edges
-from macro_fem.scene.mesh_files import read_mesh_file
-from macro_fem.scene.outline import mesh_outline, regular_polygon
-from macro_fem.scene.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
+from macro_fem.scene.meshing.edges import facets_between, inherited_edges, named_edges
+from macro_fem.scene.meshing.mesh_files import read_mesh_file
+from macro_fem.scene.meshing.outline import mesh_outline, regular_polygon
+from macro_fem.scene.meshing.places import SAME, counterclockwise, hook_places, make_sheet, through, with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import MOST_MM, Curtain, Hooks, Point, PointLoad, Track
 from rve.common.errors import InputError
+from rve.common.storage.vtu import DISPLACEMENT, OLD_REFERENCE
 from rve.common.types import Array
 from rve.common.values import shown
-from rve.common.vtu import DISPLACEMENT, OLD_REFERENCE
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""

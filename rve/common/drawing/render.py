@@ -1,7 +1,7 @@
 """Views as pictures (PNG) and animations (GIF) by pyvista and matplotlib, without a display.
 
-`render` does it in a process of its own, `python -m rve.common.render OUT`, because a renderer without a screen may
-crash. That process reads the views, `packed`, from its standard input.
+`render` does it in a process of its own, `python -m rve.common.drawing.render OUT`, because a renderer without a
+screen may crash. That process reads the views, `packed`, from its standard input.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rve.common.drawing.views import Camera, Lines, Scale, Surface, View, packed, unpacked
 from rve.common.errors import NotConverged, require
-from rve.common.files import atomic_path
 from rve.common.progress import tell
+from rve.common.storage.files import atomic_path
 from rve.common.types import Array
-from rve.common.views import Camera, Lines, Scale, Surface, View, packed, unpacked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,10 +47,10 @@ def render(path: str | os.PathLike[str], views: Sequence[View]) -> None:
     """
     check_render(str(path))
     tell(f"drawing {Path(path).name}")
-    here = str(Path(__file__).resolve().parents[2])
+    here = str(Path(__file__).resolve().parents[3])
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
     with atomic_path(path) as temporary:
-        command = [sys.executable, "-m", "rve.common.render", str(temporary)]
+        command = [sys.executable, "-m", "rve.common.drawing.render", str(temporary)]
         run = subprocess.run(command, input=packed(views), capture_output=True, env=os.environ | {"PYTHONPATH": paths})
         if run.returncode:
             last = (run.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]

@@ -1,0 +1,1 @@
+"""Meshes of curtains: outlines, edges, places that need nodes, and mesh files."""

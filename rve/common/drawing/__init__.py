@@ -1,0 +1,1 @@
+"""Surfaces and lines in space: views, pictures, animations and pages that turn."""

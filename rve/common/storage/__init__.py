@@ -1,0 +1,1 @@
+"""Files: atomic writes, jobs of several files, reading with limits, VTU."""
