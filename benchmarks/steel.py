@@ -1,7 +1,7 @@
 """Curtains of the examples in steel: what the rings give, and how their utilisation converges with the mesh.
 
 `python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--rows DIR] [--out DIR]` writes steel.md. The rings
-are those of the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235.
+are those of the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235 where a scene names no other material.
 """
 
 import json
@@ -19,7 +19,7 @@ from benchmarks.machine import ROOT
 from benchmarks.report.files import write_page
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
-from homogenize import default_law
+from homogenize import default_law, with_material
 from homogenize.laws.giving import constant_compliance
 from homogenize.laws.polyhedral import PolyhedralLaw
 from macro_fem.curtain import solve_problem
@@ -117,7 +117,7 @@ def giving_row(name: str) -> Row:
 def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> CurtainSolution:
     """The rigid curtain on a mesh whose cells are `side` mm small at a place (2,) in mm of the reference state, by
     default where the rings' utilisation is largest."""
-    law = default_law()
+    law = with_material(default_law(), dict(scene.material), scene.source)
     while True:
         found = solve_problem(make_problem(scene, law, mesh))
         told, used = summary(found), utilisation(found)
