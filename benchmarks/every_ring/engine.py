@@ -179,7 +179,7 @@ def _conclusion(rows: list[Row]) -> str:
         found = np.array([row[DIFFERENCE] for row in rows if row["centres"] == centres])
         if len(found):
             said.append(
-                f"in the {centres} MuJoCo's mean height differs from ours by {found.mean():+.2g} % of the height on "
+                f"with centres in {'the plane' if centres == 'plane' else centres} MuJoCo's mean height differs from ours by {found.mean():+.2g} % of the height on "
                 f"average, its answers by {np.ptp(found):.2g} % among themselves"
             )
     text = "; ".join(said)
