@@ -175,12 +175,12 @@ def _case(sheet: int, k: int, space: bool, capsules: int) -> Case:
 
 def _conclusion(rows: list[Row]) -> str:
     said = []
-    for centres in ("plane", "space"):
+    for centres, where in (("plane", "the plane"), ("space", "space")):
         found = np.array([row[DIFFERENCE] for row in rows if row["centres"] == centres])
         if len(found):
             said.append(
-                f"with centres in {'the plane' if centres == 'plane' else centres} MuJoCo's mean height differs from ours by {found.mean():+.2g} % of the height on "
-                f"average, its answers by {np.ptp(found):.2g} % among themselves"
+                f"with centres in {where} MuJoCo's mean height differs from ours by {found.mean():+.2g} % of the "
+                f"height on average, its answers by {np.ptp(found):.2g} % among themselves"
             )
     text = "; ".join(said)
     return f"{text[:1].upper()}{text[1:]}." if said else "No case is there."
