@@ -7,12 +7,14 @@ grow with the weight. So the disk's answer over the height is the same number fo
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.report.measure import Row
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.every_ring import ring_scene
@@ -122,6 +124,15 @@ def kept(store: Store, name: str, asked: dict[str, Any], make: Callable[[], Case
     arrays = {key: value.tolist() for key, value in case.arrays.items()}
     write_text(path, json.dumps({"asked": asked, "numbers": case.numbers, "arrays": arrays}) + "\n")
     return case
+
+
+def kept_rows(store: Store, asked: dict[str, Any], makes: dict[str, Callable[[], Row]]) -> list[Row]:
+    """The rows of cases by their names, as `kept`; without those that a closed folder does not hold."""
+
+    def of(name: str, make: Callable[[], Row]) -> Row:
+        return kept(store, name, asked, lambda: Case(make(), {})).numbers
+
+    return those_there(partial(of, name, make) for name, make in makes.items())
 
 
 def rings_case(sheet: Sheet, k: int, space: bool, store: Store) -> Case:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.every_ring.brute import Array, least_gap, linked_pairs
-from benchmarks.every_ring.cases import SHEETS, Case, Store, kept, those_there
+from benchmarks.every_ring.cases import SHEETS, Store, kept_rows
 from benchmarks.every_ring.starts import slack_start
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
@@ -145,11 +145,13 @@ def measure(full: bool, store: Store) -> Section:
     if not has_mujoco() and not store.is_closed:
         return Section(TITLE, "MuJoCo is not installed (`pip install 'mujoco<4'`): nothing was compared.")
     plan = [(0, 2, space, n) for space in (False, True) for n in (24, 48)] if full else [(0, 1, False, 24)]
-    calls = []
-    for sheet, k, space, capsules in plan:
-        name = f"engine_{SHEETS[sheet].key}_{k}_{'space' if space else 'plane'}_{capsules}"
-        calls.append(partial(kept, store, name, {}, partial(_case, sheet, k, space, capsules)))
-    rows = [case.numbers for case in those_there(calls)]
+    makes = {
+        f"engine_{SHEETS[sheet].key}_{k}_{'space' if space else 'plane'}_{capsules}": partial(
+            compared, sheet, k, space, capsules
+        )
+        for sheet, k, space, capsules in plan
+    }
+    rows = kept_rows(store, {}, makes)
     text = (
         "A sheet of the first section in MuJoCo: rings are closed polygons of capsules, whose corners lie as far "
         "outside the centre circle as their sides lie inside, contacts as stiff as it allows, without friction. From "
@@ -167,10 +169,6 @@ def measure(full: bool, store: Store) -> Section:
     }
     forms |= {"s of MuJoCo": ".0f timed", "s of ours": ".1f timed"}
     return Section(TITLE, text, (table("The same sheet in MuJoCo", rows, forms),), (), _conclusion(rows))
-
-
-def _case(sheet: int, k: int, space: bool, capsules: int) -> Case:
-    return Case(compared(sheet, k, space, capsules), {})
 
 
 def _conclusion(rows: list[Row]) -> str:

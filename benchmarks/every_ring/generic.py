@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, minima, near_pairs, to_circle
-from benchmarks.every_ring.cases import GRAVITY, Case, Store, kept, those_there
+from benchmarks.every_ring.cases import GRAVITY, Store, kept_rows
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
 from rve import Cell, FiniteMesh
@@ -144,11 +144,11 @@ def measure(full: bool, store: Store) -> Section:
     """The section; without CasADi, one that says so."""
     if importlib.util.find_spec("casadi") is None:
         return Section(TITLE, "CasADi is not installed (`pip install casadi`): nothing was compared.")
-    calls = []
-    for hung, space in CASES if full else CASES[:1]:
-        name = f"generic_{hung}_{'space' if space else 'plane'}"
-        calls.append(partial(kept, store, name, {}, partial(_case, hung, space)))
-    rows = [case.numbers for case in those_there(calls)]
+    makes = {
+        f"generic_{hung}_{'space' if space else 'plane'}": partial(compared, hung, space)
+        for hung, space in (CASES if full else CASES[:1])
+    }
+    rows = kept_rows(store, {}, makes)
     text = (
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
         "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
@@ -160,10 +160,6 @@ def measure(full: bool, store: Store) -> Section:
     conclusion = f"IPOPT's potential is ours to 1e-6 of weight times r1 in {len(near)} of {len(rows)} rows."
     forms = {DIFFERENCE: "signed 1e-9 2", "least gap of IPOPT, r1": "at_most 1e-12", "s of IPOPT": ".0f timed"}
     return Section(TITLE, text, (table("2 x 2 cells in IPOPT", rows, forms),), (), conclusion)
-
-
-def _case(hung: str, space: bool) -> Case:
-    return Case(compared(hung, space), {})
 
 
 def compared(hung: str, space: bool) -> Row:

@@ -6,7 +6,8 @@ import time
 from dataclasses import replace
 from functools import partial
 
-from benchmarks.every_ring.cases import SHEETS, Case, Store, kept, those_there
+from benchmarks.every_ring.cases import SHEETS, Store, kept_rows
+from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
 from macro_fem.every_ring import ring_scene
 
@@ -17,12 +18,12 @@ QUICK, FULL = (6, 10), (10, 15, 22, 44)
 
 def measure(full: bool, store: Store) -> Section:
     """The section."""
-    calls = [
-        partial(kept, store, f"growth_{k}_{'space' if space else 'plane'}", {}, partial(_alone, k, space))
+    makes = {
+        f"growth_{k}_{'space' if space else 'plane'}": partial(_alone, k, space)
         for space in (False, True)
         for k in (FULL if full else QUICK)
-    ]
-    rows = [case.numbers for case in those_there(calls)]
+    }
+    rows = kept_rows(store, {}, makes)
     forms = {"potential, N mm": ".4f", "KKT residual": "at_most", "s": ".1f timed", "MB": ".0f timed"}
     text = (
         "A square of n by n cells hung by two corners at their full distance, from the slack weave, each in a process "
@@ -35,18 +36,18 @@ def measure(full: bool, store: Store) -> Section:
     return Section("Time and memory", text, (table("Squares of growing size", rows, forms),), (), conclusion)
 
 
-def _alone(k: int, space: bool) -> Case:
-    """The case of a process of its own, so that its memory is that of this case."""
+def _alone(k: int, space: bool) -> Row:
+    """The row of a process of its own, so that its memory is that of this case."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(_solved, (k, space))
 
 
-def _solved(k: int, space: bool) -> Case:
+def _solved(k: int, space: bool) -> Row:
     rings = ring_scene(SHEET.scene(k, 8))
     began = time.process_time()
     found = rings.solve(space=space)
     seconds = time.process_time() - began
-    row = {
+    return {
         "rings": len(found.centre),
         "centres": "space" if space else "plane",
         "status": found.status,
@@ -59,4 +60,3 @@ def _solved(k: int, space: bool) -> Case:
         "s": seconds,
         "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
-    return Case(row, {})

@@ -1,11 +1,10 @@
 """Does a weave leave the plane under tension? Periodic cells with centres free in space against the planar cell."""
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from benchmarks.every_ring.cases import Array, Case, Store, kept, those_there
+from benchmarks.every_ring.cases import Array, Store, kept_rows
 from benchmarks.every_ring.space_cell import SpaceCell, climb
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
@@ -26,14 +25,13 @@ MORE, RISE, DEPTH = "more work than h", "largest S:E - h", "largest depth of tho
 
 def measure(full: bool, store: Store) -> Section:
     """The section: weaves, ratios of radii, sizes of the periodic cell, loads, starts."""
-    calls = []
-    for weave in (FOUR_IN_ONE, SIX_IN_ONE):
-        for ratio in RATIOS[weave.name] if full else (10.0,):
-            for size in range(1, (LARGEST if ratio <= THICK else 2) + 1) if full else (1,):
-                name = f"cell_{weave.name}_{ratio:g}_{size}"
-                asked = {"loads": LOADS.tolist(), "disturbance": DISTURBANCE}
-                calls.append(partial(kept, store, name, asked, partial(_case, weave, ratio, size)))
-    rows = [case.numbers for case in those_there(calls)]
+    makes = {
+        f"cell_{weave.name}_{ratio:g}_{size}": partial(_row, weave, ratio, size)
+        for weave in (FOUR_IN_ONE, SIX_IN_ONE)
+        for ratio in (RATIOS[weave.name] if full else (10.0,))
+        for size in range(1, (LARGEST if ratio <= THICK else 2) + 1 if full else 2)
+    }
+    rows = kept_rows(store, {"loads": LOADS.tolist(), "disturbance": DISTURBANCE}, makes)
     text = (
         "Cells of 1 x 1 to 3 x 3 primitive cells whose rings may move along z, by sequential quadratic programming "
         "(`space_cell.py`, a solver of its own), under four dead loads S of unit trace. Each load has two starts: the "
@@ -66,7 +64,7 @@ def _names(rows: list[Row]) -> str:
     return ", ".join(f"{row['weave']} at {row['r1/r2']:g}, {row['cells']}" for row in rows) or "no cell"
 
 
-def _case(weave: Weave, ratio: float, size: int) -> Case:
+def _row(weave: Weave, ratio: float, size: int) -> Row:
     cell = Cell(5.0, 5.0 / ratio, weave)
     planar = support(cell, LOADS)
     ends: list[Row] = []
@@ -75,7 +73,7 @@ def _case(weave: Weave, ratio: float, size: int) -> Case:
             ends.append(_end(weave, ratio, size, planar, i, S, kind))
     more = [end for end in ends if end["rise"] > 1e-6 and end["overlap"] < 1e-8]
     low = [end for end in ends if end["rise"] < -1e-6]
-    numbers: dict[str, Any] = {
+    return {
         "weave": weave.name,
         "r1/r2": ratio,
         "cells": f"{size} x {size}",
@@ -88,8 +86,8 @@ def _case(weave: Weave, ratio: float, size: int) -> Case:
         "depth at h, r1": max((end["depth"] for end in ends if abs(end["rise"]) <= 1e-6), default=0.0),
         "worst overlap, r1": max(end["overlap"] for end in ends),
         "not ended": sum(end["radius"] > 1e-5 and end["steps"] >= STEPS for end in ends),
+        "_ends": ends,
     }
-    return Case(numbers | {"_ends": ends}, {})
 
 
 STEPS = 1200

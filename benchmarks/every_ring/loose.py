@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg import null_space
 
-from benchmarks.every_ring.cases import SHEETS, Array, Case, Sheet, Store, kept, those_there
+from benchmarks.every_ring.cases import SHEETS, Array, Sheet, Store, kept_rows
 from benchmarks.every_ring.starts import slack_start, solved_from, task_of
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
@@ -23,13 +23,13 @@ SOFT = 1e-7
 def measure(full: bool, store: Store) -> Section:
     """The section."""
     sizes = (1, 2) if full else (1,)
-    calls = [
-        partial(kept, store, f"loose_{sheet.key}_{k}_{space}", {}, partial(_case, sheet, k, space))
+    makes = {
+        f"loose_{sheet.key}_{k}_{space}": partial(_row, sheet, k, space)
         for sheet in (SHEETS if full else SHEETS[:1])
         for k in sizes
         for space in (False, True)
-    ]
-    rows = [case.numbers for case in those_there(calls)]
+    }
+    rows = kept_rows(store, {}, makes)
     text = (
         "Motions that keep all loaded contacts closed, on which the second derivative of the potential (the curvature "
         f"of the contacts times their forces) is below {SOFT:g} of the largest. A ring has five coordinates; its spin "
@@ -45,10 +45,6 @@ def measure(full: bool, store: Store) -> Section:
         "spin of every ring."
     )
     return Section("What is undetermined", text, (table("Free motions of the rings", rows, {}),), (), conclusion)
-
-
-def _case(sheet: Sheet, k: int, space: bool) -> Case:
-    return Case(_row(sheet, k, space), {})
 
 
 def _row(sheet: Sheet, k: int, space: bool) -> Row:

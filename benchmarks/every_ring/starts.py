@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.every_ring.brute import least_gap, linked_pairs
-from benchmarks.every_ring.cases import SHEETS, Array, Case, Store, kept, those_there
+from benchmarks.every_ring.cases import SHEETS, Array, Store, kept_rows
 from benchmarks.report.measure import Row, outcomes
 from benchmarks.report.records import Section, table
 from macro_fem.every_ring import RingScene, ring_scene
@@ -22,11 +22,11 @@ def measure(full: bool, store: Store) -> Section:
     """The section."""
     # sheet, k, number of starts, whether in space
     plan = ((0, 1, 35, False), (0, 1, 35, True), (2, 1, 20, True), (0, 2, 10, True)) if full else ((0, 1, 3, True),)
-    calls = []
-    for i, k, count, space in plan:
-        name = f"starts_{SHEETS[i].key}_{k}_{'space' if space else 'plane'}_{count}"
-        calls.append(partial(kept, store, name, {}, partial(_case, i, k, count, space)))
-    rows = [case.numbers for case in those_there(calls)]
+    makes = {
+        f"starts_{SHEETS[i].key}_{k}_{'space' if space else 'plane'}_{count}": partial(_row, i, k, count, space)
+        for i, k, count, space in plan
+    }
+    rows = kept_rows(store, {}, makes)
     text = (
         f"Scenes as in the first section. A start is the slack weave after {SWEEPS} rounds in which "
         f"every ring is moved and tilted at random by up to {STRIDE} r1 and {STRIDE} rad, and goes back where it would "
@@ -45,10 +45,6 @@ def measure(full: bool, store: Store) -> Section:
     percent = dict.fromkeys(("best, %", "spread, %", "standard deviation, %", "own start above the best, %"), ".3f")
     forms = percent | {"least gap, r1": "at_most 1e-9"}
     return Section("Random starts", text, (table("Random admissible starts", rows, forms),), (), conclusion)
-
-
-def _case(sheet: int, k: int, count: int, space: bool) -> Case:
-    return Case(_row(sheet, k, count, space), {})
 
 
 def _row(sheet: int, k: int, count: int, space: bool) -> Row:
