@@ -10,8 +10,9 @@ from benchmarks.every_ring.starts import slack_start, solved_from, task_of
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
 from macro_fem.every_ring import ring_scene
-from rve.finite.equations import BLOCK, blocks, gradients, matrix
+from rve.finite.equations import BLOCK, blocks, gradients
 from rve.finite.records import Found, Task
+from rve.finite.system import Pattern
 from rve.finite.touching import Placed
 
 LOADED = 1e-5
@@ -68,12 +69,12 @@ def _counted(found: Found, task: Task, scene: str, space: bool) -> Row:
     free = task.free & touched[:, None]
     dense = np.zeros((int(loaded.sum()), n, BLOCK))
     rows = np.arange(len(dense))
-    dense[rows, con.a[pair[loaded]]] = G[loaded, :BLOCK]
-    dense[rows, con.b[pair[loaded]]] = G[loaded, BLOCK:]
+    for rings, sign, tilts in ((con.a, -1.0, slice(3, 5)), (con.b, 1.0, slice(5, 7))):
+        dense[rows, rings[pair[loaded]], :3] = sign * G[loaded, :3]
+        dense[rows, rings[pair[loaded]], 3:] = G[loaded, tilts]
     Z = null_space(dense[:, free], rcond=1e-9)
     K = blocks(found.placed, con, G, np.zeros(len(G)), np.where(loaded, found.force, 0.0), 0.0)
-    H = matrix(con, K, np.zeros((n, BLOCK)), task.free).toarray()
-    H = H[np.ix_(free.ravel(), free.ravel())]
+    H = Pattern.of(con, con.count > 0, free).matrix(K, 0.0).toarray()
     values, vectors = np.linalg.eigh(Z.T @ H @ Z)
     soft = values < SOFT * max(float(np.abs(values).max(initial=0.0)), 1e-300)
     modes = np.zeros((n, BLOCK, int(soft.sum())))

@@ -1,14 +1,14 @@
 """Forces and Newton matrix of a finite mesh: exact, symmetric, sparse, one block per pair of rings.
 
-The unknowns of a ring are its centre (3) and two tilts about the axes of its tangent frame, `BLOCK` = 5 numbers. Held
-ones, and z in the plane, keep their place in the matrix with a one on the diagonal.
+The unknowns of a ring are its centre (3) and two tilts about the axes of its tangent frame, `BLOCK` = 5 numbers. A gap
+depends on where ring b is as seen from ring a and on the tilts of both, d = x_b - x_a (3), theta_a (2), theta_b (2),
+`PAIR` = 7 numbers, in which the blocks of pairs are kept.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from rve.common.types import Array
 from rve.finite.touching import Index, Placed, Touching
@@ -16,18 +16,21 @@ from rve.finite.walls import wall_derivatives
 from rve.geometry.circles import distance_gradient, distance_hessian, tangent_frame
 
 BLOCK = 5
+PAIR = 7
 _CHUNK = 2048
 """Pairs whose blocks are made together: they stay in the cache of a processor."""
+_TILT = 0.5
+"""Weight of a tilt against that of a way in r1, both squared."""
 
 
 def gradients(placed: Placed, touching: Touching) -> Array:
-    """Derivative (m, 10) of each gap with respect to the unknowns of its two rings."""
+    """Derivative (m, 7) of each gap with respect to d, theta_a, theta_b of its pair."""
     g = distance_gradient(touching.minima)
     Ea, Eb = _frames(placed, touching)
-    out = np.empty((len(g), 2 * BLOCK))
-    out[:, 0:3], out[:, 5:8] = -g[:, :3], g[:, :3]
+    out = np.empty((len(g), PAIR))
+    out[:, 0:3] = g[:, :3]
     out[:, 3:5] = (g[:, 3:6, None] * Ea).sum(axis=1)
-    out[:, 8:10] = (g[:, 6:9, None] * Eb).sum(axis=1)
+    out[:, 5:7] = (g[:, 6:9, None] * Eb).sum(axis=1)
     if placed.walls:
         out[touching.at_wall] = _of_walls(placed, touching, touching.at_wall)[0]
     return out
@@ -49,20 +52,35 @@ def _frames(placed: Placed, touching: Touching) -> tuple[Array, Array]:
 
 def spread(touching: Touching, G: Array, force: Array, n: int) -> Array:
     """Generalised forces (n, 5) of contact forces (m,): sum of G^T force."""
-    pair = touching.minima.pair
-    out = np.zeros((n, BLOCK))
-    for rings, part in ((touching.a[pair], G[:, :BLOCK]), (touching.b[pair], G[:, BLOCK:])):
-        for k in range(BLOCK):
-            out[:, k] += np.bincount(rings, part[:, k] * force, minlength=n)
-    return out
+    pair, p = touching.minima.pair, len(touching.a)
+    return on_rings(touching, np.stack([np.bincount(pair, G[:, k] * force, p) for k in range(PAIR)], axis=1), n)
+
+
+def on_rings(touching: Touching, w: Array, n: int) -> Array:
+    """Generalised forces (n, 5) of those of pairs (p, 7)."""
+    a, b = touching.a, touching.b
+    ways = [np.bincount(b, w[:, k], n) - np.bincount(a, w[:, k], n) for k in range(3)]
+    tilts = [np.bincount(a, w[:, 3 + k], n) + np.bincount(b, w[:, 5 + k], n) for k in range(2)]
+    return np.stack(ways + tilts, axis=1)
+
+
+def pair_vectors(touching: Touching, q: Array) -> Array:
+    """d, theta_a, theta_b (p, 7) of each pair, of q (n, 5)."""
+    a, b = q[touching.a], q[touching.b]
+    return np.concatenate([b[:, :3] - a[:, :3], a[:, 3:], b[:, 3:]], axis=1)
+
+
+def times(touching: Touching, pairs: Array, q: Array, n: int) -> Array:
+    """The product (n, 5) of the matrix of blocks (p, 7, 7) with q (n, 5)."""
+    return on_rings(touching, np.matmul(pairs, pair_vectors(touching, q)[:, :, None])[:, :, 0], n)
 
 
 def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Array, idle: float) -> Array:
-    """Blocks (p, 10, 10) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` have no curvature."""
+    """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` have no curvature."""
     pair = touching.minima.pair
     first = np.searchsorted(pair, np.arange(len(touching.a) + 1))
     some = np.flatnonzero(first[1:] > first[:-1])
-    out = np.zeros((len(touching.a), 10, 10))
+    out = np.zeros((len(touching.a), PAIR, PAIR))
     frame = np.stack(tangent_frame(placed.normal), axis=2)
     for part in range(0, len(some), _CHUNK):
         mine = some[part : part + _CHUNK]
@@ -75,14 +93,13 @@ def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Ar
 
 
 def _curvatures(placed: Placed, touching: Touching, rows: Index, frame: Array) -> Array:
-    """Second derivatives (k, 10, 10) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
+    """Second derivatives (k, 7, 7) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
     pair = touching.minima.pair[rows]
     a, b = touching.a[pair], touching.b[pair]
     H = distance_hessian(touching.minima.take(rows), placed.normal[a], placed.normal[b], 1.0, touching.fixed[rows])
-    B = np.zeros((len(rows), 9, 10))
-    for k in range(3):
-        B[:, k, k], B[:, k, BLOCK + k] = -1.0, 1.0
-    B[:, 3:6, 3:5], B[:, 6:9, 8:10] = frame[a], frame[b]
+    B = np.zeros((len(rows), 9, PAIR))
+    B[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
     second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
     if placed.walls:
         at_wall = touching.at_wall[rows]
@@ -91,7 +108,7 @@ def _curvatures(placed: Placed, touching: Touching, rows: Index, frame: Array) -
 
 
 def lacking(pairs: Array) -> Array:
-    """What the blocks (p, 10, 10) lack to be positive semidefinite, each by itself."""
+    """What the blocks (p, 7, 7) lack to be positive semidefinite, each by itself."""
     felt = np.flatnonzero(pairs.any(axis=(1, 2)))
     values, vectors = np.linalg.eigh(pairs[felt])
     out = np.zeros_like(pairs)
@@ -99,48 +116,12 @@ def lacking(pairs: Array) -> Array:
     return out
 
 
-def metric(weight: Array) -> Array:
-    """Blocks (p, 10, 10) that measure, by pair, how far two rings move relative to each other and how far they turn."""
-    one = np.zeros((2 * BLOCK, 2 * BLOCK))
-    for k in range(3):
-        one[k, k] = one[BLOCK + k, BLOCK + k] = 1.0
-        one[k, BLOCK + k] = one[BLOCK + k, k] = -1.0
-    for k in (3, 4):
-        one[k, k] = one[BLOCK + k, BLOCK + k] = 0.5
-    return weight[:, None, None] * one
+def metric() -> Array:
+    """Weights (7,) of d, theta_a, theta_b squared: how far two rings move relative to each other, how far they turn."""
+    return np.array([1.0, 1.0, 1.0, _TILT, _TILT, _TILT, _TILT])
 
 
-def pair_vectors(touching: Touching, q: Array) -> Array:
-    """The unknowns (p, 10) of both rings of each pair, of q (n, 5)."""
-    return np.concatenate([q[touching.a], q[touching.b]], axis=1)
-
-
-def times(touching: Touching, pairs: Array, q: Array, n: int) -> Array:
-    """The product (n, 5) of the matrix of blocks (p, 10, 10) with q (n, 5)."""
-    w = np.matmul(pairs, pair_vectors(touching, q)[:, :, None])[:, :, 0]
-    columns = [np.bincount(touching.a, w[:, k], minlength=n) for k in range(BLOCK)]
-    others = [np.bincount(touching.b, w[:, BLOCK + k], minlength=n) for k in range(BLOCK)]
-    return np.asarray(np.stack(columns, axis=1) + np.stack(others, axis=1))
-
-
-def matrix(touching: Touching, pairs: Array, diagonal: Array, free: NDArray[np.bool_]) -> sparse.csc_matrix:
-    """The symmetric matrix (5 n, 5 n) of blocks of pairs (p, 10, 10) and a diagonal (n, 5); free (n, 5)."""
-    n = len(free)
-    felt = np.flatnonzero(pairs.any(axis=(1, 2)))  # pairs without contact stay out of the pattern
-    a, b, pairs = touching.a[felt], touching.b[felt], pairs[felt]
-    own = np.zeros((n, BLOCK, BLOCK))
-    for rings, part in ((a, pairs[:, :BLOCK, :BLOCK]), (b, pairs[:, BLOCK:, BLOCK:])):
-        flat = part.reshape(len(part), BLOCK * BLOCK)
-        for k in range(BLOCK * BLOCK):
-            own.reshape(n, -1)[:, k] += np.bincount(rings, flat[:, k], minlength=n)
-    own[:, np.arange(BLOCK), np.arange(BLOCK)] += diagonal
-    rows = np.concatenate([np.arange(n), a, b])
-    columns = np.concatenate([np.arange(n), b, a])
-    off = pairs[:, :BLOCK, BLOCK:]
-    data = np.concatenate([own, off, off.transpose(0, 2, 1)])
-    data *= free[rows][:, :, None] & free[columns][:, None, :]
-    data[:n][:, np.arange(BLOCK), np.arange(BLOCK)] += ~free
-    order = np.lexsort((columns, rows))
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))])
-    whole = sparse.bsr_matrix((data[order], columns[order], indptr), shape=(BLOCK * n, BLOCK * n))
-    return whole.tocsc()
+def add_metric(pairs: Array, weight: Array) -> None:
+    """Add weight (p,) times the metric to blocks (p, 7, 7)."""
+    for k, one in enumerate(metric()):
+        pairs[:, k, k] += one * weight

@@ -9,6 +9,7 @@ import numpy as np
 from rve.common.types import Array
 from rve.finite.factor import Solve
 from rve.finite.records import Task
+from rve.finite.system import Pattern
 from rve.finite.touching import Placed, Touching
 
 
@@ -28,21 +29,33 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A Newton step q (n, 5), forecast of the gaps and forces, slope of the barrier function along it, stiffness of
-    contacts, and a function that solves with its matrix."""
+    """A Newton step q (n, 5), forecast of the gaps and forces, part (p,) that is safe, slope of the barrier function
+    along it, stiffness of contacts, and a function that solves with its matrix."""
 
     q: Array
     dgap: Array
     dforce: Array
+    safe: Array
     slope: float
     stiff: Array
     solve: Solve
 
 
+@dataclass(frozen=True, eq=False)
+class Factored:
+    """A function that solves with a matrix, and the stiffness (m,), damping (p,) and parts that the matrix has."""
+
+    solve: Solve
+    extra: Array
+    local: Array
+    damping: float
+    convex: float
+
+
 @dataclass
 class Work:
     """Counts of one iteration, the damping as it is raised, and stiffness (m,) that contacts have on top of theirs;
-    lacking: what the blocks of pairs lack to be positive semidefinite."""
+    lacking: what the blocks of pairs lack to be positive semidefinite; last: the last factor."""
 
     damping: float
     local: Array
@@ -50,6 +63,7 @@ class Work:
     convex: float = 0.0
     turns: int = 0
     lacking: Array | None = None
+    last: Factored | None = None
     trials: int = 0
     factors: int = 0
     failed: int = 0
@@ -58,11 +72,13 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The equations of an iterate: gap gradients, stiffness of contacts, blocks, right-hand side, held step (n, 5)."""
+    """The equations of an iterate: gap gradients, stiffness of contacts, blocks and where they go, right-hand side
+    (n, 5) with 0 for what is not free, held step (n, 5), weight (p,) of the damping of each pair, barrier function."""
 
     G: Array
     stiff: Array
     blocks: Array
+    pattern: Pattern
     rhs: Array
     held: Array
     heavy: Array

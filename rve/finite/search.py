@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, spread
+from rve.finite.equations import spread
 from rve.finite.iterate import Linear, State, Step, Work, barrier
 from rve.finite.records import FiniteOptions, Task
 from rve.finite.touching import (
@@ -24,7 +24,6 @@ from rve.finite.touching import (
     is_passage_safe,
     links_intact,
     of_pairs,
-    safe_parts,
 )
 
 _TURNS = 3
@@ -47,10 +46,9 @@ def searched(
 ) -> tuple[State | None, float]:
     """The iterate after the longest good part of the step; None where more damping was asked for instead."""
     con, gap = state.touching, state.touching.gap
-    safe = safe_parts(state.placed, con, step.q, task.wire, options.reach)
     with np.errstate(divide="ignore", invalid="ignore"):
         open_ = np.where(step.dgap < 0.0, -_FARTHEST * gap / step.dgap, 1.0)
-    length = min(1.0, float(safe.min()), float(open_.min(initial=1.0)))
+    length = min(1.0, float(step.safe.min()), float(open_.min(initial=1.0)))
     new = None
     while length > 1e-9:
         new, bad = _corrected(state, task, line, step, length, options, work)
@@ -65,7 +63,7 @@ def searched(
             work.damping = max(4.0 * work.damping, 1e-3)
             return None, 0.0
         length *= 0.5
-    tight = safe < 0.5
+    tight = step.safe < 0.5
     work.local = np.where(tight, np.maximum(2.0 * work.local, 0.1), 0.4 * work.local)
     work.local[work.local < 1e-3] = 0.0
     return new, length
@@ -102,7 +100,7 @@ def _corrected(
         if turn and len(closed) >= len(last):
             break
         back = spread(con, line.G, -step.stiff * np.minimum(gap - forecast, 0.0), n)
-        q = q + step.solve(np.where(task.free, back, 0.0).ravel()).reshape(n, BLOCK)
+        q = q + step.solve(back)
     return None, closed
 
 

@@ -18,10 +18,11 @@ import numpy as np
 
 from rve.common.progress import tell, way
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, blocks, gradients, lacking, matrix, metric, pair_vectors, spread, times
-from rve.finite.factor import Factorizer
-from rve.finite.iterate import Linear, State, Step, Work, barrier, central
+from rve.finite.equations import BLOCK, PAIR, add_metric, blocks, gradients, lacking, metric, pair_vectors, spread, times
+from rve.finite.factor import Factorizer, Solve
+from rve.finite.iterate import Factored, Linear, State, Step, Work, barrier, central
 from rve.finite.records import FiniteOptions, Found, Record, Task
+from rve.finite.system import Pattern, stiffened
 from rve.finite.search import searched
 from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs, safe_parts
 
@@ -35,6 +36,8 @@ _TURNS = 3
 """Times pairs that would make a step short are made stiffer before it is taken."""
 _SHORT = 0.3
 """Part of a step that counts as short."""
+_RANK = 28
+"""Largest rank of what is added to a matrix without another factor: as many solutions take about as long as one."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
@@ -174,7 +177,9 @@ def _linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> L
     carried = np.bincount(con.minima.pair, state.force, minlength=len(con.key))
     heavy = np.maximum(carried, 0.1 * mu * np.isin(con.key, task.keys))
     value = barrier(state.placed, con, task, mu, reach)
-    return Linear(G, stiff, K, rhs, held, heavy, value, far > 0.0)
+    felt = (con.count > 0) | (heavy > 0.0)  # pairs without contact stay out of the pattern
+    pattern = Pattern.of(con, felt, task.free)
+    return Linear(G, stiff, K, pattern, np.where(task.free, rhs, 0.0), held, heavy, value, far > 0.0)
 
 
 def _newton(
@@ -186,15 +191,12 @@ def _newton(
     """
     con, n, gap = state.touching, len(task.force), state.touching.gap
     while True:
-        pairs = _pairs(con, line, work)
-        push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
-        solve = factorize(matrix(con, pairs, np.full((n, BLOCK), _SOFT + 1e-6 * work.damping), task.free))
-        work.factors += 1
+        solve, push = _solver(con, line, factorize, work, n)
         if solve is not None:
-            q = solve(np.where(task.free, push, 0.0).ravel()).reshape(n, BLOCK)
-            q = np.where(task.free, q, 0.0) + line.held
+            q = solve(push) + line.held
             dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
-            if work.turns == _TURNS or not _stiffened(state, task, line, (q, dgap), options, work):
+            safe = safe_parts(state.placed, con, q, task.wire, options.reach)
+            if work.turns == _TURNS or not _is_short(con, line, safe, dgap, work):
                 break
             work.turns += 1
             continue
@@ -207,17 +209,44 @@ def _newton(
             work.damping = max(1e-3, 5.0 * work.damping)
     stiff = line.stiff + work.extra
     dforce = (state.mu * (1.0 - gap / options.reach) - state.force * gap) / gap - stiff * dgap
-    slope = -float((np.where(task.free, line.rhs, 0.0) * q).sum())
-    return Step(q, dgap, dforce, slope, stiff, solve)
+    return Step(q, dgap, dforce, safe, -float((line.rhs * q).sum()), stiff, solve)
+
+
+def _solver(con: Touching, line: Linear, factorize: Factorizer, work: Work, n: int) -> tuple[Solve | None, Array]:
+    """A function that solves with the matrix, None where it is not positive definite, and the right-hand side (n, 5).
+
+    The last factor serves again where a few pairs have been made stiffer since.
+    """
+    last = work.last
+    if last is not None and not line.is_moving and (last.damping, last.convex) == (work.damping, work.convex):
+        rows = np.flatnonzero(work.extra > last.extra)
+        tight = np.flatnonzero(line.heavy * work.local > line.heavy * last.local)
+        if len(rows) + PAIR * len(tight) <= _RANK:
+            damped = (line.heavy * (work.local - last.local))[tight]
+            pair = np.concatenate([con.minima.pair[rows], np.repeat(tight, PAIR)])
+            vectors = np.concatenate([line.G[rows], np.tile(np.eye(PAIR), (len(tight), 1))])
+            weight = np.concatenate([(work.extra - last.extra)[rows], np.outer(damped, metric()).ravel()])
+            return stiffened(last.solve, con, pair, vectors, weight, n), line.rhs
+    pairs = _pairs(con, line, work)
+    push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
+    factor = factorize(line.pattern.matrix(pairs, _SOFT + 1e-6 * work.damping))
+    work.factors += 1
+    if factor is None:
+        return None, push
+    solve = line.pattern.solver(factor)
+    work.last = Factored(solve, work.extra.copy(), work.local.copy(), work.damping, work.convex)
+    return solve, push
 
 
 def _pairs(con: Touching, line: Linear, work: Work) -> Array:
-    """Blocks (p, 10, 10) of the matrix: exact, damped, with a part of their negative curvature left out."""
-    out = line.blocks + metric(line.heavy * (work.damping + work.local))
+    """Blocks (p, 7, 7) of the matrix: exact, damped, with a part of their negative curvature left out."""
     if work.convex > 0.0:
         if work.lacking is None:
             work.lacking = lacking(line.blocks)
-        out += work.convex * work.lacking
+        out = line.blocks + work.convex * work.lacking
+    else:
+        out = line.blocks.copy()
+    add_metric(out, line.heavy * (work.damping + work.local))
     rows = np.flatnonzero(work.extra)
     if len(rows):
         G = line.G[rows]
@@ -225,12 +254,11 @@ def _pairs(con: Touching, line: Linear, work: Work) -> Array:
     return out
 
 
-def _stiffened(
-    state: State, task: Task, line: Linear, step: tuple[Array, Array], options: FiniteOptions, work: Work
-) -> bool:
-    """Whether some pairs or contacts would make the step (n, 5), change of gaps (m,) short; they are stiffer then."""
-    con, (q, dgap) = state.touching, step
-    safe = safe_parts(state.placed, con, q, task.wire, options.reach)
+def _is_short(con: Touching, line: Linear, safe: Array, dgap: Array, work: Work) -> bool:
+    """Whether some pairs or contacts would make the step, of safe parts (p,) and change of gaps (m,), short.
+
+    They are stiffer then.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         open_ = np.where(dgap < 0.0, -con.gap / dgap, np.inf)
     if min(safe.min(), open_.min(initial=1.0)) > _SHORT:

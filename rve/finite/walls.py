@@ -58,20 +58,16 @@ def _height(x: Array, normal: Array, place: Array, m: Array) -> tuple[Array, Arr
 
 
 def wall_derivatives(x: Array, normal: Array, place: Array, m: Array) -> tuple[Array, Array]:
-    """Gradient (k, 10) and second derivative (k, 10, 10) of g with respect to the unknowns of ring and plane."""
+    """Gradient (k, 7) and second derivative (k, 7, 7) of g: way of the plane as seen from the ring, tilts of both."""
     h, s2 = _height(x, normal, place, m)
     c, p = dot(normal, m), cross(normal, m)
     frame = np.stack(tangent_frame(normal), axis=2)
     t = (p[:, :, None] * frame).sum(axis=1)
-    G, H = np.zeros((len(h), 10)), np.zeros((len(h), 10, 10))
-    G[:, :3] = (1.0 + s2 / h**2)[:, None] * m
+    G, H = np.zeros((len(h), 7)), np.zeros((len(h), 7, 7))
+    G[:, :3] = -(1.0 + s2 / h**2)[:, None] * m
     G[:, 3:5] = (2.0 * c / h)[:, None] * t
     H[:, :3, :3] = (-2.0 * s2 / h**3)[:, None, None] * m[:, :, None] * m[:, None, :]
-    H[:, :3, 3:5] = (-2.0 * c / h**2)[:, None, None] * m[:, :, None] * t[:, None, :]
+    H[:, :3, 3:5] = (2.0 * c / h**2)[:, None, None] * m[:, :, None] * t[:, None, :]
     H[:, 3:5, :3] = H[:, :3, 3:5].transpose(0, 2, 1)
     H[:, 3:5, 3:5] = (2.0 / h)[:, None, None] * (t[:, :, None] * t[:, None, :] - (c**2)[:, None, None] * np.eye(2))
-    # The plane moves the other way; it does not turn.
-    G[:, 5:8] = -G[:, :3]
-    H[:, 5:8, :5], H[:, :5, 5:8] = -H[:, :3, :5], -H[:, :5, :3]
-    H[:, 5:8, 5:8] = H[:, :3, :3]
     return G, H

@@ -5,8 +5,9 @@ import pytest
 from scipy.optimize import minimize
 
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
-from rve.finite.equations import blocks, gradients, lacking, matrix, spread, times
+from rve.finite.equations import blocks, gradients, lacking, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
+from rve.finite.system import Pattern, stiffened
 from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
@@ -102,7 +103,7 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     assert (fore.key == con.key).all()
     assert (fore.count == con.count).all()
     jac = gradients(placed, con)
-    moved = np.concatenate([q[con.a], q[con.b]], axis=1)[con.minima.pair]
+    moved = pair_vectors(con, q)[con.minima.pair]
     rate = (jac * moved).sum(axis=1)
     assert np.abs(rate - (g1 - g2) / (2 * step))[same].max() < 1e-6
     assert (fore.count == aft.count).all()
@@ -122,28 +123,31 @@ def test_matrix_and_products_are_sums_over_pairs():
     jac, stiff = gradients(placed, con), rng.uniform(1.0, 2.0, m)
     K = blocks(placed, con, jac, stiff, np.zeros(m), 0.0)
     free = rng.uniform(size=(n, 5)) > 0.2
-    diagonal = rng.uniform(0.5, 1.0, (n, 5))
-    dense = np.zeros((5 * n, 5 * n))
-    columns = np.arange(5)
+    whole = np.zeros((m, n, 5))
     for row, pair in enumerate(con.minima.pair):
-        places = np.concatenate([5 * con.a[pair] + columns, 5 * con.b[pair] + columns])
-        dense[np.ix_(places, places)] += stiff[row] * np.outer(jac[row], jac[row])
+        whole[row, con.a[pair], :3] -= jac[row, :3]
+        whole[row, con.b[pair], :3] += jac[row, :3]
+        whole[row, con.a[pair], 3:] += jac[row, 3:5]
+        whole[row, con.b[pair], 3:] += jac[row, 5:]
+    flat = whole.reshape(m, 5 * n)
+    dense = flat.T @ (stiff[:, None] * flat)
     q = rng.standard_normal((n, 5))
     assert np.allclose(times(con, K, q, n).ravel(), dense @ q.ravel())
-    dense += np.diag(diagonal.ravel())
-    dense[~free.ravel()] = dense[:, ~free.ravel()] = 0.0
-    dense += np.diag(~free.ravel())
-    found = matrix(con, K, diagonal, free)
+    dense = (dense + 0.7 * np.eye(5 * n))[np.ix_(free.ravel(), free.ravel())]
+    pattern = Pattern.of(con, con.count > 0, free)
+    found = pattern.matrix(K, 0.7)
     assert np.allclose(found.toarray(), dense)
-    solve = Factorizer("superlu")(found)
-    assert np.allclose(dense @ solve(q.ravel()), q.ravel())
-    assert Factorizer("superlu")(found - 3.0 * matrix(con, 0.0 * K, np.ones((n, 5)), free)) is None
+    solved = pattern.solver(Factorizer("superlu")(found))(q)
+    assert np.allclose(dense @ solved[free], q[free])
+    assert not solved[~free].any()
+    assert Factorizer("superlu")(pattern.matrix(K, -3.0)) is None
+    pair, vectors, weight = rng.integers(len(con.a), size=6), rng.standard_normal((6, 7)), rng.uniform(1.0, 90.0, 6)
+    stiffer = K.copy()
+    np.add.at(stiffer, pair, weight[:, None, None] * vectors[:, :, None] * vectors[:, None, :])
+    wanted = pattern.solver(Factorizer("superlu")(Pattern.of(con, con.count > -1, free).matrix(stiffer, 0.7)))(q)
+    assert np.allclose(stiffened(pattern.solver(Factorizer("superlu")(found)), con, pair, vectors, weight, n)(q), wanted)
     force = rng.uniform(size=m)
-    whole = np.zeros((n, 5))
-    for row, pair in enumerate(con.minima.pair):
-        whole[con.a[pair]] += force[row] * jac[row, :5]
-        whole[con.b[pair]] += force[row] * jac[row, 5:]
-    assert np.allclose(spread(con, jac, force, n), whole)
+    assert np.allclose(spread(con, jac, force, n), np.einsum("m,mnk->nk", force, whole))
 
 
 def crossing_pairs(seed, size):
@@ -375,18 +379,19 @@ def test_the_gap_of_a_ring_over_a_plane_has_the_sign_of_its_lowest_point():
 
 def test_derivatives_over_a_plane_are_those_of_differences():
     x, normal, place, m = random_pairs(2)
-    q = np.random.default_rng(3).standard_normal((len(x), 10))
-    q[:, 8:] = 0.0  # half-spaces do not turn
+    q = np.random.default_rng(3).standard_normal((len(x), 5))
+    way = np.random.default_rng(4).standard_normal((len(x), 3))
     step = 1e-4
 
     def at(t):
-        moved = Placed(x, normal).moved(t * q[:, :5])
-        return wall_gaps(moved.x, moved.normal, place + t * q[:, 5:8], m)
+        moved = Placed(x, normal).moved(t * q)
+        return wall_gaps(moved.x, moved.normal, place + t * way, m)
 
     jac, H = wall_derivatives(x, normal, place, m)
-    assert (jac * q).sum(axis=1) == pytest.approx((at(step) - at(-step)) / (2 * step), abs=1e-5)
+    v = np.concatenate([way - q[:, :3], q[:, 3:], np.ones((len(x), 2))], axis=1)  # planes do not turn
+    assert (jac * v).sum(axis=1) == pytest.approx((at(step) - at(-step)) / (2 * step), abs=1e-5)
     second = (at(step) - 2 * at(0.0) + at(-step)) / step**2
-    assert np.einsum("ni,nij,nj->n", q, H, q) == pytest.approx(second, abs=1e-4)
+    assert np.einsum("ni,nij,nj->n", v, H, v) == pytest.approx(second, abs=1e-4)
 
 
 def over(solution, wall):
