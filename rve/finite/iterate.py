@@ -9,7 +9,7 @@ import numpy as np
 from rve.common.types import Array
 from rve.finite.factor import Solve
 from rve.finite.records import Task
-from rve.finite.system import Pattern
+from rve.finite.system import Factored, Pattern
 from rve.finite.touching import Placed, Touching
 
 
@@ -39,17 +39,6 @@ class Step:
     slope: float
     stiff: Array
     solve: Solve
-
-
-@dataclass(frozen=True, eq=False)
-class Factored:
-    """A function that solves with a matrix, and the stiffness (m,), damping (p,) and parts that the matrix has."""
-
-    solve: Solve
-    extra: Array
-    local: Array
-    damping: float
-    convex: float
 
 
 @dataclass
@@ -83,6 +72,7 @@ class Linear:
     held: Array
     heavy: Array
     barrier: float
+    mu: float
     is_moving: bool = field(default=False)
 
 

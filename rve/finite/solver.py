@@ -14,17 +14,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import os
 import numpy as np
 
 from rve.common.progress import tell, way
 from rve.common.types import Array
 from rve.finite.equations import BLOCK, PAIR, add_metric, blocks, gradients, lacking, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer, Solve
-from rve.finite.iterate import Factored, Linear, State, Step, Work, barrier, central
+from rve.finite.iterate import Linear, State, Step, Work, barrier, central
 from rve.finite.records import FiniteOptions, Found, Record, Task
-from rve.finite.system import Pattern, stiffened
+from rve.finite.system import Factored, Pattern, forces_that_stop
 from rve.finite.search import searched
-from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs, safe_parts
+from rve.finite.touching import Index, Placed, Touching, find_touching, handed_on, of_pairs, safe_parts
 
 _SOFT = 1e-10
 """Stiffness of every coordinate: rings that nothing touches stay where they are."""
@@ -32,12 +33,17 @@ _IDLE = 1e-6
 """Contacts with less force than this part of mu do without curvature."""
 _TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
-_TURNS = 3
-"""Times pairs that would make a step short are made stiffer before it is taken."""
+_TURNS = 6
+"""Times contacts are stiffened before a step is taken; those with another factor count twice."""
 _SHORT = 0.3
 """Part of a step that counts as short."""
-_RANK = 28
-"""Largest rank of what is added to a matrix without another factor: as many solutions take about as long as one."""
+_RANK = 64
+"""Largest rank of what is added to a matrix without another factor."""
+_CLOSING = (1.0, 0.75, 0.5)
+"""Contacts that close before these parts of a step are stiffened, the fewer the more there are."""
+_LATE = float(os.environ.get("LATE","1e-4"))
+_CLOSED = 0.8
+"""Part of its gap that such a contact may close."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
@@ -179,7 +185,7 @@ def _linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> L
     value = barrier(state.placed, con, task, mu, reach)
     felt = (con.count > 0) | (heavy > 0.0)  # pairs without contact stay out of the pattern
     pattern = Pattern.of(con, felt, task.free)
-    return Linear(G, stiff, K, pattern, np.where(task.free, rhs, 0.0), held, heavy, value, far > 0.0)
+    return Linear(G, stiff, K, pattern, np.where(task.free, rhs, 0.0), held, heavy, value, mu, far > 0.0)
 
 
 def _newton(
@@ -196,9 +202,8 @@ def _newton(
             q = solve(push) + line.held
             dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
             safe = safe_parts(state.placed, con, q, task.wire, options.reach)
-            if work.turns == _TURNS or not _is_short(con, line, safe, dgap, work):
+            if work.turns >= _TURNS or not _is_short(con, line, safe, dgap, work):
                 break
-            work.turns += 1
             continue
         work.failed += 1
         if work.convex < 1.0:
@@ -223,19 +228,17 @@ def _solver(con: Touching, line: Linear, factorize: Factorizer, work: Work, n: i
         tight = np.flatnonzero(line.heavy * work.local > line.heavy * last.local)
         if len(rows) + PAIR * len(tight) <= _RANK:
             damped = (line.heavy * (work.local - last.local))[tight]
-            pair = np.concatenate([con.minima.pair[rows], np.repeat(tight, PAIR)])
-            vectors = np.concatenate([line.G[rows], np.tile(np.eye(PAIR), (len(tight), 1))])
+            names = np.concatenate([rows, (len(con.gap) + PAIR * tight[:, None] + np.arange(PAIR)).ravel()])
             weight = np.concatenate([(work.extra - last.extra)[rows], np.outer(damped, metric()).ravel()])
-            return stiffened(last.solve, con, pair, vectors, weight, n), line.rhs
+            return last.stiffened(names, weight), line.rhs
     pairs = _pairs(con, line, work)
     push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
     factor = factorize(line.pattern.matrix(pairs, _SOFT + 1e-6 * work.damping))
     work.factors += 1
     if factor is None:
         return None, push
-    solve = line.pattern.solver(factor)
-    work.last = Factored(solve, work.extra.copy(), work.local.copy(), work.damping, work.convex)
-    return solve, push
+    work.last = Factored(line.pattern.solver(factor), con, line.G, work, n)
+    return work.last.solve, push
 
 
 def _pairs(con: Touching, line: Linear, work: Work) -> Array:
@@ -257,19 +260,45 @@ def _pairs(con: Touching, line: Linear, work: Work) -> Array:
 def _is_short(con: Touching, line: Linear, safe: Array, dgap: Array, work: Work) -> bool:
     """Whether some pairs or contacts would make the step, of safe parts (p,) and change of gaps (m,), short.
 
-    They are stiffer then.
+    They are stiffer then; few contacts at a small mu just so much that they stay open.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         open_ = np.where(dgap < 0.0, -con.gap / dgap, np.inf)
-    if min(safe.min(), open_.min(initial=1.0)) > _SHORT:
+    last, nearest, tight = _made(work), open_.min(initial=1.0), safe < _SHORT
+    if not tight.any() and nearest > _CLOSING[-1]:
         return False
     if safe.min() < 0.1 and 0.0 < work.convex < 1.0:
+        work.turns += 2
         work.convex = 1.0
         return True
-    tight, closing = safe < _SHORT, open_ < 1.2 * _SHORT
+    if line.mu < _LATE and not (line.is_moving or tight.any() or (work.local > last.local).any()):
+        for part in _CLOSING:
+            rows = np.flatnonzero((open_ < part) | (work.extra > last.extra))
+            if len(rows) <= _RANK:
+                work.turns += 1
+                _stop(con, line, rows, work)
+                return True
+    if not tight.any() and nearest > _SHORT:
+        return False
+    work.turns += 2
     work.local[tight] = np.maximum(4.0 * work.local[tight], 0.2)
-    work.extra[closing] += line.stiff[closing] * np.minimum(0.7 / open_[closing], 100.0)
+    rows = np.flatnonzero(open_ < 1.2 * _SHORT)
+    work.extra[rows] += line.stiff[rows] * np.minimum(0.7 / open_[rows], 100.0)
     return True
+
+
+def _made(work: Work) -> Factored:
+    assert work.last is not None, "a step has a factor"
+    return work.last
+
+
+def _stop(con: Touching, line: Linear, rows: Index, work: Work) -> None:
+    """Stiffen contacts `rows` (k,) just so much that the step closes no more than a part of their gaps."""
+    last = _made(work)
+    U, Y = last.columns(rows)
+    pull = (line.G[rows] * pair_vectors(con, last.solve(line.rhs))[con.minima.pair[rows]]).sum(axis=1)
+    force = forces_that_stop(U.T @ Y, -_CLOSED * con.gap[rows] - pull)
+    work.extra[rows] = last.extra[rows] + force / (_CLOSED * con.gap[rows])
 
 
 def _advanced(

@@ -7,15 +7,20 @@ A change of rank k in a matrix A with a factor needs k more solutions instead of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.optimize import nnls
 
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, PAIR, pair_vectors
+from rve.finite.equations import BLOCK, PAIR
 from rve.finite.factor import Solve
 from rve.finite.touching import Index, Touching
+
+if TYPE_CHECKING:
+    from rve.finite.iterate import Work
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,24 +102,58 @@ def _expansion() -> tuple[Index, Array]:
 _EXPAND, _SIGN = _expansion()
 
 
-def stiffened(solve: Solve, touching: Touching, pair: Index, vectors: Array, weight: Array, n: int) -> Solve:
-    """A function that solves with the matrix of `solve` plus the sum of weight v v^T, right-hand sides (n, 5).
+class Factored:
+    """A factor of the matrix of a step and how it serves for stiffer contacts and pairs.
 
-    v: vectors (k, 7) in the coordinates of the pairs `pair` (k,); weight (k,) > 0.
+    extra (m,), local (p,), damping, convex: what the matrix has on top of the exact one, see `iterate.Work`. Columns of
+    U are told by names: i < m is the gradient of contact i, m + 7 p + k the coordinate k of pair p.
     """
-    if not len(pair):
-        return solve
-    k, a, b = np.arange(len(pair)), touching.a[pair], touching.b[pair]
-    U = np.zeros((n, BLOCK, len(pair)))
-    U[a, :3, k], U[b, :3, k] = -vectors[:, :3], vectors[:, :3]
-    U[a, 3:, k], U[b, 3:, k] = vectors[:, 3:5], vectors[:, 5:]
-    Y = solve(U)
-    flat = Y.reshape(-1, len(pair))
-    small = np.diag(1.0 / weight) + U.reshape(-1, len(pair)).T @ flat
 
-    def solved(push: Array) -> Array:
-        x = solve(push)
-        seen = (vectors * pair_vectors(touching, x)[pair]).sum(axis=1)
-        return x - (flat @ np.linalg.solve(small, seen)).reshape(x.shape)
+    def __init__(self, solve: Solve, touching: Touching, G: Array, work: Work, n: int) -> None:
+        self.solve, self.extra, self.local = solve, work.extra.copy(), work.local.copy()
+        self.damping, self.convex = work.damping, work.convex
+        self._touching, self._G, self._n = touching, G, n
+        self._names: Index = np.zeros(0, dtype=np.intp)
+        self._Y = np.zeros((BLOCK * n, 0))
 
-    return solved
+    def columns(self, names: Index) -> tuple[sparse.csc_matrix, Array]:
+        """U (5 n, k), sparse, and Y = A^-1 U, each column of which is found once."""
+        new = np.setdiff1d(names, self._names)
+        if len(new):
+            right = self._vectors(new).toarray().reshape(self._n, BLOCK, len(new))
+            self._Y = np.concatenate([self._Y, self.solve(right).reshape(-1, len(new))], axis=1)
+            self._names = np.concatenate([self._names, new])
+        order = np.argsort(self._names)
+        return self._vectors(names), self._Y[:, order[np.searchsorted(self._names[order], names)]]
+
+    def _vectors(self, names: Index) -> sparse.csc_matrix:
+        con, m = self._touching, len(self._G)
+        is_contact = names < m
+        component = np.where(is_contact, 0, names - m)
+        pair = np.where(is_contact, con.minima.pair[np.where(is_contact, names, 0)], component // PAIR)
+        v = np.where(is_contact[:, None], self._G[np.where(is_contact, names, 0)], np.eye(PAIR)[component % PAIR])
+        a, b, along = BLOCK * con.a[pair, None], BLOCK * con.b[pair, None], np.arange(BLOCK)
+        rows = np.concatenate([a + along, b + along], axis=1)
+        values = np.concatenate([-v[:, :3], v[:, 3:5], v[:, :3], v[:, 5:]], axis=1)
+        first = np.arange(len(names) + 1) * 2 * BLOCK
+        return sparse.csc_matrix((values.ravel(), rows.ravel(), first), shape=(BLOCK * self._n, len(names)))
+
+    def stiffened(self, names: Index, weight: Array) -> Solve:
+        """A function that solves with A + U diag(weight) U^T, right-hand sides (n, 5); weight (k,) > 0."""
+        if not len(names):
+            return self.solve
+        U, Y = self.columns(names)
+        small = np.diag(1.0 / weight) + U.T @ Y
+
+        def solved(push: Array) -> Array:
+            x = self.solve(push)
+            return x - (Y @ np.linalg.solve(small, U.T @ x.ravel())).reshape(x.shape)
+
+        return solved
+
+
+def forces_that_stop(S: Array, missing: Array) -> Array:
+    """f >= 0 (k,) with S f >= missing and f (S f - missing) = 0, S (k, k) positive definite: what keeps gaps open."""
+    scale = 1.0 / np.sqrt(np.diag(S))
+    L = np.linalg.cholesky(S * scale[:, None] * scale + 1e-12 * np.eye(len(S)))
+    return np.asarray(scale * nnls(L.T, np.linalg.solve(L, scale * missing))[0])

@@ -7,7 +7,8 @@ from scipy.optimize import minimize
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
 from rve.finite.equations import blocks, gradients, lacking, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
-from rve.finite.system import Pattern, stiffened
+from rve.finite.iterate import Work
+from rve.finite.system import Factored, Pattern, forces_that_stop
 from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
@@ -116,24 +117,33 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
 
 
-def test_matrix_and_products_are_sums_over_pairs():
+def some_matrix():
+    """A mesh's contacts, their gradients (m, 7) and the same on all coordinates (m, n, 5); blocks, which coordinates
+    are free, the dense matrix of these with 0.7 on top of its diagonal, its pattern."""
     mesh, placed, rng = disturbed(2)
     con = find_touching(placed, mesh.linked, 0.1, 0.6)
     n, m = len(mesh.X), len(con.gap)
     jac, stiff = gradients(placed, con), rng.uniform(1.0, 2.0, m)
-    K = blocks(placed, con, jac, stiff, np.zeros(m), 0.0)
-    free = rng.uniform(size=(n, 5)) > 0.2
     whole = np.zeros((m, n, 5))
     for row, pair in enumerate(con.minima.pair):
         whole[row, con.a[pair], :3] -= jac[row, :3]
         whole[row, con.b[pair], :3] += jac[row, :3]
         whole[row, con.a[pair], 3:] += jac[row, 3:5]
         whole[row, con.b[pair], 3:] += jac[row, 5:]
+    K = blocks(placed, con, jac, stiff, np.zeros(m), 0.0)
+    free = rng.uniform(size=(n, 5)) > 0.2
     flat = whole.reshape(m, 5 * n)
-    dense = flat.T @ (stiff[:, None] * flat)
-    q = rng.standard_normal((n, 5))
-    assert np.allclose(times(con, K, q, n).ravel(), dense @ q.ravel())
-    dense = (dense + 0.7 * np.eye(5 * n))[np.ix_(free.ravel(), free.ravel())]
+    dense = flat.T @ (stiff[:, None] * flat) + 0.7 * np.eye(5 * n)
+    return con, jac, whole, K, free, dense, rng
+
+
+def test_matrix_and_products_are_sums_over_pairs():
+    con, jac, whole, K, free, dense, rng = some_matrix()
+    n = len(free)
+    q, force = rng.standard_normal((n, 5)), rng.uniform(size=len(jac))
+    assert np.allclose(times(con, K, q, n).ravel(), dense @ q.ravel() - 0.7 * q.ravel())
+    assert np.allclose(spread(con, jac, force, n), np.einsum("m,mnk->nk", force, whole))
+    dense = dense[np.ix_(free.ravel(), free.ravel())]
     pattern = Pattern.of(con, con.count > 0, free)
     found = pattern.matrix(K, 0.7)
     assert np.allclose(found.toarray(), dense)
@@ -141,13 +151,41 @@ def test_matrix_and_products_are_sums_over_pairs():
     assert np.allclose(dense @ solved[free], q[free])
     assert not solved[~free].any()
     assert Factorizer("superlu")(pattern.matrix(K, -3.0)) is None
-    pair, vectors, weight = rng.integers(len(con.a), size=6), rng.standard_normal((6, 7)), rng.uniform(1.0, 90.0, 6)
-    stiffer = K.copy()
-    np.add.at(stiffer, pair, weight[:, None, None] * vectors[:, :, None] * vectors[:, None, :])
-    wanted = pattern.solver(Factorizer("superlu")(Pattern.of(con, con.count > -1, free).matrix(stiffer, 0.7)))(q)
-    assert np.allclose(stiffened(pattern.solver(Factorizer("superlu")(found)), con, pair, vectors, weight, n)(q), wanted)
-    force = rng.uniform(size=m)
-    assert np.allclose(spread(con, jac, force, n), np.einsum("m,mnk->nk", force, whole))
+
+
+def test_a_factor_serves_for_stiffer_contacts_and_pairs():
+    con, jac, whole, K, free, dense, rng = some_matrix()
+    m, q = len(jac), rng.standard_normal(free.shape)
+    rows, tight, weight = rng.choice(m, 4, replace=False), int(rng.integers(len(con.a))), rng.uniform(1.0, 90.0, 5)
+    turn = np.zeros((1, *free.shape))
+    turn[0, con.a[tight], 3] = 1.0
+    added = np.concatenate([whole[rows], turn]).reshape(5, -1)
+    dense = np.where(np.outer(free, free), dense, 0.0) + np.diag(~free.ravel())
+    wanted = np.linalg.solve(
+        dense + np.where(free.ravel(), added, 0.0).T @ (weight[:, None] * np.where(free.ravel(), added, 0.0)),
+        np.where(free, q, 0.0).ravel(),
+    )
+    pattern = Pattern.of(con, con.count > 0, free)
+    solve = pattern.solver(Factorizer("superlu")(pattern.matrix(K, 0.7)))
+    factored = Factored(solve, con, jac, Work(0.0, np.zeros(len(con.a)), np.zeros(m)), len(free))
+    names = np.append(rows, m + 7 * tight + 3)
+    assert factored.stiffened(names[:0], weight[:0]) is solve
+    first = factored.stiffened(names[:2], weight[:2])(q)
+    assert np.allclose(factored.stiffened(names[1::-1], weight[1::-1])(q), first)
+    assert np.allclose(factored.stiffened(names, weight)(q).ravel(), wanted)
+
+
+def test_forces_that_stop_are_those_of_a_complementarity_problem():
+    rng = np.random.default_rng(5)
+    for k in (1, 3, 9):
+        R = rng.standard_normal((k, k)) * 10.0 ** rng.uniform(-4, 4, k)
+        S, missing = R.T @ R, (R.T @ R) @ rng.standard_normal(k)
+        force = forces_that_stop(S, missing)
+        left = (S @ force - missing) / np.sqrt(np.diag(S))
+        size = np.abs(missing / np.sqrt(np.diag(S))).max()
+        assert (force >= 0.0).all()
+        assert left.min() > -1e-6 * size
+        assert np.abs(force * np.sqrt(np.diag(S)) * left).max() < 1e-6 * size**2
 
 
 def crossing_pairs(seed, size):
