@@ -1,4 +1,4 @@
-"""Factors of sparse symmetric matrices and whether they are positive definite: CHOLMOD if it is there, else SuperLU."""
+"""Factors of sparse symmetric matrices, or where these are not positive definite: CHOLMOD if it is there, else SuperLU."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from rve.common.types import Array
+from rve.finite.touching import Index
 
 Solve = Callable[[Array], Array]
 
 
 class Factorizer:
-    """Factors of matrices whose pattern may change; None where a matrix is not positive definite."""
+    """Factors of matrices whose pattern may change."""
 
     def __init__(self, method: str = "auto") -> None:
         there = find_spec("sksparse") is not None
@@ -24,11 +25,14 @@ class Factorizer:
         self._pattern: tuple[Array, Array] | None = None
         self._symbolic: Any = None
 
-    def __call__(self, matrix: sparse.csc_matrix) -> Solve | None:
-        """A function that solves with the matrix, or None."""
+    def __call__(self, matrix: sparse.csc_matrix) -> Solve | Index:
+        """A function that solves with the matrix, or rows whose pivots are not positive (all rows where none is known).
+
+        Such a pivot is negative curvature along its row and some of those before it.
+        """
         return self._cholmod(matrix) if self.method == "cholmod" else _superlu(matrix)
 
-    def _cholmod(self, matrix: sparse.csc_matrix) -> Solve | None:
+    def _cholmod(self, matrix: sparse.csc_matrix) -> Solve | Index:
         from sksparse import cholmod
 
         if self._pattern is None or not (
@@ -38,21 +42,23 @@ class Factorizer:
             self._symbolic = cholmod.analyze(matrix, mode="supernodal", ordering_method="amd")
         try:
             factor: Solve = self._symbolic.cholesky(matrix)
-        except cholmod.CholmodNotPositiveDefiniteError:
-            return None
+        except cholmod.CholmodNotPositiveDefiniteError as error:
+            return np.asarray(self._symbolic.P()[[error.column]])
         return factor
 
 
-def _superlu(matrix: sparse.csc_matrix) -> Solve | None:
+def _superlu(matrix: sparse.csc_matrix) -> Solve | Index:
     try:
         factor = splu(
             matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
         )
     except RuntimeError:
-        return None
+        return np.arange(matrix.shape[0])
+    if not np.array_equal(factor.perm_r, factor.perm_c):
+        return np.arange(matrix.shape[0])
     # Without pivoting L U is L D L^T: the signs of the diagonal of U are those of the eigenvalues.
-    pivoted = not np.array_equal(factor.perm_r, factor.perm_c)
-    if pivoted or not (factor.U.diagonal() > 0.0).all():
-        return None
+    bad = ~(factor.U.diagonal() > 0.0)
+    if bad.any():
+        return np.flatnonzero(bad[factor.perm_c])
     solve: Solve = factor.solve
     return solve

@@ -15,7 +15,7 @@ from rve.finite.touching import Placed, Touching
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it; convex: which part of the
+    """An iterate; damping of all pairs, and `local` (p,) of single ones on top of it; convex (p,): which part of the
     negative curvature of each pair is left out."""
 
     placed: Placed
@@ -24,7 +24,7 @@ class State:
     mu: float
     damping: float
     local: Array
-    convex: float = 0.0
+    convex: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +43,17 @@ class Step:
 
 @dataclass
 class Work:
-    """Counts of one iteration, the damping as it is raised, and stiffness (m,) that contacts have on top of theirs;
-    lacking: what the blocks of pairs lack to be positive semidefinite; last: the last factor."""
+    """What is added to the matrix of one iteration, see `State`, and stiffness (m,) that contacts have on top of
+    theirs; lacking (p, 7, 7): what blocks of pairs lack to be positive semidefinite, nan where nobody asked; last: the
+    last factor; counts."""
 
     damping: float
     local: Array
+    convex: Array
     extra: Array
-    convex: float = 0.0
-    turns: int = 0
     lacking: Array | None = None
     last: Factored | None = None
+    turns: int = 0
     trials: int = 0
     factors: int = 0
     failed: int = 0

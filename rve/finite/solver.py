@@ -7,43 +7,28 @@ units of the load's mean force on a link, so that mu is relative.
 Gaps stay positive in every accepted step and no step can carry a wire through another (`touching`). Held rings travel
 to their places in steps of a part of r1. Where the linear forecast of a gap fails, the step is corrected for what was
 missed; where that is not enough, the two rings of the pair are damped against each other, and only they. mu is lifted
-where the iterates do not settle at it, so that a fold which runs through the mesh passes in few steps.
+where the iterates do not settle at it, so that a fold which runs through the mesh passes in few steps. Steps are those
+of `newton`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import os
 import numpy as np
 
 from rve.common.progress import tell, way
 from rve.common.types import Array
-from rve.finite.equations import BLOCK, PAIR, add_metric, blocks, gradients, lacking, metric, pair_vectors, spread, times
-from rve.finite.factor import Factorizer, Solve
-from rve.finite.iterate import Linear, State, Step, Work, barrier, central
+from rve.finite.equations import gradients, spread
+from rve.finite.factor import Factorizer
+from rve.finite.iterate import State, Step, Work, central
+from rve.finite.newton import linearized, newton
 from rve.finite.records import FiniteOptions, Found, Record, Task
-from rve.finite.system import Factored, Pattern, forces_that_stop
 from rve.finite.search import searched
-from rve.finite.touching import Index, Placed, Touching, find_touching, handed_on, of_pairs, safe_parts
+from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
 
-_SOFT = 1e-10
-"""Stiffness of every coordinate: rings that nothing touches stay where they are."""
-_IDLE = 1e-6
-"""Contacts with less force than this part of mu do without curvature."""
 _TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
-_TURNS = 6
-"""Times contacts are stiffened before a step is taken; those with another factor count twice."""
-_SHORT = 0.3
-"""Part of a step that counts as short."""
-_RANK = 64
-"""Largest rank of what is added to a matrix without another factor."""
-_CLOSING = (1.0, 0.75, 0.5)
-"""Contacts that close before these parts of a step are stiffened, the fewer the more there are."""
-_LATE = float(os.environ.get("LATE","1e-4"))
-_CLOSED = 0.8
-"""Part of its gap that such a contact may close."""
 
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
@@ -54,7 +39,8 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     factorize = Factorizer(options.method)
     touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
     force = central(touching.gap, options.mu_start, options.reach)
-    state = State(start, touching, force, options.mu_start, 1e-3, np.zeros(len(touching.key)))
+    none = np.zeros(len(touching.key))
+    state = State(start, touching, force, options.mu_start, 1e-3, none, none)
     history: list[Record] = []
     least, finest = np.inf, state
     pace, status, is_minimum, near = Pace(float(options.patience)), "iterations", False, options
@@ -143,7 +129,8 @@ def _found_again(state: State, task: Task, reach: float) -> State:
     con = find_touching(state.placed, task.linked, task.wire, reach, beside=task.beside)
     force = handed_on(state.touching, state.force, con, central(con.gap, state.mu, reach))
     rows = of_pairs(state.touching.key, con.key)
-    return replace(state, touching=con, force=force, local=np.where(rows >= 0, state.local[rows], 0.0))
+    local, convex = (np.where(rows >= 0, of[rows], 0.0) for of in (state.local, state.convex))
+    return replace(state, touching=con, force=force, local=local, convex=convex)
 
 
 def kkt(touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, float]:
@@ -169,153 +156,21 @@ def _is_stuck(history: list[Record]) -> bool:
     return len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:])
 
 
-def _linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> Linear:
-    con, gap, mu, reach = state.touching, state.touching.gap, state.mu, options.reach
-    stiff = (state.force + mu / reach) / gap
-    rhs = spread(con, G, mu * (1.0 / gap - 1.0 / reach), len(task.force))
-    rhs[:, :3] += task.force
-    K = blocks(state.placed, con, G, stiff, state.force, _IDLE * mu)
-    way = np.where(task.held, task.at - state.placed.x, 0.0)
-    far = float(np.sqrt((way**2).sum(axis=1)).max(initial=0.0))
-    held = np.zeros((len(way), BLOCK))
-    held[:, :3] = way * min(1.0, options.step / max(far, 1e-300))
-    # Damping is measured in the force that a pair carries: pairs near supports need more of it.
-    carried = np.bincount(con.minima.pair, state.force, minlength=len(con.key))
-    heavy = np.maximum(carried, 0.1 * mu * np.isin(con.key, task.keys))
-    value = barrier(state.placed, con, task, mu, reach)
-    felt = (con.count > 0) | (heavy > 0.0)  # pairs without contact stay out of the pattern
-    pattern = Pattern.of(con, felt, task.free)
-    return Linear(G, stiff, K, pattern, np.where(task.free, rhs, 0.0), held, heavy, value, mu, far > 0.0)
-
-
-def _newton(
-    state: State, task: Task, line: Linear, options: FiniteOptions, factorize: Factorizer, work: Work
-) -> Step | None:
-    """The step of the damped equations, with less negative curvature where their matrix is not positive definite.
-
-    Where few pairs would make the step short, they are made stiffer.
-    """
-    con, n, gap = state.touching, len(task.force), state.touching.gap
-    while True:
-        solve, push = _solver(con, line, factorize, work, n)
-        if solve is not None:
-            q = solve(push) + line.held
-            dgap = (line.G * pair_vectors(con, q)[con.minima.pair]).sum(axis=1)
-            safe = safe_parts(state.placed, con, q, task.wire, options.reach)
-            if work.turns >= _TURNS or not _is_short(con, line, safe, dgap, work):
-                break
-            continue
-        work.failed += 1
-        if work.convex < 1.0:
-            work.convex = min(1.0, max(0.2, 3.0 * work.convex))
-        elif work.damping > 1e8:
-            return None
-        else:
-            work.damping = max(1e-3, 5.0 * work.damping)
-    stiff = line.stiff + work.extra
-    dforce = (state.mu * (1.0 - gap / options.reach) - state.force * gap) / gap - stiff * dgap
-    return Step(q, dgap, dforce, safe, -float((line.rhs * q).sum()), stiff, solve)
-
-
-def _solver(con: Touching, line: Linear, factorize: Factorizer, work: Work, n: int) -> tuple[Solve | None, Array]:
-    """A function that solves with the matrix, None where it is not positive definite, and the right-hand side (n, 5).
-
-    The last factor serves again where a few pairs have been made stiffer since.
-    """
-    last = work.last
-    if last is not None and not line.is_moving and (last.damping, last.convex) == (work.damping, work.convex):
-        rows = np.flatnonzero(work.extra > last.extra)
-        tight = np.flatnonzero(line.heavy * work.local > line.heavy * last.local)
-        if len(rows) + PAIR * len(tight) <= _RANK:
-            damped = (line.heavy * (work.local - last.local))[tight]
-            names = np.concatenate([rows, (len(con.gap) + PAIR * tight[:, None] + np.arange(PAIR)).ravel()])
-            weight = np.concatenate([(work.extra - last.extra)[rows], np.outer(damped, metric()).ravel()])
-            return last.stiffened(names, weight), line.rhs
-    pairs = _pairs(con, line, work)
-    push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
-    factor = factorize(line.pattern.matrix(pairs, _SOFT + 1e-6 * work.damping))
-    work.factors += 1
-    if factor is None:
-        return None, push
-    work.last = Factored(line.pattern.solver(factor), con, line.G, work, n)
-    return work.last.solve, push
-
-
-def _pairs(con: Touching, line: Linear, work: Work) -> Array:
-    """Blocks (p, 7, 7) of the matrix: exact, damped, with a part of their negative curvature left out."""
-    if work.convex > 0.0:
-        if work.lacking is None:
-            work.lacking = lacking(line.blocks)
-        out = line.blocks + work.convex * work.lacking
-    else:
-        out = line.blocks.copy()
-    add_metric(out, line.heavy * (work.damping + work.local))
-    rows = np.flatnonzero(work.extra)
-    if len(rows):
-        G = line.G[rows]
-        np.add.at(out, con.minima.pair[rows], work.extra[rows, None, None] * G[:, :, None] * G[:, None, :])
-    return out
-
-
-def _is_short(con: Touching, line: Linear, safe: Array, dgap: Array, work: Work) -> bool:
-    """Whether some pairs or contacts would make the step, of safe parts (p,) and change of gaps (m,), short.
-
-    They are stiffer then; few contacts at a small mu just so much that they stay open.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        open_ = np.where(dgap < 0.0, -con.gap / dgap, np.inf)
-    last, nearest, tight = _made(work), open_.min(initial=1.0), safe < _SHORT
-    if not tight.any() and nearest > _CLOSING[-1]:
-        return False
-    if safe.min() < 0.1 and 0.0 < work.convex < 1.0:
-        work.turns += 2
-        work.convex = 1.0
-        return True
-    if line.mu < _LATE and not (line.is_moving or tight.any() or (work.local > last.local).any()):
-        for part in _CLOSING:
-            rows = np.flatnonzero((open_ < part) | (work.extra > last.extra))
-            if len(rows) <= _RANK:
-                work.turns += 1
-                _stop(con, line, rows, work)
-                return True
-    if not tight.any() and nearest > _SHORT:
-        return False
-    work.turns += 2
-    work.local[tight] = np.maximum(4.0 * work.local[tight], 0.2)
-    rows = np.flatnonzero(open_ < 1.2 * _SHORT)
-    work.extra[rows] += line.stiff[rows] * np.minimum(0.7 / open_[rows], 100.0)
-    return True
-
-
-def _made(work: Work) -> Factored:
-    assert work.last is not None, "a step has a factor"
-    return work.last
-
-
-def _stop(con: Touching, line: Linear, rows: Index, work: Work) -> None:
-    """Stiffen contacts `rows` (k,) just so much that the step closes no more than a part of their gaps."""
-    last = _made(work)
-    U, Y = last.columns(rows)
-    pull = (line.G[rows] * pair_vectors(con, last.solve(line.rhs))[con.minima.pair[rows]]).sum(axis=1)
-    force = forces_that_stop(U.T @ Y, -_CLOSED * con.gap[rows] - pull)
-    work.extra[rows] = last.extra[rows] + force / (_CLOSED * con.gap[rows])
-
-
 def _advanced(
     state: State, task: Task, G: Array, options: FiniteOptions, factorize: Factorizer
 ) -> tuple[State, Record, bool]:
     """The next iterate, its record, and whether the matrix was positive definite without damping."""
-    line = _linearized(state, task, G, options)
-    work = Work(state.damping, state.local.copy(), np.zeros(len(state.force)), state.convex)
+    line = linearized(state, task, G, options)
+    work = Work(state.damping, state.local.copy(), state.convex.copy(), np.zeros(len(state.force)))
     new, step, length = None, None, 0.0
     for attempt in range(_TRIES + 1):
-        step = _newton(state, task, line, options, factorize, work)
+        step = newton(state, task, line, options, factorize, work)
         if step is None:
             break
         new, length = searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
         if new is not None:
             break
-    is_exact = state.damping < 1e-6 and state.convex == 0.0 and state.local.max(initial=0.0) < 1e-2
+    is_exact = state.damping < 1e-6 and state.convex.max(initial=0.0) == 0.0 and state.local.max(initial=0.0) < 1e-2
     is_minimum = is_exact and work.failed == 0
     if step is None or new is None:
         damping = max(10.0 * work.damping, 1e-6)
@@ -336,12 +191,8 @@ def _accepted(state: State, new: State, step: Step, length: float, options: Fini
     force = np.clip(force, 0.3 * fresh, 1e6 * state.mu / new.touching.gap)
     damping = 0.3 * work.damping if length > 0.3 else work.damping
     rows = of_pairs(state.touching.key, new.touching.key)
-    local = np.where(rows >= 0, work.local[rows], 0.0)
-    convex = 0.3 * work.convex if length > 0.3 and not work.failed else work.convex
-    return replace(
-        new,
-        force=force,
-        damping=damping if damping > 1e-9 else 0.0,
-        local=local,
-        convex=convex if convex > 0.02 else 0.0,
-    )
+    raised = work.convex > state.convex
+    convex = np.where(raised | (length <= 0.3), work.convex, 0.3 * work.convex)
+    convex[convex < 0.02] = 0.0
+    local, convex = (np.where(rows >= 0, of[rows], 0.0) for of in (work.local, convex))
+    return replace(new, force=force, damping=damping if damping > 1e-9 else 0.0, local=local, convex=convex)

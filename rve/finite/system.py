@@ -111,10 +111,14 @@ class Factored:
 
     def __init__(self, solve: Solve, touching: Touching, G: Array, work: Work, n: int) -> None:
         self.solve, self.extra, self.local = solve, work.extra.copy(), work.local.copy()
-        self.damping, self.convex = work.damping, work.convex
+        self.damping, self.convex = work.damping, work.convex.copy()
         self._touching, self._G, self._n = touching, G, n
         self._names: Index = np.zeros(0, dtype=np.intp)
         self._Y = np.zeros((BLOCK * n, 0))
+
+    def is_of(self, work: Work) -> bool:
+        """Whether the damping and convexity of a step are those of the matrix still."""
+        return self.damping == work.damping and np.array_equal(self.convex, work.convex)
 
     def columns(self, names: Index) -> tuple[sparse.csc_matrix, Array]:
         """U (5 n, k), sparse, and Y = A^-1 U, each column of which is found once."""

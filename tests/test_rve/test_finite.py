@@ -150,7 +150,7 @@ def test_matrix_and_products_are_sums_over_pairs():
     solved = pattern.solver(Factorizer("superlu")(found))(q)
     assert np.allclose(dense @ solved[free], q[free])
     assert not solved[~free].any()
-    assert Factorizer("superlu")(pattern.matrix(K, -3.0)) is None
+    assert len(Factorizer("superlu")(pattern.matrix(K, -3.0))) > 1
 
 
 def test_a_factor_serves_for_stiffer_contacts_and_pairs():
@@ -167,7 +167,7 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
     )
     pattern = Pattern.of(con, con.count > 0, free)
     solve = pattern.solver(Factorizer("superlu")(pattern.matrix(K, 0.7)))
-    factored = Factored(solve, con, jac, Work(0.0, np.zeros(len(con.a)), np.zeros(m)), len(free))
+    factored = Factored(solve, con, jac, Work(0.0, np.zeros(len(con.a)), np.zeros(len(con.a)), np.zeros(m)), len(free))
     names = np.append(rows, m + 7 * tight + 3)
     assert factored.stiffened(names[:0], weight[:0]) is solve
     first = factored.stiffened(names[:2], weight[:2])(q)
