@@ -152,6 +152,13 @@ _ring_options = options(
     click.argument("scene", type=click.Path(path_type=Path)),
     click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10."),
     click.option("--space/--plane", default=True, show_default=True, help="Centres free in space, or in the plane."),
+    click.option(
+        "--start",
+        type=click.Choice(["slack", "disk"]),
+        default="slack",
+        show_default=True,
+        help="Slack weave, or one that the membrane guides.",
+    ),
 )
 
 
@@ -160,14 +167,14 @@ _ring_options = options(
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
-def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: bool, html: bool) -> None:
+def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path, picture: bool, html: bool) -> None:
     """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png.
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
     from macro_fem.every_ring import run_rings
 
-    summary = run_rings(scene, law_path, out, space=space, picture=picture, html=html)
+    summary = run_rings(scene, law_path, out, space=space, start=start, picture=picture, html=html)
     say(f"{summary['status']}: {summary['message']}")
     say(
         f"{summary['rings']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
@@ -193,7 +200,7 @@ def rings(scene: Path, law_path: Path | None, space: bool, out: Path, picture: b
 @main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")
 @_ring_options
 @click.option("--out", type=click.Path(path_type=Path), help="File for the numbers, JSON.")
-def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -> None:
+def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Path | None) -> None:
     """Solve SCENE as a membrane and ring by ring, and print both side by side.
 
     Exit code 0: both converged; 1: one of them did not; 2: bad input.
@@ -203,7 +210,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, out: Path | None) -
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])
-    summary = compare_files(scene, law_path, space=space).summary
+    summary = compare_files(scene, law_path, space=space, start=start).summary
     answer(summary, "\n".join(side_by_side(summary)))
     if out is not None:
         write_text(out, json.dumps(summary, indent=2, allow_nan=False) + "\n")

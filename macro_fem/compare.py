@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.every_ring import RingScene, or_none, ring_scene
-from macro_fem.fem.space import padded
 from macro_fem.job import solve
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
@@ -83,12 +81,7 @@ class Comparison:
 
     def shape_distance(self) -> float:
         """See `summary`."""
-        nodes = self.disk.problem.disc.nodes
-        X = self.rings.mesh.X
-        x = LinearNDInterpolator(nodes, self.disk.x)(X)
-        lost = ~np.isfinite(x).all(axis=1)
-        x[lost] = NearestNDInterpolator(nodes, self.disk.x)(X[lost])
-        away = self.solution.centre - padded(x)
+        away = self.solution.centre - self.disk.places(self.rings.mesh.X)
         area = self.rings.mesh.area
         return float(np.sqrt((area * (away**2).sum(axis=1)).sum() / area.sum()))
 
@@ -122,20 +115,20 @@ class Comparison:
         return float(np.sqrt(own / (area[there] @ (theirs[there] ** 2).sum(axis=1))))
 
 
-def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True) -> Comparison:
-    """The membrane on the mesh of the scene, and its rings.
+def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: str = "slack") -> Comparison:
+    """The membrane on the mesh of the scene, and its rings from a start "slack" or "disk", see `RingScene.solve`.
 
     InputError for scenes that one of both cannot be.
     """
     law = default_law() if law is None else law
     rings = ring_scene(scene, law)
     disk = solve(scene, law).solution
-    return Comparison(disk, rings, rings.solve(space=space))
+    return Comparison(disk, rings, rings.solve(space=space, disk=disk if start == "disk" else None))
 
 
-def compare_files(scene: Path, law: Path | None, *, space: bool = True) -> Comparison:
+def compare_files(scene: Path, law: Path | None, *, space: bool = True, start: str = "slack") -> Comparison:
     """`compare` for files."""
-    return compare(load_scene(scene), None if law is None else load_law(law), space=space)
+    return compare(load_scene(scene), None if law is None else load_law(law), space=space, start=start)
 
 
 def side_by_side(summary: dict[str, Any]) -> list[str]:

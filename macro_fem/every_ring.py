@@ -20,6 +20,7 @@ from homogenize import CellInfo, MembraneLaw, default_law, load_law, with_materi
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import in_space_of
+from macro_fem.job import solve as membrane
 from macro_fem.scene.loads import nodal_forces, weight_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.outline import regular_polygon
@@ -27,6 +28,7 @@ from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.scene.supports import Held, build_supports, pin_sliding
 from macro_fem.scene.tables import in_3d
+from macro_fem.solution import CurtainSolution
 from rve import FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides
 from rve.common.drawing.page import check_page
 from rve.common.errors import InputError, require
@@ -55,12 +57,22 @@ class RingScene:
     groups: tuple[tuple[str, np.ndarray], ...]
     walls: tuple[HalfSpace, ...] = ()
 
-    def solve(self, *, space: bool, options: FiniteOptions | None = None) -> FiniteSolution:
-        """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be."""
+    def solve(
+        self, *, space: bool, disk: CurtainSolution | None = None, options: FiniteOptions | None = None
+    ) -> FiniteSolution:
+        """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be.
+
+        Where the membrane `disk` of the scene is given it guides the rings while folds form.
+        """
+        guide = None if disk is None else disk.places(self.mesh.X)
+        if guide is not None and not self.scene.in_space:
+            guide[:, 2] = np.nan
         if self.scene.in_space and not space:
             raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
         try:
-            return self.mesh.solve(self.force, self.held, self.at, space=space, walls=self.walls, options=options)
+            return self.mesh.solve(
+                self.force, self.held, self.at, space=space, walls=self.walls, guide=guide, options=options
+            )
         except InputError as error:
             raise InputError(f"{self.scene.source}: {error}") from error
 
@@ -231,12 +243,14 @@ def run_rings(
     out: Path,
     *,
     space: bool = True,
+    start: str = "slack",
     picture: bool = True,
     html: bool = False,
 ) -> dict[str, Any]:
     """Solve the scene in a file ring by ring, write summary.json, rings.vtu and rings.png into `out`; the summary.
 
-    html: also rings.html, which turns in a browser. InputError in one sentence for what cannot be read, or makes no
+    start: "disk" solves the membrane of the scene first and lets it guide the rings, see `RingScene.solve`. html: also
+    rings.html, which turns in a browser. InputError in one sentence for what cannot be read, or makes no
     sense for rings; nothing is written then.
     """
     if picture:
@@ -246,9 +260,10 @@ def run_rings(
     scene = load_scene(scene_path)
     inputs = [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
-    rings = ring_scene(scene, default_law() if law_path is None else load_law(law_path))
-    solution = rings.solve(space=space)
-    summary = summarize_rings(rings, solution)
+    law = default_law() if law_path is None else load_law(law_path)
+    rings = ring_scene(scene, law)
+    solution = rings.solve(space=space, disk=membrane(scene, law).solution if start == "disk" else None)
+    summary = summarize_rings(rings, solution) | {"start": start}
     with job(out, RECORD, inputs) as folder:
         solution.write_vtu(folder / "rings.vtu")
         if picture:

@@ -13,6 +13,7 @@ from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.linear import chosen
 from macro_fem.fem.rotated import elastic, rotated
+from macro_fem.fem.space import padded
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import check_tracks
 from macro_fem.scene.loads import nodal_forces
@@ -205,6 +206,19 @@ class CurtainSolution(Judged):
         """Mean of y over the reference area, mm."""
         ones = load_vector(discretize(self.problem.mesh.mesh, self.problem.disc.element), np.array([1.0]))[:, 0]
         return float(ones @ self.x[:, 1] / ones.sum())
+
+    def places(self, X: Array) -> Array:
+        """Where the points X (n, 2) in mm of the reference are, (n, 3) in mm, linear between the nodes.
+
+        Points beside the mesh are where the nearest node is.
+        """
+        from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+        nodes = self.problem.disc.nodes
+        x = LinearNDInterpolator(nodes, self.x)(X)
+        lost = ~np.isfinite(x).all(axis=1)
+        x[lost] = NearestNDInterpolator(nodes, self.x)(X[lost])
+        return padded(x)
 
     def principal(self) -> tuple[Array, Array]:
         """Principal line loads (n_cells, 2), larger first, and the reference direction of the larger (n_cells, 2).

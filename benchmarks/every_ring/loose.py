@@ -74,7 +74,7 @@ def _counted(found: Found, task: Task, scene: str, space: bool) -> Row:
         dense[rows, rings[pair[loaded]], 3:] = G[loaded, tilts]
     Z = null_space(dense[:, free], rcond=1e-9)
     K = blocks(found.placed, con, G, np.zeros(len(G)), np.where(loaded, found.force, 0.0), 0.0)
-    H = Pattern.of(con, con.count > 0, free).matrix(K, 0.0).toarray()
+    H = Pattern.of(con, con.count > 0, free).matrix(K, np.zeros(free.shape)).toarray()
     values, vectors = np.linalg.eigh(Z.T @ H @ Z)
     soft = values < SOFT * max(float(np.abs(values).max(initial=0.0)), 1e-300)
     modes = np.zeros((n, BLOCK, int(soft.sum())))

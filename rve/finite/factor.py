@@ -1,4 +1,4 @@
-"""Factors of sparse symmetric matrices, or where these are not positive definite: CHOLMOD if it is there, else SuperLU."""
+"""Factors of sparse symmetric matrices, or where they are not positive definite: CHOLMOD if it is there, or SuperLU."""
 
 from __future__ import annotations
 

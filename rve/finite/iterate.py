@@ -12,6 +12,11 @@ from rve.finite.records import Task
 from rve.finite.system import Factored, Pattern
 from rve.finite.touching import Placed, Touching
 
+_TIE = 0.1
+"""Stiffness of the spring between a ring and its guide over mu, in 1/r1^2."""
+_TIED = 1e-3
+"""mu below which rings are guided no more."""
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -62,13 +67,15 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The equations of an iterate: gap gradients, stiffness of contacts, blocks and where they go, right-hand side
-    (n, 5) with 0 for what is not free, held step (n, 5), weight (p,) of the damping of each pair, barrier function."""
+    """The equations of an iterate: gap gradients, stiffness of contacts, blocks and where they go, stiffness (n, 5) of
+    single coordinates, right-hand side (n, 5) with 0 for what is not free, held step (n, 5), weight (p,) of the damping
+    of each pair, barrier function."""
 
     G: Array
     stiff: Array
     blocks: Array
     pattern: Pattern
+    soft: Array
     rhs: Array
     held: Array
     heavy: Array
@@ -82,7 +89,18 @@ def central(gap: Array, mu: float, reach: float) -> Array:
     return np.asarray(mu * np.maximum(1.0 / gap - 1.0 / reach, 1e-8))
 
 
+def ties(task: Task, mu: float, n: int) -> tuple[Array, Array]:
+    """Stiffness (n, 3) of the springs between the centres and their guide, and where these end; 0 at a small mu."""
+    if task.guide is None or mu < _TIED:
+        return np.zeros((n, 3)), np.zeros((n, 3))
+    guided = np.isfinite(task.guide)
+    return np.where(guided, _TIE * mu, 0.0), np.where(guided, task.guide, 0.0)
+
+
 def barrier(placed: Placed, touching: Touching, task: Task, mu: float, reach: float) -> float:
-    """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, without units: falls along a step at one mu."""
+    """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, and the energy of the springs to the guide, all
+    without units: falls along a step at one mu."""
     gap = np.minimum(touching.gap / reach, 1.0)
-    return float(-(task.force * placed.x).sum() + mu * (gap - 1.0 - np.log(gap)).sum())
+    tie, end = ties(task, mu, len(placed.x))
+    energy = 0.5 * (tie * (placed.x - end) ** 2).sum() - (task.force * placed.x).sum()
+    return float(energy + mu * (gap - 1.0 - np.log(gap)).sum())

@@ -117,13 +117,16 @@ class FiniteMesh:
         *,
         space: bool = True,
         walls: Sequence[HalfSpace] = (),
+        guide: Array | None = None,
         options: FiniteOptions | None = None,
     ) -> FiniteSolution:
         """The rings under dead forces (n, 3) in N, coordinates `held` (n, 3) kept at the places `at` (n, 3) in mm.
 
         In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
-        from the slack weave; held rings and half-spaces that cut it travel to their places. A local minimum of the
-        potential is found, which need not be the lowest. An answer that has not converged is returned with its status.
+        from the slack weave; held rings and half-spaces that cut it travel to their places. guide (n, 3): places in mm
+        that pull at the centres in the beginning and no more at the end, nan where none does. A local minimum of the
+        potential is found, which need not be the lowest; the guide has a part in which it is. An answer that has not
+        converged is returned with its status.
         InputError for other shapes, no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
@@ -136,7 +139,7 @@ class FiniteMesh:
 
         held = np.asarray(held, dtype=bool) | np.array([False, False, not space])
         at = np.asarray(at, dtype=float)
-        problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls))
+        problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls), guide)
         return solve_mesh(problem, options)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from rve.common.types import Array
 from rve.finite.equations import BLOCK, PAIR, add_metric, blocks, lacking, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer, Solve
-from rve.finite.iterate import Linear, State, Step, Work, barrier
+from rve.finite.iterate import Linear, State, Step, Work, barrier, ties
 from rve.finite.records import FiniteOptions, Task
 from rve.finite.system import Factored, Pattern, forces_that_stop
 from rve.finite.touching import Index, Touching, safe_parts
@@ -42,6 +42,10 @@ def linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> Li
     stiff = (state.force + mu / reach) / gap
     rhs = spread(con, G, mu * (1.0 / gap - 1.0 / reach), len(task.force))
     rhs[:, :3] += task.force
+    tie, end = ties(task, mu, len(task.force))
+    rhs[:, :3] += tie * (end - state.placed.x)
+    soft = np.full((len(task.force), BLOCK), _SOFT)
+    soft[:, :3] += tie
     K = blocks(state.placed, con, G, stiff, state.force, _IDLE * mu)
     way = np.where(task.held, task.at - state.placed.x, 0.0)
     far = float(np.sqrt((way**2).sum(axis=1)).max(initial=0.0))
@@ -53,7 +57,7 @@ def linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> Li
     value = barrier(state.placed, con, task, mu, reach)
     felt = (con.count > 0) | (heavy > 0.0)  # pairs without contact stay out of the pattern
     pattern = Pattern.of(con, felt, task.free)
-    return Linear(G, stiff, K, pattern, np.where(task.free, rhs, 0.0), held, heavy, value, mu, far > 0.0)
+    return Linear(G, stiff, K, pattern, soft, np.where(task.free, rhs, 0.0), held, heavy, value, mu, far > 0.0)
 
 
 def newton(
@@ -96,7 +100,7 @@ def _solver(con: Touching, line: Linear, factorize: Factorizer, work: Work, n: i
             return last.stiffened(names, weight), line.rhs
     pairs = _pairs(con, line, work)
     push = line.rhs - times(con, pairs, line.held, n) if line.is_moving else line.rhs
-    factor = factorize(line.pattern.matrix(pairs, _SOFT + 1e-6 * work.damping))
+    factor = factorize(line.pattern.matrix(pairs, line.soft + 1e-6 * work.damping))
     work.factors += 1
     if not callable(factor):
         work.failed += 1

@@ -50,7 +50,8 @@ class FiniteOptions:
 @dataclass(frozen=True, eq=False)
 class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
-    free coordinates (n, 5); beside: whether points beside soft minima are constraints too."""
+    free coordinates (n, 5); beside: whether points beside soft minima are constraints too; guide (n, 3): places that
+    pull at the centres while mu is large, nan where none does."""
 
     linked: Index
     wire: float
@@ -59,6 +60,7 @@ class Task:
     at: Array
     free: NDArray[np.bool_]
     beside: bool = True
+    guide: Array | None = None
 
     @property
     def keys(self) -> Index:

@@ -167,7 +167,7 @@ class FiniteSolution:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a mesh is asked for, see `FiniteMesh.solve`; force, held, at (n, 3) in N and mm."""
+    """What a mesh is asked for, see `FiniteMesh.solve`; force, held, at, guide (n, 3) in N and mm."""
 
     mesh: FiniteMesh
     force: Array
@@ -175,15 +175,19 @@ class Problem:
     at: Array
     is_space: bool
     walls: tuple[HalfSpace, ...] = ()
+    guide: Array | None = None
 
     def check(self) -> None:
         """InputError for arrays of other shapes, no load, or a piece that nothing holds against its load."""
         mesh, force, n = self.mesh, self.force, len(self.mesh.X)
-        for name, array in (("force", force), ("held", self.held), ("at", self.at)):
+        guide = self.at if self.guide is None else self.guide
+        for name, array in (("force", force), ("held", self.held), ("at", self.at), ("guide", guide)):
             if array.shape != (n, 3):
                 raise InputError(f"{name}: has shape {array.shape}, it must be ({n}, 3), one row per ring")
         if not (np.isfinite(force).all() and np.isfinite(self.at[self.held]).all()):
             raise InputError("force and places must be finite numbers")
+        if np.isinf(guide).any():
+            raise InputError("guide: places must be finite numbers, or nan for none")
         if not np.abs(force).sum() > 0.0:
             raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
         graph = coo_matrix((np.ones(len(mesh.linked)), mesh.linked.T), shape=(n, n))
@@ -240,7 +244,9 @@ class Problem:
         at = self.at if self.is_space else self.at * [1.0, 1.0, 0.0]
         force = np.concatenate([self.force / unit, np.zeros((k, 3))])
         held = np.concatenate([self.held, np.ones((k, 3), dtype=bool)])
-        return Task(mesh.linked, mesh.cell.wire, force, held, np.concatenate([at / r1, self.planes()[0]]), free), unit
+        guide = None if self.guide is None else np.concatenate([self.guide / r1, np.full((k, 3), np.nan)])
+        at = np.concatenate([at / r1, self.planes()[0]])
+        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide), unit
 
 
 def solve_mesh(problem: Problem, options: FiniteOptions | None = None) -> FiniteSolution:

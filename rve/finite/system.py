@@ -71,11 +71,11 @@ class Pattern:
             np.flatnonzero(indices == columns),
         )
 
-    def matrix(self, pairs: Array, soft: float) -> sparse.csc_matrix:
-        """The symmetric matrix (k, k) of blocks of pairs (p, 7, 7), `soft` added to its diagonal."""
+    def matrix(self, pairs: Array, soft: Array) -> sparse.csc_matrix:
+        """The symmetric matrix (k, k) of blocks of pairs (p, 7, 7), `soft` (n, 5) added to its diagonal."""
         parts = pairs[self.felt].reshape(-1, PAIR * PAIR)[:, _EXPAND] * _SIGN
         data = (self.add @ parts.reshape(-1, BLOCK * BLOCK)).ravel()[self.take]
-        data[self.diagonal] += soft
+        data[self.diagonal] += soft.ravel()[self.free]
         k = len(self.free)
         return sparse.csc_matrix((data, self.indices, self.indptr), shape=(k, k))
 

@@ -70,6 +70,34 @@ def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     assert sorted(file.name for file in out.iterdir()) == ["rings.html", "rings.png", "rings.vtu", "summary.json"]
 
 
+def test_the_disk_guides_the_rings_to_an_equilibrium_of_the_same_scene(tmp_path):
+    path = toml(tmp_path / "scene.toml", 3, 2)
+    answers = {}
+    for start in ("slack", "disk"):
+        out = tmp_path / start
+        words = ["rings", str(path), "--out", str(out), "--plane", "--start", start, "--no-picture"]
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 0, result.output
+        answers[start] = json.loads((out / "summary.json").read_text())
+        assert answers[start]["start"] == start
+    slack, disk = answers["slack"], answers["disk"]
+    assert disk["kkt_residual"] < 1e-8
+    assert disk["links_intact"]
+    assert disk["mean_height_mm"] == pytest.approx(slack["mean_height_mm"], rel=5e-3)
+    assert disk["total_load_N"] == slack["total_load_N"]
+
+
+def test_places_of_the_disk_are_those_of_its_nodes():
+    from macro_fem.job import solve
+
+    solution = solve(scene()).solution
+    nodes = solution.problem.disc.nodes
+    assert solution.places(nodes)[:, :2] == pytest.approx(solution.x, abs=1e-9)
+    beside = solution.places(nodes[:1] - 1e-3)
+    assert beside.shape == (1, 3)
+    assert np.isfinite(beside).all()
+
+
 def test_supports_out_of_reach_are_said_to_be_so(tmp_path):
     path, out = tmp_path / "scene.toml", tmp_path / "out"
     size = f"[curtain]\nwidth = {B_X}\nheight = {B_Y}\n[mesh]\ncells = 8\n"

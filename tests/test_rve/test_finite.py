@@ -1,5 +1,7 @@
 """Finite meshes: layout, contacts, derivatives, equilibria with known answers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -7,7 +9,9 @@ from scipy.optimize import minimize
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
 from rve.finite.equations import blocks, gradients, lacking, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
-from rve.finite.iterate import Work
+from rve.finite.iterate import State, Work, barrier, central
+from rve.finite.newton import linearized
+from rve.finite.records import Task
 from rve.finite.system import Factored, Pattern, forces_that_stop
 from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
 from rve.finite.walls import wall_derivatives, wall_gaps
@@ -145,12 +149,12 @@ def test_matrix_and_products_are_sums_over_pairs():
     assert np.allclose(spread(con, jac, force, n), np.einsum("m,mnk->nk", force, whole))
     dense = dense[np.ix_(free.ravel(), free.ravel())]
     pattern = Pattern.of(con, con.count > 0, free)
-    found = pattern.matrix(K, 0.7)
+    found = pattern.matrix(K, np.full(free.shape, 0.7))
     assert np.allclose(found.toarray(), dense)
     solved = pattern.solver(Factorizer("superlu")(found))(q)
     assert np.allclose(dense @ solved[free], q[free])
     assert not solved[~free].any()
-    assert len(Factorizer("superlu")(pattern.matrix(K, -3.0))) > 1
+    assert len(Factorizer("superlu")(pattern.matrix(K, np.full(free.shape, -3.0)))) > 1
 
 
 def test_a_factor_serves_for_stiffer_contacts_and_pairs():
@@ -166,7 +170,7 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
         np.where(free, q, 0.0).ravel(),
     )
     pattern = Pattern.of(con, con.count > 0, free)
-    solve = pattern.solver(Factorizer("superlu")(pattern.matrix(K, 0.7)))
+    solve = pattern.solver(Factorizer("superlu")(pattern.matrix(K, np.full(free.shape, 0.7))))
     factored = Factored(solve, con, jac, Work(0.0, np.zeros(len(con.a)), np.zeros(len(con.a)), np.zeros(m)), len(free))
     names = np.append(rows, m + 7 * tight + 3)
     assert factored.stiffened(names[:0], weight[:0]) is solve
@@ -620,3 +624,44 @@ def test_hung_along_the_grain_the_inner_columns_keep_their_height():
     check(solution)
     inner = np.abs(mesh.X[:, 0] - mesh.X[:, 0].mean()) < 1.1 * mesh.sides[0]
     assert solution.centre[inner, 1] == pytest.approx(mesh.X[inner, 1], abs=2.5e-3)
+
+
+def test_the_right_hand_side_is_the_slope_of_the_barrier_function_with_a_guide_too():
+    mesh, placed, rng = disturbed(3)
+    n = len(mesh.X)
+    guide = np.where(rng.uniform(size=(n, 3)) > 0.3, placed.x + rng.standard_normal((n, 3)), np.nan)
+    none = np.zeros((n, 3), dtype=bool)
+    free = np.ones((n, 5), dtype=bool)
+    task = Task(mesh.linked, 0.1, rng.standard_normal((n, 3)), none, placed.x, free, beside=False, guide=guide)
+    q, mu, step = rng.standard_normal((n, 5)), 0.03, 1e-6
+
+    def at(t):
+        con = find_touching(placed.moved(t * q), mesh.linked, 0.1, 0.6, beside=False)
+        return con, barrier(placed.moved(t * q), con, task, mu, 0.6)
+
+    con, _ = at(0.0)
+    (fore, above), (aft, below) = at(step), at(-step)
+    assert (fore.count == aft.count).all()
+    state = State(placed, con, central(con.gap, mu, 0.6), mu, 0.0, *np.zeros((2, len(con.key))))
+    slope = -(linearized(state, task, gradients(placed, con), FiniteOptions()).rhs * q).sum()
+    assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)
+    for small in (1e-9, 5e-4):
+        assert barrier(placed, con, task, small, 0.6) == barrier(placed, con, replace(task, guide=None), small, 0.6)
+
+
+def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():
+    mesh = FiniteMesh.rectangle(Cell(), 2, 2)
+    n = len(mesh.X)
+    top = np.isclose(mesh.X[:, 1], mesh.X[:, 1].max())
+    force, at = np.zeros((n, 3)), np.column_stack([mesh.X, np.zeros(n)])
+    force[:, 1] = -9.81 * mesh.mass
+    held = np.repeat(top[:, None], 3, axis=1)
+    plain = mesh.solve(force, held, at, space=False)
+    guided = mesh.solve(force, held, at, space=False, guide=at + np.where(top[:, None], np.nan, [3.0, -9.0, 0.0]))
+    assert plain.status == guided.status == "converged"
+    assert guided.kkt_residual < 1e-8
+    assert guided.potential == pytest.approx(plain.potential, rel=1e-6)
+    assert guided.reaction.sum(axis=0) == pytest.approx(-force.sum(axis=0), abs=1e-8)
+    for guide, says in ((at[:2], "guide: has shape"), (at + np.inf, "finite")):
+        with pytest.raises(InputError, match=says):
+            mesh.solve(force, held, at, guide=guide)
