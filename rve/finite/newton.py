@@ -32,6 +32,8 @@ _FINE = 1e-4
 """mu below which single contacts and single rings are to blame for short steps and negative curvature."""
 _LOCAL = 4
 """Times a factor may fail before negative curvature is left out everywhere."""
+_MANY = 0.5
+"""Part of the pairs with less negative curvature from which on failures are not told apart."""
 _CLOSED = 0.8
 """Part of its gap that such a contact may close."""
 
@@ -114,10 +116,11 @@ def _convexify(con: Touching, line: Linear, rings: Index, work: Work, n: int) ->
     """Leave out more of the negative curvature where a factor has failed at `rings`; damp where none is left.
 
     At a large mu folds form all over the mesh; later few rings are to blame, and the others keep their exact matrix.
+    Where they are not few, all pairs lose negative curvature until the factor no longer fails.
     """
     if work.convex.min() >= 1.0:
         work.damping = max(1e-3, 5.0 * work.damping)
-    elif line.mu >= _FINE or work.failed > _LOCAL:
+    elif line.mu >= _FINE or work.failed > _LOCAL or np.mean(work.convex > 0.0) > _MANY:
         work.convex = np.minimum(1.0, np.maximum(0.2, 3.0 * work.convex))
     else:
         near = np.zeros(n, dtype=bool)

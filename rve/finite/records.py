@@ -24,7 +24,8 @@ class FiniteOptions:
 
     tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
     power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
-    ring. After `patience` iterations without that it is multiplied by `lift`, at most `retries` times before `stalled`.
+    ring. After `patience` iterations in which the decrement did not fall by 30 % it is multiplied by `lift`, at most
+    `retries` times before `stalled`.
     reach: gap beyond which a contact has no force. step: largest way of a held ring in one iteration.
     method: "cholmod", "superlu", or "auto" for the first that is installed.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
@@ -36,7 +37,7 @@ class FiniteOptions:
     shrink: float = 0.3
     power: float = 1.15
     calm: float = 0.5
-    patience: int = 12
+    patience: int = 8
     lift: float = 30.0
     retries: int = 20
     reach: float = 0.6

@@ -56,7 +56,7 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
             break
         if has_arrived and is_last and merit < least:
             least, finest = merit, state
-        pace = pace.after(merit)
+        pace = pace.after(merit, history[-1].decrement if history else -1.0)
         is_calm = not is_last and _is_calm(history, state, options)
         if has_arrived and (is_calm or pace.is_over(options, is_last)):
             if not is_calm and pace.lifts == options.retries:
@@ -78,22 +78,24 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
 
 @dataclass(frozen=True)
 class Pace:
-    """How many iterations mu has been what it is, and how many of them in a row without a lower residual."""
+    """How many iterations in a row the residual has not fallen at this mu, and how many the Newton decrement."""
 
     patience: float
     lifts: int = 0
-    here: int = 0
     idle: int = 0
     best: float = np.inf
+    slow: int = -1
+    least: float = np.inf
 
-    def after(self, merit: float) -> Pace:
-        """The pace after one more iterate."""
-        is_better = merit < 0.9 * self.best
+    def after(self, merit: float, decrement: float) -> Pace:
+        """The pace after one more iterate; decrement of the step that led to it, negative where there is none."""
+        is_better, is_nearer = merit < 0.9 * self.best, self.slow >= 0 and 0.0 <= decrement < 0.7 * self.least
         return replace(
             self,
-            here=self.here + 1,
             idle=0 if is_better else self.idle + 1,
             best=merit if is_better else self.best,
+            slow=0 if is_nearer else self.slow + 1,
+            least=decrement if is_nearer else self.least,
         )
 
     def at_next(self, is_calm: bool) -> Pace:
@@ -102,7 +104,7 @@ class Pace:
 
     def is_over(self, options: FiniteOptions, is_last: bool) -> bool:
         """Whether mu is to be lifted; the last one only where the residual does not fall."""
-        return self.idle > options.patience if is_last else self.here > self.patience
+        return self.idle > 1.5 * options.patience if is_last else self.slow > self.patience
 
 
 def _answer(state: State, task: Task, status: str, history: list[Record]) -> Found:
