@@ -157,7 +157,15 @@ class Factored:
 
 
 def forces_that_stop(S: Array, missing: Array) -> Array:
-    """f >= 0 (k,) with S f >= missing and f (S f - missing) = 0, S (k, k) positive definite: what keeps gaps open."""
+    """f >= 0 (k,) with S f >= missing and f (S f - missing) = 0, S (k, k) positive semidefinite: what keeps gaps open.
+
+    They are the least squares with f >= 0 of a square root of S.
+    """
     scale = 1.0 / np.sqrt(np.diag(S))
-    L = np.linalg.cholesky(S * scale[:, None] * scale + 1e-12 * np.eye(len(S)))
-    return np.asarray(scale * nnls(L.T, np.linalg.solve(L, scale * missing))[0])
+    values, vectors = np.linalg.eigh(0.5 * (S + S.T) * scale[:, None] * scale)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))  # two contacts side by side are the same but for rounding
+    try:
+        force = nnls(root[:, None] * vectors.T, vectors.T @ (scale * missing) / root)[0]
+    except RuntimeError:  # its limit of iterations, in cycles between such contacts: each force by itself is enough
+        force = np.maximum(scale * missing, 0.0)
+    return np.asarray(scale * force)

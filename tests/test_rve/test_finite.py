@@ -192,6 +192,13 @@ def test_forces_that_stop_are_those_of_a_complementarity_problem():
         assert np.abs(force * np.sqrt(np.diag(S)) * left).max() < 1e-6 * size**2
 
 
+def test_forces_that_stop_bear_contacts_that_are_the_same():
+    S, missing = np.full((3, 3), 2.0), np.array([3.0, 3.0, -1.0])
+    force = forces_that_stop(S * (1.0 + 1e-15 * np.eye(3)), missing)
+    assert (force >= 0.0).all()
+    assert force.sum() == pytest.approx(1.5, rel=1e-5)
+
+
 def crossing_pairs(seed, size):
     """Two rings, 200 times, and steps (2, 5) on whose middle their circles cross."""
     rng = np.random.default_rng(seed)
