@@ -144,7 +144,7 @@ def test_the_limit_of_many_rings():
 
 
 def test_growth_reports_work_and_memory_of_a_process_of_its_own():
-    row = growth._alone(1, False)
+    row = growth._alone(1, False, "slack")
     assert (row["rings"], row["centres"], row["status"], row["links intact"]) == (5, "plane", "converged", True)
     assert row["factors"] >= row["iterations"] > 10
     assert row["KKT residual"] < 1e-8
