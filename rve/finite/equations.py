@@ -108,9 +108,14 @@ def _curvatures(placed: Placed, touching: Touching, rows: Index, frame: Array) -
 
 
 def lacking(pairs: Array) -> Array:
-    """What the blocks (p, 7, 7) lack to be positive semidefinite, each by itself."""
+    """What the blocks (p, 7, 7) lack to be positive semidefinite, each by itself.
+
+    It is found, and least, in the unknowns of the two rings, where d has the length sqrt(2).
+    """
     felt = np.flatnonzero(pairs.any(axis=(1, 2)))
-    values, vectors = np.linalg.eigh(pairs[felt])
+    size = np.sqrt([2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0])
+    values, vectors = np.linalg.eigh(pairs[felt] * (size[:, None] * size))
+    vectors = vectors / size[:, None]
     out = np.zeros_like(pairs)
     out[felt] = np.matmul(vectors * np.maximum(-values, 0.0)[:, None, :], vectors.transpose(0, 2, 1))
     return out
