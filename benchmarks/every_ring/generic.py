@@ -19,7 +19,7 @@ from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, 
 from benchmarks.every_ring.cases import GRAVITY, Store, kept_rows
 from benchmarks.report.measure import Row
 from benchmarks.report.records import Section, table
-from rve import Cell, FiniteMesh
+from rve import Cell, FiniteMesh, FiniteSolution
 
 BOX = 0.06
 """Largest change of any unknown in a round, lengths in r1."""
@@ -28,6 +28,8 @@ PROXIMITY = 1e-3
 SHRINK = 0.8
 ROUNDS = 120
 EVEN = 16
+SEEDS = (5, 6, 7)
+"""Of the random starts."""
 DIFFERENCE = "difference of the potential over weight times r1"
 
 
@@ -153,7 +155,8 @@ def measure(full: bool, store: Store) -> Section:
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
         "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
         "(`generic.py`). It starts from our answer with all rings moved and tilted by up to 0.01 at random, so that "
-        "it overlaps, and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1. "
+        "it overlaps, and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1; the lowest of "
+        f"{len(SEEDS)} starts counts, since a box may shrink before IPOPT is there. "
         "Potentials are compared with that of `rve.FiniteMesh`."
     )
     near = [row for row in rows if abs(row[DIFFERENCE]) < 1e-6]
@@ -162,8 +165,16 @@ def measure(full: bool, store: Store) -> Section:
     return Section(TITLE, text, (table("2 x 2 cells in IPOPT", rows, forms),), (), conclusion)
 
 
+def _disturbed(ours: FiniteSolution, fixed: NDArray[np.bool_], seed: int) -> tuple[Array, Array]:
+    """Our centres in r1 and normals, moved and tilted at random."""
+    rng = np.random.default_rng(seed)
+    centre = ours.centre / ours.mesh.cell.r1 + np.where(fixed, 0.0, 0.01 * rng.uniform(-1.0, 1.0, ours.centre.shape))
+    normal = ours.normal + 0.01 * rng.uniform(-1.0, 1.0, ours.normal.shape)
+    return centre, normal / np.linalg.norm(normal, axis=1)[:, None]
+
+
 def compared(hung: str, space: bool) -> Row:
-    """Our answer, and that of IPOPT from a start near ours."""
+    """Our answer, and that of IPOPT from starts near ours."""
     mesh = FiniteMesh.rectangle(Cell(), 2, 2)
     n, r1, wire = len(mesh.X), mesh.cell.r1, mesh.cell.wire
     force = np.zeros((n, 3))
@@ -179,11 +190,8 @@ def compared(hung: str, space: bool) -> Row:
     fixed = held | np.array([False, False, not space])
     potential = -float((force * ours.centre).sum()) / np.abs(force).sum() / r1
     began = time.process_time()
-    rng = np.random.default_rng(5)
-    near = ours.centre / r1 + np.where(fixed, 0.0, 0.01 * rng.uniform(-1.0, 1.0, (n, 3)))
-    turned = ours.normal + 0.01 * rng.uniform(-1.0, 1.0, (n, 3))
-    turned /= np.linalg.norm(turned, axis=1)[:, None]
-    peer = solve_generic((near, turned), force, fixed, wire)
+    peers = [solve_generic(_disturbed(ours, fixed, seed), force, fixed, wire) for seed in SEEDS]
+    peer = min(peers, key=lambda one: (one.least_gap < -1e-7, one.potential))
     seconds = time.process_time() - began
     intact = linked_pairs(peer.centre, peer.normal, 1.0) == {(int(a), int(b)) for a, b in mesh.linked}
     return {
