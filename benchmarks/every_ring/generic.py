@@ -155,8 +155,8 @@ def measure(full: bool, store: Store) -> Section:
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
         "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
         "(`generic.py`). It starts from our answer with all rings moved and tilted by up to 0.01 at random, so that "
-        "it overlaps, and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1; the lowest of "
-        f"{len(SEEDS)} starts counts, since a box may shrink before IPOPT is there. "
+        "it overlaps, and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1. The "
+        f"lowest of {len(SEEDS)} starts counts, since a box may shrink before IPOPT is there. "
         "Potentials are compared with that of `rve.FiniteMesh`."
     )
     near = [row for row in rows if abs(row[DIFFERENCE]) < 1e-6]
