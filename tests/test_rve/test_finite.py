@@ -240,15 +240,19 @@ def test_rings_that_turn_together_have_next_to_no_way():
 
 def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
     rng = np.random.default_rng(4)
-    root = rng.standard_normal((3, 10, 4))
-    convex = np.matmul(root, root.transpose(0, 2, 1))
-    v = rng.standard_normal((3, 10))
-    v -= np.einsum("pij,pj->pi", np.matmul(root, np.linalg.pinv(root)), v)  # normal to the range of the convex part
-    concave = v[:, :, None] * v[:, None, :]
-    concave[0] = 0.0
-    pairs = np.concatenate([convex - concave, np.zeros((1, 10, 10))])
-    assert np.allclose(lacking(pairs)[:3], concave)
-    assert not lacking(pairs)[3].any()
+    root = rng.standard_normal((3, 7, 4))
+    pairs = np.matmul(root, root.transpose(0, 2, 1)) - np.array([0.0, 0.5, 2.0])[:, None, None] * np.eye(7)
+    pairs = np.concatenate([pairs, np.zeros((1, 7, 7))])
+    found = lacking(pairs)
+    assert not found[3].any()
+    assert np.abs(found[0]).max() < 1e-12
+    # in the ten unknowns of both rings it is the projection of the block on the negative semidefinite matrices
+    T = np.zeros((7, 10))
+    T[:3, :3], T[:3, 5:8], T[3:5, 3:5], T[5:, 8:] = -np.eye(3), np.eye(3), np.eye(2), np.eye(2)
+    whole, least = T.T @ pairs @ T, T.T @ found @ T
+    assert np.linalg.eigvalsh(whole + least).min() > -1e-12
+    assert np.linalg.eigvalsh(least).min() > -1e-12
+    assert np.abs(np.matmul(whole + least, least)).max() < 1e-12
 
 
 def test_no_step_carries_a_ring_through_another():
