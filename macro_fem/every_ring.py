@@ -64,11 +64,11 @@ class RingScene:
 
         Where the membrane `disk` of the scene is given it guides the rings while folds form.
         """
+        if self.scene.in_space and not space:
+            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
         guide = None if disk is None else disk.places(self.mesh.X)
         if guide is not None and not self.scene.in_space:
             guide[:, 2] = np.nan
-        if self.scene.in_space and not space:
-            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
         try:
             return self.mesh.solve(
                 self.force, self.held, self.at, space=space, walls=self.walls, guide=guide, options=options

@@ -139,7 +139,8 @@ class FiniteMesh:
 
         held = np.asarray(held, dtype=bool) | np.array([False, False, not space])
         at = np.asarray(at, dtype=float)
-        problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls), guide)
+        near = None if guide is None else np.asarray(guide, dtype=float)
+        problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls), near)
         return solve_mesh(problem, options)
 
 

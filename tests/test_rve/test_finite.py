@@ -673,6 +673,7 @@ def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():
     assert guided.kkt_residual < 1e-8
     assert guided.potential == pytest.approx(plain.potential, rel=1e-6)
     assert guided.reaction.sum(axis=0) == pytest.approx(-force.sum(axis=0), abs=1e-8)
+    assert mesh.solve(force, held, at, space=False, guide=at.tolist()).status == "converged"
     for guide, says in ((at[:2], "guide: has shape"), (at + np.inf, "finite")):
         with pytest.raises(InputError, match=says):
             mesh.solve(force, held, at, guide=guide)
