@@ -1,35 +1,27 @@
 """Curtains of the examples in steel: what the rings give, and how their utilisation converges with the mesh.
 
-`python -m benchmarks.steel [--only shop_front] [--fine shop_front] [--rows DIR] [--out DIR]` writes steel.md. The rings
-are those of the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235 where a scene names no other material.
+The rings are those of the shipped law, r1 = 5 mm, r2 = 0.5 mm, S235 where a scene names no other material.
 """
 
-import json
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from math import log2
-from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
-from benchmarks.machine import ROOT
-from benchmarks.report.files import write_page
-from benchmarks.report.measure import Row
-from benchmarks.report.records import Section, table
+from benchmarks.frame import Section, table
+from benchmarks.measure import ROOT, Row
 from homogenize import default_law, with_material
 from homogenize.laws.giving import constant_compliance
 from homogenize.laws.polyhedral import PolyhedralLaw
 from macro_fem.curtain import solve_problem
+from macro_fem.fem.cells import triangle_areas
 from macro_fem.job import solve
 from macro_fem.output.strength import summary, utilisation
+from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, refine
 from macro_fem.scene.schema import Scene, load_scene
-from macro_fem.solution import CurtainSolution, make_problem
-from rve.common.cells import triangle_areas
-from rve.common.storage.files import write_text
+from macro_fem.solution import CurtainSolution
 from rve.common.tensor import trace
 from rve.common.types import Array
 
@@ -60,14 +52,15 @@ COARSE = 0.5
 ELASTIC_AT = 0.25
 """Cells of the meshes of elastic curtains over those of the example."""
 FEWEST = 6
+FINE = ("corner_hung", "facade_wind")
+"""Examples whose mesh is refined in the short form."""
 TEXT = (
     "The first table has rigid and elastic curtains on even meshes with a quarter of the cells of the scenes, and the "
     "changes of the mean height against the rigid one. The second has the utilisation of rigid ones, which is that of "
     "the line load averaged over one cell of the weave, 139 mm2: on the mesh of the scene, and on meshes whose finest "
     "cells are as small as the head says, refined where the utilisation is largest. Utilisation is 1 at first yield. "
     "Force at a point: what the rings there bear if it goes through the width of an average, as told on the mesh of "
-    "the scene; the utilisation that a run prints is the larger one of both. With --rows the seconds at the end are "
-    "those of the rows that were not kept from an earlier run."
+    "the scene; the utilisation that a run prints is the larger one of both."
 )
 
 
@@ -176,49 +169,13 @@ def utilisation_row(name: str) -> Row:
     }
 
 
-def kept(make: Callable[[str], Row], name: str, folder: Path | None) -> Row:
-    """The row of an example that `folder` holds, or a new one, which it holds from now on."""
-    if folder is None:
-        return make(name)
-    path = folder / f"{make.__name__}_{name}.json"
-    if not path.exists():
-        write_text(path, json.dumps(make(name)))
-    return dict(json.loads(path.read_text(encoding="utf-8")))
-
-
-def measure(names: tuple[str, ...], finer: tuple[str, ...], folder: Path | None) -> Section:
-    """Both tables."""
-    apart = [kept(giving_row, name, folder) for name in names]
-    fine = [kept(utilisation_row, name, folder) for name in finer]
-    lengths = dict.fromkeys((key for key in apart[0] if key.endswith(", mm")), ".3f")
-    return Section(
-        "Steel",
-        "",
-        (
-            table("Rigid and elastic rings", apart, lengths | {"largest line load, N/mm": ".3g"}),
-            table(
-                "Utilisation over the mesh",
-                fine,
-                {"order": ".2f", "last change": ".1%", "pointwise, last change": ".0%"},
-            ),
-        ),
-    )
-
-
-@click.command(help=__doc__)
-@click.option("--only", multiple=True, type=click.Choice(EXAMPLES), help="These examples; all by default.")
-@click.option("--fine", multiple=True, type=click.Choice(EXAMPLES), help="Refined ones; all of these by default.")
-@click.option("--out", type=click.Path(path_type=Path), default=ROOT / "docs" / "measured", help="Folder for steel.md.")
-@click.option("--rows", type=click.Path(path_type=Path), help="Existing folder that keeps rows of an interrupted run.")
-def main(only: tuple[str, ...], fine: tuple[str, ...], out: Path, rows: Path | None) -> None:
-    """Solve all and write steel.md."""
-    names = only or EXAMPLES
-    title = "The examples in steel: what rings give and how much they bear"
-    words = [*(f"--only {name}" for name in only), *(f"--fine {name}" for name in fine)]
-    words += ["--rows rows"] if rows is not None else []
-    command = " ".join(["python -m benchmarks.steel", *words])
-    write_page(out / "steel.md", title, TEXT, command, partial(measure, names, fine or names, rows))
-
-
-if __name__ == "__main__":
-    main()
+def measure(full: bool) -> Section:
+    """Both tables; the second one of all examples if `full`, hours."""
+    apart = [giving_row(name) for name in EXAMPLES]
+    fine = [utilisation_row(name) for name in (EXAMPLES if full else FINE)]
+    lengths = dict.fromkeys((key for key in apart[0] if key.endswith(", mm")), ".3f") | {
+        "largest line load, N/mm": ".3g"
+    }
+    changes = {"order": ".2f", "last change": ".1%", "pointwise, last change": ".0%"}
+    tables = (table("Rigid and elastic rings", apart, lengths), table("Utilisation over the mesh", fine, changes))
+    return Section("Steel", TEXT, tables)

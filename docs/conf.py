@@ -1,7 +1,7 @@
 """The documentation site: python -m sphinx -W -b html docs out/docs
 
-Warnings are errors, so that every link between pages leads somewhere. Pages that must be complete are written from the
-code as they are read: the public names (`@names PACKAGE@`), and the gallery from the scenes in examples/ (`@gallery@`).
+Warnings are errors, so that every link between pages leads somewhere. Two pages show more on the site than in the
+repository: the lists of public names become their docstrings, and below a scene of the gallery stands its file.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import re
 import shutil
-import tomllib
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -53,28 +52,14 @@ def names(package: str) -> str:
     return "\n".join(lines)
 
 
-def gallery() -> str:
-    """A section for each scene of examples/: its picture, what it is, the file."""
-    parts = []
-    for path in sorted(EXAMPLES.rglob("*.toml")):
-        text = path.read_text(encoding="utf-8")
-        words = " ".join(line.lstrip("# ") for line in text.splitlines() if line.startswith("#"))
-        name, where = path.stem.replace("_", " "), path.relative_to(HERE.parent).as_posix()
-        assert tomllib.loads(text)
-        parts.append(f"## {name.capitalize()}\n\n{words}\n")
-        picture = EXAMPLES / "pictures" / f"{path.stem}.png"
-        if picture.exists():
-            shown = picture.relative_to(HERE.parent).as_posix()
-            parts.append(f"```{{image}} ../{shown}\n:alt: {name}\n:width: 100%\n```\n")
-        parts.append(f"```bash\npython -m macro_fem run {where} --out out\n```\n")
-        parts.append(f"```{{literalinclude}} ../{where}\n:language: toml\n```\n")
-    return "\n".join(parts)
-
-
 def filled(app: Any, page: str, source: list[str]) -> None:
-    """The text of a page with what is written from the code."""
-    source[0] = re.sub(r"^@names (\w+)@$", lambda found: names(found[1]), source[0], flags=re.MULTILINE)
-    source[0] = re.sub(r"^@gallery@$", lambda found: gallery(), source[0], flags=re.MULTILINE)
+    """The text of a page with docstrings and scene files in it."""
+    if page == "reference/python":
+        listed = re.compile(r"^## (\w+)\n\nNames: .*$", re.MULTILINE)
+        source[0] = listed.sub(lambda found: f"## {found[1]}\n\n{names(found[1])}", source[0])
+    if page == "gallery":
+        file = r"\1\n\n```{literalinclude} \2\n:language: toml\n```"
+        source[0] = re.sub(r"^(\[`examples/\w+\.toml`\]\((\S+)\))$", file, source[0], flags=re.M)
 
 
 def notebooks_beside_pages(app: Any) -> None:

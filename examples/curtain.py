@@ -6,7 +6,7 @@
 
     python examples/curtain.py [--out DIR] [--cells N | --accuracy 1e-3]
 
-With --accuracy the load directions and the mesh are those that `python -m benchmarks.work_precision` recommends for a
+With --accuracy the load directions and the mesh are those that `python -m benchmarks chain` recommends for a
 mean height good to 1e-2, 1e-3 or 1e-4 of the curtain's height (docs/reports/work_precision.md, "The whole chain"); two
 meshes are extrapolated. answer.json has the mean height.
 
@@ -24,10 +24,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from rve.common.command_line import Command, answer, no_picture, say, say_next
+from rve.common.commands.command_line import Command, answer, no_picture, say, say_next
 from rve.common.errors import noted_if_stopped, require
-from rve.common.storage.files import write_text
-from rve.common.storage.jobs import check_out_job, job
+from rve.common.files import beside, check_out_job, job, write_text
 
 ACCURACY = click.FloatRange(min=1e-4, max=1.0)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -88,14 +87,15 @@ def scene_text(cells: int) -> str:
 def make_table(out: Path, spacing: float) -> Path:
     """Solve the load cases (the paper's 190 for 5 degrees), write and draw them."""
     from rve import Cell, solve_table, write_table
-    from rve.plots import draw_case, save
+    from rve.common.drawing.plane import save_figure
+    from rve.plots import draw_case
 
     alpha, beta = grid_of(spacing)
     say("1 rings")
     table = solve_table(Cell(r1=5.0, r2=0.5), (alpha, beta))
     write_table(table, out / "table.csv")
-    save(draw_case(solve_table(Cell(), ([45.0], [0.0]))), out / "cell.png")
-    say(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.R.max():.1e}")
+    save_figure(out / "cell.png", draw_case(solve_table(Cell(), ([45.0], [0.0]))).figure)
+    say(f"  {table.converged.sum()} of {len(table)} load cases locked, largest residual {table.quality.R.max():.1e}")
     return out / "table.csv"
 
 
@@ -158,8 +158,8 @@ def main(out: Path, cells: int | None, accuracy: float | None) -> None:
     found = run(out, setting)
     say(f"done in {time.perf_counter() - began:.1f} s; see {out}/cell.png, {out}/law, {out}/curtain/curtain.png")
     answer(found)
-    words = ("localize", out / "curtain", "--out", f"{out}_rings", *no_picture("pyvista"))
-    say_next("rve", *words, why="every ring of the curtain")
+    words = ("localize", out / "curtain", "--out", beside(out, "rings"), *no_picture("pyvista"))
+    say_next("macro_fem", *words, why="every ring of the curtain")
 
 
 if __name__ == "__main__":

@@ -23,10 +23,9 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from rve.common.command_line import Command
+from rve.common.commands.command_line import Command
 from rve.common.errors import InputError, require
-from rve.common.storage.files import write_text
-from rve.common.storage.jobs import check_out_job, job
+from rve.common.files import check_out_job, job, write_text
 
 if TYPE_CHECKING:
     from macro_fem.scene.schema import Scene

@@ -1,4 +1,4 @@
-"""The command line: fit, strain, support, strength, report, plot, export. How they end: `rve.common.command_line`."""
+"""The command line: fit, strain, support, strength, report, plot, export."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import click
 import numpy as np
 
-from rve.common.command_line import Group, answer, check_plot, say, say_next
+from rve.common.commands.command_line import Group, answer, check_plot, say, say_next
 from rve.common.errors import InputError, require
-from rve.common.materials import STRESS
-from rve.common.storage.files import check_out_file
-from rve.common.values import checked
+from rve.common.files import check_out_file
+from rve.common.materials import Stress
+from rve.common.typed import read_entry, types_of
 
 KINDS = ("refined", "outer", "inner", "net")
 """Those of `homogenize.fitting.fit`, which is not imported to print a help text."""
@@ -44,7 +44,7 @@ def fit(table: Path, out: Path, kind: str | None, noise: float | None, resolutio
     check_out_file(out, inputs=[table])
     for option, name, value in (("--noise", "normality", noise), ("--resolution", "resolution", resolution)):
         if value is not None:
-            checked({option: value}, option, FitOptions.__dataclass_fields__[name].metadata["check"], "")
+            read_entry({option: value}, option, types_of(FitOptions)[name])
     asked: dict[str, Any] = {"kind": kind, "normality": noise, "resolution": resolution}
     result = fit_table(table, FitOptions(**{key: value for key, value in asked.items() if value is not None}))
     result.save(out)
@@ -88,21 +88,21 @@ def support(law: Path, load: str) -> None:
 )
 def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float | None) -> None:
     """Print the line loads in N/mm, S of unit trace times what is printed, at which rings first yield and collapse."""
-    from homogenize.query.answers import strength_at
+    from homogenize.query.answers import strength_answer
 
     if load is None and plot is None:
         raise InputError("give --S S11,S12,S22 for the strength along a load, --plot FILE for a picture, or both")
     if yield_stress is not None:
-        checked({"--yield": yield_stress}, "--yield", STRESS, "")
+        read_entry({"--yield": yield_stress}, "--yield", Stress)
     if plot is not None:
         check_plot(plot, inputs=[law])
     if load is not None:
-        answer(strength_at(law, parse_load(load), yield_stress), always=True)
+        answer(strength_answer(law, parse_load(load), yield_stress), always=True)
     if plot is not None:
         from homogenize.io import load_law
-        from homogenize.plots import save_picture
+        from rve.common.drawing.plane import save_figure
 
-        save_picture(load_law(law).plot_strength(yield_stress)[0].figure, plot)
+        save_figure(plot, load_law(law).plot_strength(yield_stress)[0].figure)
         say(f"picture written to {plot}", err=True)
         if load is None:
             answer({"picture": str(plot)})
@@ -119,7 +119,7 @@ def plot(law: Path, table: Path, out: Path, html: bool) -> None:
     from homogenize.plots import RECORD, write_pictures
     from rve import read_table
     from rve.common.drawing.page import check_page
-    from rve.common.storage.jobs import check_out_job
+    from rve.common.files import check_out_job
 
     require("matplotlib", "plots", "homogenize plot")
     if html:
@@ -159,18 +159,6 @@ def export(law: Path, out: Path) -> None:
     say(f"user material written to {out}{'' if strength_of_law(found) is None else by_direction}")
     answer({"umat": str(out)})
     say_next("homogenize", "strain", law, "--alpha", 45, "--beta", 45, why="a strain to check it with")
-
-
-@main.command(epilog="Example: homogenize ship table.csv")
-@click.argument("table", type=click.Path(path_type=Path))
-def ship(table: Path) -> None:
-    """Make the law inside the package anew from TABLE, the 190 rows of the paper's grid for r1/r2 = 10."""
-    from homogenize.fitting.shipped import ship as write_shipped
-
-    law = write_shipped(table)
-    say(f"law written to {law}")
-    answer({"law": str(law)})
-    say_next("homogenize", "report", law, "--table", table, why="the error of the law at these rows")
 
 
 def parse_load(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -7,16 +7,18 @@ load, which the outer one needs, and strains between locked ones are admissible,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.fit import cell_of
-from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table, with_mirror
-from homogenize.io import DEFAULT_LAW, Law, load_law
+from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_table, with_mirror
+from homogenize.io import DEFAULT_LAW, load_law
+from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import CellInfo, MembraneLaw
+from homogenize.laws.stored import StoredLaw
 from homogenize.laws.vertices import highest
 from homogenize.strength import Strength, strength_of_table
 from rve.common.errors import InputError
@@ -35,7 +37,7 @@ class LawInterval:
     inner: MembraneLaw
     law: MembraneLaw
     outer: MembraneLaw
-    rows: Rows
+    rows: LockedRows = field(repr=False)
     raised: float = 0.0
     source: str = "law"
 
@@ -45,7 +47,7 @@ class LawInterval:
 
 
 def law_interval(
-    rows: Rows,
+    rows: LockedRows,
     law: MembraneLaw | None = None,
     stiffness: Array | None = None,
     cell: CellInfo | None = None,
@@ -67,12 +69,12 @@ def law_interval(
     return LawInterval(inner, inner if law is None else law, outer, found, float((found.h - rows.h).max()))
 
 
-def rows_with_largest_work(rows: Rows) -> Rows:
-    """Rows whose h is at least the work S:E that any other row's strain does under their load.
+def rows_with_largest_work(rows: LockedRows) -> LockedRows:
+    """LockedRows whose h is at least the work S:E that any other row's strain does under their load.
 
     >>> S = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]])
     >>> E = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
-    >>> rows_with_largest_work(Rows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2))).h
+    >>> rows_with_largest_work(LockedRows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2))).h
     array([0.1, 0.1])
     """
     return replace(rows, h=np.maximum(rows.h, highest(rows.S, with_mirror(rows).E)))
@@ -110,17 +112,14 @@ def interval_of_table(path: str | Path) -> LawInterval:
     return replace(found, source=str(path))
 
 
-def interval_of_law(law: Law, source: str) -> LawInterval | None:
+def interval_of_law(law: StoredLaw, source: str) -> LawInterval | None:
     """The interval of a law fitted to the rows in its provenance; None for a law without rows or not between them.
 
     InputError names `source` if the rows are none.
     """
-    data = law.provenance.get("table_rows")
-    if data is None or law.name != "polyhedral":
+    if not isinstance(law, PolyhedralLaw):
         return None
-    try:
-        rows = rows_from_dict(data)
-    except InputError as error:
-        raise InputError(f"{source}: provenance table_rows: {error}") from error
-    stiffness = np.asarray(np.linalg.inv(law.compliance))
-    return replace(law_interval(rows, law, stiffness, law.cell, law.strength), source=source)
+    rows = rows_from_provenance(law.provenance, source)
+    if rows is None:
+        return None
+    return replace(law_interval(rows, law, law.stiffness, law.cell, law.strength), source=source)

@@ -5,45 +5,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+import pkgutil
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from homogenize.laws.cloth import ClothLaw, cloth_from_dict
-from homogenize.laws.net import NetLaw, net_from_dict
-from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_from_dict
+from msgspec import Meta
+
+from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
-from homogenize.laws.stored import SCHEMA, UNITS, save_law
+from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
 from rve.common.errors import InputError
+from rve.common.reading import expecting, read_json
 from rve.common.rings import check_rings
-from rve.common.storage.reading import read_json
-from rve.common.values import checked, mapping, numbers, optional, read_record, shown
+from rve.common.typed import Typed, read_entry, read_typed
+from rve.common.values import shown
 
-__all__ = ["Law", "default_law", "load_law", "save_law", "strength_of_law"]
-
-Law = PolyhedralLaw | NetLaw | ClothLaw
-"""The laws that have a file."""
-READERS: dict[str, Callable[[dict[str, Any], CellInfo | None, str], Law]] = {
-    "cloth": cloth_from_dict,
-    "net": net_from_dict,
-    "polyhedral": polyhedral_from_dict,
-}
+Coordinate = Annotated[float, Meta(ge=-1.0, le=1.0)]
 REMOVED = {
     "smooth": "fit its table again: homogenize fit TABLE --out LAW",
     "family": "make a table of the rings you need and fit it: rve table --r1 R1 --r2 R2 --out TABLE, "
     "homogenize fit TABLE --out LAW",
 }
 """Kinds of files of older versions that are not read any more, and what to do."""
-
-
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
 """The file of `default_law`."""
 
 
-def default_law() -> Law:
-    """The law for r1/r2 = 10 that ships inside the package, made by `homogenize.fitting.shipped`.
+@dataclass(frozen=True)
+class LawEntries(Typed):
+    """What a law file holds."""
+
+    schema: Any
+    kind: str
+    units: Any
+    cell: dict[str, Any] | None
+    parameters: dict[str, Any]
+    strength: dict[str, Any] | None = None
+    provenance: dict[str, Any] | None = None
+
+    def check(self) -> None:
+        """BadField for what this version does not read."""
+        for key, found, known in (("schema", self.schema, SCHEMA), ("units", self.units, UNITS)):
+            if found != known:
+                self.refuse(f"{key} = {shown(found)}, this version reads {key} = {known}")
+        if self.kind not in law_kinds():
+            removed = f"; {REMOVED[self.kind]}" if self.kind in REMOVED else ""
+            self.refuse(f"kind = {shown(self.kind)}, this version reads {', '.join(sorted(law_kinds()))}{removed}")
+
+
+def law_kinds() -> dict[str, type[StoredLaw]]:
+    """The laws that have a file, by kind: the classes of the modules in `homogenize.laws` that name one."""
+    for module in pkgutil.iter_modules(laws.__path__):
+        import_module(f"{laws.__name__}.{module.name}")
+    return StoredLaw.kinds
+
+
+def default_law() -> StoredLaw:
+    """The law for r1/r2 = 10 that ships inside the package, made from the 190 rows of the paper's grid.
 
     >>> default_law().name
     'polyhedral'
@@ -57,44 +78,37 @@ def strength_of_law(law: MembraneLaw) -> Strength | None:
     >>> strength_of_law(default_law()).material.name
     'steel'
     """
-    return law.strength if isinstance(law, Law) else None
+    return law.strength if isinstance(law, StoredLaw) else None
 
 
-def load_law(path: str | Path) -> Law:
+def load_law(path: str | Path) -> StoredLaw:
     """The law in the file `path`, with its provenance, error report and strength.
 
     InputError names file, key and value of what this version does not read.
     """
-    record = read_json(path)
-    law = law_from_record(record, str(path))
-    provenance = checked({"provenance": {}} | record, "provenance", mapping, f"{path}:")
-    if "sampled_loads" in provenance:
-        checked(provenance, "sampled_loads", optional(numbers(None, 2)), f"{path}: provenance")
-    return replace(law, provenance=provenance)
+    with expecting("law", path):
+        record = read_json(path)
+        return law_from_record(record, str(path))
 
 
-def law_from_record(record: Any, source: str) -> Law:
+def law_from_record(record: Any, source: str) -> StoredLaw:
     """The law of a parsed file; `source` names it in the messages of InputError."""
     if not isinstance(record, dict):
         raise InputError(f"{source}: a law file holds one JSON object, this one holds a {type(record).__name__}")
-    for key, known in (("schema", SCHEMA), ("units", UNITS)):
-        if record.get(key) != known:
-            raise InputError(f"{source}: {key} = {shown(record.get(key))}, this version reads {key} = {known}")
-    kind = record.get("kind")
-    if not isinstance(kind, str) or kind not in READERS:
-        removed = f"; {REMOVED[kind]}" if isinstance(kind, str) and kind in REMOVED else ""
-        raise InputError(f"{source}: kind = {shown(kind)}, this version reads {', '.join(sorted(READERS))}{removed}")
-    cell = checked(record, "cell", optional(mapping), f"{source}:")
-    parameters = checked(record, "parameters", mapping, f"{source}:")
-    strength = checked({"strength": None} | record, "strength", optional(mapping), f"{source}:")
-    law = READERS[kind](
-        parameters, None if cell is None else cell_from_dict(cell, f"{source}: cell"), f"{source}: parameters"
+    found = read_typed(LawEntries, record, f"{source}:")
+    provenance = found.provenance or {}
+    if provenance.get("sampled_loads") is not None:
+        read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{source}: provenance")
+    return replace(
+        law_kinds()[found.kind].from_dict(found.parameters, f"{source}: parameters"),
+        cell=None if found.cell is None else cell_from_dict(found.cell, f"{source}: cell"),
+        strength=None if found.strength is None else read_strength(found.strength, f"{source}: strength"),
+        provenance=provenance,
     )
-    return replace(law, strength=None if strength is None else read_strength(strength, f"{source}: strength"))
 
 
 def cell_from_dict(table: dict[str, Any], where: str) -> CellInfo:
     """The rings that a file describes; `where` names file and table in the messages of InputError."""
-    cell = read_record(CellInfo, table, where)
+    cell = read_typed(CellInfo, table, where)
     check_rings(table, where)
     return cell

@@ -7,10 +7,8 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from homogenize.interval import LawInterval
-from homogenize.io import Law
-from homogenize.laws.cloth import ClothLaw
-from homogenize.laws.net import NetLaw
 from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.stored import StoredLaw
 from homogenize.strength import MAKE_AGAIN, Strength
 from rve.common.errors import InputError
 from rve.common.materials import Material, material_of
@@ -51,12 +49,12 @@ def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
 
 def _strength(law: MembraneLaw | LawInterval) -> Strength | None:
     laws = (law.inner, law.law) if isinstance(law, LawInterval) else (law,)
-    return next((one.strength for one in laws if isinstance(one, Law) and one.strength is not None), None)
+    return next((one.strength for one in laws if isinstance(one, StoredLaw) and one.strength is not None), None)
 
 
 def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
     """The law with areal mass, strength and stiffness of rings of `new` in place of `old`."""
-    if not isinstance(law, Law):
+    if not isinstance(law, StoredLaw):
         return law
     softer = old.young_N_per_mm2 / new.young_N_per_mm2
     cell, known = law.cell, law.strength
@@ -65,7 +63,4 @@ def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
         cell = replace(cell, areal_mass_kg_per_m2=mass)
     if known is not None:
         known = replace(known, material=new, compliance=known.compliance * softer)
-    law = replace(law, cell=cell, strength=known)
-    if isinstance(law, NetLaw | ClothLaw) or str(law.provenance.get("stiffness", "stated")).startswith("stated"):
-        return law
-    return replace(law, stiffness=law.stiffness / softer)
+    return replace(law, cell=cell, strength=known).softer(softer)

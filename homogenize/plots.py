@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from homogenize.fitting.rows import Rows, rows_from_table, with_mirror
-from homogenize.laws.picture import own_figure, shade
-from homogenize.laws.picture import plot_sections as sections_of
+from homogenize.fitting.rows import LockedRows, rows_from_table, with_mirror
+from homogenize.laws.pictures import plot_sections as sections_of
+from homogenize.laws.pictures import solid_axes
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from homogenize.view import gap_scale, surface_with_gap, write_law_page
-from rve.common.errors import InputError
+from rve.common.drawing.plane import new_axes, new_figure, save_figure, shade
+from rve.common.files import job, write_text
 from rve.common.progress import tell
-from rve.common.storage.files import atomic_path, write_text
-from rve.common.storage.jobs import job
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,38 +26,29 @@ if TYPE_CHECKING:
     from rve import StrainTable
 
 COMPONENTS = ("E11", "E12", "E22")
-DPI = 150
 PAGE = "law.html"
 RECORD = "pictures.json"
-"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.storage`)."""
+"""The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.files`)."""
 
 
-def plot_surface(law: MembraneLaw, rows: Rows, ax: Any = None) -> Any:
+def plot_surface(law: MembraneLaw, rows: LockedRows, ax: Any = None) -> Any:
     """The locking surface in strain space, coloured by the gap between the bounds of h, the rows and their mirrors."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm
-
-    if ax is None:
-        ax = own_figure((8.0, 6.0)).add_subplot(projection="3d")
-        ax.set_box_aspect(None, zoom=0.85)
-        ax.zaxis.labelpad = 10.0
+    ax = solid_axes(new_figure(8.0, 6.0).add_subplot(projection="3d")) if ax is None else ax
     E, gap = surface_with_gap(law, rows, 71)
     scale, both = gap_scale(gap), with_mirror(rows)
-    mapped = ScalarMappable(LogNorm(scale.low, scale.top), "viridis")
-    shades = mapped.to_rgba(np.clip(gap, scale.low, scale.top), alpha=0.75)
+    shades = scale.colour_map()(scale.norm()(np.clip(gap, scale.low, scale.top)), alpha=0.75)
     ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=71, ccount=71, shade=False)
     ax.plot(*both.E.T, ".", color="black", ms=4, label="rows of the table and their mirror images")
-    ax.figure.colorbar(mapped, ax=ax, shrink=0.7, pad=0.02, label=scale.label, extend="min")
+    scale.add_bar(ax, shrink=0.7, pad=0.02)
     ax.legend(loc="upper left", fontsize=10)
-    ax.set(
-        xlabel="E11", ylabel="E12", zlabel="E22", title=f"Locking surface of the {law.name} law and {len(rows)} rows"
-    )
+    title = f"Locking surface of the {law.name} law and {len(rows)} rows"
+    ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title=title)
     return ax
 
 
 def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
     """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
-    axes = own_figure((12.5, 4.2)).subplots(1, 3) if axes is None else axes
+    axes = new_figure(12.5, 4.2).subplots(1, 3) if axes is None else axes
     alphas = np.unique(table.alpha_deg[table.converged])
     beta = np.linspace(1.0, 89.0, 89)
     for number, alpha in enumerate(alphas):
@@ -77,12 +67,12 @@ def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
     return axes
 
 
-def plot_errors(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
+def plot_errors(law: MembraneLaw, rows: LockedRows, ax: Axes | None = None) -> Axes:
     """Histogram of the error of h at the rows, and of the distance of the bounds half-way between them."""
     from homogenize.fitting.bounds import bounds_of
     from homogenize.fitting.report import random_loads
 
-    ax = ax or own_figure().subplots()
+    ax = new_axes() if ax is None else ax
     S, bounds = random_loads(), bounds_of(rows)
     floor = 1e-16
     bins = np.logspace(-16, 0, 65).tolist()
@@ -94,23 +84,14 @@ def plot_errors(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_sections(law: MembraneLaw, rows: Rows, ax: Axes | None = None) -> Axes:
-    """The sections of `homogenize.laws.picture` over the range of the rows, and the rows without shear."""
+def plot_sections(law: MembraneLaw, rows: LockedRows, ax: Axes | None = None) -> Axes:
+    """The sections of `homogenize.laws.pictures` over the range of the rows, and the rows without shear."""
     shears = tuple(np.linspace(0.0, np.abs(rows.E[:, 1]).max(), 5).tolist())
     ax = sections_of(law, shears, (-0.2, 0.5 * (rows.E[:, 0] - rows.E[:, 2]).max() + 0.2), ax)
     plane = np.abs(rows.E[:, 1]) < 1e-9
     ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
     ax.legend(fontsize=10)
     return ax
-
-
-def save_picture(figure: Any, path: str | Path) -> None:
-    """Writes a figure, atomically; the ending of the name is the format. InputError for an unknown one."""
-    try:
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, dpi=DPI, format=Path(path).suffix[1:] or "png", bbox_inches="tight")
-    except ValueError as error:
-        raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
 
 
 def write_pictures(
@@ -133,7 +114,7 @@ def write_pictures(
     with job(folder, RECORD, inputs) as staged:
         for number, (name, figure) in enumerate(pictures.items()):
             tell(f"drawing, {name}", number / len(pictures))
-            figure.savefig(staged / name, dpi=DPI, format="png", bbox_inches="tight")
+            save_figure(staged / name, figure)
         if html:
             write_law_page(law, rows, staged / PAGE, law.strength)
         write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")

@@ -8,107 +8,71 @@ them stands the compliance S:D S along each load.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, Delaunay, QhullError
+from msgspec import Meta
+from scipy.spatial import ConvexHull
 
+from homogenize.directions import Directions, tensile_part
 from rve import cauchy_line_load
 from rve.common.errors import InputError
-from rve.common.materials import STRESS, Material, read_material
+from rve.common.materials import Material, Stress, read_material
 from rve.common.notebook import as_html
-from rve.common.rings import joint_name
+from rve.common.rings import read_joint
 from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
+from rve.common.typed import Typed, numbers_or_none, read_entry, read_typed
 from rve.common.types import Array
-from rve.common.values import boolean, checked, mapping, number, numbers, read_record, whole
 
 if TYPE_CHECKING:
     from rve import StrainTable
 
 FOLDS = 5
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
-_SAME = 1e-9
-"""Loads in the disc closer than this are one load."""
-_FLAT = 1e-12
-"""Twice the area in the disc below which a triangle holds no load."""
-_CHUNK = 500
-"""Loads looked up together: 15 MB for the triangles of 190 rows."""
+
+
+Share = Annotated[float, Meta(ge=0.0, le=1e300)]
+Component = Annotated[float, Meta(ge=-1.0, le=1.0)]
+Loads = Annotated[tuple[tuple[Component, Component, Component], ...], Meta(min_length=1, max_length=1_000_000)]
+Strengths = tuple[Annotated[float, Meta(ge=1e-12, le=1e12)], ...]
 
 
 @dataclass(frozen=True)
-class OffGrid:
+class OffGrid(Typed):
     """Relative errors at `rows` rows left out in turn: largest and mean of the first yield and of the collapse."""
 
-    rows: int = whole(least=1, most=1_000_000)
-    first_yield_max: float = number(least=0.0)
-    first_yield_mean: float = number(least=0.0)
-    collapse_max: float = number(least=0.0)
-    collapse_mean: float = number(least=0.0)
+    rows: Annotated[int, Meta(ge=1, le=1_000_000)]
+    first_yield_max: Share
+    first_yield_mean: Share
+    collapse_max: Share
+    collapse_mean: Share
 
 
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Load directions as points of the disc, and the triangles between them; with their mirror images if `is_mirrored`.
+@dataclass(frozen=True)
+class StrengthEntries(Typed):
+    """What a law file holds of the strength, see `Strength`; a compliance that is not known is None."""
 
-    slope (2, 3, t), level (3, t): the weights of each triangle's corners at a point x are x slope + level; rows (t, 3):
-    the loads at its corners; hull (k, 3): the half-planes around all. Neighbours are neighbours as Cauchy loads, which
-    lie on a grid, while S crowds where the cell locks far from its reference.
-    """
+    joint: str
+    material: dict[str, Any]
+    S: Loads
+    cauchy: Loads
+    first_yield_1_per_mm: Strengths
+    collapse_1_per_mm: Strengths
+    compliance_mm_per_N: tuple[Share | None, ...]
+    error: OffGrid | None = None
+    is_mirrored: bool = True
 
-    slope: Array
-    level: Array
-    rows: NDArray[np.intp]
-    hull: Array
-    is_mirrored: bool
-
-    @staticmethod
-    def of(S: Array, cauchy: Array, is_mirrored: bool) -> Directions:
-        """Those of loads S (n, 3) of unit trace and their Cauchy loads (n, 3); InputError unless they surround the
-        equibiaxial load."""
-        x, s = disc(S), cauchy
-        if is_mirrored:
-            x, s = disc(np.vstack([S, mirror(S)])), np.vstack([cauchy, mirror(cauchy)])
-        first = np.sort(np.unique(np.round(x / _SAME), axis=0, return_index=True)[1])
-        x, s = x[first], s[first]
-        try:
-            triangles, hull = Delaunay(disc(s / trace(s)[:, None])).simplices, ConvexHull(x).equations
-        except (QhullError, ValueError) as error:
-            raise InputError("strengths need loads that differ in angle and ratio; these lie on one line") from error
-        if hull[:, 2].max() >= 0.0:
-            raise InputError("strengths need loads on all sides of the equibiaxial one")
-        sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
-        good = np.abs(np.linalg.det(sides)) > _FLAT
-        triangles = triangles[good]
-        two = np.linalg.inv(sides[good])
-        slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
-        level = np.array([0.0, 0.0, 1.0]) - np.einsum("tij,tj->ti", slope, x[triangles[:, 2]])
-        rows = first[triangles] % len(S)
-        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, hull, is_mirrored)
-
-    def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
-        """Rows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
-
-        A load outside of the hull is drawn towards the equibiaxial one until it lies on it. In a weave that is its own
-        mirror image a load and its image have the same weights, though triangles between points on a square may not be
-        mirror images.
-        """
-        x = disc(S)
-        if self.is_mirrored:
-            x[:, 1] = np.abs(x[:, 1])
-        beyond = np.maximum((x @ self.hull[:, :2].T / -self.hull[:, 2]).max(axis=1), 1.0)
-        x = x / beyond[:, None]
-        rows, weights = np.empty((len(x), 3), dtype=np.intp), np.empty((len(x), 3))
-        for start in range(0, len(x), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            three = x[part, :1, None] * self.slope[0] + x[part, 1:, None] * self.slope[1] + self.level
-            best = three.min(axis=1).argmax(axis=1)
-            inside = np.maximum(np.take_along_axis(three, best[:, None, None], axis=2)[..., 0], 0.0)
-            rows[part], weights[part] = self.rows[best], inside / inside.sum(axis=1, keepdims=True)
-        return rows, weights
+    def check(self) -> None:
+        """BadField for lists of different lengths, loads that are not tensile or not of unit trace."""
+        lists = ("S", "cauchy", "first_yield_1_per_mm", "collapse_1_per_mm", "compliance_mm_per_N")
+        if len({len(getattr(self, key)) for key in lists}) > 1:
+            self.refuse(f"{', '.join(lists)}: differ in length")
+        for key, loads in (("S", np.array(self.S)), ("cauchy", np.array(self.cauchy))):
+            bad = np.flatnonzero((np.abs(trace(loads) - 1.0) > 1e-9) | (eigenvalues(loads)[0] < -1e-9))
+            if len(bad):
+                self.refuse(f"{key}: row {bad[0]}, {loads[bad[0]].tolist()}, is no tensile load of unit trace")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +100,11 @@ class Strength:
 
         1 is first yield. Compressive principal values of S count as zero. InputError without a yield stress.
         """
-        return self._asked(S, self.first_yield) / self.yield_stress(yield_N_per_mm2)
+        return self._needed_yield(S, self.first_yield) / self.yield_stress(yield_N_per_mm2)
 
     def collapse_utilisation(self, S: Array, yield_N_per_mm2: float | None = None) -> Array:
         """Line loads S (n, 3) in N/mm over those at which rings collapse plastically, (n,); see `utilisation`."""
-        return self._asked(S, self.collapse) / self.yield_stress(yield_N_per_mm2)
+        return self._needed_yield(S, self.collapse) / self.yield_stress(yield_N_per_mm2)
 
     def compliance_along(self, S: Array) -> Array:
         """S:D S in mm/N at unit trace, (n,), of the directions of S (n, 3): strain beyond locking along S per N/mm."""
@@ -152,9 +116,9 @@ class Strength:
         value = self.material.yield_N_per_mm2 if asked is None else asked
         if value is None:
             raise InputError(f"{self.material.name} has no yield stress: give one in N/mm2")
-        return float(checked({"yield": value}, "yield", STRESS, ""))
+        return float(read_entry({"yield": value}, "yield", Stress))
 
-    def _asked(self, S: Array, values: Array) -> Array:
+    def _needed_yield(self, S: Array, values: Array) -> Array:
         """The yield stress (n,) in N/mm2 that loads S (n, 3) ask for."""
         S = tensile_part(S)
         size = trace(S)
@@ -199,24 +163,9 @@ class Strength:
             "cauchy": self.cauchy.tolist(),
             "first_yield_1_per_mm": self.first_yield.tolist(),
             "collapse_1_per_mm": self.collapse.tolist(),
-            "compliance_mm_per_N": [float(x) if np.isfinite(x) else None for x in self.compliance],
+            "compliance_mm_per_N": numbers_or_none(self.compliance),
             "error": None if self.error is None else asdict(self.error),
         }
-
-
-def tensile_part(S: Array) -> Array:
-    """Line loads S (n, 3) with compressive principal values set to zero.
-
-    >>> tensile_part(np.array([[3.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
-    array([[3. , 0. , 0. ],
-           [0.5, 0.5, 0.5]])
-    """
-    low, high = eigenvalues(S)
-    mean, half = 0.5 * (low + high), 0.5 * (high - low)
-    top, bottom = np.maximum(high, 0.0), np.maximum(low, 0.0)
-    share = 0.5 * (top - bottom) / np.where(half > 0.0, half, 1.0)
-    middle = 0.5 * (top + bottom)
-    return np.stack([middle + share * (S[:, 0] - mean), share * S[:, 1], middle + share * (S[:, 2] - mean)], axis=1)
 
 
 def strength_of_table(table: StrainTable) -> Strength | None:
@@ -227,14 +176,14 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     if table.strength is None or table.compliance is None:
         return None
     where = "the sidecar file of the table:"
-    material = read_material(checked(table.provenance, "material", mapping, where), f"{where} material")
+    material = read_material(read_entry(table.provenance, "material", dict, where), f"{where} material")
     size = trace(table.S)
     good = table.converged & np.isfinite(table.strength).all(axis=1) & (size > 0.0)
     S = table.S[good] / size[good, None]
     along = np.einsum("ni,nij,nj->n", S * WEIGHT, table.compliance[good], S)
     s = cauchy_line_load(table.alpha_deg[good], table.beta_deg[good])
     s = s / trace(s)[:, None]
-    joint = checked({"joint": "welded"} | table.provenance, "joint", joint_name, where)
+    joint = read_joint(table.provenance, where)
     first, last = table.strength[good].T
     found = Strength(S, s, first, last, along, material, joint=joint, is_mirrored=table.is_mirrored)
     return replace(found, error=off_grid(found))
@@ -262,64 +211,12 @@ def off_grid(strength: Strength) -> OffGrid | None:
     return OffGrid(len(inner), float(first.max()), float(first.mean()), float(last.max()), float(last.mean()))
 
 
-def read_strength(table: Mapping[str, Any], where: str) -> Strength:
+def read_strength(table: Any, where: str) -> Strength:
     """The strength that `Strength.to_dict` wrote; InputError names file, key and value."""
-    S, cauchy = (checked(table, key, numbers(None, 3, least=-1.0, most=1.0), where) for key in ("S", "cauchy"))
-    first, last = (
-        checked(table, key, numbers(None, least=1e-12, most=1e12), where)
-        for key in ("first_yield_1_per_mm", "collapse_1_per_mm")
-    )
-    along = checked(table, "compliance_mm_per_N", _numbers_or_none, where)
-    if not len(S) == len(cauchy) == len(along) == len(first) == len(last):
-        raise InputError(
-            f"{where} S, cauchy, first_yield_1_per_mm, collapse_1_per_mm, compliance_mm_per_N: differ in length"
-        )
-    for key, loads in (("S", S), ("cauchy", cauchy)):
-        bad = np.flatnonzero((np.abs(trace(loads) - 1.0) > 1e-9) | (eigenvalues(loads)[0] < -1e-9))
-        if len(bad):
-            raise InputError(f"{where} {key}: row {bad[0]}, {loads[bad[0]].tolist()}, is no tensile load of unit trace")
-    joint = checked(table, "joint", joint_name, where)
-    material = read_material(checked(table, "material", mapping, where), f"{where} material")
-    error = table.get("error")
-    return Strength(
-        S,
-        cauchy,
-        first,
-        last,
-        along,
-        material,
-        None if error is None else read_record(OffGrid, error, f"{where} error"),
-        joint=joint,
-        is_mirrored=checked({"is_mirrored": True, **table}, "is_mirrored", boolean, where),
-    )
-
-
-def _numbers_or_none(value: Any) -> Array:
-    if not isinstance(value, list) or not value:
-        raise ValueError("is not a list of numbers")
-    known = numbers(None, least=0.0)([0.0 if x is None else x for x in value])
-    return np.where([x is None for x in value], np.nan, known)
-
-
-def strength_answer(strength: Strength | None, S: Array, yield_N_per_mm2: float | None, where: str) -> dict[str, Any]:
-    """The line loads S (3,) of unit trace times which the rings first yield and collapse, for the command line.
-
-    InputError if the law has no strength (None), S is not tensile, or no yield stress is known.
-    """
-    if strength is None:
-        raise InputError(f"{where}: holds no strength; {MAKE_AGAIN}")
-    size = float(trace(S))
-    if not size > 0.0 or float(eigenvalues(S)[0]) < -1e-12 * size:
-        raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
-    stress = strength.yield_stress(yield_N_per_mm2)
-    unit = (S / size)[None]
-    return {
-        **{f"S{name}": float(x) for name, x in zip(("11", "12", "22"), unit[0], strict=True)},
-        "yield_N_per_mm2": stress,
-        "first_yield_N_per_mm": float(1.0 / strength.utilisation(unit, stress)[0]),
-        "collapse_N_per_mm": float(1.0 / strength.collapse_utilisation(unit, stress)[0]),
-        "compliance_mm_per_N": float(strength.compliance_along(unit)[0]),
-        "error_between_rows": None if strength.error is None else asdict(strength.error),
-        "material": strength.material.name,
-        "joint": strength.joint,
-    }
+    found = read_typed(StrengthEntries, table, where)
+    S, cauchy = np.array(found.S), np.array(found.cauchy)
+    first, last = np.array(found.first_yield_1_per_mm), np.array(found.collapse_1_per_mm)
+    material = read_material(found.material, f"{where} material")
+    along = np.array(found.compliance_mm_per_N, float)  # None becomes nan
+    joint = read_joint(table, where)
+    return Strength(S, cauchy, first, last, along, material, found.error, joint, found.is_mirrored)

@@ -2,54 +2,65 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import Rows, with_mirror
-from homogenize.laws.picture import VERMILION, strength_loads, surface_height
+from homogenize.fitting.rows import LockedRows, with_mirror
+from homogenize.laws.pictures import strength_loads, surface_height
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import Strength
-from rve.common.drawing.page import write_page
-from rve.common.drawing.solids import quads_cut, sphere
-from rve.common.drawing.views import Camera, Lines, Scale, Surface, View, merged, rounded_up
+from rve.common.drawing.page import check_page, write_page
+from rve.common.drawing.plane import VERMILION
+from rve.common.drawing.scale import Scale, rounded_up
+from rve.common.drawing.space import add, balls, lines, look, new_plotter, surface
 from rve.common.errors import InputError
 from rve.common.types import Array
 
-NET, ROW = "#3f4650", "#000000"
+if TYPE_CHECKING:
+    from pyvista import Plotter
+
 POINTS, EVERY = 81, 8
 """Points of the locking surface along each side, and how many lie between drawn lines."""
 DECADES = 3.0
 """The scale of gaps goes over this many powers of ten."""
-FROM_OUTSIDE = Camera("outside", (1.0, -0.9, -1.3))
+FROM_OUTSIDE = (1.0, -0.9, -1.3)
 """Onto the side of the surfaces that loads press against."""
 
 
-def locking_view(law: MembraneLaw, rows: Rows) -> View:
+def draw_locking(law: MembraneLaw, rows: LockedRows, plotter: Plotter | None = None) -> Plotter:
     """The locking surface in strain space over the range of the rows, and the rows with their mirror images on it.
 
-    The surface is coloured by how far the bounds of h from these rows are apart at the load normal to it.
+    The surface is coloured by how far the bounds of h from these rows are apart at the load normal to it. Coordinates
+    are E12, E22, E11. Returns the plotter, by default a new one.
     """
-    both = with_mirror(rows)
+    plotter = new_plotter() if plotter is None else plotter
     E, gap = surface_with_gap(law, rows, POINTS)
-    points, balls = _in_space(E), _in_space(both.E)
-    size = float(np.linalg.norm(np.ptp(balls, axis=0)))
-    surface, lines = _grid(points, gap, size)
-    rows_on_it = merged("rows of the table", [sphere(point, 0.005 * size, 8) for point in balls], ROW)
-    title = f"Locking surface of the {law.name} law and {len(rows)} rows"
-    notes = ("strains that the mesh can reach lie behind the surface: lower E11 and E22",)
-    shown = (surface, lines, rows_on_it)
-    return View(title, shown, gap_scale(gap), (FROM_OUTSIDE,), notes, axes=("E12", "E22", "E11"), unit="")
+    at, points = _in_space(with_mirror(rows).E), _in_space(E)
+    size, scale = float(np.linalg.norm(np.ptp(at, axis=0))), gap_scale(gap)
+    _add_grid(plotter, "locking surface", points, scale, gap)
+    net = [
+        np.stack([grid[:, :-1], grid[:, 1:]], axis=-2).reshape(-1, 2, 3)
+        for grid in (
+            points[::EVERY],
+            points[:, ::EVERY].swapaxes(0, 1),
+        )
+    ]
+    pieces = np.concatenate(net)
+    pieces = pieces[np.isfinite(pieces).all(axis=(1, 2))]
+    add(plotter, "lines of even E12 and E11 - E22", lines(pieces), "#3f4650", line_width=1.5)
+    add(plotter, "rows of the table", balls(at, 0.005 * size), "#000000")
+    look(plotter, FROM_OUTSIDE)
+    return plotter
 
 
 def gap_scale(gap: Array) -> Scale:
     """Colours of gaps between bounds of h, nan where there is none, by their logarithm."""
     largest = float(np.nanmax(gap, initial=0.0))
     top = rounded_up(largest)
-    return Scale("outer - inner bound of h (S of unit trace)", top * 10.0**-DECADES, top, largest, spread="log")
+    return Scale("outer - inner bound of h (S of unit trace)", top * 10.0**-DECADES, top, largest, "log")
 
 
 def _in_space(values: Array) -> Array:
@@ -57,7 +68,7 @@ def _in_space(values: Array) -> Array:
     return values[..., [1, 2, 0]]
 
 
-def surface_with_gap(law: MembraneLaw, rows: Rows, count: int) -> tuple[Array, Array]:
+def surface_with_gap(law: MembraneLaw, rows: LockedRows, count: int) -> tuple[Array, Array]:
     """Strains (count, count, 3) on the locking surface over the range of the rows, and how far the bounds of h there
     are apart (count, count): outer less inner bound at the load of unit trace normal to the surface.
 
@@ -76,57 +87,54 @@ def surface_with_gap(law: MembraneLaw, rows: Rows, count: int) -> tuple[Array, A
     return E, gap
 
 
-def _grid(points: Array, values: Array, size: float) -> tuple[Surface, Lines]:
-    """The surface through a grid of points (n, m, 3), and lines on it; both have gaps where points are nan."""
-    n, m = points.shape[:2]
-    flat, number = points.reshape(-1, 3), np.arange(n * m).reshape(n, m)
-    is_there = np.asarray(np.isfinite(flat).all(axis=1))
-    corners = _quads(number)
-    triangles = quads_cut(corners[is_there[corners].all(axis=1)])
-    lines = [number[::EVERY], number[:, ::EVERY].T]
-    steps = np.concatenate([np.stack([line[:, :-1], line[:, 1:]], axis=-1).reshape(-1, 2) for line in lines])
-    steps = steps[is_there[steps].all(axis=1)]
-    used, place = np.unique(triangles, return_inverse=True)
-    surface = Surface("locking surface", flat[used], place.reshape(-1, 3), values=values.ravel()[used])
-    return surface, Lines("lines of even E12 and E11 - E22", flat[steps], 0.001 * size, NET, width=1.5)
+def _add_grid(plotter: Plotter, name: str, points: Array, scale: Scale, values: Array) -> None:
+    """The surface through a grid of points (n, m, 3), coloured by values (n, m), with gaps where points are nan."""
+    number = np.arange(points[..., 0].size).reshape(points.shape[:2])
+    quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
+    flat = points.reshape(-1, 3)
+    is_whole = np.isfinite(flat[quads]).all(axis=(1, 2))
+    used, place = np.unique(quads[is_whole], return_inverse=True)
+    mesh = surface(flat[used], place.reshape(-1, 4))
+    mesh[scale.label] = values.ravel()[used]
+    add(plotter, name, mesh, scale)
 
 
-def _quads(number: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Corners (q, 4) of the quadrilaterals of a grid of numbered points."""
-    return np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
-
-
-def strength_view(known: Strength, yield_N_per_mm2: float | None = None) -> View:
+def draw_strength(known: Strength, yield_N_per_mm2: float | None = None, plotter: Plotter | None = None) -> Plotter:
     """First yield as a surface, coloured by S11 + S22, and collapse as a net, over all tensile line loads.
 
-    InputError if neither the strength nor the caller has a yield stress.
+    Coordinates are S12, S22, S11 in N/mm. Returns the plotter, by default a new one; InputError if neither the strength
+    nor the caller has a yield stress.
     """
-    stress = known.yield_stress(yield_N_per_mm2)
-    first, last = (_in_space(loads) for loads in strength_loads(known, stress))
-    n, m = first.shape[:2]
-    corners = _quads(np.arange(n * m).reshape(n, m))
-    trace = (first[..., 1] + first[..., 2]).ravel()
-    scale = Scale("S11 + S22 at first yield, N/mm", float(trace.min()), rounded_up(float(trace.max())), trace.max())
-    surface = Surface("first yield", first.reshape(-1, 3), quads_cut(corners), values=trace)
-    size = float(np.linalg.norm(np.ptp(last.reshape(-1, 3), axis=0)))
-    thin = 0.001 * size
-    lines = (
-        Lines("plastic collapse", last[::6], thin, VERMILION, width=2.0),
-        Lines("plastic collapse", last[:, ::4].swapaxes(0, 1), thin, VERMILION, width=2.0, in_legend=False),
-    )
-    title = f"Strength: {known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm2"
-    axes = ("S12", "S22", "S11")
-    return View(title, (surface, *lines), scale, (FROM_OUTSIDE,), ("line loads per reference length",), axes, "N/mm")
+    first, last = (_in_space(loads) for loads in strength_loads(known, known.yield_stress(yield_N_per_mm2)))
+    plotter = new_plotter() if plotter is None else plotter
+    trace = first[..., 1] + first[..., 2]
+    top = float(trace.max())
+    _add_grid(plotter, "first yield", first, Scale("S11 + S22, N/mm", float(trace.min()), rounded_up(top), top), trace)
+    add(plotter, "plastic collapse", lines(last[::6]), VERMILION, line_width=2)
+    add(plotter, "_plastic collapse", lines(last[:, ::4].swapaxes(0, 1)), VERMILION, line_width=2)
+    look(plotter, FROM_OUTSIDE)
+    return plotter
 
 
-def write_law_page(law: MembraneLaw, rows: Rows, path: str | Path, known: Strength | None = None) -> None:
+def write_law_page(law: MembraneLaw, rows: LockedRows, path: str | Path, known: Strength | None = None) -> None:
     """Write the locking surface, and the strength beside it where it is `known` with a yield stress, as one HTML file.
 
     InputError without plotly.
     """
-    views = [locking_view(law, rows)]
+    check_page(str(path))
+    told = [
+        f"Locking surface of the {law.name} law and {len(rows)} rows\nstrains that the mesh can reach lie behind it"
+    ]
+    axes = (("E12", "E22", "E11"), ("S12, N/mm", "S22, N/mm", "S11, N/mm"))
     try:
-        views += [] if known is None else [strength_view(known)]
+        if known is not None:
+            stress = known.yield_stress(None)
+            told.append(f"Strength: {known.joint} rings of {known.material.name}\nyield stress {stress:g} N/mm2")
     except InputError as failure:
-        views = [replace(views[0], notes=(*views[0].notes, str(failure)))]
-    write_page(path, *views)
+        told[0] += f"\n{failure}"
+    plotter = new_plotter(len(told))
+    draw_locking(law, rows, plotter)
+    if known is not None and len(told) > 1:
+        plotter.subplot(0, 1)
+        draw_strength(known, None, plotter)
+    write_page(path, plotter, *told, axes=axes)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import json
-import math
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import click
 
-from macro_fem.scene.old_names import FORCE_IS_IDLE
-from rve.common.command_line import Group, answer, idle_option, no_picture, options, say, say_next
+from rve.common.commands.command_line import Group, answer, feature_lines, no_picture, options, say, say_next
+from rve.common.commands.sweeps import run_sweep, sweep_options
 from rve.common.errors import InputError
-from rve.common.storage.reading import read_json_object
-from rve.common.sweeps import run_sweep, sweep_options
+from rve.common.files import beside
+from rve.common.reading import read_json_object
 
 MOST_RINGS = 90_000
-"""From this many on `rve localize` is told that they are wanted: its own limit is a little above."""
+"""From this many on `localize` is told that they are wanted: its own limit is a little above."""
 
 
 @click.group(cls=Group)
@@ -43,8 +42,10 @@ def main() -> None:
 @click.option("--accuracy", type=float, help="With --rings: width of the interval over the height.  [default: 5e-3]")
 @click.option("--cache", type=click.Path(path_type=Path), help="Folder where answers of the rings are kept.")
 @click.option("--no-cache", is_flag=True, help="Keep no answers of the rings, and read none.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write a report of two pages, PDF.")
+@click.option("--dxf", type=click.Path(path_type=Path), help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
-@idle_option("--force", FORCE_IS_IDLE)
+@click.option("--continue", "goes_on", is_flag=True, help="With [motion]: go on from the end of the run in --out.")
 def run(
     scene: Path,
     law_path: Path | None,
@@ -54,21 +55,42 @@ def run(
     html: bool,
     explain: bool,
     table: Path | None,
+    goes_on: bool,
+    report: Path | None,
+    dxf: Path | None,
     **rings: Any,
 ) -> None:
-    """Solve SCENE and write summary.json, curtain.vtu and curtain.png.
+    """Solve SCENE and write summary.json, curtain.vtu and curtain.png; motion.csv, motion.pvd, motion.png if it moves.
 
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
     supports at the largest stretch of the mesh); 2: bad input.
     """
-    from macro_fem.demand.options import ring_options
-    from macro_fem.fem.petsc import first_writes
+    from macro_fem.combinations import combination_lines
+    from macro_fem.demand.options import begin_with, ring_options
     from macro_fem.job import run_scene
-    from macro_fem.output.strength import holds_line
+    from macro_fem.order import order_lines
+    from macro_fem.output.intervals import interval_line
+    from macro_fem.output.pictures import Pictures
+    from macro_fem.output.supports import hooks_lines
+    from macro_fem.output.weakest import holds_line
+    from macro_fem.scene.schema import load_scene
 
-    out = click.get_current_context().with_resource(first_writes(out))
-    asked = ring_options(**rings) | {"picture": picture, "animation": animation, "html": html}
-    summary = run_scene(scene, law_path, out, table=table, **asked)
+    Pictures(picture, animation, html).check_packages()
+    asked = begin_with(ring_options(**rings), law_path, table)
+    if load_scene(scene).motion is not None:
+        if asked is not None:
+            raise InputError("--table and --rings: a curtain in motion takes a law, by --law")
+        if report is not None or dxf is not None:
+            raise InputError("--report and --dxf: are for a curtain at rest; leave them out for a scene with [motion]")
+        _run_motion(scene, law_path, out, picture=picture, animation=animation, html=html, goes_on=goes_on)
+        return
+    if goes_on:
+        raise InputError("--continue: is for a scene with [motion]")
+    law = law_path if asked is None else None
+    files = {"picture": picture, "animation": animation, "html": html, "report": report, "dxf": dxf}
+    summary = run_scene(scene, law, out, on_demand=asked, **files)
+    if asked is None:
+        _say_default_law(law_path)
     say(f"{summary['status']}: {summary['message']}")
     say(
         f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
@@ -78,18 +100,91 @@ def run(
         f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
         f"{summary['wall_s']:.2f} s; written to {out}"
     )
+    say(*hooks_lines(summary), *order_lines(summary["order"]))
     if summary["status"] == "converged":
         say(holds_line(summary))
         say(*filter(None, [summary["support_forces_note"]]))
+    say(*combination_lines(summary))
     if "ring_solves" in summary:
-        say(_interval_line(summary))
+        say(interval_line(summary))
     if explain:
-        for feature in summary["features"]:
-            say(f"{feature['feature']:<16} {'used' if feature['used'] else 'left out':<9} {feature['why']}")
+        say(*feature_lines(summary["features"]))
     answer(summary)
     if summary["status"] != "converged":
         raise click.exceptions.Exit(1)
     _say_next_of_curtain(out, summary)
+
+
+def _run_motion(scene: Path, law_path: Path | None, out: Path, **asked: bool) -> None:
+    """Solve a scene in motion and say how it ended."""
+    from macro_fem.motion.files import run_motion
+
+    _say_default_law(law_path)
+    summary = run_motion(scene, law_path, out, **asked)
+    say(f"{summary['status']}: {summary['message']}")
+    say(
+        f"{summary['reached_s']:g} s in {summary['steps']} steps, peak support force "
+        f"{summary['peak_support_force_N']:.4g} N at {summary['peak_support_force_at_s']:.4g} s, lowest point "
+        f"{summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}"
+    )
+    answer(summary)
+    if summary["status"] == "stopped":
+        law = () if law_path is None else ("--law", law_path)
+        say_next("macro_fem", "run", scene, *law, "--out", out, "--continue", why="go on from there")
+        raise click.exceptions.Exit(130)
+    if summary["status"] != "converged":
+        raise click.exceptions.Exit(1)
+
+
+@main.command(epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3")
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
+@click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
+@click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
+@click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
+@click.option("--to", "high", type=float, required=True, help="Largest value.")
+@click.option("--factor", type=float, required=True, help="Factor with which the curtain is to hold.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for size.json, size.csv and size.png.")
+@click.option("--picture/--no-picture", default=True, help="Draw size.png (needs matplotlib).")
+def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
+    """The largest pitch, bar, wind or wire of SCENE with which it holds: prints one JSON object.
+
+    Exit code 0: found; 2: bad input, or no value holds.
+    """
+    from homogenize import interval_or_law
+    from macro_fem.demand.options import begin_with, ring_options
+    from macro_fem.scene.schema import load_scene
+    from macro_fem.size import largest_that_holds
+    from rve.common.errors import require
+    from rve.common.files import check_out_job
+
+    if out is not None:
+        check_out_job(out, "size.json", inputs=[scene, law_path])
+        if picture:
+            require("matplotlib", "plots", "size.png", "ask for --no-picture")
+    on_demand = begin_with(ring_options(rings, None, None, None, None, False), law_path, None)
+    law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
+    ends = asked["low"], asked["high"]
+    found = largest_that_holds(load_scene(scene), on_demand or law, asked["vary"], ends, asked["factor"])
+    if out is not None:
+        found.save(out, picture=picture)
+    answer(found.record, always=True)
+
+
+@main.command(epilog="Example: macro_fem modes scene.toml --law law.json --number 6 --out modes")
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
+@click.option("--number", type=int, default=6, show_default=True, help="How many frequencies.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for modes.json, VTU and picture.")
+@click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
+def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
+    """Natural frequencies of the curtain of SCENE at rest: prints one JSON object, and writes modes.vtu and modes.png.
+
+    Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input.
+    """
+    from macro_fem.motion.mode_files import run_modes
+
+    answer(run_modes(scene, law_path, out, number=number, picture=picture), always=True)
 
 
 @main.command(
@@ -112,40 +207,28 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
     _say_next_of_curtain(first, read_json_object(first / "summary.json"))
 
 
+def _say_default_law(given: Path | None) -> None:
+    """Which rings are taken where no law is given."""
+    if given is None:
+        from homogenize import default_law
+
+        law = default_law()
+        assert law.cell is not None
+        assert law.strength is not None
+        say(
+            f"no --law: rings of r1 = {law.cell.r1_mm:g} mm and r2 = {law.cell.r2_mm:g} mm, 4-in-1, "
+            f"{law.strength.material.name} unless the scene has a [material]"
+        )
+
+
 def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
     """How to see every ring of the curtain in a folder, if its law has rings."""
-    from rve import cell_of_sides
-
-    rings = summary["rings"]
-    if rings is None:
+    count = summary["order"]["rings"]
+    if count is None:
         return
-    r1, r2, b_x, b_y = (rings[key] for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm"))
-    try:
-        cell = cell_of_sides(r1, r2, (b_x, b_y))
-    except InputError:  # a weave that we do not know
-        return
-    words: list[object] = [] if cell.weave.name == "4-in-1" else ["--weave", cell.weave.name]
-    words += ["--grain", "x"] if cell.grain == "x" else []
-    nx, ny = cell.weave.repeat
-    area = 1e6 * summary["mass_kg"] / (summary["areal_mass_kg_per_m2"] or math.inf)
-    count = area * cell.weave.classes / (b_x * b_y * nx * ny)
-    words += ["--max-rings", math.ceil(1.05 * count)] if count > MOST_RINGS else []
-    words += no_picture("pyvista")
-    say_next(
-        "rve", "localize", out, "--out", f"{out}_rings", *words, why="every ring, and the forces in the worst cell"
-    )
-
-
-def _interval_line(summary: dict[str, Any]) -> str:
-    """Interval of the answer, its parts, and what the rings were asked."""
-    what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
-    low, high = summary[f"{what}_interval_{unit}"]
-    law, mesh = summary[f"law_part_{unit}"], summary[f"mesh_part_{unit}"]
-    name, shown = what.replace("_", " "), unit.replace("_", " ")
-    return (
-        f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; "
-        f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
-    )
+    words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
+    words += ["--out", beside(out, "rings"), *no_picture("pyvista")]
+    say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 
 _ring_options = options(
@@ -172,12 +255,14 @@ def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
-    from macro_fem.every_ring import run_rings
+    from macro_fem.job import run_rings
 
     summary = run_rings(scene, law_path, out, space=space, start=start, picture=picture, html=html)
+    _say_default_law(law_path)
     say(f"{summary['status']}: {summary['message']}")
+    say(*summary["notes"])
     say(
-        f"{summary['rings']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
+        f"{summary['ring_count']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
         f"{summary['lowest_point_mm']:.3f} mm"
     )
     if summary["status"] == "out-of-reach":
@@ -205,14 +290,51 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
 
     Exit code 0: both converged; 1: one of them did not; 2: bad input.
     """
-    from macro_fem.compare import compare_files, side_by_side
-    from rve.common.storage.files import check_out_file, write_text
+    from homogenize import load_law
+    from macro_fem.job import compare as solve_both
+    from macro_fem.rings.compare import side_by_side
+    from macro_fem.scene.schema import load_scene
+    from rve.common.files import check_out_file, write_text
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])
-    summary = compare_files(scene, law_path, space=space, start=start).summary
+    _say_default_law(law_path)
+    law = None if law_path is None else load_law(law_path)
+    summary = solve_both(load_scene(scene), law, space=space, start=start).summary
     answer(summary, "\n".join(side_by_side(summary)))
     if out is not None:
         write_text(out, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     if {summary["disk"]["status"], summary["rings"]["status"]} != {"converged"}:
         raise click.exceptions.Exit(1)
+
+
+@main.command(epilog="Example: macro_fem localize curtain --out rings --window 0,0,100,100 --tubes")
+@click.argument("curtain", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
+@click.option("--window", help="Only the rings in x0,y0,x1,y1 (mm, before deformation).")
+@click.option("--tubes/--lines", default=False, show_default=True, help="Write tori, or centre lines.")
+@click.option("--max-rings", type=click.IntRange(min=1), default=100_000, show_default=True, help="More are refused.")
+@click.option("--picture/--no-picture", default=True, show_default=True, help="Draw rings.png (needs pyvista).")
+@click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
+@click.option("--stl", is_flag=True, help="Write rings.stl, tori for CAD and printing.")
+def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
+    """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
+    from macro_fem.rings.localize import LocalizeOptions, parse_window, run_localize
+
+    found = run_localize(curtain, out, LocalizeOptions(parse_window(window), max_rings), **files)
+    by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
+    say(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
+    say(f"{found['links_intact']} of {found['links']} links intact as drawn")
+    if found["curtain_status"] not in ("converged", "unknown"):
+        say(f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)")
+    worst = found["worst_cell"]
+    say(
+        f"forces between rings away from supports: at most {worst['largest_force_N']:.4g} N, of {worst['contacts']} "
+        f"contacts in cell {worst['cell']}, which has the largest line load"
+    )
+    if held := found["ring_at_support"]:
+        say(f"the ring at {held['support']} that takes most is pulled by {held['force_N']:.4g} N")
+    say(*(f"{name}: {text}" for name, text in found["meanings"].items() if name != "met"))
+    answer(found)
+    words = ["--out", beside(out, "tubes"), *([] if window is None else ["--window", window])]
+    say_next("macro_fem", "localize", curtain, *words, "--tubes", "--no-picture", why="wires for ParaView")

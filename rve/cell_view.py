@@ -3,114 +3,92 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rve.common.drawing.page import write_page
-from rve.common.drawing.render import check_render, render
-from rve.common.drawing.solids import Solid, arrow, quads_cut, sphere
-from rve.common.drawing.views import Camera, Lines, Scale, Surface, View, merged
+from rve.common.drawing.page import check_page, write_page
+from rve.common.drawing.plane import BLUE, VERMILION
+from rve.common.drawing.scale import Scale
+from rve.common.drawing.space import add, arrows, balls, check_render, compose, lines, look, new_plotter, save_animation
 from rve.common.errors import InputError, NotConverged
-from rve.common.types import Array
+from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
-from rve.localization.files import tubes
-from rve.paper.stewart_trinkle import Motion, StewartTrinkleOptions, follow_motion
-from rve.plots import (
-    CLASS_COLOURS,
-    CONTACT_COLOUR,
-    FORCE_COLOUR,
-    case_title,
-    contacts_mm,
-    corner_forces,
-    locked_row,
-    swapped,
-)
+from rve.paper.stewart_trinkle import CellMotion, StewartTrinkleOptions, follow_motion
+from rve.plots import CLASS_COLOURS, case_title, contacts_mm, corner_forces, locked_row, swapped
 from rve.table import StrainTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter
 
 AROUND = (64, 16)
 """Points along and around a ring."""
 LEAST = 0.02
-"""Forces below this part of the largest one have no arrow."""
+"""Arrows shorter than this, in r1, are left out."""
 FRAMES = 40
 """Frames of an animation, at even steps of the way."""
-CAMERA = Camera("cell", (-0.35, 0.45, -1.0))
+DIRECTION = (-0.35, 0.45, -1.0)
+"""What the camera looks along."""
 FORCE_NOTE = "forces under a Cauchy line load of 1 N/mm, the root of s11^2 + 2 s12^2 + s22^2"
 
 
-def cell_view(states: LockedStates, title: str, largest: float | None = None) -> View:
+def draw_cell_in_space(states: LockedStates, plotter: Plotter | None = None, largest: float | None = None) -> Plotter:
     """The first of the states: rings as tori, contacts coloured by force, forces between rings and on the corners.
 
     largest: force in N at which the scale ends and whose arrow between rings is 0.8 r1 long; by default the largest.
-    On the corners an arrow has 1.2 mm per N.
+    On the corners an arrow has 1.2 mm per N. Returns the plotter, by default a new one.
     """
-    r1 = states.cell.r1
+    plotter = new_plotter() if plotter is None else plotter
+    cell, r1 = states.cell, states.cell.r1
+    _add_rings(plotter, states)
+    at, nodal = corner_forces(states)
+    add(plotter, "periodic cell", lines(at[[0, 1, 3, 2, 0]][None]), "#4d4d4d", line_width=3)
     points, normals, forces = contacts_mm(states)
     forces = r1 * forces
-    largest = max(float(forces.max(initial=0.0)), 1e-12) if largest is None else largest
-    scale = Scale("force in the contact, N", 0.0, largest, float(forces.max(initial=0.0)))
-    parts = [*_rings(states), _outline(states)]
+    most = float(forces.max(initial=0.0))
+    largest = max(most, 1e-12) if largest is None else largest
     if len(points):
-        points, normals = swapped(points, states.cell), swapped(normals, states.cell)
-        parts.append(_balls(points, forces, 1.15 * states.cell.r2))
-        pairs = np.concatenate([normals, -normals]) * np.tile(np.minimum(forces / largest, 1.5), 2)[:, None]
-        parts += _arrows("force between rings", CONTACT_COLOUR, np.tile(points, (2, 1)), 0.8 * r1 * pairs, r1)
-    at, nodal = corner_forces(states)
-    most = float(np.linalg.norm(nodal, axis=1).max())
-    name = f"force on a corner, longest {r1 * most:.3g} N"
-    parts += _arrows(name, FORCE_COLOUR, at, 1.2 * r1 * nodal, r1)
-    return View(title, tuple(parts), scale, (CAMERA,), (FORCE_NOTE,))
+        points, normals = swapped(points, cell), swapped(normals, cell)
+        scale = Scale("force in the contact, N", 0.0, largest, most)
+        add(plotter, "contacts", balls(points, 1.15 * cell.r2, **{scale.label: forces}), scale)
+        ways = 0.8 * r1 * np.minimum(forces / largest, 1.5)[:, None] * normals
+        pairs = arrows(np.tile(points, (2, 1)), np.concatenate([ways, -ways]), LEAST * r1)
+        add(plotter, "force between rings", pairs, BLUE)
+    name = f"force on a corner, longest {r1 * float(np.linalg.norm(nodal, axis=1).max()):.3g} N"
+    add(plotter, name, arrows(at, 1.2 * r1 * nodal, LEAST * r1), VERMILION)
+    look(plotter, DIRECTION)
+    return plotter
 
 
-def _rings(states: LockedStates) -> list[Surface | Lines]:
-    """Tori of the rings that the weave draws, one surface for each class."""
-    pose, cell, found = states.pose, states.cell, []
+def _add_rings(plotter: Plotter, states: LockedStates) -> None:
+    """Tori of the rings that the weave draws, one mesh for each class."""
+    pose, cell = states.pose, states.cell
     for k in range(cell.weave.classes):
         shifts = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:]
-        if not len(shifts):
-            continue
-        flat = pose.centres[0, k] + shifts @ np.stack([pose.a1[0], pose.a2[0]])
-        centre = swapped(cell.r1 * np.column_stack([flat, np.zeros(len(flat))]), cell)
-        normal = np.tile(swapped(pose.normals[:1, k], cell), (len(flat), 1))
-        points, quads = tubes(centre, normal, (cell.r1, cell.r2), AROUND)
-        colour = CLASS_COLOURS[k % len(CLASS_COLOURS)]
-        found.append(Surface(f"rings of class {k + 1}", points, quads_cut(quads.reshape(-1, 4)), colour))
-    return list(found)
-
-
-def _outline(states: LockedStates) -> Lines:
-    """The parallelogram of the lattice vectors."""
-    at, _ = corner_forces(states)
-    return Lines("periodic cell", at[[0, 1, 3, 2, 0]][None], 0.02 * states.cell.r1, "#4d4d4d", width=2.0)
-
-
-def _balls(points: Array, forces: Array, radius: float) -> Surface:
-    solids = [sphere(point, radius, 16) for point in points]
-    surface = merged("contacts", solids, CONTACT_COLOUR)
-    values = np.repeat(forces, len(solids[0][0]))
-    return Surface("contacts", surface.points, surface.triangles, CONTACT_COLOUR, values)
-
-
-def _arrows(name: str, colour: str, tails: Array, ways: Array, r1: float) -> list[Surface | Lines]:
-    length = np.linalg.norm(ways, axis=1)
-    drawn = np.flatnonzero(length > LEAST * r1)
-    solids: list[Solid] = [arrow(tails[i], ways[i], min(0.05 * r1, 0.1 * length[i])) for i in drawn]
-    return [merged(name, solids, colour)] if solids else []
-
-
-def case_view(table: StrainTable, row: int = 0) -> View:
-    """The locked cell of a row of a table that was solved here; NotConverged or InputError where there is none."""
-    return cell_view(locked_row(table, row), case_title(table, row))
+        if len(shifts):
+            flat = pose.centres[0, k] + shifts @ np.stack([pose.a1[0], pose.a2[0]])
+            centre = swapped(cell.r1 * np.column_stack([flat, np.zeros(len(flat))]), cell)
+            normal = np.tile(swapped(pose.normals[:1, k], cell), (len(flat), 1))
+            mesh = DrawnRings(centre, normal, cell.r1, cell.r2).tori(*AROUND)
+            add(plotter, f"rings of class {k + 1}", mesh, CLASS_COLOURS[k % len(CLASS_COLOURS)])
 
 
 def write_case_page(table: StrainTable, path: str | os.PathLike[str], row: int = 0) -> None:
-    """Write the locked cell of a row as one HTML file; InputError without plotly."""
-    write_page(path, case_view(table, row))
+    """Write the locked cell of a row of a table that was solved here as one HTML file.
+
+    NotConverged or InputError where there is none, InputError without plotly.
+    """
+    check_page(str(path))
+    write_page(path, draw_cell_in_space(locked_row(table, row)), f"{case_title(table, row)}\n{FORCE_NOTE}")
 
 
-def locking_views(table: StrainTable, row: int = 0) -> list[View]:
-    """The cell of a row on its way from the slack to the locked pose, the damped motion of the paper's scheme.
+def locking_motion(table: StrainTable, row: int = 0) -> list[tuple[LockedStates, int]]:
+    """States of a row on its way from the slack to the locked pose, the damped motion of the paper's scheme, with the
+    step of each.
 
     Its contacts give way by the paper's stiffness. NotConverged if the row is not, or the motion does not come to rest.
     """
@@ -122,25 +100,17 @@ def locking_views(table: StrainTable, row: int = 0) -> list[View]:
             f"the motion of the paper's scheme has not come to rest in {len(way)} steps: R = {way[-1].R[0]:.1e}; "
             "ask for --plot or --html, which show the locked cell of the direct solver"
         )
-    last = _moving(states, way[-1])
-    largest = max(states.cell.r1 * float(contacts_mm(last)[2].max(initial=0.0)), 1e-12)
-    title = f"alpha = {table.alpha_deg[row]:g} deg, beta = {table.beta_deg[row]:g} deg"
-    views = []
-    for motion in _even(way):
-        x2, x3 = (states.cell.r1 * float(np.linalg.norm(vector[0])) for vector in (motion.pose.a1, motion.pose.a2))
-        told = f"{title}: step {motion.steps[0]} of {way[-1].steps[0]}\nsides of the cell {x2:.2f} mm and {x3:.2f} mm"
-        views.append(cell_view(_moving(states, motion), told, largest))
-    return views
+    return [(_moving(states, motion), int(motion.steps[0])) for motion in _even(way)]
 
 
-def _moving(states: LockedStates, motion: Motion) -> LockedStates:
+def _moving(states: LockedStates, motion: CellMotion) -> LockedStates:
     found = Equilibrium(
         motion.pose, motion.lam, motion.contacts, motion.R, motion.steps, np.array(["converged"]), motion.rejected
     )
     return LockedStates(found, states.s, states.unique, states.cell, states.reach)
 
 
-def _even(way: list[Motion]) -> list[Motion]:
+def _even(way: list[CellMotion]) -> list[CellMotion]:
     """About `FRAMES` of the motions, at even distances of rings and lattice, the first and the last among them."""
     places = np.array(
         [np.concatenate([np.ravel(m.pose.lattice), np.ravel(m.pose.centres), np.ravel(m.pose.normals)]) for m in way]
@@ -149,10 +119,32 @@ def _even(way: list[Motion]) -> list[Motion]:
     return [way[i] for i in np.unique(np.searchsorted(run, np.linspace(0.0, run[-1], FRAMES)))]
 
 
+def locking_frames(table: StrainTable, row: int = 0) -> Iterator[Figure]:
+    """Figures of `locking_motion` with one scale of forces and one box."""
+    motion = locking_motion(table, row)
+    last, steps = motion[-1]
+    r1 = last.cell.r1
+    largest = max(r1 * float(contacts_mm(last)[2].max(initial=0.0)), 1e-12)
+    plotter, boxes = new_plotter(), []
+    for states, _ in (motion[0], motion[-1]):
+        draw_cell_in_space(states, plotter, largest)
+        boxes.append(np.reshape(plotter.bounds, (3, 2)).T)
+        plotter.clear_actors()
+    box = np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+    for states, step in motion:
+        a, b = (r1 * float(np.linalg.norm(vector[0])) for vector in (states.pose.a1, states.pose.a2))
+        told = f"alpha = {table.alpha_deg[row]:g} deg, beta = {table.beta_deg[row]:g} deg: step {step} of {steps}"
+        draw_cell_in_space(states, plotter, largest)
+        look(plotter, DIRECTION, box=box)
+        yield compose(plotter, f"{told}\nsides of the cell {a:.2f} mm and {b:.2f} mm", FORCE_NOTE)
+        plotter.clear_actors()
+    plotter.close()
+
+
 def write_locking(table: StrainTable, path: str | os.PathLike[str], row: int = 0) -> None:
-    """Write `locking_views` as an animation, GIF; InputError for another ending or without pyvista."""
+    """Write `locking_frames` as an animation, GIF; InputError for another ending or without pyvista."""
     check_animation(path)
-    render(path, locking_views(table, row))
+    save_animation(path, locking_frames(table, row))
 
 
 def check_animation(path: str | os.PathLike[str]) -> None:

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rve.columns import ranged_column, read_columns
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
-from rve.table import ranged_column, read_columns
 
 MOST_VALUES = 100_000
 """Load directions of one table: more take hours, and a typing error asks for billions."""
@@ -125,20 +125,3 @@ def parse_load(text: str) -> Array:
     except ValueError:
         raise InputError(f"--S = {shown(text)}: write three numbers S11,S12,S22") from None
     return np.array([S11, S12, S22])
-
-
-def parse_window(text: str | None) -> tuple[float, float, float, float] | None:
-    """A window from "x0,y0,x1,y1" in mm, or None for None; raises InputError.
-
-    >>> parse_window("0,0,50,80.5")
-    (0.0, 0.0, 50.0, 80.5)
-    """
-    if text is None:
-        return None
-    try:
-        x0, y0, x1, y1 = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--window = {shown(text)}: write x0,y0,x1,y1 in mm") from None
-    if not (np.isfinite([x0, y0, x1, y1]).all() and x0 < x1 and y0 < y1):
-        raise InputError(f"--window = {shown(text)}: must be finite numbers with x0 < x1 and y0 < y1")
-    return x0, y0, x1, y1

@@ -1,24 +1,13 @@
-"""What a run of rings used and left out, and why: the decisions of the solver in words."""
+"""What a run of rings used and left out, and why: one short table made from what the solver met."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
-
-
-class Decision(NamedTuple):
-    """A feature, whether the run has used it, and why."""
-
-    feature: str
-    used: bool
-    why: str
-
-    def __str__(self) -> str:
-        return f"{self.feature:<15} {'used' if self.used else 'left out':<9} {self.why}"
+from typing import Any
 
 
 @dataclass(frozen=True)
-class Work:
+class SolverWork:
     """What the direct solver met.
 
     cases; symmetric: how many were solved in symmetric coordinates alone; retried: cases that took more than one
@@ -38,9 +27,9 @@ class Work:
     unlisted_gap: float
     widened: bool
 
-    def plus(self, other: Work) -> Work:
+    def plus(self, other: SolverWork) -> SolverWork:
         """Both blocks of cases together."""
-        return Work(
+        return SolverWork(
             self.cases + other.cases,
             self.symmetric + other.symmetric,
             self.retried + other.retried,
@@ -53,36 +42,19 @@ class Work:
         )
 
 
-def decisions(provenance: dict[str, Any]) -> list[Decision]:
-    """What the run behind a table used and left out, from the table's provenance."""
-    gyroscopic = "no frictionless contact spins a torus about its own axis"
-    constraints = "eliminated: rings of one class move alike, 9 coordinates instead of 60"
+def features(provenance: dict[str, Any]) -> list[dict[str, Any]]:
+    """What the run behind a table used and left out, from the table's provenance: rows of feature, used and why."""
     if provenance["method"] != "direct":
-        paper = "the paper's scheme follows the motion"
-        return [
-            Decision("damping", True, paper),
-            Decision("inertia", True, paper),
-            Decision("gyroscopic", False, gyroscopic),
-            Decision("constraints", False, constraints),
-        ]
-    work = Work(**{field.name: provenance["work"][field.name] for field in fields(Work)})
-    static = "static load: the equations of the locked state hold no velocities"
-    near = f"{work.least_near} to {work.most_near} of the pairs of rings are near enough to touch"
-    apart = f"the nearest stay at least {work.unlisted_gap:.2g} r1 apart"
+        return [{"feature": "motion", "used": True, "why": "the paper's scheme follows damped rings with inertia"}]
+    work = SolverWork(**{field.name: provenance["work"][field.name] for field in fields(SolverWork)})
+    near = f"{work.least_near} to {work.most_near} of {work.listed} pairs of rings are near enough to touch"
+    apart = f"{near}, others stay {work.unlisted_gap:.2g} r1 apart"
     overlap = "rings that the weave does not list as neighbours would overlap"
-    rest = work.cases - work.symmetric
-    symmetric = f"{work.symmetric} of {work.cases} locked states are symmetric and stable against asymmetric motions"
-    retried = f"{work.retried} of {work.cases} cases took more than one attempt in all coordinates"
-    limits = f"{work.limits} of {work.cases} cases are limits from inside the tensile cone"
-    return [
-        Decision("damping", False, static),
-        Decision("inertia", False, static),
-        Decision("gyroscopic", False, static),
-        Decision("constraints", False, constraints),
-        Decision("asymmetry", rest > 0, symmetric + (f"; {rest} were solved in all coordinates" if rest else "")),
-        Decision("far-pairs", False, f"{near}; {work.listed} are listed"),
-        Decision("unlisted-pairs", work.widened, overlap if work.widened else apart),
-        Decision("idle-curvature", False, "contacts without force have no curvature in the Jacobian"),
-        Decision("attempts", work.retried > 0, retried),
-        Decision("limits", work.limits > 0, limits),
+    rows = [
+        ("motion", False, "static load: the equations of the locked state hold no velocities"),
+        ("asymmetry", work.symmetric < work.cases, f"{work.symmetric} of {work.cases} locked states are symmetric"),
+        ("unlisted-pairs", work.widened, overlap if work.widened else apart),
+        ("attempts", work.retried > 0, f"{work.retried} of {work.cases} cases took more than one attempt"),
+        ("limits", work.limits > 0, f"{work.limits} of {work.cases} cases are limits from inside the tensile cone"),
     ]
+    return [dict(zip(("feature", "used", "why"), row, strict=True)) for row in rows]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common.errors import SENTENCES, InputError, NotConverged, require
-from rve.common.storage.files import atomic_path
+from rve.common.drawing.plane import BLUE, VERMILION, new_axes
+from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.types import Array
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.locked_states import LockedStates
@@ -20,40 +18,9 @@ from rve.table import StrainTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 CLASS_COLOURS = ("#5d6672", "#a9b0b9", "#8a7a66")
 """Rings are grey, so that forces stand out."""
-CONTACT_COLOUR, FORCE_COLOUR = "#0072B2", "#D55E00"
-"""Blue and vermilion, which colour-blind readers tell apart (Okabe and Ito)."""
-
-
-def figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    """An empty matplotlib figure and its axes; needs the extra `plots`. Raises InputError with the way to get it."""
-    require("matplotlib", "plots", "a picture")
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(figsize=(width, height), constrained_layout=True, **options)
-
-
-def save(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure, atomically; the ending of the name is the format, PNG without one.
-
-    Raises InputError for unknown endings.
-    """
-    import matplotlib.pyplot as plt
-
-    try:
-        with atomic_path(path) as temporary:
-            fig.savefig(temporary, dpi=150, format=Path(path).suffix[1:] or "png")
-    except ValueError as error:
-        raise InputError(f"{path}: {str(error).splitlines()[0]}") from error
-    finally:
-        plt.close(fig)
 
 
 def ring_points(states: LockedStates, ring: Array, count: int = 97) -> Array:
@@ -109,33 +76,29 @@ def corner_forces(states: LockedStates) -> tuple[Array, Array]:
 def draw_cell(ax: Axes, states: LockedStates) -> Axes:
     """Rings of the first state seen along z, contact points with the forces between rings (blue) and those on the
     corner rings (vermilion); returns `ax`."""
-    cell = states.cell
-    named: set[int] = set()
+    cell, r1 = states.cell, states.cell.r1
+    named: set[str] = set()
     for ring in cell.weave.rings:
-        line, k = swapped(ring_points(states, ring)[:, :2], cell), int(ring[0])
-        label = None if k in named else f"rings of class {k + 1}"
-        named.add(k)
-        ax.plot(*line.T, color=CLASS_COLOURS[k % len(CLASS_COLOURS)], lw=1.8, solid_capstyle="round", label=label)
+        x, y = swapped(ring_points(states, ring)[:, :2], cell).T
+        label, colour = f"rings of class {ring[0] + 1}", CLASS_COLOURS[ring[0] % len(CLASS_COLOURS)]
+        ax.plot(x, y, color=colour, lw=1.8, label=None if label in named else label)
+        named.add(label)
     at, nodal = (part[:, :2] for part in corner_forces(states))
     ax.plot(*at[[0, 1, 3, 2, 0]].T, color="0.3", lw=0.9, ls="--", zorder=0, label="periodic cell")
     points, normals, forces = contacts_mm(states)
     if len(points):
         flat, tips = swapped(points, cell)[:, :2], swapped(normals, cell)[:, :2]
-        ax.scatter(flat[:, 0], flat[:, 1], s=18, color=CONTACT_COLOUR, zorder=3, label="contact")
-        reach = 0.5 * cell.r1 * (forces / forces.max())[:, None] * tips
-        most = f"force between rings, longest {cell.r1 * forces.max():.3g}"
-        _arrows(ax, np.tile(flat, (2, 1)), np.concatenate([reach, -reach]), CONTACT_COLOUR, 3e-3, most)
+        ax.scatter(flat[:, 0], flat[:, 1], s=18, color=BLUE, zorder=3, label="contact")
+        reach = 0.5 * r1 * (forces / forces.max())[:, None] * tips
+        longest = f"force between rings, longest {r1 * forces.max():.3g}"
+        _arrows(ax, np.tile(flat, (2, 1)), np.concatenate([reach, -reach]), BLUE, 3e-3, longest)
     largest = max(float(np.linalg.norm(nodal, axis=1).max()), 1e-300)
-    most = f"force on a corner, longest {cell.r1 * largest:.3g}"
-    _arrows(ax, at, 1.3 * cell.r1 * nodal / largest, FORCE_COLOUR, 5e-3, most)
+    _arrows(ax, at, 1.3 * r1 * nodal / largest, VERMILION, 5e-3, f"force on a corner, longest {r1 * largest:.3g}")
     for number, (place, force) in enumerate(zip(at, nodal, strict=True), 1):
         away = tuple(-11.0 * force / max(float(np.linalg.norm(force)), 1e-300))  # on the other side than the arrow
-        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 11}
-        ax.annotate(str(number), place, textcoords="offset points", xytext=away, **style)
-    ax.set_aspect("equal")
+        ax.annotate(str(number), place, textcoords="offset points", xytext=away, ha="center", va="center", fontsize=11)
     ax.margins(0.12)
-    ax.set_xlabel("x, mm")
-    ax.set_ylabel("y, mm")
+    ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
     return ax
 
 
@@ -170,15 +133,14 @@ def case_title(table: StrainTable, row: int = 0) -> str:
     )
 
 
-def draw_case(table: StrainTable, row: int = 0) -> Figure:
-    """Picture of the locked cell of a row of a table that was solved here.
+def draw_case(table: StrainTable, row: int = 0, ax: Axes | None = None) -> Axes:
+    """The locked cell of a row of a table that was solved here, on `ax` or axes of their own, which it returns.
 
     Raises NotConverged for a row that has not converged, InputError for a table without `states`.
     """
     states = locked_row(table, row)
-    fig, ax = figure(6.8, 7.6)
-    draw_cell(ax, states)
+    ax = draw_cell(new_axes(6.8, 7.6) if ax is None else ax, states)
     ax.set_title(case_title(table, row), fontsize=12)
-    title = "forces in N at a line load of 1 N/mm"
-    fig.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=10, title=title, title_fontsize=10)
-    return fig
+    below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "ncols": 2, "frameon": False}
+    ax.legend(fontsize=10, title="forces in N at a line load of 1 N/mm", title_fontsize=10, **below)
+    return ax

@@ -12,61 +12,58 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import SENTENCES, InputError, NotConverged
+from rve.common.files import TABLE_FORMAT, versions
 from rve.common.progress import part_of
 from rve.common.records import Flags
 from rve.common.rings import areal_mass
-from rve.common.storage.files import TABLE_FORMAT, versions
 from rve.common.tensor import double_dot
 from rve.common.types import Array
-from rve.equilibrium.branches import Mesh, Rows, largest_rows, starting_rows
+from rve.directions import grid
+from rve.equilibrium.branches import LoadedCell, RowStates, largest_rows, make_rows
 from rve.equilibrium.dead_load import DeadLoad, solve_dead
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
-from rve.explain import Work
+from rve.explain import SolverWork
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.pose import Pose, deformation, strain_of
-from rve.table import StrainTable
+from rve.table import RowQuality, StrainTable
 
 BLOCK = 256
 """Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""
 
 
-def locked(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Array, Flags]:
-    """Equilibria of the loads (n,) of one block; loads s (n, 3) in weave axes; flags unique (n,).
+def locked_block(
+    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
+) -> tuple[LockedStates, SolverWork]:
+    """Locked states of one block of loads (n,), and what the solver has met.
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
-    states, _ = locked_block(alpha_deg, beta_deg, cell, options)
-    return states.found, states.s, states.unique
-
-
-def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> tuple[LockedStates, Work]:
-    """Locked states of one block of loads, and what the solver has met; see `locked`."""
     s = cauchy_line_load(alpha_deg, beta_deg)
     if cell.grain == "x":
         s = s[:, ::-1]
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
-    found, unique, symmetric, limits = _solved(solved, cell, options)
+    found, unique, symmetric, limits = solve_block(solved, cell, options)
     gap = float(unlisted_gap(found.pose, cell.weave, cell.wire).min())
     near = pairs_in_reach(found.pose, cell.weave, cell.wire, options.reach)
     if gap < 0.0:
         cell = replace(cell, weave=widened(cell.weave))
-        found, unique, symmetric, limits = _solved(solved, cell, options)
+        found, unique, symmetric, limits = solve_block(solved, cell, options)
     retried = int((found.attempts > 2).sum())  # the first is in symmetric coordinates
     listed = len(cell.weave.pairs)
-    work = Work(len(s), symmetric, retried, limits, listed, int(near.min()), int(near.max()), gap, gap < 0.0)
+    work = SolverWork(len(s), symmetric, retried, limits, listed, int(near.min()), int(near.max()), gap, gap < 0.0)
     found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))
     return LockedStates(found, s, unique | ~tensile, cell, options.reach), work
 
 
-def _solved(s: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Flags, int, int]:
+def solve_block(s: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Flags, int, int]:
     """Equilibria, flags `unique`, how many rows were solved in symmetric coordinates, and how many are limits."""
     equations = Equations.of(cell.weave, cell.wire)
     direct, symmetric = solve_equilibrium_symmetric(s, equations, options)
@@ -80,7 +77,7 @@ def locked_states(
     cell: Cell,
     options: DirectOptions,
     progress: Callable[[int], None] | None = None,
-) -> tuple[LockedStates, Work]:
+) -> tuple[LockedStates, SolverWork]:
     """Locked states of any number of loads (n,), block by block, and what the solver has met."""
     blocks, works = [], []
     for first in range(0, len(alpha_deg), BLOCK):
@@ -93,7 +90,7 @@ def locked_states(
             progress(len(states.s))
     widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
     blocks = [states.listing(widest) for states in blocks]
-    return blocks[0].join(blocks[1:]), reduce(Work.plus, works)
+    return blocks[0].join(blocks[1:]), reduce(SolverWork.plus, works)
 
 
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
@@ -155,21 +152,23 @@ def checked_angles(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Ar
 
 def solve_table(
     cell: Cell,
-    loads: tuple[ArrayLike, ArrayLike],
+    loads: tuple[ArrayLike, ArrayLike] | None = None,
     options: DirectOptions | None = None,
     *,
     progress: Callable[[int], None] | None = None,
 ) -> StrainTable:
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the direct solver.
 
-    The reference cell is the locked state under a pull along the grain; it is always solved and raises NotConverged if
-    it fails. Where several locked states coexist, a row holds that of largest work (options.branches). Other rows that
-    fail keep their status and have nan elsewhere. The table's `states` are the locked states. `progress` is called with
-    the number of rows done since the last call.
+    Without loads they are the grid of 5 degrees. The reference cell is the locked state under a pull along the grain;
+    it is always solved and raises NotConverged if it fails. Where several locked states coexist, a row holds that of
+    largest work (options.branches). Other rows that fail keep their status and have nan elsewhere. The table's `states`
+    are the locked states. `progress` is called with the number of rows done since the last call.
 
     >>> print(solve_table(Cell(), ([0.0], [45.0])).x2_mm[0, 0].round(4))
     13.1163
     """
+    if loads is None and isinstance(cell, Cell):
+        loads = grid(5.0, cell.weave)
     if not isinstance(cell, Cell) or not isinstance(loads, tuple | list) or len(loads) != 2:
         raise InputError("solve_table takes a Cell and a pair of angles: solve_table(Cell(r1=5, r2=0.5), grid(5.0))")
     options = options or DirectOptions()
@@ -193,8 +192,8 @@ def largest_table(
     which states coexist, for the sidecar. Pairs of rings that the weave does not list are listed if they overlap.
     """
     began = time.perf_counter()
-    mesh = Mesh.of(Equations.of(states.cell.weave, cell.wire), weave_sides(cell, sides_mm), options)
-    first = starting_rows(states, mesh)
+    mesh = LoadedCell.of(Equations.of(states.cell.weave, cell.wire), weave_sides(cell, sides_mm), options)
+    first = make_rows(states, mesh)
     rows, found, where, left = largest_rows(first, states.s, mesh)
     if found is not None and unlisted_gap(found.pose, states.cell.weave, cell.wire).min() < 0.0:
         wide = states.listing(replace(cell, weave=widened(cell.weave)))
@@ -213,7 +212,7 @@ def largest_table(
     return table, branch_record(table, first, rows, left, time.perf_counter() - began)
 
 
-def under_own_load(states: LockedStates, rows: Rows, mesh: Mesh) -> LockedStates:
+def under_own_load(states: LockedStates, rows: RowStates, mesh: LoadedCell) -> LockedStates:
     """The states with the Cauchy load of size 1 that each coexisting one carries in its own pose, and its forces."""
     mixed = np.flatnonzero(rows.branch == "coexisting")
     F = deformation(states.pose.take(mixed), mesh.sides)
@@ -225,7 +224,7 @@ def under_own_load(states: LockedStates, rows: Rows, mesh: Mesh) -> LockedStates
     return replace(states, s=loads, found=replace(states.found, lam=lam))
 
 
-def branch_record(table: StrainTable, first: Rows, rows: Rows, left: Flags, wall: float) -> dict[str, Any]:
+def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: Flags, wall: float) -> dict[str, Any]:
     """Which rows have several states, and what work each does under S, at unit trace of S."""
     several = []
     for i in np.flatnonzero((rows.branch != "slack") | left):
@@ -247,7 +246,7 @@ def branch_record(table: StrainTable, first: Rows, rows: Rows, left: Flags, wall
 def table_rows(
     alpha: Array, beta: Array, cell: Cell, found: Equilibrium, unique: NDArray[np.bool_], sides: tuple[float, float]
 ) -> StrainTable:
-    """Rows of a table from equilibria, for a reference cell with these sides in mm."""
+    """RowStates of a table from equilibria, for a reference cell with these sides in mm."""
     x2, x3 = lattice_mm(found.pose, cell)
     F = np.stack([x2 / sides[0], x3 / sides[1]], axis=2)
     E, S = green_lagrange(F), second_pk(F, cauchy_line_load(alpha, beta))
@@ -256,7 +255,8 @@ def table_rows(
     R = np.where(bad, np.nan, found.R)
     gap = np.where(bad, np.nan, found.contacts.min_gap * cell.r1)
     contacts = np.where(bad, 0, ((found.lam > 1e-7) & found.contacts.present).sum(axis=(1, 2)))
-    return StrainTable(alpha, beta, E, S, x2, x3, R, gap, contacts, unique, found.status, found.iterations)
+    quality = RowQuality(R, gap, contacts, found.iterations)
+    return StrainTable(alpha, beta, E, S, x2, x3, unique, found.status, quality)
 
 
 def table_provenance(

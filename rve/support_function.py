@@ -12,8 +12,9 @@ from rve.common.errors import InputError
 from rve.common.notebook import as_html
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import DeadLoad, Largest, States, largest
+from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
+from rve.equilibrium.largest_work import KnownStates, Largest, largest
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -29,8 +30,8 @@ RING = 0.1
 """Distance in the disc of loads of unit trace at which locked states are sought as starts for a load."""
 
 
-@dataclass(frozen=True)
-class Support:
+@dataclass(frozen=True, repr=False)
+class SupportValue:
     """Locked states of largest work under n dead loads.
 
     S (n, 3) as asked for; h (n,) = S:E in the unit of S, nan where no state was found; E (n, 3); x2_mm, x3_mm (n, 2);
@@ -53,7 +54,7 @@ class Support:
     works: list[list[float]]
     b_x_mm: float
     b_y_mm: float
-    states: States
+    states: KnownStates
 
     def __len__(self) -> int:
         return len(self.h)
@@ -77,7 +78,9 @@ class Support:
         }
 
     def __str__(self) -> str:
-        return f"Support: {int((self.status == 'converged').sum())} of {len(self)} loads converged"
+        return f"SupportValue: {int((self.status == 'converged').sum())} of {len(self)} loads converged"
+
+    __repr__ = __str__
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the numbers of a single load, or a line for each."""
@@ -86,7 +89,9 @@ class Support:
         return as_html(self, lines=(f"S = {S.tolist()}: h = {h:.6g}" for S, h in zip(self.S, self.h, strict=True)))
 
 
-def support(cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: Support | None = None) -> Support:
+def support(
+    cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, known: SupportValue | None = None
+) -> SupportValue:
     """h(S) = max S:E over the admissible cells for dead line loads S (3,) or (n, 3), positive semidefinite.
 
     It is the work of the best locked state that was found, hence at most the maximum; docs/theory.md, 4, says how often
@@ -108,9 +113,9 @@ def support(cell: Cell, S: ArrayLike, options: DirectOptions | None = None, *, k
     sides = weave_sides(cell, sides_mm)
     loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
     states = None if known is None else known.states
-    best, unique = _solved(loads, cell, cell.weave, sides, options, states)
+    best, unique = solve_largest(loads, cell, cell.weave, sides, options, states)
     if unlisted_gap(best.found.pose, cell.weave, cell.wire).min() < 0.0:
-        best, unique = _solved(loads, cell, widened(cell.weave), sides, options, states)
+        best, unique = solve_largest(loads, cell, widened(cell.weave), sides, options, states)
     return _record(S, best, unique, cell, sides, sides_mm, states)
 
 
@@ -121,8 +126,8 @@ def _record(
     cell: Cell,
     sides: tuple[float, float],
     sides_mm: tuple[float, float],
-    known: States | None,
-) -> Support:
+    known: KnownStates | None,
+) -> SupportValue:
     """Best states under the loads S in the axes and units of the user; `sides` (in r1) are along the weave's axes."""
     found, size = best.found, trace(S)
     good = found.status == "converged"
@@ -130,7 +135,7 @@ def _record(
     x2, x3 = lattice_mm(found.pose, cell)
     reached = best.states(sides)
     E = np.where(good[:, None], E[:, weave_axes(cell)], np.nan)
-    return Support(
+    return SupportValue(
         S=S,
         h=double_dot(S, E),
         E=E,
@@ -171,7 +176,7 @@ def checked_loads(S: ArrayLike) -> Array:
     return S
 
 
-def company(S: Array, known: States | None) -> Array:
+def company(S: Array, known: KnownStates | None) -> Array:
     """Loads (m, 3) of unit trace near those of the loads S (n, 3) that have few known or asked loads near them.
 
     Four on a circle of radius `RING` round each in the disc of loads; those outside are drawn in to the rim.
@@ -185,13 +190,13 @@ def company(S: Array, known: States | None) -> Array:
     return from_disc(around / np.maximum(np.linalg.norm(around, axis=1), 1.0)[:, None])
 
 
-def _solved(
+def solve_largest(
     loads: Array,
     cell: Cell,
     weave: Weave,
     sides: tuple[float, float],
     options: DirectOptions,
-    known: States | None,
+    known: KnownStates | None,
 ) -> tuple[Largest, NDArray[np.bool_]]:
     """Best states of the loads (n, 3) and flags `unique` (n,), with these pairs of rings."""
     equations = Equations.of(weave, cell.wire, load=DeadLoad(sides))

@@ -7,16 +7,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from rve.common.commands.sweeps import SweepItem, absolute
 from rve.common.errors import InputError
-from rve.common.storage.files import sidecar_path
-from rve.common.sweeps import Item
+from rve.common.files import sidecar_path
 
 MOST_CELLS = 10_000
 
 
 def table_items(
     out: Path, r1: Sequence[float], r2: Sequence[float], weave: Sequence[str], grain: str, further: Sequence[str]
-) -> list[Item]:
+) -> list[SweepItem]:
     """One table for each weave, r1 and r2 in mm, with `further` options of `rve table`; InputError for too many."""
     cells = list(product(weave, r1, r2))
     if not 0 < len(cells) <= MOST_CELLS:
@@ -24,14 +24,13 @@ def table_items(
     for name in ("--out", "--r1", "--r2", "--weave", "--grain"):
         if any(one.split("=")[0] == name for one in further):
             raise InputError(f"{name}: is given by the sweep")
-    inputs = tuple(Path(one).resolve() for one in further if Path(one).is_file())
-    further = [str(Path(one).resolve()) if Path(one).is_file() else one for one in further]
     items = []
     for name, big, small in cells:
-        table = out.resolve() / f"{name}_{grain}_r1-{big:g}_r2-{small:g}.csv"
+        r1_text, r2_text = (repr(float(one)).removesuffix(".0") for one in (big, small))  # another name for each number
+        table = out.resolve() / f"{name}_{grain}_r1-{r1_text}_r2-{r2_text}.csv"
         asked = ("--weave", name, "--grain", grain, "--r1", repr(big), "--r2", repr(small))
-        arguments = ("table", "--out", str(table), *asked, *further)
-        items.append(Item(table.stem, "rve", arguments, sidecar_path(table), inputs))
+        arguments = ("table", "--out", str(table), *asked, *absolute(further))
+        items.append(SweepItem(table.stem, "rve", arguments, sidecar_path(table)))
     return items
 
 

@@ -7,8 +7,6 @@ limit from inside the tensile cone). The file is a CSV with one header line, its
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 from dataclasses import dataclass, field
@@ -18,13 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.columns import ranged_column, read_columns
 from rve.common.errors import InputError, require
+from rve.common.files import TABLE_FORMAT, check_belongs, check_out_table, job, sidecar_path, write_text
+from rve.common.reading import expecting, read_json_object
+from rve.common.records import Rows
 from rve.common.rings import check_rings
-from rve.common.storage.files import TABLE_FORMAT, check_out_table, sidecar_path, write_text
-from rve.common.storage.jobs import check_belongs, complete, job
-from rve.common.storage.reading import MOST_CSV_BYTES, read_json_object, read_text
 from rve.common.types import Array
-from rve.common.values import shown, shown_key
+from rve.common.values import shown
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.weave import WEAVES
 
@@ -65,30 +64,35 @@ COLUMNS = [
 ]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
-LOADED_COLUMNS = ["E11_loaded", "E12_loaded", "E22_loaded"]
-"""Strains of elastic rings under the line load that the sidecar states."""
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
-_MOST |= dict.fromkeys(("E11", "E12", "E22", *LOADED_COLUMNS), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
-MOST_CELLS = 5_000_000
-"""Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
+_MOST |= dict.fromkeys(("E11", "E12", "E22"), 1e3) | dict.fromkeys(("S11", "S12", "S22"), 1e9)
 COMPLIANCE_COLUMNS = [f"D{i}_{j}_mm_per_N" for i in ("11", "12", "22") for j in ("11", "12", "22")]
 STRENGTH_COLUMNS = ["first_yield_1_per_mm", "collapse_1_per_mm"]
 """Yield stress in N/mm2 that a line load S with S11 + S22 = 1 N/mm asks of the wire."""
 
 
 @dataclass(frozen=True)
+class RowQuality(Rows):
+    """How well each row is solved, (n,) each: weighted residual R, least gap, contacts with force, iterations."""
+
+    R: Array
+    min_gap_mm: Array
+    contacts: NDArray[np.intp]
+    iterations: NDArray[np.intp]
+
+
+@dataclass(frozen=True, repr=False)
 class StrainTable:
     """A strain-load table of n rows.
 
-    alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); R, min_gap_mm (n,); contacts, iterations (n,) int;
-    unique (n,) bool; status (n,) str; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell,
-    method, tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to
-    files, None for a table that was read. branch (n,) str or None: how the locked state was reached, "slack",
-    "restart", or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`); "below"
-    only in rows of that status.
-    strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first yield
-    and of plastic collapse. loaded (n, 3) or None: E of elastic rings under a line load of the size that the provenance
-    states, nan where it was not found or is not unique.
+    alpha_deg, beta_deg (n,); E, S (n, 3); x2_mm, x3_mm (n, 2); unique (n,) bool; status (n,) str; quality: how well
+    each row is solved; compliance (n, 3, 3) dE/dS in mm/N or None; provenance: radii, reference cell, method,
+    tolerances, versions, wall time; states: the locked states of the direct solver, which are not written to files,
+    None for a table that was read. branch (n,) str or None: how the locked state was reached, "slack", "restart",
+    or "coexisting" where a second state does the same work under S (`rve.equilibrium.branches`); "below" only in
+    rows of that status.
+    strength (n, 2) or None: the yield stress over S11 + S22, in 1/mm, at which the row's load is that of first
+    yield and of plastic collapse.
     """
 
     alpha_deg: Array
@@ -97,18 +101,14 @@ class StrainTable:
     S: Array
     x2_mm: Array
     x3_mm: Array
-    R: Array
-    min_gap_mm: Array
-    contacts: NDArray[np.intp]
     unique: NDArray[np.bool_]
     status: NDArray[np.str_]
-    iterations: NDArray[np.intp]
+    quality: RowQuality
     compliance: Array | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     branch: NDArray[np.str_] | None = None
     states: LockedStates | None = field(default=None, repr=False, compare=False)
     strength: Array | None = None
-    loaded: Array | None = None
 
     def __len__(self) -> int:
         return len(self.alpha_deg)
@@ -130,19 +130,16 @@ class StrainTable:
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the CSV file, by name."""
-        numbers = np.column_stack(
-            [self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm, self.R, self.min_gap_mm]
-        )
-        columns: dict[str, NDArray[Any]] = dict(zip(COLUMNS[:14], numbers.T, strict=True))
-        columns |= {name: getattr(self, name) for name in COLUMNS[14:]} | {"unique": self.unique.astype(int)}
+        numbers = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm])
+        known = dict(zip(COLUMNS[:12], numbers.T, strict=True)) | vars(self.quality)
+        known |= {"unique": self.unique.astype(int), "status": self.status}
+        columns: dict[str, NDArray[Any]] = {name: known[name] for name in COLUMNS}
         if self.branch is not None:
             columns["branch"] = self.branch
         if self.compliance is not None:
             columns |= dict(zip(COMPLIANCE_COLUMNS, self.compliance.reshape(len(self), 9).T, strict=True))
         if self.strength is not None:
             columns |= dict(zip(STRENGTH_COLUMNS, self.strength.T, strict=True))
-        if self.loaded is not None:
-            columns |= dict(zip(LOADED_COLUMNS, self.loaded.T, strict=True))
         return columns
 
     def to_pandas(self) -> DataFrame:
@@ -165,6 +162,8 @@ class StrainTable:
         known = self.provenance
         rings = f", r1 = {known['r1_mm']:g} mm, r2 = {known['r2_mm']:g} mm" if "r2_mm" in known else ""
         return f"StrainTable: {int(self.converged.sum())} of {len(self)} rows converged{rings}"
+
+    __repr__ = __str__
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the summary line and the first rows."""
@@ -190,7 +189,7 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     """Write the CSV and its sidecar JSON, both or none; an unknown number is an empty cell.
 
     The sidecar holds the SHA-256 of the CSV, which `read_table` checks. Raises InputError where they cannot be written,
-    or would overwrite something else (`rve.common.storage.files.check_out_table`).
+    or would overwrite something else (`rve.common.files.check_out_table`).
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), provenance_path(path)
@@ -201,67 +200,6 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
         write_text(folder / sidecar.name, json.dumps({"format": TABLE_FORMAT} | table.provenance, indent=2) + "\n")
 
 
-def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of a CSV file of at most MOST_CELLS cells; blank lines are skipped."""
-    rows: list[list[str]] = []
-    cells = 0
-    try:
-        for row in csv.reader(io.StringIO(read_text(path, MOST_CSV_BYTES, "a CSV text file"), newline="")):
-            cells += len(row)
-            if cells > MOST_CELLS:
-                raise InputError(f"{path}: has more than {MOST_CELLS:,} cells, which is the most that is read")
-            if row:
-                rows.append(row)
-    except csv.Error as error:
-        raise InputError(f"{path}: is not a CSV text file: {error}") from error
-    if not rows:
-        raise InputError(f"{path}: is empty; a table needs a header line and at least one row")
-    header = [name.strip() for name in rows[0]]
-    if len(set(header)) < len(header):
-        raise InputError(f"{path}: a column name occurs twice in the header")
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(header):
-            raise InputError(f"{path}: line {number} has {len(row)} cells, but the header has {len(header)} columns")
-    return header, rows[1:]
-
-
-def _number(path: Path, line: int, name: str, text: str) -> float:
-    try:
-        return float(text) if text.strip() else np.nan
-    except ValueError:
-        raise InputError(f"{path}: line {line}, column {name}: {shown(text)} is not a number") from None
-
-
-def read_columns(path: str | os.PathLike[str], required: tuple[str, ...]) -> dict[str, list[str]]:
-    """Columns of a CSV file as text, by name; raises InputError for a missing column or an empty table."""
-    path = Path(path)
-    header, rows = _read_rows(path)
-    for name in required:
-        if name not in header:
-            raise InputError(f"{path}: column {name} is missing; it has {', '.join(map(shown_key, header[:40]))}")
-    if not rows:
-        raise InputError(f"{path}: has no rows")
-    return {name: [row[i] for row in rows] for i, name in enumerate(header)}
-
-
-def numeric_column(path: str | os.PathLike[str], columns: dict[str, list[str]], name: str) -> Array:
-    """One column as numbers, nan for empty cells and where the column is absent."""
-    size = len(next(iter(columns.values())))
-    if name not in columns:
-        return np.full(size, np.nan)
-    return np.array([_number(Path(path), line, name, text) for line, text in enumerate(columns[name], 2)])
-
-
-def ranged_column(path: str | os.PathLike[str], columns: dict[str, list[str]], name: str, most: float) -> Array:
-    """One column as numbers, nan for empty cells; InputError for infinite ones and those above `most` in size."""
-    values = numeric_column(path, columns, name)
-    bad = np.flatnonzero(np.isinf(values) | (np.abs(values) > most))
-    if len(bad):
-        wrong = "is not finite" if np.isinf(values[bad[0]]) else f"must be from {-most:g} to {most:g}"
-        raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(columns[name][bad[0]])} {wrong}")
-    return values
-
-
 def read_table(path: str | os.PathLike[str]) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
@@ -269,11 +207,14 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     an older version and holds none. A strain counts as unique where the column `unique` is missing or its cell empty.
     Raises InputError naming file, line, column and value.
     """
-    complete(Path(path).parent, provenance_path(path).name)
-    columns = read_columns(path, _REQUIRED)
+    with expecting("table", path):
+        columns = read_columns(path, _REQUIRED)
 
     def column(name: str) -> Array:
         return ranged_column(path, columns, name, _MOST.get(name, np.inf))
+
+    def whole(name: str) -> NDArray[np.intp]:
+        return np.nan_to_num(column(name)).astype(int)
 
     status = np.array([text.strip() for text in columns["status"]])
     for name in _REQUIRED[:-1]:
@@ -287,10 +228,9 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     compliance = None
     if all(name in columns for name in COMPLIANCE_COLUMNS):
         compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
-    more: list[Array | None] = [None, None]
-    for number, names in enumerate((STRENGTH_COLUMNS, LOADED_COLUMNS)):
-        if all(name in columns for name in names):
-            more[number] = np.stack([column(name) for name in names], axis=1)
+    strength = None
+    if all(name in columns for name in STRENGTH_COLUMNS):
+        strength = np.stack([column(name) for name in STRENGTH_COLUMNS], axis=1)
     return StrainTable(
         column("alpha_deg"),
         column("beta_deg"),
@@ -298,17 +238,13 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
         np.stack([column(n) for n in ("S11", "S12", "S22")], axis=1),
         np.stack([column(n) for n in ("x2_x_mm", "x2_y_mm")], axis=1),
         np.stack([column(n) for n in ("x3_x_mm", "x3_y_mm")], axis=1),
-        column("R"),
-        column("min_gap_mm"),
-        np.nan_to_num(column("contacts")).astype(int),
         np.where(np.isfinite(unique), unique, 1.0) > 0.5,
         status,
-        np.nan_to_num(column("iterations")).astype(int),
+        RowQuality(column("R"), column("min_gap_mm"), *(whole(name) for name in ("contacts", "iterations"))),
         compliance,
         _read_provenance(Path(path)),
         np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
-        strength=more[0],
-        loaded=more[1],
+        strength=strength,
     )
 
 

@@ -43,7 +43,7 @@ def test_one_version_everywhere():
 def test_wheel_and_sdist_hold_docs_examples_and_licence(dist):
     wheel, sdist = names_in(dist)
     for names in (wheel, sdist):
-        for name in (*IN_BOTH, "LICENSE", "py.typed", "rings_10.json"):
+        for name in (*IN_BOTH, "LICENSE", "py.typed", "rings_10.json", "umat.f"):
             assert any(one.endswith(f"/{name}") for one in names), name
     assert any("/tests/test_rve/" in name for name in sdist)
     assert not any(part in name for name in wheel for part in ("tests/", "benchmarks/", "__pycache__"))

@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 
+import homogenize
+import macro_fem
+import rve
+
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"^```(bash|toml|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -58,6 +62,24 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
     for page in tmp_path.rglob("*.html"):
         loaded = re.findall(r"<(?:script|img|link)[^>]*(?:src|href)=[\"'](https?:[^\"']+)", page.read_text("utf-8"))
         assert not loaded, page.name
+
+
+@pytest.mark.parametrize("package", [rve, homogenize, macro_fem], ids=lambda package: package.__name__)
+def test_the_page_of_python_lists_every_public_name(package):
+    page = (DOCS / "reference" / "python.md").read_text(encoding="utf-8")
+    told = re.search(rf"^## {package.__name__}\n\nNames: (.*)\.$", page, re.MULTILINE)[1]
+    assert told == ", ".join(f"`{name}`" for name in package.__all__)
+
+
+def test_the_gallery_shows_every_scene_with_its_picture_and_its_first_words():
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    examples = DOCS.parent / "examples"
+    assert len(re.findall("^### ", page, re.MULTILINE)) == len(list(examples.rglob("*.toml")))
+    for path in examples.rglob("*.toml"):
+        comments = [line.lstrip("# ") for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
+        assert " ".join(comments) in page, path.name
+        assert f"../examples/pictures/{path.stem}.png" in page
+        assert f"../{path.relative_to(DOCS.parent)}" in page
 
 
 def test_explanations_name_files_of_the_code_only_where_developers_read():

@@ -71,8 +71,6 @@ def test_accuracy_chooses_the_cheapest_setting_that_holds_it():
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (["--accuracy", "1e-5"], "range"),
-        (["--accuracy", "nan"], "range"),
         (["--accuracy", "1e-3", "--cells", "8"], "not both"),
         (["--cells", "0"], "range"),
     ],
@@ -84,14 +82,6 @@ def test_what_no_setting_holds_is_refused(arguments, word, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_is_no_folder_for_results(tmp_path):
-    (tmp_path / "out").write_text("here already")
-    done = CliRunner().invoke(main, ["--out", str(tmp_path / "out")])
-    assert done.exit_code == 2
-    assert "is a file" in done.output
-    assert (tmp_path / "out").read_text() == "here already"
-
-
 def strip(mass):
     """A weightless strip that bears a bar, free to narrow: S22 alone, known in closed form."""
     return read_scene(
@@ -100,11 +90,12 @@ def strip(mass):
             "mesh": {"cells": 4},
             "support": {"kind": "rail"},
             "load": {"bar": {"mass": mass}},
-            "solver": {"stabilising_tension": 0.0},
+            "solver": {"kind": "rigid", "stabilising_tension": 0.0},
         }
     )
 
 
+@pytest.mark.slow
 def test_the_factor_of_a_wire_is_that_of_its_table_row(tmp_path):
     """The pull along the grain, at which the reference cell locks: 600 over the strength of the row times the load."""
     metal = Material(yield_N_per_mm2=600.0, ultimate_N_per_mm2=None)

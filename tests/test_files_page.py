@@ -15,9 +15,9 @@ import rve.cli
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "files.md"
 pytestmark = pytest.mark.slow
 FREE = {"versions", "files", "options", "work", "sentences", "cells_by_status", "meanings", "table_provenance", "units"}
-FREE |= {"drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
+FREE |= {"factors", "drawn_gap_mm_quantiles_0_5_25_50", "several_states"}
 """Entries whose own keys are names of packages, files, options, statuses and rows."""
-FOLDERS = {"demand", "space", "body", "every", "curtains", "tables", "found"}
+FOLDERS = {"demand", "space", "body", "every", "curtains", "tables", "found", "sized"}
 COUNTS = {"rows", "branches"}
 """Entries of the sidecar whose own keys are statuses and notes."""
 PLANE = """
@@ -43,6 +43,9 @@ capacity = 5.0
 [[load.wind]]
 direction = [0.0, 0.0, 1.0]
 speed = 10.0
+[[combination]]
+name = "storm"
+wind = 1.5
 [[obstacle]]
 kind = "wall"
 facing = [0.0, 0.0, -1.0]
@@ -77,7 +80,12 @@ def placed(word, folder):
 def out(tmp_path_factory):
     """A folder with one of every file."""
     folder = tmp_path_factory.mktemp("files")
-    for name, text in (("plane", PLANE), ("space", SPACE), ("body", BODY)):
+    for name, text in (
+        ("plane", PLANE),
+        ("barred", PLANE + "[load.bar]\nmass = 0.1\n"),
+        ("space", SPACE),
+        ("body", BODY),
+    ):
         (folder / f"{name}.toml").write_text(text)
     (folder / "loads.csv").write_text("alpha_deg,beta_deg\n0,90\n20,30\n45,45\n0,0\n0,45\n45,90\n20,80\n")
     for package, command in (
@@ -88,7 +96,8 @@ def out(tmp_path_factory):
         (macro_fem, "run body.toml --out body --no-picture"),
         (macro_fem, "rings plane.toml --out every --no-picture"),
         (macro_fem, "compare plane.toml --out compare.json"),
-        (rve, "localize demand --out found --no-picture"),
+        (macro_fem, "size barred.toml --vary mass --from 0.1 --to 0.2 --factor 1e-6 --out sized --no-picture"),
+        (macro_fem, "localize demand --out found --no-picture"),
         (macro_fem, "sweep plane.toml --out curtains --no-picture"),
         (rve, "sweep --r1 5 --r2 0.5 --out tables --loads loads.csv"),
     ):
@@ -150,6 +159,7 @@ def of_file(path, into=()):
             ["## A curtain: summary.json"],
             [f"{run}/{name}" for run in ("demand", "space", "body") for name in ("summary.json", "support_forces.csv")],
         ),
+        (["## The largest value that holds: size.json"], ["sized/size.json", "sized/size.csv"]),
         (["## curtain.vtu"], ["space/curtain.vtu"]),
         (
             ["## Its rings: localize.json"],
@@ -168,6 +178,5 @@ def test_the_page_names_every_field_and_no_other(out, headings, names):
     statuses = set(re.findall(r"^\| `(\w+)`", section("### Status"), re.MULTILINE)) | {
         "stalled",
         "iterations",
-        "not_convex",
     }
     assert first_column(text) - written - statuses - {"not_finite"} == set()

@@ -1,17 +1,26 @@
 """Sweeps give the files of the single commands, wherever they run and whoever is killed on the way."""
 
 import csv
+import json
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
+import meshio
 import pytest
 from click.testing import CliRunner
 
+from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
-from rve.common.sweeps import sweep
+from rve.common.commands.sweeps import sweep
 from rve.sweep import table_columns, table_items
+from tests.fuzz.targets import make_vtu
+
+ROOT = Path(__file__).resolve().parents[1]
 
 GRID = ("--alpha", "0:45:45", "--beta", "0:90:45")
 SCENE = """
@@ -47,15 +56,6 @@ def single(tmp_path_factory):
     return tables
 
 
-@pytest.mark.parametrize("words", [("--weave", "felt"), ("--bogus",), ("--jobs", "2", "--load", "heavy")])
-def test_options_that_no_table_takes_are_refused_before_the_first_one(tmp_path, words):
-    found = run(rve, "sweep", "--out", tmp_path / "out", "--r1", "5", "--r2", "0.5,1", *words)
-    assert found.exit_code == 2
-    assert found.output.count("\n") == 1
-    assert "see rve table --help" in found.output
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_sweep_writes_what_single_commands_do_and_names_what_failed(tmp_path, single):
     found = run(rve, "sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5,1,3", *GRID)
     assert found.exit_code == 1
@@ -72,9 +72,10 @@ def test_the_same_sweep_again_runs_only_what_is_not_finished(tmp_path, single):
     assert run(rve, *ask).exit_code == 0
     first, second = (tmp_path / name for name in single)
     times = first.stat().st_mtime_ns, second.stat().st_mtime_ns
-    (tmp_path / ".sweep" / f"{second.stem}.json").unlink()
+    second.write_text(second.read_text().replace("converged", "stalled"))
     assert run(rve, *ask).exit_code == 0
     assert first.stat().st_mtime_ns == times[0]
+    assert second.read_bytes() == single[second.name]
     assert second.stat().st_mtime_ns > times[1]
     changed = (*ask[:-1], "0:90:90")
     assert run(rve, *changed).exit_code == 0
@@ -96,17 +97,65 @@ def test_scenes_side_by_side(tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
+def test_what_was_read_has_changed_and_is_run_again(tmp_path):
+    """A mesh named in a scene, and a law given as --law=FILE."""
+
+    def scale(factor):
+        mesh = meshio.read(tmp_path / "mesh.vtu")
+        mesh.points *= factor
+        meshio.vtu.write(tmp_path / "mesh.vtu", mesh)
+
+    make_vtu(tmp_path)
+    scale(40.0)
+    (tmp_path / "hung.toml").write_text('[curtain]\nshape = "file"\nfile = "mesh.vtu"\n[support]\nkind = "top"\n')
+    law = tmp_path / "law.json"
+    law.write_bytes(DEFAULT_LAW.read_bytes())
+    ask = ("sweep", tmp_path / "hung.toml", "--out", tmp_path / "out", "--no-picture", f"--law={law}")
+
+    def mass():
+        found = run(macro_fem, *ask)
+        assert found.exit_code == 0, found.output
+        return float(rows_of(tmp_path / "out")[0]["mass_kg"])
+
+    first = mass()
+    scale(2.0)
+    assert mass() == pytest.approx(4.0 * first)
+    record = json.loads(law.read_text())
+    record["cell"]["areal_mass_kg_per_m2"] *= 2.0
+    law.write_text(json.dumps(record))
+    assert mass() == pytest.approx(8.0 * first)
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code, jobs):
+    words = ["sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5,0.6,0.7,0.8,0.9,1", "--jobs", jobs]
+    command = [sys.executable, "-m", "rve", *map(str, words), "--alpha", "0:45:5", "--beta", "0:90:5"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    marks = tmp_path / ".sweep"
+    for _ in range(1200):
+        if marks.exists() and list(marks.glob("*.json")):
+            break
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert errors.startswith(f"Error: stopped by {number.name}; what is finished is kept in {tmp_path}")
+    assert errors.count("\n") == 1
+    assert 0 < len(list(tmp_path.glob("*.csv"))) < 6
+    assert not list(tmp_path.glob(".part-*"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--r1", "5", "--r2", "a"), "--r2 = 'a': is not a list of numbers"),
         (("--r1", "5", "--r2", "0.5", "--cluster", "tcp://127.0.0.1:9"), "no Dask scheduler answers there"),
         (("--r1", "5", "--r2", "0.5", "--cluster", "x", "--jobs", "2"), "two ways to run a sweep"),
-        (("--r1", "5", "--r2", "0.5", "--jobs", "0"), "--jobs"),
     ],
 )
 def test_bad_input_is_one_sentence(tmp_path, monkeypatch, arguments, sentence):
-    monkeypatch.setattr("rve.common.sweeps.CONNECT_S", 0.5)
+    monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
     found = run(rve, "sweep", "--out", tmp_path, *arguments)
     assert found.exit_code == 2
     assert sentence in found.output
@@ -114,7 +163,8 @@ def test_bad_input_is_one_sentence(tmp_path, monkeypatch, arguments, sentence):
 
 @pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, single):
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     r2 = [0.5, 1.0, 0.6, 0.7, 0.8, 0.9]
     items = table_items(tmp_path, [5.0], r2, ["4-in-1"], "y", GRID)
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:

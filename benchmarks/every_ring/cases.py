@@ -5,26 +5,26 @@ grow with the weight. So the disk's answer over the height is the same number fo
 """
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report.measure import Row
+from benchmarks.measure import ROOT, Row
 from homogenize import default_law
 from macro_fem import read_scene
-from macro_fem.every_ring import ring_scene
 from macro_fem.job import solve
+from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import Scene
 from rve import FiniteSolution
-from rve.common.storage.files import write_text
+from rve.common.files import write_text
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
+KEPT = ROOT / "build" / "every_ring"
+"""Folder of solved cases, which are not solved again."""
 AREAL_MASS = 2.8
 GRAVITY = 9.81
 ACROSS = 3
@@ -86,56 +86,31 @@ class Case:
     arrays: dict[str, Array]
 
 
-class NotThere(LookupError):
-    """A case that was not solved, where nothing is to be solved."""
-
-
-@dataclass(frozen=True)
-class Store:
-    """The folder of solved cases; `is_closed`: nothing is added, and cases that are missing are left out."""
-
-    folder: Path
-    is_closed: bool = False
-
-
-def those_there(calls: Iterable[Callable[[], T]]) -> list[T]:
-    """What the calls return, without those whose case is not there."""
-    out = []
-    for call in calls:
-        try:
-            out.append(call())
-        except NotThere:
-            continue
-    return out
-
-
-def kept(store: Store, name: str, asked: dict[str, Any], make: Callable[[], Case]) -> Case:
+def kept(store: Path, name: str, asked: dict[str, Any], make: Callable[[], Case]) -> Case:
     """The case in the folder if it was made for what is asked; else it is made and written there."""
-    path = store.folder / f"{name}.json"
+    path = store / f"{name}.json"
     asked = json.loads(json.dumps(asked))
     if path.exists():
         data = json.loads(path.read_text(encoding="utf-8"))
         if data["asked"] == asked:
             return Case(data["numbers"], {key: np.array(value) for key, value in data["arrays"].items()})
-    if store.is_closed:
-        raise NotThere(name)
     case = make()
-    store.folder.mkdir(parents=True, exist_ok=True)
+    store.mkdir(parents=True, exist_ok=True)
     arrays = {key: value.tolist() for key, value in case.arrays.items()}
     write_text(path, json.dumps({"asked": asked, "numbers": case.numbers, "arrays": arrays}) + "\n")
     return case
 
 
-def kept_rows(store: Store, asked: dict[str, Any], makes: dict[str, Callable[[], Row]]) -> list[Row]:
-    """The rows of cases by their names, as `kept`; without those that a closed folder does not hold."""
+def kept_rows(store: Path, asked: dict[str, Any], makes: dict[str, Callable[[], Row]]) -> list[Row]:
+    """The rows of cases by their names, as `kept`."""
 
     def of(name: str, make: Callable[[], Row]) -> Row:
         return kept(store, name, asked, lambda: Case(make(), {})).numbers
 
-    return those_there(partial(of, name, make) for name, make in makes.items())
+    return [of(name, make) for name, make in makes.items()]
 
 
-def rings_case(sheet: Sheet, k: int, space: bool, store: Store) -> Case:
+def rings_case(sheet: Sheet, k: int, space: bool, store: Path) -> Case:
     """Every ring of a sheet. Arrays: X, centre, normal, load, reaction, area, P (n, 2, 2) of each ring."""
     name = f"{sheet.key}_{k}_{'space' if space else 'plane'}"
     asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"}
@@ -150,8 +125,8 @@ def _solved_rings(sheet: Sheet, k: int, space: bool) -> Case:
         "status": solution.status,
         "rings": len(mesh.X),
         "links": len(mesh.linked),
-        "links_intact": solution.links_intact,
-        "min_gap_mm": solution.min_gap_mm,
+        "links_intact": solution.contacts.links_intact,
+        "min_gap_mm": solution.contacts.min_gap_mm,
         "kkt_residual": solution.kkt_residual,
         "mean_height_mm": solution.mean_height,
         "potential_N_mm": solution.potential,
@@ -188,7 +163,7 @@ def neighbours(X: Array, half: float) -> list[list[int]]:
     return found
 
 
-def disk_case(sheet: Sheet, cells: int, store: Store) -> Case:
+def disk_case(sheet: Sheet, cells: int, store: Path) -> Case:
     """The disk of a sheet with k = 1, with bounds. Arrays: X, x (n, 2) of nodes; middle, P, area of triangles."""
     asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"} | {"cells": cells}
     return kept(store, f"{sheet.key}_disk_{cells}", asked, lambda: _solved_disk(sheet, cells))

@@ -1,13 +1,13 @@
 """The rings against the disk: mean height, potential, lowest point, line load, by the number of rings across."""
 
 from collections.abc import Sequence
-from functools import partial
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, Store, disk_case, rings_case, those_there
-from benchmarks.report.measure import Row
-from benchmarks.report.records import Curve, Diagram, Section, Table, table
+from benchmarks.every_ring.cases import ACROSS, KEPT, SHEETS, Array, Case, Sheet, disk_case, rings_case
+from benchmarks.frame import Curve, Diagram, Section, Table, table
+from benchmarks.measure import Row
 
 QUICK_SIZES = (1, 2)
 LEAST_FITTED = 8
@@ -18,11 +18,11 @@ HEIGHT, POTENTIAL = "mean height, %", "potential, %"
 LOWEST, LINE = "lowest point, %", "line load, %"
 
 
-def measure(full: bool, store: Store) -> Section:
+def measure(full: bool, store: Path = KEPT) -> Section:
     """The section."""
     rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full, store)]
     limits = [limit_row(sheet, space, rows, store) for sheet in SHEETS for space in (False, True)]
-    forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f timed"}
+    forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f"}
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
     names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
     text = (
@@ -48,13 +48,13 @@ def measure(full: bool, store: Store) -> Section:
     return Section("The rings and the disk", text, tables, diagrams(rows), conclusion(rows, limits))
 
 
-def sheet_rows(sheet: Sheet, full: bool, store: Store) -> list[Row]:
+def sheet_rows(sheet: Sheet, full: bool, store: Path) -> list[Row]:
     """A row for each size, in the plane and in space."""
     sizes = sheet.sizes if full else QUICK_SIZES
-    return those_there(partial(compared, sheet, k, space, store) for space in (False, True) for k in sizes)
+    return [compared(sheet, k, space, store) for space in (False, True) for k in sizes]
 
 
-def compared(sheet: Sheet, k: int, space: bool, store: Store) -> Row:
+def compared(sheet: Sheet, k: int, space: bool, store: Path) -> Row:
     """Rings of one size against the disk."""
     rings, disk = rings_case(sheet, k, space, store), disk_case(sheet, CELLS, store)
     found, H = rings.numbers, sheet.sides(k)[1]
@@ -135,7 +135,7 @@ def fitted(N: Array, value: Array) -> tuple[float, float]:
     return float(x[0]), float(np.sqrt(spread[0, 0]))
 
 
-def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], store: Store) -> Row:
+def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], store: Path) -> Row:
     """The extrapolated potential of a scene against the disk's interval."""
     which = sheet.key, "space" if space else "plane", "converged"
     rows = [row for row in rows if (row["scene"], row["centres"], row["status"]) == which]

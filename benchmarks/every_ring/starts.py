@@ -1,14 +1,15 @@
 """Random admissible starts: how far apart the potentials end, and whether any ring passed through another."""
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.every_ring.brute import least_gap, linked_pairs
-from benchmarks.every_ring.cases import SHEETS, Array, Store, kept_rows
-from benchmarks.report.measure import Row, outcomes
-from benchmarks.report.records import Section, table
-from macro_fem.every_ring import RingScene, ring_scene
+from benchmarks.every_ring.cases import KEPT, SHEETS, Array, kept_rows
+from benchmarks.frame import Section, table
+from benchmarks.measure import Row, outcomes
+from macro_fem.rings.ring_scene import RingScene, ring_scene
 from rve import FiniteMesh, FiniteOptions
 from rve.finite.records import Found, Task
 from rve.finite.solver import solve_rings
@@ -18,7 +19,7 @@ SWEEPS, STRIDE = 40, 0.08
 """Rounds of random motion that make a start, and the largest motion of a round in r1 and radians."""
 
 
-def measure(full: bool, store: Store) -> Section:
+def measure(full: bool, store: Path = KEPT) -> Section:
     """The section."""
     # sheet, k, number of starts, whether in space
     plan = ((0, 1, 35, False), (0, 1, 35, True), (2, 1, 20, True), (0, 2, 10, True)) if full else ((0, 1, 3, True),)

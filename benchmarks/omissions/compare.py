@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from benchmarks.report.measure import Row, at_most, count_of
-from benchmarks.report.records import Diagram, Table, curves, table
+from benchmarks.frame import Diagram, Table, curves, table
+from benchmarks.measure import Row, at_most, count_of
 
 NOISE = 1e-14
 """Changes below are round-off and shown by this bound."""
@@ -40,7 +40,7 @@ def trial(
 
 def trial_table(title: str, trials: Sequence[Row]) -> Table:
     """The trials."""
-    return table(title, trials, {"time without, s": ".3f timed", "time with, s": ".3f timed", RATIO: ".2f timed"})
+    return table(title, trials, {"time without, s": ".3f", "time with, s": ".3f", RATIO: ".2f"})
 
 
 def bars(key: str, title: str, trials: Sequence[Row]) -> Diagram:
@@ -49,7 +49,7 @@ def bars(key: str, title: str, trials: Sequence[Row]) -> Diagram:
     placed = [row | {"_place": features.index(row["feature"])} for row in trials]
     ticks = tuple(feature.lstrip("-").replace("-", "-\n", 1).replace(" ", "\n") for feature in features)
     drawn = curves(placed, "scene", "_place", RATIO)
-    return Diagram(key, title, "feature", "time with / time without", drawn, bars=True, ticks=ticks, base=1.0)
+    return Diagram(key, title, "feature", "time with / time without", drawn, bars=True, ticks=ticks)
 
 
 def verdict(trials: Sequence[Row]) -> str:

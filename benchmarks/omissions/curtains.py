@@ -1,4 +1,4 @@
-"""The third coordinate, half-spaces that never act, second-order corrections, ties, coarse starts and slack cells."""
+"""The third coordinate, half-spaces that never act, second-order corrections, ties, coarse starts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -7,28 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.omissions.compare import LEFT_OUT, RATIO, USED, bars, trial, trial_table, verdict
+from benchmarks.frame import Section
+from benchmarks.measure import Row, least_seconds
+from benchmarks.omissions.compare import LEFT_OUT, USED, bars, trial, trial_table, verdict
 from benchmarks.problems import square
-from benchmarks.report.measure import Row, least_seconds, profiled
-from benchmarks.report.records import Section, table
 from homogenize.io import default_law
 from homogenize.laws.protocol import MembraneLaw
 from macro_fem.curtain import CURTAIN, CurtainOptions, solve_problem
 from macro_fem.fem.assembly import load_vector
+from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import CurtainSolution, Problem, gathered_start, make_problem, spread_tension, unit_tensors
-from macro_fem.solvers.central_path import PathResult, solve_path
-from macro_fem.solvers.cones import facets_of, same_cones
-from macro_fem.solvers.options import PATH, CutOptions, PathOptions
+from macro_fem.solvers.central_path import solve_path
+from macro_fem.solvers.cones import same_cones
+from macro_fem.solvers.options import PATH, PathOptions
+from macro_fem.solvers.path_result import PathResult
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""
 BAR = {"bar": {"mass": 1.0}}
-SLACK, SHARE, SAVED = "slack points, %", "law and assembly, % of the time", "could be saved at most, %"
 Answer = Callable[[], tuple[bool, float]]
-KEEP_IDLE = PathOptions(cuts=CutOptions(pruned_at=()))
-LAW_TIMES = ("law at a slack point, us", "law at a taut point, us")
+KEEP_IDLE = PathOptions(pruned_at=())
 
 
 def measure(full: bool) -> Section:
@@ -43,46 +42,30 @@ def measure(full: bool) -> Section:
         coarse_start(law, cells),
         coarse_start(law, 64 if full else 40),
         by_option(law, "idle half-spaces", cells, PathOptions(), KEEP_IDLE),
-        by_option(law, "corrector", cells, PathOptions(corrector=False), PathOptions()),
     ]
-    steps = [step_row(law, n, corrector) for n in ((8, 16, 32) if full else (8, 16)) for corrector in (True, False)]
-    slack = [slack_row(law, kind, 24 if full else 16) for kind in ("corners", "gathered")]
     text = (
         "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar; the "
         "solver's functions are called with other options. `third-coordinate`: nodes may leave the plane. "
         "`all-half-spaces`: every point begins with all half-spaces of the law, instead of adding those that are "
-        "violated. `idle half-spaces`: none is dropped on the way. `corrector`: the second derivatives in the "
-        "cone solver, Mehrotra's correction of each step. `ties`: a matrix between nodes and unknowns, needed only for "
+        "violated. `idle half-spaces`: none is dropped on the way. "
+        "`ties`: a matrix between nodes and unknowns, needed only for "
         f"straight bars. `coarse-start`: a coarser curtain first, by default from {CURTAIN.coarse_from} points on."
     )
-    conclusion = (
-        f"{verdict(trials)} The corrector {'saves' if trials[-1][RATIO] < 1.0 else 'does not save'} time and is always "
-        "used. Slack cells are not left out: which ones are slack is part of the answer, and leaving them out of law "
-        f"and assembly would save {max(row[SAVED] for row in slack):.0f} % of the time at most."
-    )
-    slack_note = (
-        "Elastic curtains, under the profiler. The law is asked for its nearest half-space, at slack points as at taut "
-        "ones; the last two columns tell what that takes."
-    )
-    slack_forms = {SLACK: ".0f", SHARE: ".0f timed", SAVED: ".1f timed"} | dict.fromkeys(LAW_TIMES, ".2f timed")
-    tables = (
-        trial_table("Features switched on in curtains", trials),
-        table("Second derivatives in the cone solver", steps, {"s": ".3f timed"}),
-        table("Slack cells", slack, slack_forms, slack_note),
-    )
+    tables = (trial_table("Features switched on in curtains", trials),)
     diagram = bars("curtains", "Features that curtains leave out", trials)
-    return Section("Curtains", text, tables, (diagram,), conclusion)
+    return Section("Curtains", text, tables, (diagram,), verdict(trials))
 
 
-def problem_of(law: MembraneLaw, hung: str, cells: int, load: dict[str, Any] | None = None, **solver: Any) -> Problem:
+def problem_of(
+    law: MembraneLaw, hung: str, cells: int, load: dict[str, Any] | None = None, **solver: Any
+) -> CurtainProblem:
     """A square metre of ring mesh; `hung` by which support, live `load`, keys of [solver]."""
-    support = {"kind": "corners", "gather": 0.5} if hung == "gathered" else hung
-    scene = read_scene(square(cells, support, load=load or {}, solver=solver))
+    scene = read_scene(square(cells, hung, load=load or {}, solver=solver))
     return make_problem(scene, law, build_mesh(scene, law.cell))
 
 
 def compared(
-    feature: str, hung: str, calls: Sequence[Answer], problem: Problem, unit: str = "mm", default: str = LEFT_OUT
+    feature: str, hung: str, calls: Sequence[Answer], problem: CurtainProblem, unit: str = "mm", default: str = LEFT_OUT
 ) -> Row:
     """The calls without and with a feature, by the numbers they return: mean heights in mm, or relative potentials."""
     (plain, found), seconds = zip(*(least_seconds(call, long=3.0) for call in calls), strict=True)
@@ -91,20 +74,20 @@ def compared(
     return trial(feature, scene, seconds, change, tolerance, unit, default, ok=plain[0] and found[0])
 
 
-def height(problem: Problem, options: CurtainOptions = CURTAIN) -> tuple[bool, float]:
+def height(problem: CurtainProblem, options: CurtainOptions = CURTAIN) -> tuple[bool, float]:
     """Whether the curtain converges, and its mean height."""
     found = solve_problem(problem, options=options)
     return found.status == "converged", found.mean_height()
 
 
-def rigid(problem: Problem, options: PathOptions = PATH) -> PathResult:
+def rigid(problem: CurtainProblem, options: PathOptions = PATH) -> PathResult:
     """Ideal locking with these options, in the plane or in space."""
     fem, start = problem.fem, gathered_start(problem)
-    load = fem.gather(problem.force) + fem.force(spread_tension(problem) * unit_tensors(problem))
+    load = fem.gather(problem.force) + fem.force(stabilising_tension(problem) * unit_tensors(problem))
     return solve_path(fem, problem.law, load, fem.unknowns(start), problem.mesh.size, options)
 
 
-def rigid_height(problem: Problem) -> tuple[bool, float]:
+def rigid_height(problem: CurtainProblem) -> tuple[bool, float]:
     """Whether the rigid curtain converges, and its mean height."""
     area = load_vector(problem.disc, np.array([1.0]))[:, 0]
     found = rigid(problem)
@@ -121,7 +104,7 @@ def third_coordinate(law: MembraneLaw, hung: str, cells: int, load: dict[str, An
 
 def all_half_spaces(law: MembraneLaw, cells: int) -> Row:
     """All half-spaces of the law from the start, by the potential."""
-    facets, points = facets_of(law), problem_of(law, "corners", cells).disc.n_points
+    facets, points = law.facets(), problem_of(law, "corners", cells).disc.n_points
     assert facets is not None
     every = replace(KEEP_IDLE, cones=same_cones(facets, points))
     return by_option(law, "all-half-spaces", cells, PATH, every)
@@ -157,34 +140,3 @@ def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, 
         USED if with_it == PathOptions() else LEFT_OUT,
     )
     return compared(feature, "corners", calls, problem, "of the potential", default)
-
-
-def step_row(law: MembraneLaw, cells: int, corrector: bool) -> Row:
-    """Steps and time of the cone solver with or without the correction to second order."""
-    problem = problem_of(law, "corners", cells)
-    found, seconds = least_seconds(partial(rigid, problem, PathOptions(corrector=corrector)))
-    row = {"points": problem.disc.n_points, "corrector": corrector, "status": found.status}
-    return row | {"steps": found.iterations, "s": seconds}
-
-
-def slack_row(law: MembraneLaw, kind: str, cells: int) -> Row:
-    """The cost of slack cells in an elastic curtain: their share of the area, and of the time of law and assembly."""
-    problem = problem_of(law, kind, cells, kind="elastic")
-    found, of = profiled(lambda: solve_problem(problem))
-    share = float(np.mean(problem.law.response(found.E).energy == 0.0))
-    time = sum(of(name, "macro_fem")[1] for name in ("law_cut", "stiffness", "response"))
-    row = {
-        "supports": kind,
-        "status": found.status,
-        SLACK: 100.0 * share,
-        SHARE: 100.0 * time,
-        SAVED: 100.0 * share * time,
-    }
-    return row | dict(zip(LAW_TIMES, _law_time(problem, found), strict=True))
-
-
-def _law_time(problem: Problem, found: CurtainSolution, count: int = 20_000) -> list[float]:
-    """Microseconds of the law per point where it is slack and where it is taut: the answer, moved in, out."""
-    E = np.resize(found.E, (count, 3))
-    inside, outside = E - np.array([0.5, 0.0, 0.5]), E + np.array([1e-3, 0.0, 1e-3])
-    return [1e6 * least_seconds(partial(problem.law.cut, E))[1] / count for E in (inside, outside)]

@@ -5,18 +5,18 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.frame import Section, table
+from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import LEFT_OUT, USED, bars, trial, trial_table, verdict
-from benchmarks.omissions.motion import CHANGE, TOLERANCE
+from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
-from benchmarks.report.measure import Row, least_seconds
-from benchmarks.report.records import Section, table
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
-from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE
+from rve.geometry.weave import SIX_IN_ONE
 
 FORCED = ("asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature")
 CELLS = {
@@ -25,7 +25,6 @@ CELLS = {
     "6-in-1, r1/r2 = 8": Cell(5.0, 0.625, SIX_IN_ONE),
 }
 THIN = {"4-in-1, r1/r2 = 30": Cell(5.0, 5.0 / 30.0)}
-BELOW = (1.0, 1e-2, 1e-3)
 GAP = "gap of unlisted pairs, r1"
 
 
@@ -43,23 +42,14 @@ def measure(full: bool) -> Section:
         "reports their distance and lists them where they would overlap. `idle-curvature`: contacts without force "
         "have no curvature in the Jacobian."
     )
-    bent = curvature_rows(s)
-    first, *later = (row["iterations"] for row in bent)
-    conclusion = (
-        f"{verdict(trials)} Contact curvature far from equilibrium is not left out: without it above mu = {BELOW[1]:g} "
-        f"and {BELOW[2]:g} the solver takes {later[0] / first:.2f} and {later[1] / first:.2f} times the iterations."
-    )
     met = [met_row(name, cells[name], found) for name, (found, _) in plain.items()]
     met_note = "The last column is a lower bound where centres are too far apart to touch."
-    bent_note = f"{len(given[0])} loads with beta > 0, r1/r2 = 10, all coordinates. mu falls from 0.03 to 1e-13."
-    small = {"curvature below mu": "g", "s": ".3f timed", CHANGE: "at_most 1e-14"}
     tables = (
         trial_table("Features switched on in the direct solver", trials),
         table("What the solver met", met, {GAP: ".3f"}, met_note),
-        table("Contact curvature far from equilibrium", bent, small, bent_note),
     )
     diagram = bars("rings", "Features that locked rings leave out", trials)
-    return Section("Pairs, symmetry and curvature of rings", text, tables, (diagram,), conclusion)
+    return Section("Pairs and symmetry of rings", text, tables, (diagram,), verdict(trials))
 
 
 def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
@@ -90,17 +80,3 @@ def met_row(name: str, cell: Cell, found: Equilibrium) -> Row:
     row = {"cell": name, "converged": (found.status == "converged").sum()}
     row |= {"listed pairs in reach": f"{near.min()} to {near.max()} of {len(cell.weave.pairs)}"}
     return row | {GAP: unlisted_gap(found.pose, cell.weave, cell.wire).min()}
-
-
-def curvature_rows(s: Array) -> list[Row]:
-    """Contact curvature in the Jacobian only below some mu: iterations and time."""
-    equations, rows, first = Equations.of(FOUR_IN_ONE, 0.1), [], None
-    for below in BELOW:
-        options = replace(DirectOptions(), curvature_below=below)
-        found, seconds = least_seconds(partial(solve_equilibrium, s, equations, options), long=3.0)
-        first = first or found
-        good = (found.status == "converged") & (first.status == "converged")
-        change = np.abs(found.pose.lattice - first.pose.lattice)[good].max()
-        row = {"curvature below mu": below, "converged": good.sum(), "iterations": int(found.iterations.sum())}
-        rows.append(row | {"s": seconds, CHANGE: change})
-    return rows

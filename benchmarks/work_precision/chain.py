@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.frame import Diagram, Section, Table, curves, table
+from benchmarks.measure import Row, decade, ladder, least_seconds, signed
 from benchmarks.problems import loads
-from benchmarks.report.measure import Row, decade, ladder, least_seconds, signed
-from benchmarks.report.records import Diagram, Section, Table, curves, table
 from benchmarks.work_precision.curtain import corner_height, reference_height
 from examples.curtain import SETTINGS, Setting, extrapolated
 from homogenize.fitting.fit import FitOptions, fit
@@ -145,7 +145,7 @@ def parts_table(rows: Sequence[Row], doubt: float) -> Table:
         "Seconds: of the table for contact and table, of the curtain for law and mesh. The limit of the meshes is "
         f"known to {doubt / HEIGHT:.0e}."
     )
-    return table("Parts", shown, {"s": ".2f timed"}, note)
+    return table("Parts", shown, {"s": ".2f"}, note)
 
 
 def measure(full: bool) -> Section:
@@ -159,7 +159,7 @@ def measure(full: bool) -> Section:
     forms = {
         "error of table and law": f"decade {LEAST}",
         "error of the answer": f"decade {LEAST}",
-        SECONDS: ".1f timed",
+        SECONDS: ".1f",
     }
     note = f"Reference: {reference:.2f} mm, with the law of 2.5 degrees."
     recommended = table("Recommended: `examples/curtain.py --accuracy`", settings, forms, note)

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report.measure import Row, count_of, decade, ladder
-from benchmarks.report.records import Diagram, Section, curves, table
+from benchmarks.frame import Diagram, Section, curves, table
+from benchmarks.measure import Row, count_of, decade, ladder
+from benchmarks.work_precision.projection import alternating_projection
 from rve.geometry.circles import are_linked, local_minima, tangent_frame
-from rve.paper.alternating_projection import alternating_projection
 
 Array = NDArray[np.float64]
 REACH = 1.0
@@ -234,7 +234,7 @@ def degenerate_rows() -> list[Row]:
 
 TEXT = f"""Rings as circles of radius 1. A contact search has to find **every** local minimum of the distance below
 {REACH:g}: linked rings touch in two places. Newton (`rve.geometry.circles`, the default) samples ring A and refines
-each valley with a second-order iteration; alternating projection (`rve.paper.alternating_projection`) is the paper's,
+each valley with a second-order iteration; alternating projection is the paper's,
 from two starts; brute force takes the lowest samples."""
 
 
@@ -256,6 +256,6 @@ def measure(full: bool) -> Section:
     every = curves(rows, "method", "_error", "_s")
     diagram = Diagram("contact", title, "largest error of a gap found / r1", "s per pair", every)
     note = "Reference: minima by 4096 samples and golden sections, which share no code with Newton's search."
-    forms = {ERROR: "decade 1e-13", BATCH: "timed", "us per pair alone": "timed"}
+    forms = {ERROR: "decade 1e-13", BATCH: ".3g", "us per pair alone": ".3g"}
     tables = (table("1000 random linked pairs", rows, forms, note), table("Degenerate pairs", named))
     return Section("Contact search", TEXT, tables, (diagram,), conclusion)

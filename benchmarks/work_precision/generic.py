@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, minimize
 
 from rve.equilibrium.system import Equations
-from rve.geometry.circles import distance_gradient, local_minima, tangent_frame
+from rve.geometry.circles import local_minima, tangent_frame
+from rve.geometry.distance import distance_gradient
 from rve.geometry.pose import Pose, pair_geometry, start_pose
 
 Array = NDArray[np.float64]

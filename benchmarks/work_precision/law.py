@@ -7,13 +7,14 @@ from functools import partial
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
+from benchmarks.frame import Diagram, Section, Table, curves, table
+from benchmarks.measure import Row, least_seconds
 from benchmarks.problems import loads
-from benchmarks.report.measure import Row, least_seconds
-from benchmarks.report.records import Diagram, Section, Table, curves, table
 from homogenize.fitting import refine
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.fit import STATED_STIFFNESS, builder, cell_of
+from homogenize.fitting.fit import builder, cell_of
 from homogenize.fitting.rows import rows_from_table
+from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.projection import ProjectionError
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain import locked_strain
@@ -36,7 +37,7 @@ POINTS = 50_000
 
 H_MOST, H_MEAN, E_MOST, E_MEAN = "h: largest error", "h: mean", "E: largest error", "E: mean"
 ABOVE = f"E above {LIMIT:.0e}"
-FORMS = {H_MOST: ".1e", H_MEAN: ".1e", E_MOST: ".1e", E_MEAN: ".1e", ABOVE: ".1%", "s for the fit": ".2g timed"}
+FORMS = {H_MOST: ".1e", H_MEAN: ".1e", E_MOST: ".1e", E_MEAN: ".1e", ABOVE: ".1%", "s for the fit": ".2g"}
 
 
 def unseen_directions(count: int, seed: int = SEED) -> StrainTable:
@@ -127,7 +128,7 @@ def spacing_table(rows: Sequence[Row]) -> Table:
         "near 0 and 90 and alpha beyond 30, and 5 degrees elsewhere. `resolution` (`homogenize fit --resolution`) is "
         "the difference of h above which a half-space is added. The bounds need no reference."
     )
-    forms = FORMS | {"outer less inner bound": ".1e", "s for the table": "timed"}
+    forms = FORMS | {"outer less inner bound": ".1e", "s for the table": ".3g"}
     return table("Refined law: error against the rows of its table", rows, forms, note)
 
 
@@ -163,7 +164,7 @@ def kind_table(rows: Sequence[Row], source: StrainTable, unseen: StrainTable) ->
         f"interpolated over the two angles of the 5 degree table: {'; '.join(plain)} {LIMIT:.0e}."
     )
     title = "Kinds of law from 190 rows: error against size and time"
-    return table(title, rows, FORMS | {"us per point": ".2g timed"}, note)
+    return table(title, rows, FORMS | {"us per point": ".2g"}, note)
 
 
 def speed_table(laws: dict[str, tuple[MembraneLaw, Array]]) -> Table:
@@ -173,7 +174,7 @@ def speed_table(laws: dict[str, tuple[MembraneLaw, Array]]) -> Table:
         | {name: 1e-6 / seconds_per_point(law, E, offset) for name, (law, E) in laws.items()}
         for offset in OFFSETS
     ]
-    forms = {"offset beyond the surface": ".0e"} | dict.fromkeys(laws, ".2f timed")
+    forms = {"offset beyond the surface": ".0e"} | dict.fromkeys(laws, ".2f")
     return table("Response, million points per second", rows, forms)
 
 

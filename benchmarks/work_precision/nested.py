@@ -16,14 +16,15 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.frame import Diagram, Section, curves, table
+from benchmarks.measure import Row, decade, least_seconds
 from benchmarks.problems import loads, square
-from benchmarks.report.measure import Row, decade, least_seconds
-from benchmarks.report.records import Diagram, Section, curves, table
-from homogenize import CellInfo, MembraneLaw, Rows, law_interval
+from homogenize import CellInfo, LockedRows, MembraneLaw, law_interval
 from homogenize.fitting.fit import FitOptions, fit
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.loop import DemandOptions, solve_on_demand
+from macro_fem.demand.loop import solve_on_demand
+from macro_fem.demand.record import DemandOptions
 from macro_fem.demand.ring_answers import first_directions, ring_info, rounded
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, read_scene
@@ -84,7 +85,7 @@ def nested(cell: Cell, cells: int) -> Nested:
     return Nested(found.mean_height(), solves, rounds, left)
 
 
-def answered(cell: Cell, x: Array, before: Rows | None) -> Rows:
+def answered(cell: Cell, x: Array, before: LockedRows | None) -> LockedRows:
     """Rows with those of the load directions x (n, 2), each with the largest work that any known state does.
 
     ValueError if a ring problem is not solved.
@@ -98,7 +99,7 @@ def answered(cell: Cell, x: Array, before: Rows | None) -> Rows:
     if before is not None:
         columns.insert(0, (before.S, before.E, before.h, before.unique))
     S, E, h, unique = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    return law_interval(Rows(S, E, h, unique, np.arange(len(S)), is_mirrored=cell.weave.is_mirrored)).rows
+    return law_interval(LockedRows(S, E, h, unique, np.arange(len(S)), is_mirrored=cell.weave.is_mirrored)).rows
 
 
 def by_table(cell: Cell, cells: int, directions: tuple[Array, Array], options: FitOptions) -> float:
@@ -148,7 +149,7 @@ def measure(full: bool) -> Section:
     rows = rows_of(Cell(r1=5.0, r2=0.5), cells, accuracies)
     points = curtain_points(cells)
     shown = [{key: value for key, value in row.items() if not key.startswith("_")} for row in rows]
-    forms = {SECONDS: ".1f timed", ERROR: f"decade {CLOSED}", "interval, law and mesh / height": ".1e"}
+    forms = {SECONDS: ".1f", ERROR: f"decade {CLOSED}", "interval, law and mesh / height": ".1e"}
     note = (
         f"{points} points of the law. Error: against the nested scheme on the same mesh; its own is what further "
         "rounds could change. On demand the seconds include the finer meshes of its interval."

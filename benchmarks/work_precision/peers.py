@@ -1,29 +1,21 @@
-"""The same cell and load in two other solvers, run through their public interfaces: Yade and MuJoCo.
+"""The same cell and load in another solver, run through its public interface: MuJoCo.
 
-Both get our slack pose and a load along the cell's axes (alpha = 0), where the cell stays a rectangle. Yade makes rings
-of spheres in its periodic cell, which follows the stress. MuJoCo has no periodic cells: the ten rings of the paper are
-held by joints, and equality constraints tie ring (i, j) to i times one lattice joint and j times the other, so that the
-line load acts on the current cell through those two joints. Contacts are MuJoCo's own, of its exact torus
-(`mujoco.sdf.torus`) or of closed polygons of capsules, as stiff as it allows.
+It gets our slack pose and a load along the cell's axes (alpha = 0), where the cell stays a rectangle. MuJoCo has no
+periodic cells: the ten rings of the paper are held by joints, and equality constraints tie ring (i, j) to i times one
+lattice joint and j times the other, so that the line load acts on the current cell through those two joints. Contacts
+are MuJoCo's own, of its exact torus (`mujoco.sdf.torus`) or of closed polygons of capsules, as stiff as it allows.
 """
 
 import importlib.util
 import itertools
-import json
 import math
-import shutil
-import subprocess
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from rve.geometry.cell import Cell
 
-YADE_SCRIPT = Path(__file__).with_name("yade_cell.py")
-PATIENCE = 600.0
-"""Seconds of wall time that Yade gets."""
 TORUS = (
     '<extension><plugin plugin="mujoco.sdf.torus"><instance name="torus"><config key="radius1" value="{r1}"/>'
     '<config key="radius2" value="{r2}"/></instance></plugin></extension>'
@@ -42,9 +34,6 @@ class PeerAnswer:
     steps: int
 
 
-NONE = PeerAnswer("", math.nan, math.nan, math.nan, 0)
-
-
 @dataclass(frozen=True)
 class MujocoOptions:
     """`capsules` per ring, 0 for the torus; the run ends at rest (lattice speed below `rest` mm/s) or after `steps`.
@@ -61,47 +50,9 @@ class MujocoOptions:
     sdf_iterations: int = 10
 
 
-def yade_command() -> str | None:
-    """Where Yade is, or None."""
-    return shutil.which("yade") or shutil.which("yade-batch")
-
-
 def has_mujoco() -> bool:
     """Whether MuJoCo is installed."""
     return importlib.util.find_spec("mujoco") is not None
-
-
-def run_yade(cell: Cell, stress: tuple[float, float], spheres: int, tolerance: float, folder: Path) -> PeerAnswer:
-    """The cell in Yade under true stresses along x and y in the ratio `stress`, to a relative `tolerance` on them.
-
-    Without an answer the status says why and the numbers are nan; RuntimeError where Yade is not installed. Yade may
-    leave files in `folder`.
-    """
-    command = yade_command()
-    if command is None:
-        raise RuntimeError("yade is not installed")
-    size = 500.0 / math.hypot(*stress)
-    asked = {
-        "spheres": spheres,
-        "r1": cell.r1,
-        "r2": cell.r2,
-        "lattice": [float(x) * cell.r1 for x in cell.weave.start_lattice[:2]],
-        "tilt": _tilt(cell, 0),
-        "young": 1e8,
-        "stress": [size * part for part in stress],
-        "tolerance": tolerance,
-        "steps": 600_000,
-    }
-    call = [command, "-x", "-n", "-j1", str(YADE_SCRIPT), json.dumps(asked)]
-    try:
-        said = subprocess.run(call, capture_output=True, text=True, check=False, timeout=PATIENCE, cwd=folder)
-    except subprocess.TimeoutExpired:
-        return replace(NONE, status=f"no answer in {PATIENCE:g} s")
-    lines = [line for line in said.stdout.splitlines() if line.startswith("RESULT ")]
-    if not lines:
-        return replace(NONE, status=f"ended with code {said.returncode}")
-    found = json.loads(lines[0].removeprefix("RESULT "))
-    return PeerAnswer(found["status"], found["x2"], found["y3"], found["seconds"], found["steps"])
 
 
 def run_mujoco(cell: Cell, stress: tuple[float, float], options: MujocoOptions) -> PeerAnswer:

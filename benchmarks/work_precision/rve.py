@@ -1,21 +1,19 @@
 """Section `rve`: error of the locked strain against processor time, by every method on the same cell and loads."""
 
 import importlib.util
-import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.frame import Curve, Diagram, Section, Table, curves, table
+from benchmarks.measure import Row, decade, ladder
 from benchmarks.problems import loads as paper_loads
-from benchmarks.report.measure import Row, decade, ladder
-from benchmarks.report.records import Curve, Diagram, Section, Table, curves, table
 from benchmarks.work_precision import peers
 from benchmarks.work_precision.generic import SOLVERS, Programme
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
@@ -188,7 +186,7 @@ def generic_runs(given: Problem, full: bool) -> list[Row]:
 
 
 def peer_runs(given: Problem, full: bool) -> list[Row]:
-    """Yade and MuJoCo under `PEER_CASE`. `given` holds that load alone."""
+    """MuJoCo under `PEER_CASE`. `given` holds that load alone."""
     load = float(given.s[0, 0]), float(given.s[0, 2])
 
     def judge(answer: peers.PeerAnswer, _: float) -> Row:
@@ -197,18 +195,12 @@ def peer_runs(given: Problem, full: bool) -> list[Row]:
         unit = "steps" if answer.status == "converged" else f"steps ({answer.status})"
         return cells(errors, np.array([True]), answer.seconds, answer.steps, unit)
 
-    spheres = ((48, 1e-2), (96, 1e-2), (96, 1e-3), (192, 1e-3)) + ((384, 1e-3),) * full
     capsules = {f"{n} capsules": peers.MujocoOptions(n, 20_000) for n in (24, 48, 96, 192) + (384,) * full}
     steps = ((0.05, 1000), (0.02, 2000), (0.01, 4000)) + ((0.005, 16_000),) * full
     torus = {f"step {dt} s, {n} steps": peers.MujocoOptions(0, n, dt) for dt, n in steps}
-    rows = absent("Yade", "apt-get install yade") if peers.yade_command() is None else []
-    with tempfile.TemporaryDirectory() as folder:
-        if not rows:
-            yade = partial(peers.run_yade, given.cell, load, folder=Path(folder))
-            rungs = {f"{n} spheres, stress to {tol:.0e}": partial(yade, spheres=n, tolerance=tol) for n, tol in spheres}
-            rows += ladder("Yade, spheres", rungs, judge, long=0.0)
     if not peers.has_mujoco():
-        return rows + absent("MuJoCo", "pip install mujoco")
+        return absent("MuJoCo", "pip install mujoco")
+    rows: list[Row] = []
     for name, settings in (("MuJoCo, capsules", capsules), ("MuJoCo, torus", torus)):
         calls = {setting: partial(peers.run_mujoco, given.cell, load, options) for setting, options in settings.items()}
         rows += ladder(name, calls, judge, long=0.0)
@@ -232,7 +224,7 @@ def reference_table(given: Problem, other: Row) -> Table:
 
 def run_table(title: str, rows: Sequence[Row], note: str = "") -> Table:
     """The runs."""
-    forms = {ERROR: "decade", "ms per case": "timed", "s for 190 cases": "timed", "work per case": ".0f"}
+    forms = {ERROR: "decade", "ms per case": ".3g", "s for 190 cases": ".3g", "work per case": ".0f"}
     return table(title, rows, forms, note)
 
 
@@ -278,7 +270,7 @@ def measure(full: bool) -> Section:
         run_table("Six loads: direct, and the scheme of the paper", [*alone, *damped]),
         run_table("190 loads in one batch", [*batch, *moved], NOT_UNIQUE),
         run_table("Six loads: solvers of nonlinear programmes", others),
-        run_table(f"The load {PEER_CASE}: rings in Yade and MuJoCo", strange),
+        run_table(f"The load {PEER_CASE}: rings in MuJoCo", strange),
     )
     every = curves_of([*alone, *batch, *moved, *damped, *others, *strange])
     title = "Locked strain: error against time, one load case"
@@ -298,9 +290,9 @@ of the reference; of the generic solvers only the error counts.
   At finite k contacts are compliant: the error is of order 1/k, and two stiffnesses extrapolate to rigid contact.
 * **SLSQP, trust-constr, IPOPT**: maximise S:E with all gaps >= 0, with exact first derivatives and the load S of the
   answer. They start from the slack pose, or from the answer moved by up to 0.02 in each coordinate.
-* **Yade** (eight rings, periodic cell with stress control, frictionless spheres) and **MuJoCo** (the ten rings of the
-  paper tied to two lattice joints; its own torus, or capsules) start from our slack pose under the load {PEER_CASE}.
-  The strain of the cell's sides at rest is compared. Their time is the solver's processor time without start-up."""
+* **MuJoCo** (the ten rings of the paper tied to two lattice joints; its own torus, or capsules) starts from our slack
+  pose under the load {PEER_CASE}. The strain of the cell's sides at rest is compared. Its time is the solver's
+  processor time without start-up."""
 
 
 def about_scheme(alone: Row, batch: Sequence[Row], damped: Sequence[Row], published: Row) -> str:

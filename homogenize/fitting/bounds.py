@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homogenize.fitting.rows import Rows, with_mirror
+from homogenize.fitting.rows import LockedRows, with_mirror
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
 from homogenize.laws.protocol import CellInfo
 from homogenize.laws.vertices import highest, outer_vertices
@@ -20,7 +20,7 @@ from rve.common.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class SupportBounds:
     """Vertices of the inner hull and of the outer polyhedron, as strains: inner (k, 3), outer (m, 3)."""
 
     inner: Array
@@ -35,25 +35,25 @@ class Bounds:
         return highest(S, self.outer)
 
 
-def bounds_of(rows: Rows) -> Bounds:
+def bounds_of(rows: LockedRows) -> SupportBounds:
     """Inner and outer bound of the convex set behind the rows, mirror images included.
 
     InputError if the half-spaces do not bound the strain under tension (all loads along one direction, for instance).
     """
     both = with_mirror(rows)
-    return Bounds(both.E, outer_vertices(both.S, both.h))
+    return SupportBounds(both.E, outer_vertices(both.S, both.h))
 
 
 RIM = 720
 
 
-def outer_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+def outer_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
     """The rows' half-spaces and their mirror images."""
     both = with_mirror(rows)
     return polyhedral_law(both.S, both.h, stiffness, cell)
 
 
-def inner_law(rows: Rows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
+def inner_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
     """The hull of the rows' strains minus the tensile cone; between two rim loads it is passed by less than 1e-5."""
     from scipy.spatial import ConvexHull
 

@@ -7,36 +7,36 @@ import platform
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.refine import FINEST, RESOLUTION, RefineOptions, refined_half_spaces
+from homogenize.fitting.refine import RESOLUTION, RefineOptions, Resolution, refined_half_spaces
 from homogenize.fitting.report import error_report, sampled_cone
-from homogenize.fitting.rows import NORMALITY_TOLERANCE, Rows, normality, rows_from_table, rows_to_dict
+from homogenize.fitting.rows import NORMALITY_TOLERANCE, LockedRows, normality, rows_from_table, rows_to_dict
 from homogenize.fitting.stiffness import stiffness_by_direction, stiffness_of
-from homogenize.io import Law
-from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
+from homogenize.laws.net import ring_cell, ring_net
 from homogenize.laws.polyhedral import polyhedral_law
 from homogenize.laws.protocol import CellInfo
 from homogenize.laws.report import ErrorReport
+from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
 from rve.common.errors import InputError
 from rve.common.notebook import as_html
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import Options, choice, number
 
 if TYPE_CHECKING:
     from rve import StrainTable
 
-DEFAULT_KIND = "refined"
-KINDS = ("inner", "net", "outer", "refined")
+Builder = Callable[[LockedRows], StoredLaw]
 
 
 @dataclass(frozen=True)
-class FitOptions(Options):
+class FitOptions(Typed):
     """`kind` of law; `normality`: tolerated violation of S_i:(E_i - E_j) >= 0, the strain error of the table if noisy.
 
     `resolution`: support differences that are worth a half-space of the refined law. A finer one makes smaller facets,
@@ -44,21 +44,21 @@ class FitOptions(Options):
     InputError for values out of range.
     """
 
-    kind: str = choice(*KINDS, default=DEFAULT_KIND)
-    normality: float = number(NORMALITY_TOLERANCE, least=0.0, most=1.0)
-    resolution: float = number(RESOLUTION, least=FINEST, most=1.0)
+    kind: Literal["inner", "net", "outer", "refined"] = "refined"
+    normality: Annotated[float, Meta(ge=0.0, le=1.0)] = NORMALITY_TOLERANCE
+    resolution: Resolution = RESOLUTION
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.resolution != RESOLUTION and self.kind != DEFAULT_KIND:
-            raise InputError(f"resolution = {self.resolution}: belongs to kind {DEFAULT_KIND!r}, not {self.kind!r}")
+    def check(self) -> None:
+        """BadField for a resolution of a law that has none."""
+        if self.resolution != RESOLUTION and self.kind != "refined":
+            self.refuse(f"resolution = {self.resolution}: belongs to kind 'refined', not {self.kind!r}")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """The law and what is known of its error. The law carries its report and provenance into its file."""
 
-    law: Law
+    law: StoredLaw
     report: ErrorReport
 
     @property
@@ -73,33 +73,32 @@ class FitResult:
     def __str__(self) -> str:
         return self.report.text()
 
+    __repr__ = __str__
+
     def _repr_html_(self) -> str:
         """What a notebook shows: the law and its error, and what is known of its strength."""
         strength = () if self.law.strength is None else (self.law.strength.text(),)
         return as_html(self.law, lines=(*self.report.text().splitlines(), *strength))
 
 
-def fit_table(path: str | Path, options: FitOptions | None = None, *, stated_stiffness: bool = False) -> FitResult:
-    """Fits a law to the table file `path`; InputError (or the reader's TableError) says what is wrong with it.
-
-    `stated_stiffness`: see `fit`.
-    """
+def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
+    """Fits a law to the table file `path`; InputError (or the reader's TableError) says what is wrong with it."""
     from rve import read_table
 
     path = Path(path)
     table = read_table(path)
     try:
-        result = fit(table, options, stated_stiffness=stated_stiffness)
+        result = fit(table, options)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     source = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     return replace(result, law=replace(result.law, provenance=result.provenance | {"table": source}))
 
 
-def fit(table: StrainTable, options: FitOptions | None = None, *, stated_stiffness: bool = False) -> FitResult:
+def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     """Fits a law to a table in memory; InputError if the rows contradict each other or do not bound the strain.
 
-    The stiffness is that of the table's compliance if it has one and not `stated_stiffness`, else 1000 N/mm.
+    The stiffness is that of the table's compliance if it has one, else 1000 N/mm.
     """
     options = options or FitOptions()
     rows = rows_from_table(table)
@@ -107,7 +106,7 @@ def fit(table: StrainTable, options: FitOptions | None = None, *, stated_stiffne
     if not found.holds:
         raise InputError(found.sentence())
     cell = cell_of(table)
-    stiffness, origin = stiffness_of(replace(table, compliance=None) if stated_stiffness else table, STATED_STIFFNESS)
+    stiffness, origin = stiffness_of(table)
     build = builder(options.kind, cell, stiffness, options.resolution)
     law = replace(build(rows), strength=strength_of_table(table))
     refit = None if options.kind == "net" else build  # the net does not depend on the rows
@@ -126,9 +125,9 @@ def fit(table: StrainTable, options: FitOptions | None = None, *, stated_stiffne
     return FitResult(replace(law, provenance=provenance | {"report": report.to_dict()}), report)
 
 
-def builder(kind: str, cell: CellInfo, stiffness: Array, resolution: float = RESOLUTION) -> Callable[[Rows], Law]:
+def builder(kind: str, cell: CellInfo, stiffness: Array, resolution: float = RESOLUTION) -> Builder:
     """The function that makes a law of this kind from rows; `resolution` belongs to the refined law (`FitOptions`)."""
-    kinds: dict[str, Callable[[Rows], Law]] = {
+    kinds: dict[str, Builder] = {
         "refined": lambda rows: polyhedral_law(
             *refined_half_spaces(rows, RefineOptions.of(resolution)), stiffness, cell
         ),

@@ -10,24 +10,27 @@ disc, closely, because a polyhedron carries no load outside the hull of its norm
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from homogenize.fitting.bounds import Bounds, bounds_of
-from homogenize.fitting.rows import ROUNDING, Rows, with_mirror
+from homogenize.fitting.bounds import SupportBounds, bounds_of
+from homogenize.fitting.rows import ROUNDING, LockedRows, with_mirror
 from rve.common.tensor import disc, double_dot, from_disc, mirror
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import Options, number, whole
 
 Index = NDArray[np.intp]
 RIM_TOLERANCE = 1e-7
 RESOLUTION, FINEST = 3e-5, 1e-7
 """Default and least resolution; the least gives a hundred thousand half-spaces and more."""
+Resolution = Annotated[float, Meta(ge=FINEST, le=1.0)]
 
 
 @dataclass(frozen=True)
-class RefineOptions(Options):
+class RefineOptions(Typed):
     """How many half-spaces are predicted between the rows; InputError for values out of range.
 
     resolution: a prediction less than this strain below the rows' outer bound is left out, because the rows meet in a
@@ -39,12 +42,12 @@ class RefineOptions(Options):
     loads; at 2.5 the hull of the normals misses the rim by 2.4e-4 of the load.
     """
 
-    resolution: float = number(RESOLUTION, least=FINEST, most=1.0)
-    fine: float = number(1e-4, above=0.0, most=10.0)
-    most_parts: int = whole(10, least=3, most=10_000)
-    coarse: float = number(2e-3, above=0.0, most=1.0)
-    share: float = number(0.2, least=0.0, most=1.0)
-    rim_step_deg: float = number(2.5, least=0.01, most=180.0)
+    resolution: Resolution = RESOLUTION
+    fine: Annotated[float, Meta(gt=0.0, le=10.0)] = 1e-4
+    most_parts: Annotated[int, Meta(ge=3, le=10_000)] = 10
+    coarse: Annotated[float, Meta(gt=0.0, le=1.0)] = 2e-3
+    share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2
+    rim_step_deg: Annotated[float, Meta(ge=0.01, le=180.0)] = 2.5
 
     @staticmethod
     def of(resolution: float) -> RefineOptions:
@@ -87,7 +90,7 @@ class Nodes:
         return best
 
 
-def nodes_of(rows: Rows) -> Nodes:
+def nodes_of(rows: LockedRows) -> Nodes:
     """The distinct loads of the rows and their mirror images."""
     both = with_mirror(rows)
     key = np.round(both.S / ROUNDING).astype(np.int64)
@@ -95,7 +98,7 @@ def nodes_of(rows: Rows) -> Nodes:
     return Nodes(disc(both.S[first]), both.h[first], both.E, of_row.ravel())
 
 
-def refined_half_spaces(rows: Rows, options: RefineOptions | None = None) -> tuple[Array, Array]:
+def refined_half_spaces(rows: LockedRows, options: RefineOptions | None = None) -> tuple[Array, Array]:
     """Half-spaces S (m, 3), h (m,): those of the rows, their mirror images, and predictions between neighbours.
 
     Predictions that tell nothing new (`RefineOptions.resolution`) are left out, except on the rim.
@@ -119,7 +122,7 @@ def refined_half_spaces(rows: Rows, options: RefineOptions | None = None) -> tup
     return np.vstack([from_disc(nodes.x), S]), np.concatenate([nodes.h, h])
 
 
-def coarse_lattice(nodes: Nodes, triangles: Index, bounds: Bounds, options: RefineOptions) -> Array:
+def coarse_lattice(nodes: Nodes, triangles: Index, bounds: SupportBounds, options: RefineOptions) -> Array:
     """Loads (k, 2) on a lattice in every triangle in which the bounds are far apart; finer, the farther."""
 
     def gap(x: Array) -> Array:
@@ -169,7 +172,7 @@ def in_triangles(nodes: Nodes, triangles: Index) -> tuple[Array, Array]:
     return nodes.x[triangles].mean(axis=1), (corners + 3.0 * beside + 6.0 * middle) / 27.0
 
 
-def on_chords(nodes: Nodes, pairs: Index, bounds: Bounds, options: RefineOptions) -> tuple[Array, Array]:
+def on_chords(nodes: Nodes, pairs: Index, bounds: SupportBounds, options: RefineOptions) -> tuple[Array, Array]:
     """Loads between the pairs as points of the disc (k, 2), and their predicted support (k,).
 
     The farther the bounds are apart half-way, the more loads: the error of the polyhedron between two of them falls

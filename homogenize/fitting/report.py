@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import Normality, Rows, with_mirror
+from homogenize.fitting.rows import LockedRows, Normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
 from rve.common.errors import InputError
@@ -39,7 +39,7 @@ def random_loads(count: int = DIRECTIONS, seed: int = SEED) -> Array:
 
 
 def error_report(
-    law: MembraneLaw, rows: Rows, found: Normality, refit: Callable[[Rows], MembraneLaw] | None
+    law: MembraneLaw, rows: LockedRows, found: Normality, refit: Callable[[LockedRows], MembraneLaw] | None
 ) -> ErrorReport:
     """The report of a law fitted to `rows`; `refit` fits the same kind to fewer rows, None skips that part."""
     bounds = bounds_of(rows)
@@ -59,7 +59,7 @@ def error_report(
     )
 
 
-def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw]) -> Misfit | None:
+def held_out_misfit(rows: LockedRows, refit: Callable[[LockedRows], MembraneLaw]) -> Misfit | None:
     """Every row left out once, with its neighbours kept; rows at the rim of the sampled cone stay in, they span it."""
     inner = np.flatnonzero(~on_hull(rows))
     if len(inner) < FOLDS:
@@ -78,14 +78,14 @@ def held_out_misfit(rows: Rows, refit: Callable[[Rows], MembraneLaw]) -> Misfit 
     return misfit_of(np.concatenate(S), np.concatenate(error))
 
 
-def on_hull(rows: Rows) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def on_hull(rows: LockedRows) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """True for rows whose load spans the sampled cone, (n,): corners of the hull of all loads in the disc."""
     polygon = sampled_cone(rows)
     x = disc(rows.S)
     return np.array([bool((np.abs(polygon - point).max(axis=1) < 1e-7).any()) for point in x])
 
 
-def sampled_cone(rows: Rows) -> Array:
+def sampled_cone(rows: LockedRows) -> Array:
     """Corners (k, 2) in the disc of the hull of all loads of the rows, mirror images included, in turn."""
     from scipy.spatial import ConvexHull, QhullError
 

@@ -7,16 +7,17 @@ is not unique only the value counts. Where the weave is its own mirror image, th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError
-from rve.common.records import Rows as Records
+from rve.common.records import Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
+from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
-from rve.common.values import shown
 
 if TYPE_CHECKING:
     from rve import StrainTable
@@ -26,10 +27,12 @@ Index = NDArray[np.int64]
 
 NORMALITY_TOLERANCE = 1e-8
 ROUNDING = 1e-9
+Component = Annotated[float, Meta(ge=-1e3, le=1e3)]
+Triples = Annotated[tuple[tuple[Component, Component, Component], ...], Meta(min_length=1, max_length=1_000_000)]
 
 
 @dataclass(frozen=True, eq=False)
-class Rows(Records):
+class LockedRows(Rows):
     """Sampled boundary of K+: S (n, 3) of unit trace, E (n, 3), h (n,) = S:E, `unique` (n,), row number `source` (n,).
 
     `dropped` says in words which rows of the table were left out and why; `is_mirrored` whether the weave is its own
@@ -78,7 +81,7 @@ class Normality:
         )
 
 
-def rows_from_table(table: StrainTable) -> Rows:
+def rows_from_table(table: StrainTable) -> LockedRows:
     """Hermite data of the converged rows of a table; row numbers count from 0 in the table's order.
 
     Failed rows, rows that are not tensile and exact duplicates are dropped by name. InputError if nothing is left.
@@ -101,7 +104,7 @@ def rows_from_table(table: StrainTable) -> Rows:
     dropped += [f"row {i}: the same load and strain as an earlier row" for i in keep[~first]]
     S, E, keep = S[first], E[first], keep[first]
     unique = np.asarray(table.unique, bool)[keep]
-    return Rows(S, E, double_dot(S, E), unique, keep, tuple(dropped), table.is_mirrored)
+    return LockedRows(S, E, double_dot(S, E), unique, keep, tuple(dropped), table.is_mirrored)
 
 
 def first_of_duplicates(S: Array, E: Array) -> Mask:
@@ -112,7 +115,7 @@ def first_of_duplicates(S: Array, E: Array) -> Mask:
     return first
 
 
-def with_mirror(rows: Rows) -> Rows:
+def with_mirror(rows: LockedRows) -> LockedRows:
     """The rows and their images under S12 -> -S12, E12 -> -E12, each once; the rows alone if the weave is chiral."""
     if not rows.is_mirrored:
         return rows
@@ -121,41 +124,54 @@ def with_mirror(rows: Rows) -> Rows:
     return rows.join([replace(image, S=mirror(image.S), E=mirror(image.E))])
 
 
-def rows_to_dict(rows: Rows) -> dict[str, Any]:
+def rows_to_dict(rows: LockedRows) -> dict[str, Any]:
     """Loads, strains and flags of the rows as plain lists for a file, and whether the weave is its own mirror image."""
     lists = {"S": rows.S.tolist(), "E": rows.E.tolist(), "unique": rows.unique.tolist()}
     return lists | {"is_mirrored": rows.is_mirrored}
 
 
-def rows_from_dict(data: Any) -> Rows:
-    """The rows that `rows_to_dict` wrote; InputError if they are not tensile loads with strains of a real cell."""
-    try:
-        S, E, unique = np.array(data["S"], float), np.array(data["E"], float), np.array(data["unique"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"needs lists S, E and unique of one length: {error}") from error
-    is_mirrored = data.get("is_mirrored", True)
-    if not isinstance(is_mirrored, bool):
-        raise InputError(f"is_mirrored = {shown(is_mirrored)}: must be true or false")
-    if not len(S) or S.shape != (len(S), 3) or E.shape != S.shape or unique.shape != (len(S),) or unique.dtype != bool:
-        raise InputError(
-            f"needs S (n, 3), E (n, 3) and n flags unique, got shapes {S.shape}, {E.shape} and {unique.shape}"
-        )
-    cell = eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
-    good = np.isfinite(S).all(axis=1) & np.isfinite(E).all(axis=1) & (np.abs(trace(S) - 1.0) < ROUNDING) & cell
-    good &= eigenvalues(S)[0] >= -ROUNDING
-    if not good.all():
-        i = int(np.argmin(good))
-        pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
-        raise InputError(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
-    return Rows(S, E, double_dot(S, E), unique, np.arange(len(S)), is_mirrored=is_mirrored)
+@dataclass(frozen=True)
+class RowEntries(Typed):
+    """What a law file holds of the rows: tensile loads S of unit trace, strains E of real cells, flags."""
+
+    S: Triples
+    E: Triples
+    unique: tuple[bool, ...]
+    is_mirrored: bool = True
+
+    def check(self) -> None:
+        """BadField for lists of different lengths and for rows that no cell can have."""
+        lengths = len(self.S), len(self.E), len(self.unique)
+        if len(set(lengths)) > 1:
+            self.refuse(f"S, E, unique: differ in length, {lengths}")
+        S, E = np.array(self.S), np.array(self.E)
+        good = (np.abs(trace(S) - 1.0) < ROUNDING) & (eigenvalues(S)[0] >= -ROUNDING)
+        good &= eigenvalues(2.0 * E + IDENTITY)[0] > 0.0
+        if not good.all():
+            i = int(np.argmin(good))
+            pair = f"S = {S[i].tolist()}, E = {E[i].tolist()}"
+            self.refuse(f"row {i}: {pair} is no tensile load of unit trace on a cell with I + 2E positive definite")
 
 
-def normality(rows: Rows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:
+def rows_from_provenance(provenance: dict[str, Any], source: str) -> LockedRows | None:
+    """The rows in the provenance of a law, as `rows_to_dict` wrote them; None if it holds none.
+
+    InputError, which names the file `source`, for rows that no fit writes.
+    """
+    if "table_rows" not in provenance:
+        return None
+    found = read_typed(RowEntries, provenance["table_rows"], f"{source}: provenance table_rows:")
+    S, E = np.array(found.S), np.array(found.E)
+    unique, number = np.array(found.unique), np.arange(len(S))
+    return LockedRows(S, E, double_dot(S, E), unique, number, is_mirrored=found.is_mirrored)
+
+
+def normality(rows: LockedRows, tolerance: float = NORMALITY_TOLERANCE) -> Normality:
     """Tests S_i:(E_i - E_j) >= -tolerance for all pairs, mirror images included (Prager's ideal locking).
 
     >>> E = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
     >>> S = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, 0.5]])
-    >>> normality(Rows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))).worst
+    >>> normality(LockedRows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))).worst
     (0, 1)
     """
     both = with_mirror(rows)

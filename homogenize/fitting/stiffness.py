@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from homogenize.laws.giving import constant_compliance, giving_law, work_along
+from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
 from rve.common.errors import InputError
@@ -39,10 +40,10 @@ def compliance_fit(S: Array, D: Array, is_mirrored: bool) -> Array:
     return constant_compliance(S[ok], work[ok], is_mirrored)
 
 
-def stiffness_of(table: StrainTable, stated: float) -> tuple[Array, str]:
-    """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or `stated`."""
+def stiffness_of(table: StrainTable) -> tuple[Array, str]:
+    """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or stated."""
     if table.compliance is None:
-        return stated * np.eye(3), f"stated: {stated:g} N/mm for every strain, not from the table"
+        return STATED_STIFFNESS * np.eye(3), f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
     rows = table.converged & table.unique
     S, D = table.S[rows], table.compliance[rows]
     A = compliance_fit(S, D, table.is_mirrored)

@@ -6,14 +6,13 @@ fields of thin fabrics and films obey it, and its curtains have closed forms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite
+from homogenize.laws.protocol import Cut, HalfSpaces, Response, check_finite
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import Strength
 from rve.common.errors import InputError
 from rve.common.tensor import dyad, eigenvalues
 from rve.common.types import Array
@@ -22,19 +21,14 @@ FIRST_FIBRES = 8
 """Directions that the first half-spaces hold. More cost time at every point; others join where they matter."""
 
 
-@dataclass(frozen=True, eq=False)
-class ClothLaw(StoredLaw):
+@dataclass(frozen=True, eq=False, repr=False)
+class ClothLaw(StoredLaw, kind="cloth"):
     """Fabric whose lines shorten freely and never stretch.
 
     >>> cut = ClothLaw().cut(np.array([[0.1, 0.0, -0.3]]))
     >>> cut.S.tolist(), cut.h.tolist(), [round(float(x), 12) for x in cut.violation]
     ([[1.0, 0.0, 0.0]], [0.0], [0.1])
     """
-
-    cell: CellInfo | None = None
-    name: str = "cloth"
-    provenance: dict[str, Any] = field(default_factory=dict)
-    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:
@@ -70,9 +64,9 @@ class ClothLaw(StoredLaw):
         """No parameters."""
         return {}
 
-
-def cloth_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> ClothLaw:
-    """The cloth law that `ClothLaw.to_dict` wrote; InputError for parameters, which it has none of."""
-    for key in data:
-        raise InputError(f"{where} {key}: unknown key; cloth has no parameters")
-    return ClothLaw(cell)
+    @classmethod
+    def from_dict(cls, data: dict[str, Any], where: str) -> ClothLaw:
+        """The cloth law; InputError for parameters, which it has none of."""
+        for key in data:
+            raise InputError(f"{where} {key}: unknown key; cloth has no parameters")
+        return cls()

@@ -16,39 +16,30 @@ whose half-spaces at most four are active.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.projection import MAX_ROUNDS, TOLERANCE, ProjectionError, metric_of
+from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response
 from homogenize.laws.vertices import highest, outer_vertices
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, disc, double_dot
 from rve.common.types import Array
 
-Index = NDArray[np.intp]
-
 LEAST_SHARE = 1e-3
 """Eigenvalues of a compliance below this share of the largest are raised to it: no load direction is rigid."""
 FLOOR = 0.9
 """The floor's largest part of the compliance along a load. Nearer to 1: the stiffest direction is left to the floor
 alone; smaller: the stress turns faster from one half-space to the next."""
-DEPENDENT = 1e-9
-"""Normals that are this near to the span of others count as dependent."""
 SAME = 1e-9
 """Half-spaces nearer to each other than this are one."""
-BLOCK = 1024
-"""Points compared with all half-spaces at a time: 40 MB for five thousand of these."""
 LEVELS = 13
 """Levels of tau between which support functions are interpolated."""
-SUBSETS = tuple(old for size in range(4) for old in combinations(range(4), size))
-"""Which of up to four active half-spaces stay when another one joins."""
 
 
 def constant_compliance(S: Array, work: Array, is_mirrored: bool) -> Array:
@@ -84,8 +75,8 @@ class GivingLaw:
     """
 
     law: PolyhedralLaw
-    compliance: Array
-    extra: Array
+    compliance: Array = field(repr=False)
+    extra: Array = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -115,21 +106,25 @@ class GivingLaw:
     def cut(self, E: Array) -> Cut:
         """The most violated half-space of strains E (n, 3), or (n, 4) with tau, see MembraneLaw."""
         E = E if E.shape[1] == 4 else np.column_stack([E, np.zeros(len(E))])
-        planes = np.column_stack([self.law.S * WEIGHT, -self.extra]).T
-        worst, violation = _worst(E, np.ascontiguousarray(planes), self.law.h)
+        worst, violation = self._body.worst(E)
         return Cut(self.law.S[worst], self.law.h[worst], violation, self.extra[worst])
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent; E_star is the strain E* of the minimum."""
-        metric = metric_of(np.asarray(np.linalg.inv(self.compliance)))
-        normals = np.column_stack([self.law.S * WEIGHT @ metric.inverse, -self.extra])
-        y = np.column_stack([E @ metric.R.T, np.zeros(len(E))])
-        parts = [_projected(y[i : i + BLOCK], normals, self.law.h) for i in range(0, len(E), BLOCK)]
-        shift, span = (np.concatenate(one) for one in zip(*parts, strict=True))
-        S = shift[:, :3] @ metric.R / WEIGHT
-        C = metric.R.T @ span[:, :3, :3] @ metric.R / WEIGHT[:, None]
-        E_star = (y - shift)[:, :3] @ metric.inverse.T
-        return Response(0.5 * (shift**2).sum(axis=1), S, C, E_star)
+        return respond(E, self._body)
+
+    @cached_property
+    def _body(self) -> Polyhedron:
+        stiffness = np.asarray(np.linalg.inv(self.compliance))
+        return polyhedron_of(self.law.S, self.law.h, stiffness, self.extra)
+
+    def facets(self) -> HalfSpaces:
+        """All half-spaces of the law."""
+        return HalfSpaces(self.law.S, self.law.h, self.extra)
+
+    def elastic(self) -> GivingLaw:
+        """Itself."""
+        return self
 
     def to_dict(self) -> dict[str, Any]:
         """The law, floor and roots as plain numbers; law files hold the strength, from which these follow."""
@@ -152,15 +147,14 @@ class GivingLaw:
 
 def elastic_law(law: MembraneLaw) -> MembraneLaw:
     """The law of an elastic curtain: with the compliance of its rings over the direction if it holds their strength,
-    else `law` itself, whose compliance is constant.
+    else a constant one.
 
-    >>> from homogenize.laws.net import diagonal_net
-    >>> net = diagonal_net()
-    >>> elastic_law(net) is net
+    >>> from homogenize.laws.cloth import ClothLaw
+    >>> cloth = ClothLaw()
+    >>> elastic_law(cloth) is cloth
     True
     """
-    found = giving_law(law) if isinstance(law, PolyhedralLaw) else None
-    return law if found is None else found
+    return law.elastic()
 
 
 def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
@@ -177,70 +171,3 @@ def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
     along = work_along(law.S, A)
     floor = FLOOR * float((work / along).min()) * A
     return GivingLaw(law, floor, np.sqrt(work - work_along(law.S, floor)))
-
-
-def _worst(y: Array, planes: Array, h: Array) -> tuple[Index, Array]:
-    """Most violated of the half-spaces planes (4, m), h (m,) at y (n, 4), and by how much, (n,) each."""
-    index, excess = np.empty(len(y), np.intp), np.empty(len(y))
-    for start in range(0, len(y), BLOCK):
-        part = slice(start, start + BLOCK)
-        over = y[part] @ planes
-        over -= h
-        index[part] = over.argmax(axis=1)
-        excess[part] = over[np.arange(len(over)), index[part]]
-    return index, excess
-
-
-def _projected(y: Array, normals: Array, h: Array) -> tuple[Array, Array]:
-    """The way (n, 4) from the closest points to y (n, 4), and the projector (n, 4, 4) on the active normals.
-
-    ProjectionError if the iteration does not end. Each round adds the half-space that is violated most and keeps the
-    best of the subsets that hold it.
-    """
-    n, planes = len(y), np.ascontiguousarray(normals.T)
-    shift, span = np.zeros((n, 4)), np.zeros((n, 4, 4))
-    index, factor = np.zeros((n, 4), np.intp), np.zeros((n, 4))
-    todo = np.arange(n)
-    for _ in range(MAX_ROUNDS):
-        worst, excess = _worst(y[todo] - shift[todo], planes, h)
-        is_known = ((index[todo] == worst[:, None]) & (factor[todo] > 0.0)).any(axis=1)
-        out = (excess > TOLERANCE) & ~is_known
-        todo, worst = todo[out], worst[out]
-        if not todo.size:
-            return shift, span
-        chosen = _chosen(y[todo], normals, h, index[todo], factor[todo], worst)
-        grows = (chosen[0] ** 2).sum(axis=1) > (shift[todo] ** 2).sum(axis=1)  # no growth: the excess is rounding
-        todo = todo[grows]
-        for kept, found in zip((shift, span, index, factor), chosen, strict=True):
-            kept[todo] = found[grows]
-    raise ProjectionError(f"{len(todo)} closest points not found in {MAX_ROUNDS} rounds: use fewer, more distinct rows")
-
-
-def _chosen(
-    y: Array, normals: Array, h: Array, index: Index, old: Array, new: Index
-) -> tuple[Array, Array, Index, Array]:
-    """Shift, projector, half-spaces and multipliers of the best subset of index (n, 4) that holds `new` (n,)."""
-    n = len(y)
-    shift, span = np.zeros((n, 4)), np.zeros((n, 4, 4))
-    best, factor, energy = np.repeat(new[:, None], 4, axis=1), np.zeros((n, 4)), np.zeros(n)
-    for subset in SUBSETS:
-        rows = np.flatnonzero((old[:, list(subset)] > 0.0).all(axis=1))
-        if not len(rows):
-            continue
-        which = np.column_stack([index[rows][:, list(subset)], new[rows]])
-        N = normals[which].transpose(0, 2, 1)
-        Q, R = np.linalg.qr(N)
-        size = np.abs(np.einsum("nkk->nk", R))
-        good = (size > DEPENDENT * np.linalg.norm(N, axis=1)).all(axis=1)
-        R = np.where(good[:, None, None], R, np.eye(R.shape[1]))
-        excess = np.einsum("nik,ni->nk", N, y[rows]) - h[which]
-        across = np.linalg.solve(R.transpose(0, 2, 1), excess[:, :, None])
-        multiplier = np.linalg.solve(R, across)[:, :, 0]
-        s = (Q @ across)[:, :, 0]
-        work = (s**2).sum(axis=1)
-        good &= (multiplier >= 0.0).all(axis=1) & (work > energy[rows])
-        to, k = rows[good], which.shape[1]
-        shift[to], energy[to], span[to] = s[good], work[good], (Q @ Q.transpose(0, 2, 1))[good]
-        best[to], factor[to] = new[to, None], 0.0
-        best[to, :k], factor[to, :k] = which[good], multiplier[good]
-    return shift, span, best, factor

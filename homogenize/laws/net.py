@@ -8,28 +8,44 @@ C = I + 2E a strain is admissible if n.C n <= l^2 for both, l the stretch at whi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
-from homogenize.laws.protocol import STIFFNESS, CellInfo, Cut, HalfSpaces, Response, check_finite
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, Stiffness, check_finite
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import Strength
-from rve.common.errors import InputError
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import WEIGHT, double_dot, dyad, trace
+from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
-from rve.common.values import checked, finite, numbers
 
 ROUNDING = 1e-6
 """Of the length of a direction in a file, and the least sine between two."""
 STATED_STIFFNESS = 1000.0
 """N/mm: the contact stiffness 1e6 kg/s2 of the paper, one contact per ring and pitch; a stand-in for the compliance."""
 
+Cosine = Annotated[float, Meta(ge=-1.0 - ROUNDING, le=1.0 + ROUNDING)]
 
-@dataclass(frozen=True, eq=False)
-class NetLaw(StoredLaw):
+
+@dataclass(frozen=True)
+class NetEntries(Typed):
+    """What the file of a net holds: unit vectors along the two families, stretch limit, stiffness in N/mm."""
+
+    directions: tuple[tuple[Cosine, Cosine], tuple[Cosine, Cosine]]
+    limit: Annotated[float, Meta(ge=1e-3, le=1e3)]
+    stiffness_N_per_mm: Stiffness
+
+    def check(self) -> None:
+        """BadField for directions that are not two different unit vectors."""
+        n = np.array(self.directions)
+        if np.abs((n**2).sum(axis=1) - 1.0).max() > ROUNDING or abs(np.linalg.det(n)) < ROUNDING:
+            self.refuse(f"directions = {n.tolist()}: must be two different unit vectors")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NetLaw(StoredLaw, kind="net"):
     """Two families of fibres along `directions` (2, 2), one unit vector per row, taut at stretch `limit`.
 
     `stiffness` (N/mm) is the line load per unit of Green strain beyond locking, for each family alone.
@@ -38,10 +54,6 @@ class NetLaw(StoredLaw):
     directions: Array
     limit: float
     stiffness: float = STATED_STIFFNESS
-    cell: CellInfo | None = None
-    name: str = "net"
-    provenance: dict[str, Any] = field(default_factory=dict)
-    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:
@@ -105,6 +117,10 @@ class NetLaw(StoredLaw):
         C = np.einsum("nf,fij->nij", (excess > 0.0).astype(float), dyads)
         return Response(0.5 * self.stiffness * (excess**2).sum(axis=1), S, C, E - excess @ self._lift())
 
+    def elastic(self) -> MembraneLaw:
+        """The net whose two fibres alone limit the strain, which `response` is the energy of."""
+        return ElasticNet(**{one.name: getattr(self, one.name) for one in fields(self)})
+
     def _lift(self) -> Array:
         """Strain (2, 3) per unit of excess of each fibre, in the metric in which the two fibres do not interact."""
         N = dyad(self.directions)
@@ -115,14 +131,36 @@ class NetLaw(StoredLaw):
         """Directions, limit stretch and stiffness as plain numbers."""
         return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
 
+    @classmethod
+    def from_dict(cls, data: dict[str, Any], where: str) -> NetLaw:
+        """The net that `to_dict` wrote; InputError names a missing or impossible entry."""
+        found = read_typed(NetEntries, data, where)
+        return NetLaw(np.array(found.directions), found.limit, found.stiffness_N_per_mm)
 
-def net_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> NetLaw:
-    """The net law that `NetLaw.to_dict` wrote; InputError names a missing or impossible entry."""
-    directions = checked(data, "directions", numbers(2, 2, least=-1.0 - ROUNDING, most=1.0 + ROUNDING), where)
-    if np.abs((directions**2).sum(axis=1) - 1.0).max() > ROUNDING or abs(np.linalg.det(directions)) < ROUNDING:
-        raise InputError(f"{where} directions = {directions.tolist()}: must be two different unit vectors")
-    limit = checked(data, "limit", finite(least=1e-3, most=1e3), where)
-    return NetLaw(directions, limit, checked(data, "stiffness_N_per_mm", STIFFNESS, where), cell)
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ElasticNet(NetLaw):
+    """The net of elastic curtains: two linear springs, also where they are drawn into one line.
+
+    `NetLaw` has I + 2E positive semidefinite among its half-spaces. Strains of curtains obey this, strains of their
+    locked parts E - D S need not.
+    """
+
+    def facets(self) -> HalfSpaces:
+        """The two fibres."""
+        return self.half_spaces()
+
+    def cut(self, E: Array) -> Cut:
+        """The fibre that each E (n, 3) stretches more beyond its limit."""
+        check_finite(E)
+        fibres = self.half_spaces()
+        excess = E @ (fibres.S * WEIGHT).T - fibres.h
+        worst = excess.argmax(axis=1)
+        return Cut(fibres.S[worst], fibres.h[worst], excess.max(axis=1))
+
+    def elastic(self) -> MembraneLaw:
+        """Itself."""
+        return self
 
 
 def diagonal_net(limit: float = 1.0, stiffness: float = STATED_STIFFNESS) -> NetLaw:
@@ -147,4 +185,4 @@ def ring_net(cell: CellInfo, stiffness: float = STATED_STIFFNESS) -> NetLaw:
     """
     diagonal = math.hypot(cell.b_x_mm, cell.b_y_mm)
     n = np.array([[cell.b_x_mm, cell.b_y_mm], [cell.b_x_mm, -cell.b_y_mm]]) / diagonal
-    return NetLaw(n, 4.0 * (cell.r1_mm - cell.r2_mm) / diagonal, stiffness, cell)
+    return NetLaw(n, 4.0 * (cell.r1_mm - cell.r2_mm) / diagonal, stiffness, cell=cell)

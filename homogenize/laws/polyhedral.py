@@ -6,22 +6,31 @@ cone, all that the rows reach; its half-spaces are the hull's tensile facets and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, Response, check_finite, stiffness_matrix
+from homogenize.laws.protocol import (
+    CellInfo,
+    Cut,
+    HalfSpaces,
+    Matrix,
+    MembraneLaw,
+    Response,
+    check_finite,
+    stiffness_matrix,
+)
 from homogenize.laws.stored import StoredLaw
 from homogenize.laws.vertices import highest, outer_vertices
-from homogenize.strength import Strength
 from rve.common.errors import InputError
 from rve.common.tensor import IDENTITY, double_dot, eigenvalues, from_disc, trace
+from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
-from rve.common.values import checked, numbers
 
 COLLAPSED = 0.05
 """Vertices with an eigenvalue of C = I + 2E below this are cells drawn to a line: they stay off the map."""
@@ -33,21 +42,26 @@ MOST_STRAIN = 1e3
 """Bound of h and of the components of S in a law file; strains of rings are below 1."""
 MAP_PAYS = 300
 """Points per call from which a map of the half-spaces is made, in half a second for four thousand of them."""
+Component = Annotated[float, Meta(ge=-MOST_STRAIN, le=MOST_STRAIN)]
 
 
-@dataclass(frozen=True, eq=False)
-class PolyhedralLaw(StoredLaw):
-    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3);
-    strength of the rings, None if the law's table has none."""
+@dataclass(frozen=True)
+class PolyhedronEntries(Typed):
+    """What the file of a polyhedral law holds: half-spaces S:E <= h and the stiffness in N/mm."""
+
+    S: Annotated[tuple[tuple[Component, Component, Component], ...], Meta(min_length=1, max_length=MOST_HALF_SPACES)]
+    h: tuple[Component, ...]
+    stiffness_N_per_mm: Matrix
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PolyhedralLaw(StoredLaw, kind="polyhedral"):
+    """Half-spaces S (m, 3) of unit trace, h (m,); `vertices` (k, 3) of the strains they leave; stiffness (3, 3)."""
 
     S: Array
     h: Array
     vertices: Array
     stiffness: Array
-    cell: CellInfo | None = None
-    name: str = "polyhedral"
-    provenance: dict[str, Any] = field(default_factory=dict)
-    strength: Strength | None = None
 
     @property
     def compliance(self) -> Array:
@@ -70,10 +84,16 @@ class PolyhedralLaw(StoredLaw):
         """All half-spaces of the law; those that others imply are among them."""
         return HalfSpaces(self.S, self.h)
 
+    def elastic(self) -> MembraneLaw:
+        """The law whose rings give by direction where `strength` tells their compliance, else the law itself."""
+        from homogenize.laws.giving import giving_law
+
+        return giving_law(self) or self
+
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
         check_finite(E)
-        worst, _ = self._body(len(E)).worst(np.ascontiguousarray(E.T))
+        worst, _ = self._body(len(E)).worst(E)
         S, h = self.S[worst], self.h[worst]
         return Cut(S, h, double_dot(S, E) - h)
 
@@ -98,11 +118,27 @@ class PolyhedralLaw(StoredLaw):
             return self._plain
         x = np.stack([0.5 * (open_cells[:, 0] - open_cells[:, 2]), open_cells[:, 1]], axis=1)
         margin = 0.02 + 0.02 * np.ptp(x, axis=0)
-        return polyhedron_of(self.S, self.h, self.stiffness, np.array([x.min(axis=0) - margin, x.max(axis=0) + margin]))
+        return polyhedron_of(
+            self.S, self.h, self.stiffness, box=np.array([x.min(axis=0) - margin, x.max(axis=0) + margin])
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Half-spaces and stiffness; the vertices follow from them."""
         return {"S": self.S.tolist(), "h": self.h.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any], where: str) -> PolyhedralLaw:
+        """The law that `to_dict` wrote; InputError names a missing or impossible entry."""
+        found = read_typed(PolyhedronEntries, data, where)
+        try:
+            return polyhedral_law(np.array(found.S), np.array(found.h), stiffness_matrix(found.stiffness_N_per_mm))
+        except InputError as error:
+            raise InputError(f"{where} {error}") from error
+
+    def softer(self, factor: float) -> PolyhedralLaw:
+        """The law of rings whose compliance is `factor` times as large; itself if its stiffness is a stated one."""
+        is_stated = str(self.provenance.get("stiffness", "stated")).startswith("stated")
+        return self if is_stated else replace(self, stiffness=self.stiffness / factor)
 
 
 def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
@@ -114,26 +150,11 @@ def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: Cel
     """
     S, h = np.asarray(S, float), np.asarray(h, float)
     if S.ndim != 2 or S.shape[1] != 3 or h.shape != (len(S),) or not np.isfinite(S).all() or not np.isfinite(h).all():
-        raise InputError("half-spaces are finite triples S with one finite h each")
-    size = trace(S)
-    if not (size > 0.0).all() or (eigenvalues(S)[0] < -1e-9 * size).any():
-        raise InputError("a half-space of the law is not tensile")
-    S, h = S / size[:, None], h / size
-    stiffness = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
-    return PolyhedralLaw(S, h, outer_vertices(S, h), stiffness, cell)
-
-
-def polyhedral_from_dict(data: dict[str, Any], cell: CellInfo | None, where: str) -> PolyhedralLaw:
-    """The law that `PolyhedralLaw.to_dict` wrote; InputError names a missing or impossible entry."""
-    S = checked(data, "S", numbers(None, 3, least=-MOST_STRAIN, most=MOST_STRAIN, longest=MOST_HALF_SPACES), where)
-    h = checked(data, "h", numbers(None, least=-MOST_STRAIN, most=MOST_STRAIN), where)
-    if len(h) != len(S):
-        raise InputError(f"{where} h: has {len(h)} numbers for {len(S)} half-spaces S")
+        raise InputError(f"half-spaces are finite triples S with one finite h each, got S {S.shape} and h {h.shape}")
     size = trace(S)
     bad = np.flatnonzero(~(size > 1e-6) | (eigenvalues(S)[0] < -1e-9 * size))
     if len(bad):
-        raise InputError(f"{where} S: half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
-    try:
-        return polyhedral_law(S, h, stiffness_matrix(data, where), cell)
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(where) else f"{where} {error}") from error
+        raise InputError(f"S: half-space {bad[0]}, S = {S[bad[0]].tolist()}, is not tensile")
+    S, h = S / size[:, None], h / size
+    stiffness = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
+    return PolyhedralLaw(S, h, outer_vertices(S, h), stiffness, cell=cell)

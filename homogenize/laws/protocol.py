@@ -7,19 +7,23 @@ S:E = S11 E11 + 2 S12 E12 + S22 E22. Line loads and stiffnesses are in N/mm, str
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
+from msgspec import Meta
 
 from rve.common.errors import InputError
-from rve.common.rings import RING_CHECKS
+from rve.common.rings import ArealMass, Length
 from rve.common.tensor import WEIGHT
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import checked, entry, finite, numbers
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
 """N/mm, of every strain. A wider range leaves no digits between stress and energy."""
-STIFFNESS = finite(least=LEAST_STIFFNESS, most=MOST_STIFFNESS)
+Stiffness = Annotated[float, Meta(ge=LEAST_STIFFNESS, le=MOST_STIFFNESS)]
+Entry = Annotated[float, Meta(ge=-MOST_STIFFNESS, le=MOST_STIFFNESS)]
+Matrix = tuple[tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry]]
+"""A stiffness in a law file, N/mm."""
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -29,36 +33,36 @@ def check_finite(values: Array, what: str = "strains") -> None:
         raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")
 
 
-def stiffness_matrix(data: dict[str, Any], where: str) -> Array:
-    """The entry stiffness_N_per_mm (3, 3) of a law file; InputError unless it is symmetric and positive definite.
+def stiffness_matrix(given: Matrix) -> Array:
+    """A stiffness (3, 3) in tensor components; InputError unless it is symmetric and positive definite.
 
-    In tensor components: with W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
+    With W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
     """
-    M: Array = checked(data, "stiffness_N_per_mm", numbers(3, 3, least=-MOST_STIFFNESS, most=MOST_STIFFNESS), where)
+    M = np.array(given)
     Q = WEIGHT[:, None] * M
+    named = f"stiffness_N_per_mm = {M.tolist()}"
     if np.abs(Q - Q.T).max() > 1e-9 * np.abs(Q).max():
-        raise InputError(f"{where} stiffness_N_per_mm = {M.tolist()}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
+        raise InputError(f"{named}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
     least = float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
     if not least >= LEAST_STIFFNESS:
         raise InputError(
-            f"{where} stiffness_N_per_mm = {M.tolist()}: is not positive definite, its least stiffness is {least:g} "
-            f"N/mm; {LEAST_STIFFNESS:g} is needed"
+            f"{named}: is not positive definite, its least stiffness is {least:g} N/mm; {LEAST_STIFFNESS:g} is needed"
         )
     return M
 
 
 @dataclass(frozen=True)
-class CellInfo:
+class CellInfo(Typed):
     """The rings behind a law: what a scene needs to know of them, in mm and kg/m2.
 
     b_x_mm, b_y_mm: sides of the reference cell, one primitive cell.
     """
 
-    r1_mm: float = entry(RING_CHECKS["r1_mm"])
-    r2_mm: float = entry(RING_CHECKS["r2_mm"])
-    b_x_mm: float = entry(RING_CHECKS["b_x_mm"])
-    b_y_mm: float = entry(RING_CHECKS["b_y_mm"])
-    areal_mass_kg_per_m2: float = entry(RING_CHECKS["areal_mass_kg_per_m2"])
+    r1_mm: Length
+    r2_mm: Length
+    b_x_mm: Length
+    b_y_mm: Length
+    areal_mass_kg_per_m2: ArealMass
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,14 @@ class MembraneLaw(Protocol):
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent of the elastic law at E (n, 3)."""
+        ...
+
+    def facets(self) -> HalfSpaces | None:
+        """All half-spaces of K+; None if they are not a finite list."""
+        ...
+
+    def elastic(self) -> MembraneLaw:
+        """The law of elastic curtains: K+ with a compliance behind it, by direction where the law knows it."""
         ...
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
-from rve.common.values import finite, integer, list_of, numbers, optional, read_record, string
+from msgspec import Meta
 
-MOST_ROWS = 1_000_000
-"""Limit of counts and of lists in a law file."""
-_count, _size = integer(0, MOST_ROWS), finite(least=0.0)
+from rve.common.typed import Typed, read_typed
+
+Count = Annotated[int, Meta(ge=0, le=1_000_000)]
+Size = Annotated[float, Meta(ge=0.0, le=1e300)]
+Component = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
 
 @dataclass(frozen=True)
-class Misfit:
+class Misfit(Typed):
     """Largest and mean error of the support at unit trace of S, where it is largest, over `count` loads."""
 
-    count: int = field(metadata={"check": _count})
-    maximum: float = field(metadata={"check": _size})
-    mean: float = field(metadata={"check": _size})
-    worst_S: tuple[float, float, float] = field(metadata={"check": lambda value: tuple(numbers(3)(value).tolist())})
+    count: Count
+    maximum: Size
+    mean: Size
+    worst_S: tuple[Component, Component, Component]
 
-
-def _misfit(value: Any) -> Misfit:
-    return read_record(Misfit, value, "the law's report:")
+    def text(self, title: str) -> str:
+        """The numbers in one line."""
+        S = ", ".join(f"{x:.4f}" for x in self.worst_S)
+        return f"{title}: max {self.maximum:.2e} at S = ({S}), mean {self.mean:.2e}, {self.count} loads"
 
 
 @dataclass(frozen=True)
-class ErrorReport:
+class ErrorReport(Typed):
     """What is known of a law's error; supports at unit trace of S, so that they compare with strains.
 
     `rows`: the law at the rows it was fitted to. `held_out`: rows left out in turn, the law refitted without them; None
@@ -35,26 +38,25 @@ class ErrorReport:
     `below`, `above`: by how much the law leaves the two bounds there, zero if it stays between.
     """
 
-    kind: str = field(metadata={"check": string})
-    normality: str = field(metadata={"check": string})
-    rows: Misfit = field(metadata={"check": _misfit})
-    held_out: Misfit | None = field(metadata={"check": optional(_misfit)})
-    gap: Misfit = field(metadata={"check": _misfit})
-    below: float = field(metadata={"check": _size})
-    above: float = field(metadata={"check": _size})
-    not_unique: int = field(metadata={"check": _count})
-    dropped: tuple[str, ...] = field(metadata={"check": list_of(string, "sentences", most=MOST_ROWS)})
+    kind: str
+    normality: str
+    rows: Misfit
+    held_out: Misfit | None
+    gap: Misfit
+    below: Size
+    above: Size
+    not_unique: Count
+    dropped: tuple[str, ...]
 
     def text(self) -> str:
         """The report in lines that a person reads."""
-        lines = [f"{self.kind} law: {self.normality}"]
-        lines += _left_out(self.dropped)
+        lines = [f"{self.kind} law: {self.normality}", *_left_out(self.dropped)]
         if self.not_unique:
             lines.append(f"{self.not_unique} rows have no unique strain: theirs is one of many")
-        lines.append(_line("error of h at the rows", self.rows))
+        lines.append(self.rows.text("error of h at the rows"))
         if self.held_out is not None:
-            lines.append(_line("error of h at rows left out", self.held_out))
-        lines.append(_line("outer minus inner bound of h", self.gap))
+            lines.append(self.held_out.text("error of h at rows left out"))
+        lines.append(self.gap.text("outer minus inner bound of h"))
         lines.append(
             f"the law leaves the bounds by {self.below:.1e} below, {self.above:.1e} above (h at unit trace of S)"
         )
@@ -86,9 +88,4 @@ def _left_out(dropped: tuple[str, ...]) -> list[str]:
 
 def report_from_dict(data: Any) -> ErrorReport:
     """The report that `ErrorReport.to_dict` wrote; InputError names an entry that is missing or impossible."""
-    return read_record(ErrorReport, data, "the law's report:", strict=False)
-
-
-def _line(title: str, misfit: Misfit) -> str:
-    S = ", ".join(f"{x:.4f}" for x in misfit.worst_S)
-    return f"{title}: max {misfit.maximum:.2e} at S = ({S}), mean {misfit.mean:.2e}, {misfit.count} loads"
+    return read_typed(ErrorReport, data, "the law's report:")

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.protocol import CellInfo, HalfSpaces, MembraneLaw
 from homogenize.laws.report import ErrorReport, report_from_dict
 from homogenize.strength import Strength
 from rve.common.errors import require
+from rve.common.files import write_text
 from rve.common.notebook import as_html
-from rve.common.storage.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,35 +21,68 @@ SCHEMA = 1
 UNITS = {"strain": "1", "line_load": "N/mm", "stiffness": "N/mm", "length": "mm"}
 
 
-class StoredLaw(MembraneLaw, Protocol):
-    """Base of the laws that have a file. `provenance` says where the law comes from: table, options, error report.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class StoredLaw(MembraneLaw):
+    """Base of the laws that have a file: `class ClothLaw(StoredLaw, kind="cloth")` makes files of this kind known.
 
-    strength: that of the rings (`homogenize.strength`), None if the table of the law has none.
+    cell: the rings behind the law. provenance: where it comes from (table, options, error report). strength: that of
+    the rings (`homogenize.strength`), None if the table of the law has none.
     """
 
-    provenance: dict[str, Any]
-    strength: Strength | None
+    kinds: ClassVar[dict[str, type[StoredLaw]]] = {}
+    kind: ClassVar[str]
+    cell: CellInfo | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    strength: Strength | None = None
+
+    def __init_subclass__(cls, kind: str | None = None) -> None:
+        """Make the kind of law known to `homogenize.load_law`; without a kind it is that of the base."""
+        super().__init_subclass__()
+        if kind is not None:
+            cls.kind, StoredLaw.kinds[kind] = kind, cls
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any], where: str) -> Self:
+        """The law whose `to_dict` wrote `data`; InputError, which begins with `where`, for what is none."""
+        raise NotImplementedError
+
+    @property
+    def name(self) -> str:
+        """The kind of law."""
+        return self.kind
 
     @property
     def report(self) -> ErrorReport | None:
         """How wrong the law can be; None for a law that was not fitted. InputError if its file holds no such report."""
         return report_from_dict(self.provenance["report"]) if "report" in self.provenance else None
 
+    def facets(self) -> HalfSpaces | None:
+        """None: most laws have infinitely many half-spaces."""
+        return None
+
+    def elastic(self) -> MembraneLaw:
+        """The law itself, whose compliance is constant."""
+        return self
+
+    def softer(self, factor: float) -> Self:
+        """The law of rings `factor` times as compliant; the law itself if its stiffness is not that of rings."""
+        return self
+
     def save(self, path: str | Path) -> None:
         """Writes the law file `path` (atomic: it is complete or absent); `homogenize.load_law` reads it."""
-        save_law(self, path)
+        write_text(path, json.dumps(law_record(self), indent=1) + "\n")
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The admissible strains at constant shear, E22 over E11, on `ax` or on axes of their own (matplotlib)."""
         require("matplotlib", "plots", "plot()", "evaluate law.support")
-        from homogenize.laws.picture import plot_sections
+        from homogenize.laws.pictures import plot_sections
 
         return plot_sections(self, ax=ax)
 
     def plot_strength(self, yield_N_per_mm2: float | None = None, axes: Any = None) -> Any:
-        """Locking surface, first yield and collapse on three axes; see `homogenize.laws.picture`."""
+        """Locking surface, first yield and collapse on three axes; see `homogenize.laws.pictures`."""
         require("matplotlib", "plots", "plot_strength()", "evaluate law.strength.utilisation")
-        from homogenize.laws.picture import plot_strength
+        from homogenize.laws.pictures import plot_strength
 
         return plot_strength(self, self.strength, yield_N_per_mm2, axes)
 
@@ -57,6 +90,9 @@ class StoredLaw(MembraneLaw, Protocol):
         kind = self.provenance.get("kind", self.name)
         rings = "" if self.cell is None else f", r1 = {self.cell.r1_mm:g} mm, r2 = {self.cell.r2_mm:g} mm"
         return f"{type(self).__name__}: {kind}{rings}"
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def _repr_html_(self) -> str:
         """What a notebook shows: kind, rings, and the lines of the error report."""
@@ -75,8 +111,3 @@ def law_record(law: StoredLaw) -> dict[str, Any]:
         **({} if law.strength is None else {"strength": law.strength.to_dict()}),
         "provenance": law.provenance,
     }
-
-
-def save_law(law: StoredLaw, path: str | Path) -> None:
-    """Writes the law to `path` (atomic: the file is complete or absent)."""
-    write_text(Path(path), json.dumps(law_record(law), indent=1) + "\n")

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from homogenize.fitting.report import is_sampled, misfit_of
-from homogenize.fitting.rows import Rows, rows_from_dict, rows_from_table
-from homogenize.io import Law, load_law
+from homogenize.fitting.rows import rows_from_provenance, rows_from_table
+from homogenize.io import load_law
+from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
-from homogenize.strength import strength_answer
+from homogenize.strength import MAKE_AGAIN
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
+from rve.common.typed import numbers_or_none
 from rve.common.types import Array
 
 ROUNDING = 1e-12
@@ -35,7 +38,8 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
         raise InputError(
             f"--beta {beta_deg}: rings cannot push; both line loads are tensile for beta from 0 to 90 degrees"
         )
-    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows=rows_behind(law, path))
+    rows = rows_from_provenance(law.provenance, str(path))
+    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows=rows)
     if found.status[0] != "converged":
         raise InputError(
             f"{path}: no strain of this law carries --alpha {alpha_deg} --beta {beta_deg}: the direction is missed "
@@ -57,32 +61,46 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
 
 def components(key: str, values: Array) -> dict[str, float | None]:
     """Named components of a triple (3,); None for nan, which JSON does not have."""
-    return {key.format(name): float(x) if np.isfinite(x) else None for name, x in zip(NAMES, values, strict=True)}
-
-
-def rows_behind(law: Law, path: str | Path) -> Rows | None:
-    """The rows of the table behind a law, None if its file has none; InputError if they are not what a fit writes."""
-    if "table_rows" not in law.provenance:
-        return None
-    try:
-        return rows_from_dict(law.provenance["table_rows"])
-    except InputError as error:
-        raise InputError(f"{path}: table_rows: {error}") from error
+    return {key.format(name): x for name, x in zip(NAMES, numbers_or_none(values), strict=True)}
 
 
 def support_answer(path: str | Path, S: Array) -> dict[str, Any]:
     """h of the law at the load S (3,); InputError if S is not tensile."""
     law = load_law(path)
-    size = float(trace(S))
-    if not size > 0.0 or float(eigenvalues(S)[0]) < -ROUNDING * size:
-        raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
+    check_tensile(S)
     return {"h": float(law.support(S[None])[0]), "extrapolated": extrapolates(law, S)}
 
 
-def strength_at(path: str | Path, S: Array, yield_N_per_mm2: float | None) -> dict[str, Any]:
-    """First yield and collapse of the rings along S (3,), see `strength_answer`; InputError if the law does not say."""
+def strength_answer(path: str | Path, S: Array, yield_N_per_mm2: float | None = None) -> dict[str, Any]:
+    """The line loads S (3,) of unit trace times which the rings of a law first yield and collapse.
+
+    InputError if the law has no strength, S is not tensile, or no yield stress is known.
+    """
     law = load_law(path)
-    return strength_answer(law.strength, S, yield_N_per_mm2, str(path)) | {"extrapolated": extrapolates(law, S)}
+    strength = law.strength
+    if strength is None:
+        raise InputError(f"{path}: holds no strength; {MAKE_AGAIN}")
+    unit = S[None] / check_tensile(S)
+    stress = strength.yield_stress(yield_N_per_mm2)
+    return {
+        **components("S{}", unit[0]),
+        "yield_N_per_mm2": stress,
+        "first_yield_N_per_mm": float(1.0 / strength.utilisation(unit, stress)[0]),
+        "collapse_N_per_mm": float(1.0 / strength.collapse_utilisation(unit, stress)[0]),
+        "compliance_mm_per_N": float(strength.compliance_along(unit)[0]),
+        "error_between_rows": None if strength.error is None else asdict(strength.error),
+        "material": strength.material.name,
+        "joint": strength.joint,
+        "extrapolated": extrapolates(law, S),
+    }
+
+
+def check_tensile(S: Array) -> float:
+    """S11 + S22 of a load S (3,); InputError unless both principal values are 0 or more, and one is more."""
+    size = float(trace(S))
+    if not size > 0.0 or float(eigenvalues(S)[0]) < -ROUNDING * size:
+        raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
+    return size
 
 
 def error_at_rows(path: str | Path, table_path: str | Path) -> dict[str, Any]:
@@ -131,7 +149,7 @@ def check_radius(what: str, theirs: float, mine: float) -> None:
         raise InputError(f"{what} = {theirs} is not that of the law, {mine}")
 
 
-def extrapolates(law: Law, S: Array) -> bool:
+def extrapolates(law: StoredLaw, S: Array) -> bool:
     """Whether the table behind the law has no loads around S (3,); false for a law without a table."""
     polygon = law.provenance.get("sampled_loads")
     return polygon is not None and not bool(is_sampled(np.array(polygon, float), S[None])[0])

@@ -8,48 +8,52 @@ smoothly through vertices, where E stands still, and through flat faces, where S
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from homogenize.fitting.rows import Rows, normality, with_mirror
+from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
 from rve.common.errors import InputError
 from rve.common.progress import part_of, tell
-from rve.common.records import Rows as Records
+from rve.common.records import Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import Options, entry, finite, list_of, number, whole
 
 FLAT = 1e-6
 """C = I + 2E with a determinant or side below this is a cell drawn to a line: no load can be pulled back to it."""
+RETRIES = (1.0, 3.0, 10.0)
+"""Multiples of the offset with which a load that fails is approached on a path."""
+SINGULAR = 1e-9
+"""Singular values of the Jacobian below this share of the largest count as 0."""
+INWARD = 5e-4
+"""Loads of rank one are replaced by loads this far inside the tensile cone, because a polyhedral law misses the rim by
+2.4e-4; the table also answers with the limit of beta."""
+SAME_LOAD = 1e-9
+"""A row answers for loads whose unit Cauchy loads differ by less in every component."""
+FAR = 10.0
+"""Multiple of the offset at which the first guess starts."""
 
 
 @dataclass(frozen=True)
-class StrainOptions(Options):
+class StrainOptions(Typed):
     """How the strain under a load is found; InputError for values out of range.
 
     offset: length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface
     smoother for Newton. tolerance: largest error of the load direction (unit trace). newton_steps: limit per load.
-    path_steps: loads on the way from beta = 45 degrees to a load that fails at first. retries: multiples of the offset
-    with which that way is tried. singular: singular values of the Jacobian below this share of the largest count as 0.
-    inward: loads of rank one are replaced by loads this far inside the tensile cone, because a polyhedral law misses
-    the rim by 2.4e-4; the table also answers with the limit of beta. width: strains under one load that differ by more
-    are not one strain; facets between rows are an order smaller. same_load: a row answers for loads whose unit Cauchy
-    loads differ by less in every component. far: multiple of the offset at which the first guess starts.
+    path_steps: loads on the way from beta = 45 degrees to a load that fails at first. width: strains under one load
+    that differ by more are not one strain; facets between rows are an order smaller.
     """
 
-    offset: float = number(0.1, above=0.0, most=10.0)
-    tolerance: float = number(1e-9, least=0.0, most=1.0)
-    newton_steps: int = whole(60, least=1, most=100_000)
-    path_steps: int = whole(18, least=1, most=100_000)
-    retries: tuple[float, ...] = entry(list_of(finite(above=0.0, most=1e3), "factors", most=100), (1.0, 3.0, 10.0))
-    singular: float = number(1e-9, least=0.0, most=1.0)
-    inward: float = number(5e-4, least=0.0, most=0.5)
-    width: float = number(0.05, above=0.0, most=10.0)
-    same_load: float = number(1e-9, least=0.0, most=1e-3)
-    far: float = number(10.0, above=0.0, most=1e6)
+    offset: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1
+    tolerance: Annotated[float, Meta(ge=0.0, le=1.0)] = 1e-9
+    newton_steps: Annotated[int, Meta(ge=1, le=100_000)] = 60
+    path_steps: Annotated[int, Meta(ge=1, le=100_000)] = 18
+    width: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,7 @@ class _Search:
 
 
 @dataclass(frozen=True, eq=False)
-class _State(Records):
+class _Evaluation(Rows):
     """One evaluation at X (n, 3): surface strain, residual (n, 3) and its Jacobian (n, 3, 3)."""
 
     X: Array
@@ -99,7 +103,7 @@ def locked_strain(
     alpha_deg: Array,
     beta_deg: Array,
     options: StrainOptions | None = None,
-    rows: Rows | None = None,
+    rows: LockedRows | None = None,
 ) -> LockedStrain:
     """Locked strain and load under the principal angle alpha and the ratio angle beta, in degrees, arrays (n,).
 
@@ -114,7 +118,7 @@ def locked_strain(
     beta = np.asarray(beta, float)
     search = _Search(law, options, options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max()))
     state, steps = _newton(search, alpha, beta, _start(search, alpha, beta))
-    for factor in options.retries:
+    for factor in RETRIES:
         failed = np.flatnonzero(state.size() > options.tolerance)
         if not failed.size:
             break
@@ -130,16 +134,16 @@ def locked_strain(
     status = np.where(good, "converged", "no_convergence")
     unknown = np.full(S.shape, np.nan)
     found = LockedStrain(state.E, unknown, unknown, S, state.size(), unique, status, steps)
-    return found if rows is None else _with_rows(found, rows, alpha, beta, options)
+    return found if rows is None else _with_rows(found, rows, alpha, beta, options.width)
 
 
-def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array, options: StrainOptions) -> LockedStrain:
+def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array, width: float) -> LockedStrain:
     """The answer with the bounds that follow from the rows; a row's own load gets the row's strain and flag."""
     from rve import cauchy_line_load
 
     s, both, slack = cauchy_line_load(alpha, beta), with_mirror(rows), -normality(rows).slack
     same = np.abs(s[:, None] - _cauchy_load(both)).max(axis=2)
-    at, row = np.flatnonzero(same.min(axis=1) < options.same_load), same.argmin(axis=1)
+    at, row = np.flatnonzero(same.min(axis=1) < SAME_LOAD), same.argmin(axis=1)
     row = row[at]
     alone = both.unique[row]
     low, high = np.empty(s.shape), np.empty(s.shape)
@@ -148,13 +152,13 @@ def _with_rows(found: LockedStrain, rows: Rows, alpha: Array, beta: Array, optio
     low[open_], high[open_] = bounds.E_min, bounds.E_max
     low[at[alone]] = high[at[alone]] = both.E[row[alone]]
     E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
-    unique = found.unique & ((high - low).max(axis=1) < options.width)
+    unique = found.unique & ((high - low).max(axis=1) < width)
     E[at], S[at], unique[at], residual[at], status[at] = both.E[row], both.S[row], alone, 0.0, "converged"
     low[at], high[at] = np.fmin(low[at], E[at]) - slack, np.fmax(high[at], E[at]) + slack
     return replace(found, E=E, E_min=low, E_max=high, S=S, residual=residual, unique=unique, status=status)
 
 
-def _cauchy_load(rows: Rows) -> Array:
+def _cauchy_load(rows: LockedRows) -> Array:
     """Unit Cauchy loads (n, 3) of the rows, F S F^T scaled to s:s = 1."""
     from rve import deformation_gradient
 
@@ -188,29 +192,29 @@ def _start(search: _Search, alpha: Array, beta: Array) -> Array:
     """X (n, 3) of the strain that locks under the load at the undeformed cell, seen from far along its normal."""
     from rve import cauchy_line_load
 
-    S = search.scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta), search.options.inward)
+    S = search.scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta))
     away = S @ search.law.compliance.T
-    return search.law.response(search.options.far * away).E_star + away
+    return search.law.response(FAR * away).E_star + away
 
 
-def _evaluate(search: _Search, s: Array, X: Array) -> _State:
+def _evaluate(search: _Search, s: Array, X: Array) -> _Evaluation:
     """Residual S/scale - load(E) of unit trace and its derivative with respect to X."""
-    answer, inward, step = search.law.response(X), search.options.inward, 1e-6
+    answer, step = search.law.response(X), 1e-6
     E, S = answer.E_star, answer.S
-    sides = [(_load(E + step * e, s, inward), _load(E - step * e, s, inward)) for e in np.eye(3)]
+    sides = [(_load(E + step * e, s), _load(E - step * e, s)) for e in np.eye(3)]
     d_load = np.stack([(ahead - behind) / (2.0 * step) for ahead, behind in sides], axis=-1)
     dE = np.eye(3) - search.law.compliance @ answer.C
-    return _State(X, E, S, S / search.scale - _load(E, s, inward), answer.C / search.scale - d_load @ dE)
+    return _Evaluation(X, E, S, S / search.scale - _load(E, s), answer.C / search.scale - d_load @ dE)
 
 
-def _load(E: Array, s: Array, inward: float) -> Array:
-    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `inward` from the rim of the cone."""
+def _load(E: Array, s: Array) -> Array:
+    """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `INWARD` from the rim of the cone."""
     from rve import deformation_gradient, second_pk
 
     S = second_pk(deformation_gradient(_possible(E)), s)
     x = disc(S / trace(S)[:, None])
     radius = np.hypot(x[:, 0], x[:, 1])
-    return from_disc(x * ((1.0 - inward) / np.maximum(radius, 1.0 - inward))[:, None])
+    return from_disc(x * ((1.0 - INWARD) / np.maximum(radius, 1.0 - INWARD))[:, None])
 
 
 def _possible(E: Array) -> Array:
@@ -225,7 +229,7 @@ def _possible(E: Array) -> Array:
     return scale[:, None] * E
 
 
-def _newton(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_State, NDArray[np.int64]]:
+def _newton(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_Evaluation, NDArray[np.int64]]:
     """Damped Newton from X (n, 3), least-norm steps where the strain is not unique; last state and steps taken."""
     from rve import cauchy_line_load
 
@@ -238,13 +242,13 @@ def _newton(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_Stat
             break
         tell(f"strains under {len(X)} loads", 1.0 - todo.size / len(X))
         steps[todo] += 1
-        dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=options.singular), state.r[todo])
+        dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=SINGULAR), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
         state = _line_search(search, s, state, todo, dX)
     return state, steps
 
 
-def _walk(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_State, NDArray[np.int64]]:
+def _walk(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_Evaluation, NDArray[np.int64]]:
     """Newton along a path of loads from beta = 45 degrees, where it starts at X (n, 3), to beta.
 
     The steps get shorter towards the end, because strains change fast at beta = 0.
@@ -258,7 +262,7 @@ def _walk(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_State,
     return state, steps
 
 
-def _line_search(search: _Search, s: Array, state: _State, todo: NDArray[np.int64], dX: Array) -> _State:
+def _line_search(search: _Search, s: Array, state: _Evaluation, todo: NDArray[np.int64], dX: Array) -> _Evaluation:
     """Halves the step until the residual falls; after six halvings takes the last one, to leave a corner."""
     length, waiting = 1.0, np.arange(len(todo))
     before = state.size()[todo]

@@ -18,32 +18,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.fitting.rows import Rows, normality, with_mirror
+from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
 from rve.common.types import Array
-from rve.common.values import Options, number, whole
 
 STAR = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 CORNERS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
 
 
-@dataclass(frozen=True)
-class BoundsOptions(Options):
-    """How the region of shapes is found; InputError for values out of range.
-
-    largest: shapes with |log m| and |w| up to this are searched; cells beyond 4 are 50 times longer than wide or
-    sheared to 2 degrees. first: rectangles along each axis at the start; fewer may miss a small region. resolution:
-    halving ends when rectangles are this share of the region; the bounds are wider than the region by about as much.
-    smallest: regions smaller than this are points. margin: factor on the change of log(upper / lower limit of l) that
-    is seen inside a rectangle; a larger one keeps more rectangles. round_off: excess below zero that is still kept.
-    """
-
-    largest: float = number(4.0, above=0.0, most=20.0)
-    first: int = whole(40, least=2, most=1000)
-    resolution: float = number(0.02, above=0.0, most=1.0)
-    smallest: float = number(1e-7, above=0.0, most=1.0)
-    margin: float = number(2.0, least=1.0, most=100.0)
-    round_off: float = number(1e-10, least=0.0, most=1e-3)
+LARGEST = 4.0
+"""Shapes with |log m| and |w| up to this are searched; cells beyond are 50 times longer than wide, or sheared flat."""
+FIRST = 40
+"""Rectangles along each axis at the start; fewer may miss a small region."""
+RESOLUTION = 0.02
+"""Halving ends when rectangles are this share of the region; the bounds are wider than the region by about as much."""
+SMALLEST = 1e-7
+"""Regions smaller than this are points."""
+MARGIN = 2.0
+"""Factor on the change of log(upper / lower limit of l) that is seen inside a rectangle; a larger one keeps more."""
+ROUND_OFF = 1e-10
+"""Excess below zero that is still kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,34 +101,33 @@ class _Sizes:
         return _Sizes(self.C0[keep], self.least[keep], self.most[keep], self.work[keep], self.limit[keep])
 
 
-def strain_bounds(rows: Rows, s: Array, options: BoundsOptions | None = None) -> StrainBounds:
+def strain_bounds(rows: LockedRows, s: Array, resolution: float = RESOLUTION) -> StrainBounds:
     """Bounds of the locked strain under the Cauchy loads s (n, 3) from the rows of a table and their mirror images.
 
     They hold if the locked strains lie on one convex set; rows that contradict each other by some strain widen them by
     as much. Under a load of rank one they hold all strains that the rows allow, down to cells drawn to a line.
     """
-    options = options or BoundsOptions()
     both = with_mirror(rows)
     slack = -normality(rows).slack
     known = _Known(both.S * WEIGHT, 1.0 + 2.0 * (both.h + slack), both.E * WEIGHT, slack)
-    ends = [_bounds_under(load, known, options) for load in np.asarray(s, float)]
+    ends = [_bounds_under(load, known, resolution) for load in np.asarray(s, float)]
     low, high = (np.array([pair[k] for pair in ends]).reshape(-1, 3) for k in (0, 1))
     return StrainBounds(low, high)
 
 
-def _bounds_under(s: Array, known: _Known, options: BoundsOptions) -> tuple[Array, Array]:
+def _bounds_under(s: Array, known: _Known, resolution: float) -> tuple[Array, Array]:
     """Least and largest strain components (3,) under the load s (3,), by halving rectangles of the plane of shapes."""
-    half = np.full(2, options.largest / options.first)
-    ticks = (2.0 * np.arange(options.first) + 1.0 - options.first) * half[0]
+    half = np.full(2, LARGEST / FIRST)
+    ticks = (2.0 * np.arange(FIRST) + 1.0 - FIRST) * half[0]
     x = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 2)
     while True:
         seen = [known.sizes(x + way * half, s) for way in STAR]
-        change = options.margin * _change(seen)
-        keep = seen[0].excess() + change >= -options.round_off
+        change = MARGIN * _change(seen)
+        keep = seen[0].excess() + change >= -ROUND_OFF
         if not keep.any():
             return np.full(3, np.nan), np.full(3, np.nan)
         x, known = x[keep], known.near(seen[0].take(keep), 2.0 * change[keep].max())
-        coarse = half > np.maximum(options.resolution * (np.ptp(x, axis=0) + 2.0 * half), options.smallest)
+        coarse = half > np.maximum(resolution * (np.ptp(x, axis=0) + 2.0 * half), SMALLEST)
         if not coarse.any():
             return _extremes([known.sizes(x + way * half, s) for way in CORNERS])
         half = np.where(coarse, 0.5 * half, half)

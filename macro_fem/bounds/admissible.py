@@ -14,16 +14,16 @@ import skfem
 
 from homogenize import MembraneLaw
 from macro_fem.fem.discretization import Discretization
+from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
-from macro_fem.solution import Problem, make_problem
 from rve.common.errors import InputError
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Corners (2, 3) of the reference triangle, in the order of the corners of cells."""
 
 
-def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> Problem:
+def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> CurtainProblem:
     """The P2 problem of a scene with the law at the corners of the triangles; InputError for quadrilaterals.
 
     With walls the P1 problem: a P1 curtain is inside a plane where its nodes are, a P2 curtain need not be.
@@ -35,7 +35,7 @@ def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor
     if problem.walls is not None:
         return make_problem(replace(scene, mesh=replace(scene.mesh, element="P1")), law, mesh, factor)
     disc = at_corners(problem.disc)
-    return replace(problem, disc=disc, fem=problem.supports.fem(disc, problem.fem.method))
+    return replace(problem, disc=disc, fem=problem.supports.fem(disc))
 
 
 def at_corners(disc: Discretization) -> Discretization:

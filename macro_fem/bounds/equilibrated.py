@@ -26,11 +26,12 @@ import skfem
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.discretization import Discretization, discretize
-from macro_fem.fem.rotated import largest_stretch
+from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.solvers.walls import Walls
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -139,25 +140,32 @@ def edges_at_corner(dual: DualMesh, corner: int) -> tuple[np.ndarray, np.ndarray
     return facet, near
 
 
-def dead_and_live(scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float) -> tuple[Array, float]:
-    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm."""
+def dead_and_live(
+    scene: Scene, dual: DualMesh, law: MembraneLaw, factor: float, shaped: Array | None
+) -> tuple[Array, float]:
+    """Nodal forces (n_nodes, d) and the most that spreading point loads over edges may change the potential, N mm.
+
+    shaped: what wind on the present shape presses the cells with (n_cells, d), N/mm2.
+    """
     disc, mesh = dual.disc, dual.mesh
     force = load_vector(disc, weight_per_area(scene, law.cell))
-    for bar in scene.load.bar:
+    for bar in scene.of(Bar):
         facets = mesh.edges[bar.edge]
         length = dual.edge_lengths()[facets].sum()
         weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
         force += traction_forces(dual, facets, weight / length)
-    for wind in scene.load.wind:
-        force += load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
-    for edge in scene.load.edge:
+    for wind in scene.of(Wind):
+        force += 0.0 if wind.is_shaped else load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
+    if shaped is not None:
+        force += load_vector(disc, np.tile(shaped, (3, 1)))
+    for edge in scene.of(EdgeLoad):
         force += traction_forces(dual, mesh.edges[edge.edge], factor * components(edge.force, scene))
     cost = 0.0
-    for point in scene.load.point:
+    for point in scene.of(PointLoad):
         part, extra = _spread_point(dual, law, np.array(point.at), factor * components(point.force, scene))
         force += part
         cost += extra
-    for patch in scene.load.patch:
+    for patch in scene.of(PatchLoad):
         force += _patch(dual, np.array(patch.at), patch.radius, factor * components(patch.force, scene))
     return force, cost
 

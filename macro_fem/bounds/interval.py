@@ -17,50 +17,27 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from homogenize import MembraneLaw
+from macro_fem.bounds.dual_problem import BOUND, BoundOptions, _at_dual_nodes, dual_problem
 from macro_fem.bounds.equilibrated import (
-    DualMesh,
     DualProblem,
-    Tethers,
-    dead_and_live,
-    dual_mesh,
-    edges_at_corner,
 )
+from macro_fem.drag import with_wind
 from macro_fem.fem.assembly import internal_force
-from macro_fem.fem.rotated import RotatedLaw, largest_stretch
-from macro_fem.fem.space import in_space_of
-from macro_fem.scene.supports import Held, Supports, pin_sliding, straight_ties, with_sliding
-from macro_fem.solution import CurtainSolution, gathered_start, make_problem
+from macro_fem.fem.hung_law import largest_stretch
+from macro_fem.problem import make_problem
+from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers import soc
-from macro_fem.solvers.central_path import PathResult, solve_path
-from macro_fem.solvers.cones import repeated, supported
+from macro_fem.solvers.central_path import solve_path
+from macro_fem.solvers.cones import repeat_cones, with_support
 from macro_fem.solvers.options import PathOptions
-from macro_fem.solvers.walls import Walls
+from macro_fem.solvers.path_result import PathResult, Terms
 from rve.common.types import Array
-from rve.common.values import Options, number
-
-
-@dataclass(frozen=True)
-class BoundOptions(Options):
-    """How the dual program is solved; InputError for values that make no sense."""
-
-    gap: float = number(2e-5, above=0.0, most=1.0)
-    """Relative gap. Larger gaps weaken the bound; that of any mesh is far larger than the default."""
-    violation: float = number(5e-3, above=0.0, most=1.0)
-    """Violation of the law that may be left: a half-space left out weakens the bound, too."""
-    inward: float = number(0.05, above=0.0, most=1.0)
-    """How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left
-    and the first steps get stuck; farther away more steps are needed."""
-
-
-BOUND = BoundOptions()
-"""The defaults."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class CurtainBounds:
     """upper and lower: bounds of the potential of the continuous curtain, N mm; `status` of the dual solver.
 
     error (n_cells,): share of every triangle in upper - lower, N mm, which it sums to; `points`: the part of it that is
@@ -118,7 +95,7 @@ def bound(
     factor: float = 1.0,
     outer: MembraneLaw | None = None,
     options: BoundOptions = BOUND,
-) -> Bounds:
+) -> CurtainBounds:
     """Bounds of the potential around an admissible solution on a mesh of triangles, at the same load step `factor`.
 
     The solution is one in P1, or in P2 with the law at the corners of triangles. `outer`: a law, in the frame of the
@@ -140,7 +117,7 @@ def bound(
     error = error_map(gradients, dual, result) + contact_error(solution.x, dual, result)
     points = upper - lower - float(error.sum())
     loads = None if outer is None else loads_of(area, solution.S, inner, problem.law)
-    return Bounds(
+    return CurtainBounds(
         upper=upper,
         lower=lower if result.converged else float("nan"),
         error=error + _near_points(dual, moment, points),
@@ -171,7 +148,7 @@ def _solved(solution: CurtainSolution, factor: float, options: BoundOptions) -> 
         drawn=False,
     )
     load = fem.gather(dual.force)
-    return dual, solve_path(fem, problem.law, load, start, problem.mesh.size, path, walls=dual.walls)
+    return dual, solve_path(fem, problem.law, load, start, problem.mesh.size, path, Terms(walls=dual.walls))
 
 
 def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | None) -> CurtainSolution:
@@ -181,103 +158,15 @@ def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | N
     """
     problem, cones = solution.problem, solution.cones
     if cones is not None and problem.disc.n_quad == 1:
-        cones = repeated(cones, 3)
+        cones = repeat_cones(cones, 3)
     flat = replace(problem.scene, mesh=replace(problem.scene.mesh, element="P1"))
-    own = problem.law.law if isinstance(problem.law, RotatedLaw) else problem.law
     if outer is not None or problem.disc.element != "P1":
-        problem = make_problem(flat, own if outer is None else outer, problem.mesh, factor)
+        wind = problem.wind
+        problem = make_problem(flat, problem.law.own if outer is None else outer, problem.mesh, factor)
+        problem = problem if wind is None else with_wind(problem, wind)
     if outer is not None and cones is not None:
-        cones = supported(cones, problem.law)
+        cones = with_support(cones, problem.law)
     return replace(solution, problem=problem, x=solution.x[: problem.disc.n_nodes], cones=cones)
-
-
-def dual_problem(solution: CurtainSolution, factor: float, options: BoundOptions = BOUND) -> DualProblem:
-    """The hybrid problem that belongs to a P1 solution."""
-    problem = solution.problem
-    scene, mesh = problem.scene, problem.mesh
-    dual = dual_mesh(mesh)
-    force, cost = dead_and_live(scene, dual, problem.law, factor)
-    d = problem.fem.d
-    mask = np.zeros((dual.disc.n_nodes, d), bool)
-    positions = in_space_of(dual.disc.nodes, d)
-    near_point = slackened(solution, options.inward)
-    tethers: list[tuple[np.ndarray, np.ndarray, Array]] = []
-    at_points = [held for held in problem.supports.held if not len(held.facets)]
-    for held in at_points:
-        for node, component, centre in zip(held.nodes, held.mask, held.positions, strict=True):
-            facet, near = edges_at_corner(dual, int(node))
-            for end in range(2):
-                mask[2 * facet + end] |= component
-                positions[2 * facet + end] = near_point[dual.facets[end, facet]]
-            tethers.append((facet, near, np.where(component, centre, np.nan) * np.ones((len(facet), 1))))
-    whole: np.ndarray = np.asarray(mask.all(axis=1))
-    lines: list[tuple[np.ndarray, Array]] = []
-    for held in problem.supports.held:
-        if len(held.facets):
-            _hold_edge(dual, held, mask, positions)
-            nodes = np.concatenate([2 * held.facets, 2 * held.facets + 1])
-            if held.slide is None:
-                whole[nodes] = mask[nodes].all(axis=1)
-            else:
-                lines.append((nodes, held.slide))
-    supports = Supports(problem.supports.held, mask, positions, np.zeros_like(mask), _bars(solution, dual, mask))
-    if lines:
-        supports = with_sliding(supports, lines, whole)
-    supports = pin_sliding(supports, dual.disc, force, scene.source)
-    parts = [np.concatenate(part) for part in zip(*tethers, strict=True)] if tethers else []
-    empty = Tethers(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))
-    fem, walls = supports.fem(dual.disc, problem.fem.method), _walls(problem.walls, dual)
-    return DualProblem(dual, fem, force, Tethers(*parts) if parts else empty, cost, walls)
-
-
-def _hold_edge(dual: DualMesh, held: Held, mask: np.ndarray, positions: Array) -> None:
-    """Holds both ends of every facet of an edge support where the primal support holds the corners; in place."""
-    number = np.full(dual.mesh.mesh.p.shape[1], -1)
-    number[held.nodes] = np.arange(len(held.nodes))
-    for end in range(2):
-        which = number[dual.facets[end, held.facets]]
-        node = 2 * held.facets + end
-        positions[node] = np.where(held.mask[which], held.positions[which], positions[node])
-        mask[node] |= held.mask[which]
-
-
-def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
-    """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
-
-    Their pushes are even in every triangle. The law of the continuous curtain has them at all points, so that any such
-    pushes give a lower bound.
-    """
-    if walls is None or not len(walls):
-        return None
-    planes = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0)
-    n_cells, first = dual.disc.n_cells, 2 * dual.facets.shape[1]
-    node = np.tile(first + np.arange(n_cells), len(planes))
-    return Walls(node, np.repeat(planes[:, :-1], n_cells, axis=0), np.repeat(planes[:, -1], n_cells))
-
-
-def _bars(solution: CurtainSolution, dual: DualMesh, mask: np.ndarray) -> sparse.csc_matrix | None:
-    """The straight bars' edges, kept on a line in the dual as they are in the primal problem."""
-    lines = []
-    X = dual.disc.nodes
-    for bar in solution.problem.scene.load.bar:
-        if bar.straight:
-            facets = dual.mesh.edges[bar.edge]
-            nodes = np.concatenate([2 * facets, 2 * facets + 1])
-            along = X[nodes] @ np.ptp(X[nodes], axis=0)
-            lines.append(nodes[np.argsort(along, kind="stable")])
-    return straight_ties(lines, X, mask) if lines else None
-
-
-def slackened(solution: CurtainSolution, inward: float) -> Array:
-    """Positions (n_nodes, d) of the P1 curtain, drawn a little towards its slack start."""
-    return solution.x + inward * (gathered_start(solution.problem) - solution.x)
-
-
-def _at_dual_nodes(x: Array, dual: DualMesh) -> Array:
-    """Nodal positions x of P1 at the unknowns of the dual (n_nodes, d)."""
-    corners = x[dual.facets]  # (2, n_facets, d)
-    middle = x[dual.mesh.mesh.t].mean(axis=0)
-    return np.concatenate([corners.transpose(1, 0, 2).reshape(-1, x.shape[1]), middle])
 
 
 def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:

@@ -1,32 +1,27 @@
-"""Solutions of the rings on disk, one small file per load direction, safe to share between processes.
-
-A file is written whole or not at all. Its name is a hash of all that its content depends on: weave, grain, wire r2/r1,
-direction, and the version of this format and of the solver. Files that are damaged or say something else are ignored.
-"""
+"""Solutions of the rings in the cache: what a load direction's answer depends on, and what an answer must hold."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from rve import Cell
-from rve.common.errors import InputError
-from rve.common.storage.files import check_out_folder, versions, write_text
+from rve.common.cache import Cache
+from rve.common.files import versions
 from rve.common.types import Array
 
 Beside = tuple[tuple[float, float], ...]
 """Directions as points of the unit disc."""
 FORMAT = "ring-mesh support value"
-VERSION = 2
+VERSION = 3
 """Raised when the same direction would be answered differently, so that older files are no longer read."""
-MOST_BYTES = 10_000
 NOT_ASKED = ("r1", "r2", "density", "material", "weave")
 """Fields of a cell that enter by name and ratio, or not at all."""
+ROUNDING = 1e-9
+"""By how much h of a kept answer may differ from S:E, which it is computed as."""
 
 
 @dataclass(frozen=True)
@@ -42,57 +37,21 @@ class RingAnswer:
     unique: bool
 
 
-@dataclass(frozen=True)
-class RingCache:
-    """A folder of answers; None keeps nothing."""
+def read_answer(cache: Cache, cell: Cell, S: Array, beside: Beside = ()) -> RingAnswer | None:
+    """The kept answer to the direction S (3,) of unit trace; None if it is not there, or not h = S:E.
 
-    folder: Path | None
-
-    def get(self, cell: Cell, S: Array, beside: Beside = ()) -> RingAnswer | None:
-        """The answer to the direction S (3,) of unit trace, None if it is not there or not readable.
-
-        beside: directions that were solved with it, whose locked states were starts.
-        """
-        if self.folder is None:
-            return None
-        asked = question(cell, S, beside)
-        try:
-            with (self.folder / file_name(asked)).open("rb") as file:
-                found = json.loads(file.read(MOST_BYTES))
-            return _answer(found) if found["question"] == asked else None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return None
-
-    def put(self, cell: Cell, S: Array, answer: RingAnswer, beside: Beside = ()) -> None:
-        """Keeps an answer; InputError if the folder cannot be written."""
-        if self.folder is None:
-            return
-        asked = question(cell, S, beside)
-        record = {
-            "question": asked,
-            "h": answer.h if math.isfinite(answer.h) else None,
-            "E11_E12_E22": [x if math.isfinite(x) else None for x in answer.E],
-            "status": answer.status,
-            "unique": answer.unique,
-            "versions": versions(),
-        }
-        self.folder.mkdir(parents=True, exist_ok=True)
-        write_text(self.folder / file_name(asked), json.dumps(record, indent=1, allow_nan=False) + "\n")
-
-
-NO_CACHE = RingCache(None)
-
-
-def open_cache(folder: str | Path | None) -> RingCache:
-    """The cache in a folder, which is made; InputError if it is a file or cannot be written. None: nothing is kept."""
-    if folder is None:
-        return NO_CACHE
-    check_out_folder(folder, "--cache")
+    beside: directions that were solved with it, whose locked states were starts.
+    """
+    found = cache.get(question(cell, S, beside))
     try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--cache = {folder}: cannot be made: {error.strerror}; give another folder") from error
-    return RingCache(Path(folder))
+        return None if found is None else _answer(found, S)
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def keep_answer(cache: Cache, cell: Cell, S: Array, answer: RingAnswer, beside: Beside = ()) -> None:
+    """Keeps an answer; InputError if the folder cannot be written."""
+    cache.put(question(cell, S, beside), asdict(answer) | {"versions": versions()})
 
 
 def default_folder() -> Path:
@@ -116,23 +75,12 @@ def question(cell: Cell, S: Array, beside: Beside = ()) -> dict[str, Any]:
     }
 
 
-def file_name(asked: dict[str, Any]) -> str:
-    """Name of the file that answers a question.
-
-    >>> len(file_name({"format": FORMAT}))
-    45
-    """
-    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:40] + ".json"
-
-
-def _answer(found: dict[str, Any]) -> RingAnswer:
+def _answer(found: dict[str, Any], S: Array) -> RingAnswer:
     """The answer in a file; ValueError, KeyError or TypeError if it is none."""
-    status, unique, E = found["status"], found["unique"], found["E11_E12_E22"]
-    if not isinstance(status, str) or not isinstance(unique, bool) or len(E) != 3:
-        raise ValueError("no answer")
+    status, unique = str(found["status"]), bool(found["unique"])
     if status != "converged":
         return RingAnswer(math.nan, (math.nan,) * 3, status, unique)
-    numbers = [float(found["h"]), *(float(x) for x in E)]
-    if not all(math.isfinite(x) and abs(x) < 10.0 for x in numbers):
-        raise ValueError("no finite strain")
-    return RingAnswer(numbers[0], (numbers[1], numbers[2], numbers[3]), status, unique)
+    h, (E11, E12, E22) = float(found["h"]), (float(x) for x in found["E"])
+    if not abs(S[0] * E11 + 2.0 * S[1] * E12 + S[2] * E22 - h) < ROUNDING:
+        raise ValueError("h is not S:E")
+    return RingAnswer(h, (E11, E12, E22), status, unique)

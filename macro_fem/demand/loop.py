@@ -13,29 +13,27 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from homogenize import CellInfo, LawInterval, MembraneLaw, law_interval
-from macro_fem.bounds.adapt import Level, marked, with_cones_of
+from macro_fem.bounds.adapt import Level, mark, with_cones_of
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Loads, bound, loads_of
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.cache import NO_CACHE, RingCache
 from macro_fem.demand.directions import between, widest
-from macro_fem.demand.ring_answers import GAIN, Asked, ask, first_directions, ring_info, rounded, settled
-from macro_fem.fem.rotated import RotatedLaw
+from macro_fem.demand.record import DEMAND, SENTENCES, Demand, DemandOptions, Turn
+from macro_fem.demand.ring_answers import GAIN, Samples, ask, first_directions, ring_info, rounded, settle
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell
+from rve.common.cache import NO_CACHE, Cache
 from rve.common.errors import InputError
 from rve.common.progress import heard_by, part_of, tell
 from rve.common.tensor import disc
 from rve.common.types import Array
 
-LEAST_ACCURACY, MOST_ACCURACY = 1e-5, 0.5
 LAW_SHARE = 0.15
 """The law may widen the interval by this part of what is asked, or of what the mesh does now. More saves ring solves
 and costs triangles."""
@@ -55,85 +53,14 @@ LOST = 4
 """How often directions are asked because no curtain hangs on the inner law yet."""
 
 
-@dataclass(frozen=True)
-class DemandOptions:
-    """accuracy: width of the interval over total load times height, which for a curtain under its weight alone is that
-    of the mean height over the height. The rest are limits at which a run gives up; InputError for values out of range.
-    """
-
-    accuracy: float = 5e-3
-    most_cells: int = 30_000
-    most_solves: int = 3_000
-    most_turns: int = 60
-
-    def __post_init__(self) -> None:
-        if not LEAST_ACCURACY <= self.accuracy <= MOST_ACCURACY:
-            raise InputError(
-                f"accuracy = {self.accuracy:g}: must lie between {LEAST_ACCURACY:g} and {MOST_ACCURACY:g}, the width "
-                "of the interval over the height"
-            )
-
-
-@dataclass(frozen=True)
-class Turn:
-    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part in N mm.
-
-    lower is nan in turns that only asked the rings.
-    """
-
-    cells: int
-    rows: int
-    ring_solves: int
-    cache_hits: int
-    upper: float
-    lower: float
-    law_part: float
-    wall_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """For summary.json, units in the names."""
-        names = {"upper": "upper_N_mm", "lower": "lower_N_mm", "law_part": "law_part_N_mm"}
-        return {names.get(key, key): value for key, value in vars(self).items()}
-
-
 @dataclass(frozen=True, eq=False)
-class Demand:
-    """The answer on demand: the last curtain with its bounds, the law that the rings were asked for, and the way there.
-
-    status: "converged" if the interval is as narrow as asked; `message` says what limits it otherwise.
-    """
-
-    level: Level
-    law: LawInterval
-    asked: Asked
-    turns: tuple[Turn, ...]
-    accuracy: float
-    status: str
-    message: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """For summary.json: status and message of the whole, how the rings were asked, and every turn."""
-        return {
-            "status": self.status,
-            "message": self.message,
-            "accuracy": self.accuracy,
-            "ring_solves": self.asked.solves,
-            "cache_hits": self.asked.hits,
-            "ring_failures": self.asked.failed,
-            "rows": self.asked.count,
-            "largest_contradiction_of_rows": self.law.raised,
-            "turns": [turn.to_dict() for turn in self.turns],
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class _Rings:
+class _RingsOnDemand:
     """What does not change: scene, rings, their reference cell, cache, options, and when the run began, s."""
 
     scene: Scene
     cell: Cell
     info: CellInfo
-    cache: RingCache
+    cache: Cache
     options: DemandOptions
     began: float = field(default_factory=time.perf_counter)
 
@@ -141,7 +68,7 @@ class _Rings:
     def is_mirrored(self) -> bool:
         return self.cell.weave.is_mirrored
 
-    def law(self, asked: Asked) -> LawInterval:
+    def law(self, asked: Samples) -> LawInterval:
         """What is known of the law; InputError if the rings answered too few questions."""
         if asked.rows is None or len(asked.rows) < 4:
             raise InputError(
@@ -153,17 +80,17 @@ class _Rings:
 def solve_on_demand(
     scene: Scene,
     cell: Cell,
-    options: DemandOptions = DemandOptions(),
+    options: DemandOptions = DEMAND,
     *,
     known: LawInterval | None = None,
-    cache: RingCache = NO_CACHE,
+    cache: Cache = NO_CACHE,
 ) -> Demand:
     """The curtain of a scene of these rings at its full load, its interval narrowed to `options.accuracy`.
 
     known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
     upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
     """
-    rings = _Rings(scene, cell, ring_info(cell), cache, options)
+    rings = _RingsOnDemand(scene, cell, ring_info(cell), cache, options)
     asked = _first(rings, known)
     mesh = build_mesh(scene, rings.info)
     turns: list[Turn] = []
@@ -171,12 +98,12 @@ def solve_on_demand(
     law = rings.law(asked)
     while len(turns) < options.most_turns:
         with part_of(_line(mesh, asked, level), 0.0, 1.0):
-            solution, law, asked = _hung(rings, mesh, law, asked, last, LOST if level is None else 0)
+            solution, law, asked = _hang(rings, mesh, law, asked, last, LOST if level is None else 0)
         if solution.status != "converged":
-            return _given_up(rings, level, law, asked, turns, solution)
+            return _give_up(rings, level, law, asked, turns, solution)
         target, scale = _scales(solution, options.accuracy)
         before, inner = len(asked.x), law.inner
-        law, asked = _narrowed(rings, law, solution, asked, LAW_SHARE * max(target, share * scale))
+        law, asked = _narrow(rings, law, solution, asked, LAW_SHARE * max(target, share * scale))
         part = _loads(solution, inner, law.outer).law_part
         if part > AGAIN * LAW_SHARE * max(target, share * scale) and len(asked.x) > before:
             turns.append(_turn(rings, solution, asked, part))
@@ -185,21 +112,21 @@ def solve_on_demand(
         with part_of("bounds", 0.0, 1.0):
             new = Level(solution, bound(solution, outer=law.outer))
         turns.append(_turn(rings, solution, asked, part, new))
-        ended = _ended(rings, new, turns, target, asked)
+        ended = _find_end(rings, new, turns, target, asked)
         level = new if level is None or new.bounds.status == "converged" else level
         if ended is not None:
-            return Demand(level, law, asked, tuple(turns), options.accuracy, *_doubted(law, *ended))
+            return Demand(level, law, asked, tuple(turns), options.accuracy, *_doubt(law, *ended))
         share = FALL * max(level.bounds.gap - part, 0.0) / scale
-        mesh, last = refine(mesh, marked(level.bounds.error), scene), solution
+        mesh, last = refine(mesh, mark(level.bounds.error), scene), solution
     if level is None:
         raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
     return Demand(level, law, asked, tuple(turns), options.accuracy, "turn_limit", SENTENCES["turn_limit"])
 
 
-def _first(rings: _Rings, known: LawInterval | None) -> Asked:
+def _first(rings: _RingsOnDemand, known: LawInterval | None) -> Samples:
     """What the first law is made of; InputError if what is known belongs to other rings."""
     if known is None:
-        return _asked(rings, first_directions(rings.is_mirrored), Asked(np.zeros((0, 2))))
+        return _ask_all(rings, first_directions(rings.is_mirrored), Samples(np.zeros((0, 2))))
     cell, info = known.law.cell, rings.info
     names = ("r2_mm", "b_x_mm", "b_y_mm")
     if cell is not None:
@@ -207,22 +134,7 @@ def _first(rings: _Rings, known: LawInterval | None) -> Asked:
         if np.abs(np.subtract(given, own)).max() > SAME_RINGS:
             text = [", ".join(f"{x:.6g}" for x in one) for one in (given, own)]
             raise InputError(f"{known.source}: r2, b_x and b_y over r1 are {text[0]}, those of --rings are {text[1]}")
-    return Asked(rounded(disc(known.rows.S)), known.rows)
-
-
-SENTENCES = {
-    "converged": "the interval of rings and continuous curtain is as narrow as asked",
-    "mesh_limit": "the mesh would need more than {cells} triangles; ask for less accuracy, or start with fewer cells",
-    "law_limit": "the law's part, {law:.2g} of the height, is the larger one and the rings have no more to tell within "
-    "{solves} ring problems ({failed} directions without an answer); ask for less accuracy",
-    "bound_limit": "the lower bound ended with status {bound}; allow more [solver] max_iterations or start with other "
-    "cells",
-    "contradiction": "answers of the rings contradict each other by {raised:.1e}: some are not the largest work, the "
-    "lower bound is not proved; make a table with rve table, which seeks the largest states, and begin with it",
-    "turn_limit": "the limit of turns was reached; ask for less accuracy",
-    "curtain_limit": "the curtain of the next turn was not solved, and the interval is that of the turn before: {why}",
-}
-"""What each status says; only the first means that the accuracy was reached."""
+    return Samples(rounded(disc(known.rows.S)), known.rows)
 
 
 def _scales(solution: CurtainSolution, accuracy: float) -> tuple[float, float]:
@@ -232,18 +144,18 @@ def _scales(solution: CurtainSolution, accuracy: float) -> tuple[float, float]:
     return accuracy * scale, max(scale, 1e-300)
 
 
-def _asked(rings: _Rings, x: Array, asked: Asked) -> Asked:
+def _ask_all(rings: _RingsOnDemand, x: Array, asked: Samples) -> Samples:
     """`asked` and the directions x (n, 2), told one by one."""
     for number, one in enumerate(x):
         tell(f"asking the rings, {asked.solves} solved, {len(x) - number} to go", number / len(x))
         with heard_by(None):
             asked = ask(rings.cell, rings.cache, one[None], asked)
-    return settled(rings.cell, rings.cache, asked) if len(x) else asked
+    return settle(rings.cell, rings.cache, asked) if len(x) else asked
 
 
-def _hung(
-    rings: _Rings, mesh: CurtainMesh, law: LawInterval, asked: Asked, last: CurtainSolution | None, tries: int
-) -> tuple[CurtainSolution, LawInterval, Asked]:
+def _hang(
+    rings: _RingsOnDemand, mesh: CurtainMesh, law: LawInterval, asked: Samples, last: CurtainSolution | None, tries: int
+) -> tuple[CurtainSolution, LawInterval, Samples]:
     """The curtain by the inner law; where none hangs on it, the rings are asked more widely, at most `tries` times."""
     while True:
         problem = admissible_problem(rings.scene, law.inner, mesh)
@@ -251,13 +163,13 @@ def _hung(
         if solution.status == "converged" or tries == 0:
             return solution, law, asked
         tries -= 1
-        asked = _asked(rings, _more_anywhere(rings, law, solution, asked), asked)
+        asked = _ask_all(rings, _more_anywhere(rings, law, solution, asked), asked)
         law = rings.law(asked)
 
 
-def _narrowed(
-    rings: _Rings, law: LawInterval, solution: CurtainSolution, asked: Asked, allowed: float
-) -> tuple[LawInterval, Asked]:
+def _narrow(
+    rings: _RingsOnDemand, law: LawInterval, solution: CurtainSolution, asked: Samples, allowed: float
+) -> tuple[LawInterval, Samples]:
     """The law after the rings were asked at the solution's stresses until its part, N mm, is what is allowed."""
     for _ in range(LOOKS):
         loads = _loads(solution, law.inner, law.outer)
@@ -268,27 +180,27 @@ def _narrowed(
         x = widest(disc(loads.S), loads.weight * loads.width, asked.x, most, rings.is_mirrored)
         if not len(x):
             break
-        asked = _asked(rings, x, asked)
+        asked = _ask_all(rings, x, asked)
         law = rings.law(asked)
     return law, asked
 
 
 def _loads(solution: CurtainSolution, inner: MembraneLaw, outer: MembraneLaw) -> Loads:
     """The stresses of a curtain, in the frame of the weave."""
-    law, S = solution.problem.law, solution.S
-    if isinstance(law, RotatedLaw):
-        S = S @ law.to_weave.T
-    return loads_of(solution.problem.disc.weight, S, inner, outer)
+    problem = solution.problem
+    return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, outer)
 
 
-def _more_anywhere(rings: _Rings, law: LawInterval, solution: CurtainSolution, asked: Asked) -> Array:
+def _more_anywhere(rings: _RingsOnDemand, law: LawInterval, solution: CurtainSolution, asked: Samples) -> Array:
     """Directions (n, 2) to ask where no curtain was found: at the stress that proves it, and far from known ones."""
     loads = _loads(solution, law.inner, law.outer)
     x = widest(disc(loads.S), loads.weight * loads.width, asked.x, QUESTIONS, rings.is_mirrored)
     return np.vstack([x, between(np.vstack([asked.x, x]), QUESTIONS, rings.is_mirrored)])
 
 
-def _turn(rings: _Rings, solution: CurtainSolution, asked: Asked, part: float, level: Level | None = None) -> Turn:
+def _turn(
+    rings: _RingsOnDemand, solution: CurtainSolution, asked: Samples, part: float, level: Level | None = None
+) -> Turn:
     return Turn(
         solution.problem.disc.n_cells,
         asked.count,
@@ -301,7 +213,9 @@ def _turn(rings: _Rings, solution: CurtainSolution, asked: Asked, part: float, l
     )
 
 
-def _ended(rings: _Rings, level: Level, turns: Sequence[Turn], target: float, asked: Asked) -> tuple[str, str] | None:
+def _find_end(
+    rings: _RingsOnDemand, level: Level, turns: Sequence[Turn], target: float, asked: Samples
+) -> tuple[str, str] | None:
     """Status and message if this was the last turn."""
     bounds, options = level.bounds, rings.options
     if bounds.status != "converged":
@@ -313,12 +227,12 @@ def _ended(rings: _Rings, level: Level, turns: Sequence[Turn], target: float, as
         _, scale = _scales(level.solution, options.accuracy)
         why = SENTENCES["law_limit"].format(law=part / scale, solves=options.most_solves, failed=asked.failed)
         return "law_limit", why
-    if cells + 3 * len(marked(bounds.error)) > options.most_cells:
+    if cells + 3 * len(mark(bounds.error)) > options.most_cells:
         return "mesh_limit", SENTENCES["mesh_limit"].format(cells=options.most_cells)
     return None
 
 
-def _doubted(law: LawInterval, status: str, message: str) -> tuple[str, str]:
+def _doubt(law: LawInterval, status: str, message: str) -> tuple[str, str]:
     """Status and message, unless rows contradict each other: then some h are not the largest work."""
     if status == "converged" and law.raised > GAIN:
         return "contradiction", SENTENCES["contradiction"].format(raised=law.raised)
@@ -330,11 +244,11 @@ def _is_idle(turns: Sequence[Turn]) -> bool:
     return len(turns) > 1 and turns[-1].rows == turns[-2].rows
 
 
-def _given_up(
-    rings: _Rings,
+def _give_up(
+    rings: _RingsOnDemand,
     level: Level | None,
     law: LawInterval,
-    asked: Asked,
+    asked: Samples,
     turns: Sequence[Turn],
     solution: CurtainSolution,
 ) -> Demand:
@@ -346,7 +260,7 @@ def _given_up(
     return Demand(level, law, asked, tuple(turns), rings.options.accuracy, "curtain_limit", why)
 
 
-def _line(mesh: CurtainMesh, asked: Asked, level: Level | None) -> str:
+def _line(mesh: CurtainMesh, asked: Samples, level: Level | None) -> str:
     """What the progress line says."""
     text = f"{mesh.mesh.t.shape[1]} triangles, {asked.count} ring problems"
     if level is None:

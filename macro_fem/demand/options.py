@@ -1,14 +1,41 @@
-"""What the command line says of rings, checked."""
+"""The law asked of the rings on the way: from Python, and as the command line says it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from homogenize import LawInterval, interval_of_table, read_law_interval
 from macro_fem.demand.cache import default_folder
+from macro_fem.demand.record import DEMAND
 from rve import WEAVES, Cell
 from rve.common.errors import InputError
+from rve.common.rings import check_ring_size
 from rve.common.values import shown
+
+
+@dataclass(frozen=True)
+class OnDemand:
+    """These rings are asked for the law where the curtain needs it, until the interval of the answer is no wider than
+    `accuracy` times the height.
+
+    known: what is known to begin with, an interval of laws or the file of a law or table (CSV) that tells one; cache:
+    the folder where answers of the rings are kept.
+    """
+
+    cell: Cell
+    accuracy: float = DEMAND.accuracy
+    known: LawInterval | Path | None = None
+    cache: str | Path | None = None
+
+    def interval(self) -> LawInterval | None:
+        """What is known to begin with; InputError for a law without rows."""
+        if isinstance(self.known, Path):
+            read = interval_of_table if self.known.suffix.lower() == ".csv" else read_law_interval
+            return read(self.known)
+        if not isinstance(self.known, LawInterval | None):
+            raise InputError("law: has no rows to begin with; make it again with homogenize fit, or give none")
+        return self.known
 
 
 def ring_options(
@@ -18,12 +45,12 @@ def ring_options(
     accuracy: float | None,
     cache: Path | None,
     no_cache: bool,
-) -> dict[str, Any]:
-    """The options rings (Cell or None), accuracy and cache (folder or None) of `macro_fem.job.run_scene`.
+) -> OnDemand | None:
+    """The rings that are asked, None if no radii are given.
 
     InputError for radii, weave or grain that make no mesh, and for options that need --rings.
 
-    >>> ring_options("5,0.5", None, None, 1e-3, None, True)["rings"].wire
+    >>> ring_options("5,0.5", None, None, 1e-3, None, True).cell.wire
     0.1
     """
     if rings is None:
@@ -33,7 +60,7 @@ def ring_options(
                 raise InputError(f"{name} = {value}: belongs to --rings R1,R2")
         if no_cache:
             raise InputError("--no-cache: belongs to --rings R1,R2")
-        return {}
+        return None
     if cache is not None and no_cache:
         raise InputError("--cache and --no-cache contradict each other: give one")
     weave = "4-in-1" if weave is None else weave
@@ -41,7 +68,14 @@ def ring_options(
         raise InputError(f"--weave = {shown(weave)}: known are {', '.join(WEAVES)}")
     cell = Cell(*radii(rings), WEAVES[weave], "y" if grain is None else grain)
     folder = None if no_cache else default_folder() if cache is None else cache
-    return {"rings": cell, "accuracy": accuracy, "cache": folder}
+    return OnDemand(cell, DEMAND.accuracy if accuracy is None else accuracy, cache=folder)
+
+
+def begin_with(asked: OnDemand | None, law: Path | None, table: Path | None) -> OnDemand | None:
+    """The rings asked, with the law or table that is known to begin with."""
+    if table is not None and (law is not None or asked is None):
+        raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
+    return None if asked is None else replace(asked, known=law if table is None else table)
 
 
 def radii(text: str) -> tuple[float, float]:
@@ -54,4 +88,5 @@ def radii(text: str) -> tuple[float, float]:
         r1, r2 = (float(part) for part in text.split(","))
     except ValueError:
         raise InputError(f"--rings = {shown(text)}: write the radii of ring and wire in mm, such as 5,0.5") from None
+    check_ring_size(r1, "--rings: r1")
     return r1, r2

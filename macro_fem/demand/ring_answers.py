@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homogenize import CellInfo, Rows, cell_of
-from macro_fem.demand.cache import Beside, RingAnswer, RingCache
+from homogenize import CellInfo, LockedRows, cell_of
+from macro_fem.demand.cache import Beside, RingAnswer, keep_answer, read_answer
 from rve import Cell, solve_table, support
+from rve.common.cache import Cache
 from rve.common.errors import NotConverged
 from rve.common.tensor import WEIGHT, disc, from_disc, mirror
 from rve.common.types import Array
@@ -21,7 +22,7 @@ DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class Samples:
     """Directions x (n, 2) that were asked, their rows without those that failed, and how the answers came about.
 
     solves: ring problems solved in this run; hits: answers read from the cache; failed: directions without an answer.
@@ -29,7 +30,7 @@ class Asked:
     """
 
     x: Array
-    rows: Rows | None = None
+    rows: LockedRows | None = None
     solves: int = 0
     hits: int = 0
     failed: int = 0
@@ -41,7 +42,7 @@ class Asked:
 
     @property
     def count(self) -> int:
-        """Rows known."""
+        """LockedRows known."""
         return 0 if self.rows is None else len(self.rows)
 
 
@@ -81,7 +82,7 @@ def first_directions(is_mirrored: bool) -> Array:
     return rounded(np.vstack(points))
 
 
-def ask(cell: Cell, cache: RingCache, x: Array, asked: Asked) -> Asked:
+def ask(cell: Cell, cache: Cache, x: Array, asked: Samples) -> Samples:
     """`asked` with the directions x (n, 2) as well, from the cache or from the rings, one after the other.
 
     Every answer is kept as soon as it is there: a run that is killed loses the one in flight.
@@ -95,9 +96,9 @@ def ask(cell: Cell, cache: RingCache, x: Array, asked: Asked) -> Asked:
         solves, hits = solves + solved, hits + (solved == 0)
     good = [i for i, answer in enumerate(answers) if answer.status == "converged"]
     new = _rows(cell, from_disc(x[good]), [answers[i] for i in good]) if good else None
-    return Asked(
+    return Samples(
         np.vstack([asked.x, x]),
-        _joined(asked.rows, new),
+        _join(asked.rows, new),
         asked.solves + solves,
         asked.hits + hits,
         asked.failed + len(answers) - len(good),
@@ -105,7 +106,7 @@ def ask(cell: Cell, cache: RingCache, x: Array, asked: Asked) -> Asked:
     )
 
 
-def settled(cell: Cell, cache: RingCache, asked: Asked) -> Asked:
+def settle(cell: Cell, cache: Cache, asked: Samples) -> Samples:
     """`asked` where no row's strain does more work under the load of another row than that row's own.
 
     A row for which one does is asked again beside the load of that strain, whose locked states are then starts; no
@@ -116,19 +117,19 @@ def settled(cell: Cell, cache: RingCache, asked: Asked) -> Asked:
         if before is None:
             break
         for i, j, x in contradictions(before):
-            asked = _asked_beside(cell, cache, asked, i, (*asked.beside_of(j), x))
+            asked = guard_points(cell, cache, asked, i, (*asked.beside_of(j), x))
         if asked.rows is None or (asked.rows.h - before.h).max() < GAIN:
             break
     return asked
 
 
-def contradictions(rows: Rows) -> list[tuple[int, int, tuple[float, float]]]:
-    """Rows i under whose load the strain of another does more work, the row j that does most, and its direction.
+def contradictions(rows: LockedRows) -> list[tuple[int, int, tuple[float, float]]]:
+    """LockedRows i under whose load the strain of another does more work, the row j that does most, and its direction.
 
     The direction is that of the mirror image where it is the image of row j that does the work.
 
     >>> S, E = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]]), np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
-    >>> contradictions(Rows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2)))
+    >>> contradictions(LockedRows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2)))
     [(0, 1, (-0.2, 0.0))]
     """
     S, E = rows.S, rows.E
@@ -141,7 +142,7 @@ def contradictions(rows: Rows) -> list[tuple[int, int, tuple[float, float]]]:
     return [(int(i), int(best[i]) % len(rows), (float(x[best[i], 0]), float(x[best[i], 1]))) for i in worst]
 
 
-def _asked_beside(cell: Cell, cache: RingCache, asked: Asked, i: int, others: Beside) -> Asked:
+def guard_points(cell: Cell, cache: Cache, asked: Samples, i: int, others: Beside) -> Samples:
     """`asked` with row i asked again beside other directions; the row as it was if nothing better is found."""
     rows, old = asked.rows, asked.beside_of(i)
     beside = (*old, *(x for x in dict.fromkeys(others) if x not in old))
@@ -158,18 +159,18 @@ def _asked_beside(cell: Cell, cache: RingCache, asked: Asked, i: int, others: Be
     return replace(asked, rows=replace(rows, h=h, E=E))
 
 
-def _answer(cell: Cell, cache: RingCache, x: Array, beside: Beside) -> tuple[RingAnswer, int]:
+def _answer(cell: Cell, cache: Cache, x: Array, beside: Beside) -> tuple[RingAnswer, int]:
     """The answer to the direction x (2,), and how many ring problems were solved for it: none if it was kept."""
     S = from_disc(np.vstack([x[None], *(np.array([one]) for one in beside)]))
-    answer = cache.get(cell, S[0], beside)
+    answer = read_answer(cache, cell, S[0], beside)
     if answer is not None:
         return answer, 0
-    answer = _solved(cell, S)
-    cache.put(cell, S[0], answer, beside)
+    answer = _solve(cell, S)
+    keep_answer(cache, cell, S[0], answer, beside)
     return answer, len(S)
 
 
-def _solved(cell: Cell, S: Array) -> RingAnswer:
+def _solve(cell: Cell, S: Array) -> RingAnswer:
     try:
         found = support(cell, S)
     except NotConverged:
@@ -178,14 +179,14 @@ def _solved(cell: Cell, S: Array) -> RingAnswer:
     return RingAnswer(float(found.h[0]), (E[0], E[1], E[2]), str(found.status[0]), bool(found.unique[0]))
 
 
-def _rows(cell: Cell, S: Array, answers: list[RingAnswer]) -> Rows:
+def _rows(cell: Cell, S: Array, answers: list[RingAnswer]) -> LockedRows:
     h, E = np.array([one.h for one in answers]), np.array([one.E for one in answers])
     unique = np.array([one.unique for one in answers])
-    return Rows(S, E, h, unique, np.arange(len(h)), is_mirrored=cell.weave.is_mirrored)
+    return LockedRows(S, E, h, unique, np.arange(len(h)), is_mirrored=cell.weave.is_mirrored)
 
 
-def _joined(old: Rows | None, new: Rows | None) -> Rows | None:
+def _join(old: LockedRows | None, new: LockedRows | None) -> LockedRows | None:
     if old is None or new is None:
         return new if old is None else old
     S, E, h, unique = (np.concatenate([getattr(old, k), getattr(new, k)]) for k in ("S", "E", "h", "unique"))
-    return Rows(S, E, h, unique, np.arange(len(h)), old.dropped, old.is_mirrored)
+    return LockedRows(S, E, h, unique, np.arange(len(h)), old.dropped, old.is_mirrored)

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import Rows, Strength, strength_of_table
-from macro_fem.demand.cache import RingCache
-from macro_fem.demand.loop import Demand
-from macro_fem.demand.ring_answers import Asked, ask
-from macro_fem.fem.rotated import RotatedLaw
+from homogenize import LockedRows, Strength, strength_of_table
+from macro_fem.demand.record import Demand
+from macro_fem.demand.ring_answers import Samples, ask
 from macro_fem.output.strength import critical_load
 from macro_fem.solution import CurtainSolution
 from rve import Cell, deformation_gradient, solve_table, with_rings
+from rve.common.cache import Cache
 from rve.common.errors import InputError
 from rve.common.progress import tell
 from rve.common.tensor import disc, eigenvalues, mirror
@@ -27,7 +26,7 @@ NEAR = 0.01
 """Directions of the unit disc nearer than this to a known one are not asked for."""
 
 
-def with_strength(found: Demand, cell: Cell, cache: RingCache) -> Demand:
+def with_strength(found: Demand, cell: Cell, cache: Cache) -> Demand:
     """`found` with a law that knows the strength of its rings, of the cell's material; as it is if none can be made.
 
     It is exact at the directions that were asked, and at that of the largest utilisation of the curtain.
@@ -36,30 +35,30 @@ def with_strength(found: Demand, cell: Cell, cache: RingCache) -> Demand:
     strength = strength_of_rows(rows, cell)
     for _ in range(LOOKS):
         tell(f"asking the rings for their strength, {len(strength.S)} loads known")
-        told = _told(found, strength)
+        told = _with_strength(found, strength)
         try:
             load = critical_load(told.level.solution)
         except InputError:  # too few loads, or on one side
             return found
         if load is None or _distance(rows, load) < NEAR:
             break
-        asked = ask(cell, cache, disc(load[None] / (load[0] + load[2])), Asked(np.zeros((0, 2))))
+        asked = ask(cell, cache, disc(load[None] / (load[0] + load[2])), Samples(np.zeros((0, 2))))
         both = replace(found.asked, solves=found.asked.solves + asked.solves, hits=found.asked.hits + asked.hits)
         found, told = replace(found, asked=both), replace(told, asked=both)
         if asked.rows is None:
             break
-        rows, strength = rows.join([asked.rows]), joined(strength, strength_of_rows(asked.rows, cell))
+        rows, strength = rows.join([asked.rows]), join_strengths(strength, strength_of_rows(asked.rows, cell))
     return told
 
 
-def joined(one: Strength, other: Strength) -> Strength:
+def join_strengths(one: Strength, other: Strength) -> Strength:
     """The strength at the loads of both, with the error of `one`."""
     names = ("S", "cauchy", "first_yield", "collapse", "compliance")
     both: dict[str, Any] = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
     return replace(one, **both)
 
 
-def strength_of_rows(rows: Rows, cell: Cell) -> Strength:
+def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:
     """The strength at the loads of rows, each solved again under the Cauchy load that locks the cell in its strain."""
     F = deformation_gradient(rows.E)
     S = rows.S[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -72,23 +71,21 @@ def strength_of_rows(rows: Rows, cell: Cell) -> Strength:
     return found
 
 
-def _told(found: Demand, strength: Strength) -> Demand:
+def _with_strength(found: Demand, strength: Strength) -> Demand:
     """`found` with this strength in its law and in that of its curtain."""
     law = replace(found.law, inner=replace(found.law.inner, strength=strength))  # type: ignore[type-var]
     law = replace(law, law=law.inner if found.law.law is found.law.inner else law.law)
-    return replace(found, law=law, level=replace(found.level, solution=_knowing(found.level.solution, strength)))
+    solution = _curtain_with_strength(found.level.solution, strength)
+    return replace(found, law=law, level=replace(found.level, solution=solution))
 
 
-def _knowing(solution: CurtainSolution, strength: Strength) -> CurtainSolution:
+def _curtain_with_strength(solution: CurtainSolution, strength: Strength) -> CurtainSolution:
     hung = solution.problem.law
-    if isinstance(hung, RotatedLaw):
-        hung = replace(hung, law=replace(hung.law, strength=strength))  # type: ignore[type-var]
-    else:
-        hung = replace(hung, strength=strength)  # type: ignore[type-var]
+    hung = replace(hung, own=replace(hung.own, strength=strength))  # type: ignore[type-var]
     return replace(solution, problem=replace(solution.problem, law=hung))
 
 
-def _distance(rows: Rows, load: Array) -> float:
+def _distance(rows: LockedRows, load: Array) -> float:
     """How far a load (3,) is from the nearest direction of the rows, in the unit disc."""
     S = np.vstack([rows.S, mirror(rows.S)]) if rows.is_mirrored else rows.S
     x = disc(load[None] / (load[0] + load[2]))

@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.sparsity import Pattern, component_pairs
+from macro_fem.fem.sparsity import SparsityPattern, component_pairs
 from rve.common.types import Array
 
 
@@ -74,7 +74,7 @@ def load_vector(disc: Discretization, q: Array) -> Array:
     return _sum_to_nodes(disc, np.matmul(disc.shape_values.T, local))
 
 
-def stiffness(disc: Discretization, pattern: Pattern, A: Array) -> Array:
+def stiffness(disc: Discretization, pattern: SparsityPattern, A: Array) -> Array:
     """Data (nnz,) of the lower triangle of K = sum_p w_p dphi_a/dx_j A_pijkl dphi_b/dx_l.
 
     A (n_points, d, 2, d, 2) is d2psi/dF2 with its major symmetry; only the blocks A[:, i, :, k, :], i >= k, are read.

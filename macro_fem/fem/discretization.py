@@ -159,11 +159,12 @@ class Discretization:
 
     def points_at(self, X: Array) -> Points:
         """The points of all cells at the places X (2, n) of the reference element, those that cells share once."""
-        element = _ELEMENTS[self.element][1]()
-        ones = np.ones(X.shape[1])
-        return self._points_of(
-            np.stack([element.lbasis(X, a)[0] * ones for a in range(self.cell_dofs.shape[1])], axis=-1)
-        )
+        return self._points_of(self.shapes_at(X))
+
+    def shapes_at(self, X: Array) -> Array:
+        """Shape functions (n, n_local) at the places X (2, n) of the reference element."""
+        element, ones = _ELEMENTS[self.element][1](), np.ones(X.shape[1])
+        return np.stack([element.lbasis(X, a)[0] * ones for a in range(self.cell_dofs.shape[1])], axis=-1)
 
     def _points_of(self, shape: Array) -> Points:
         """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""

@@ -20,7 +20,7 @@ from rve.common.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Pattern:
+class SparsityPattern:
     """Where the entries of a symmetric matrix on the free unknowns go; made once by `sparsity`.
 
     n: number of free unknowns; free (n,): their flat numbers, increasing; d: components per node.
@@ -79,7 +79,7 @@ class Pattern:
         return full.indptr, full.indices, full.data.astype(np.int64) - 1
 
 
-def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> Pattern:
+def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> SparsityPattern:
     """The pattern of stiffness matrices on the free unknowns.
 
     `free` is a Boolean mask: (n_nodes,) frees all components of a node, (n_nodes, d) or (n_nodes * d,) single ones.
@@ -97,7 +97,7 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> Pattern:
     number = np.cumsum(free) - 1
     counts = np.bincount(number[columns[keep]], minlength=int(free.sum()))
     new_place = np.where(keep, np.cumsum(keep) - 1, nnz)
-    return Pattern(
+    return SparsityPattern(
         n=len(counts),
         d=d,
         free=np.flatnonzero(free),
@@ -107,7 +107,7 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> Pattern:
     )
 
 
-def tied_pattern(pattern: Pattern, tie: sparse.csc_matrix) -> tuple[Pattern, sparse.csr_matrix]:
+def tied_pattern(pattern: SparsityPattern, tie: sparse.csc_matrix) -> tuple[SparsityPattern, sparse.csr_matrix]:
     """The pattern of T^T K T for a `tie` T (n, n_z), and the matrix that turns K's entries into its lower triangle's.
 
     `pattern` is that of K on all n unknowns; the second matrix multiplies `pattern.full(data).data`.
@@ -129,7 +129,7 @@ def tied_pattern(pattern: Pattern, tie: sparse.csc_matrix) -> tuple[Pattern, spa
     j, i = np.divmod(unique, n)
     indptr = np.searchsorted(j, np.arange(n + 1)).astype(np.int32)
     no_slot = np.zeros((0, 0), dtype=np.int64)
-    return Pattern(n, pattern.d, np.arange(n), indptr, i.astype(np.int32), no_slot), spread
+    return SparsityPattern(n, pattern.d, np.arange(n), indptr, i.astype(np.int32), no_slot), spread
 
 
 def component_pairs(d: int) -> list[tuple[int, int]]:

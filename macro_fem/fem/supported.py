@@ -15,8 +15,8 @@ from scipy import sparse
 
 from macro_fem.fem.assembly import gradient, internal_force, stiffness
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.linear import LinearSolver, NotPositiveDefiniteError, Solve, analyze
-from macro_fem.fem.sparsity import Pattern, sparsity, tied_pattern
+from macro_fem.fem.linear import Factorize, NotPositiveDefiniteError, Solve, analyze
+from macro_fem.fem.sparsity import SparsityPattern, sparsity, tied_pattern
 from rve.common.types import Array
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
@@ -27,15 +27,13 @@ SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 class SupportedFem:
     """A discretisation `disc` whose nodes (n_nodes, d) are at x_held + T z.
 
-    free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties;
-    `method` of `macro_fem.fem.linear` factorizes the matrices.
+    free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties.
     """
 
     disc: Discretization
     x_held: Array
     free: np.ndarray
     tie: sparse.csc_matrix | None = None
-    method: str = "auto"
 
     def tied(self) -> SupportedFem:
         """The same curtain with its free components picked by a matrix T, as if bars tied them; itself if some do."""
@@ -85,7 +83,7 @@ class SupportedFem:
         return self.disc.weight
 
     @cached_property
-    def pattern(self) -> Pattern:
+    def pattern(self) -> SparsityPattern:
         """Where matrix entries go: on the free unknowns, or on all of them if ties must be applied afterwards."""
         free = self.free if self.tie is None else np.ones_like(self.free)
         return sparsity(self.disc, self.d, free)
@@ -152,19 +150,19 @@ class SupportedFem:
             shifted = data.copy()
             shifted[pattern.diagonal] *= 1.0 + shift
             try:
-                solve = self.solver.factorize(shifted)
+                solve = self.solver(shifted)
             except NotPositiveDefiniteError:
                 continue
             return lambda b: _refined(solve, matrix, b)
         raise NotPositiveDefiniteError(f"no pivot order works even with the diagonal raised by {SHIFTS[-1]:g}")
 
     @cached_property
-    def solver(self) -> LinearSolver:
-        """The solver of matrices on the free unknowns, ties applied."""
-        return analyze(self.pattern if self.tie is None else self._tied[0], self.method)
+    def solver(self) -> Factorize:
+        """Factorizes matrices on the free unknowns, ties applied."""
+        return analyze(self.pattern if self.tie is None else self._tied[0])
 
     @cached_property
-    def _tied(self) -> tuple[Pattern, sparse.csr_matrix]:
+    def _tied(self) -> tuple[SparsityPattern, sparse.csr_matrix]:
         """The pattern of T^T K T and the matrix that turns the entries of K into its lower triangle's."""
         assert self.tie is not None
         return tied_pattern(self.pattern, self.tie)

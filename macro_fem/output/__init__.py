@@ -1,1 +1,1 @@
-"""Output of a solved curtain: files, pictures, line loads, explained decisions."""
+"""Output of a solved curtain: files, pictures, line loads, the table of --explain."""

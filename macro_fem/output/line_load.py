@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from macro_fem.fem.cells import as_triangles, triangle_areas
+from macro_fem.scene.tables import PointLoad
 from macro_fem.solution import CurtainSolution
-from rve.common.cells import as_triangles, triangle_areas
 from rve.common.types import Array
 
 PIECES = 8.0
@@ -160,7 +161,7 @@ def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
     problem = solution.problem
     nodes = [held.nodes for held in problem.supports.held if not len(held.facets)]
     points = [problem.disc.nodes[np.concatenate(nodes)]] if nodes else []
-    points += [np.array([load.at]) for load in problem.scene.load.point]
+    points += [np.array([load.at]) for load in problem.scene.of(PointLoad)]
     if not points:
         return False
     corners, _ = _triangles(solution)

@@ -1,5 +1,7 @@
 """What rings bear at hooks, corners and loaded points, from the force there instead of the cells of the mesh.
 
+The force goes through the ring or the few rings that the hook passes: `hook_ring`. The mesh around is next:
+
 Around a force f at a point the line load grows until it is spread over the rings of one cell of the weave. A mesh whose
 cells are larger spreads f over its own cells: utilisation is then too low in proportion to the side of the cells. But f
 itself, and the direction m (reference) along which the curtain takes it up, hardly depend on the mesh. Balance says
@@ -22,9 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from macro_fem.fem.rotated import RotatedLaw, largest_stretch
+from homogenize import Strength
+from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.output.line_load import Nearby
+from macro_fem.scene.tables import PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
+from rve import pulled_ring
 from rve.common.tensor import dyad
 from rve.common.types import Array
 
@@ -38,12 +43,17 @@ _SHARPEST = np.pi / 6.0
 
 @dataclass(frozen=True)
 class PointForce:
-    """A force in N at a point `at` (2,) of the reference state, and the diameter over which it is spread, mm."""
+    """A force in N at a point `at` (2,) of the reference state, and the diameter over which it is spread, mm.
+
+    `rings` share the force at the point `place`, such as "hook 3"; none of a patch, whose rings are many.
+    """
 
     name: str
     at: Array
     force: float
     spread: float = 0.0
+    rings: int = 0
+    place: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,16 +68,48 @@ class Borne:
 def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
     """Forces of supports that hold single points, and of loads on points and patches, at their present share."""
     problem = solution.problem
-    nodes, load, factor = problem.disc.nodes, problem.scene.load, problem.factor
+    nodes, scene, factor = problem.disc.nodes, problem.scene, problem.factor
     size = np.linalg.norm(solution.reactions, axis=1)
     for number, held in enumerate(problem.supports.held, 1):
-        for node in held.nodes if not len(held.facets) else ():
-            yield PointForce(f"support {number} ({held.name})", nodes[node], float(size[node]))
-    for number, point in enumerate(load.point, 1):
-        yield PointForce(f"load.point {number}", np.array(point.at), factor * float(np.linalg.norm(point.force)))
-    for number, patch in enumerate(load.patch, 1):
+        if len(held.facets):
+            continue
+        item = scene.support[number - 1]
+        of = f" of support {number}" if len(problem.supports.held) > 1 else ""
+        name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
+        for count, node in enumerate(held.nodes, 1):
+            place = f"{item.one} {count}{of}"
+            yield PointForce(name, nodes[node], float(size[node]), rings=rings, place=place)
+    for number, point in enumerate(scene.of(PointLoad), 1):
+        force, name = factor * float(np.linalg.norm(point.force)), f"load.point {number}"
+        yield PointForce(name, np.array(point.at), force, rings=point.rings_per_hook, place=name)
+    for number, patch in enumerate(scene.of(PatchLoad), 1):
         force = factor * float(np.linalg.norm(patch.force))
         yield PointForce(f"load.patch {number}", np.array(patch.at), force, 2.0 * patch.radius)
+
+
+@dataclass(frozen=True)
+class HookRing:
+    """The ring at a point whose force comes nearest to its strength: utilisations at first yield and at collapse."""
+
+    value: float = 0.0
+    collapse: float = 0.0
+    force: PointForce | None = None
+
+
+def hook_ring(solution: CurtainSolution, known: Strength) -> HookRing:
+    """The ring that bears most of all at hooks, corners, runners, held and loaded points; utilisation 0 without any.
+
+    Each of the rings there is pulled by two opposed forces, its share of the force and that of its neighbours
+    (`rve.pulled_ring`). A butted ring turns on its hook, so its joint is where it is worst.
+    """
+    cell, at = solution.problem.law.cell, [one for one in point_forces(solution) if one.rings]
+    if cell is None or not at:
+        return HookRing()
+    joint = "welded" if known.joint == "welded" else "butted:worst"
+    ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
+    one = max(at, key=lambda one: one.force / one.rings)
+    share = one.force / one.rings
+    return HookRing(share / ring.first_yield_N, share / ring.collapse_N, one)
 
 
 def largest_borne(
@@ -93,7 +135,7 @@ def largest_borne(
             continue
         width = max(near.area / _chord(near, one.at, m), one.spread)
         load = one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None])
-        load = load @ law.to_weave.T if isinstance(law, RotatedLaw) else load
+        load = law.in_weave(load)
         found = float(value(load)[0])
         best = Borne(found, one, load[0]) if found > best.value else best
     return best

@@ -6,8 +6,6 @@ import numpy as np
 
 from macro_fem.fem.space import padded
 from macro_fem.solution import CurtainSolution
-from rve.common.drawing.solids import arrow
-from rve.common.drawing.views import Surface, merged
 from rve.common.types import Array
 
 MOST_ARROWS = 14
@@ -16,17 +14,6 @@ LEAST_ARROW = 0.04
 """Forces below this part of the largest one have no arrow."""
 LONGEST = 0.16
 """Length of the largest reaction's arrow over the size of the scene."""
-
-
-def arrows(name: str, colour: str, forces: tuple[Array, Array], size: float, largest: float) -> list[Surface]:
-    """Forces at places (k, 3), (k, 3) in N as arrows of one name; `largest` N has the longest one."""
-    at, force = forces
-    share = np.linalg.norm(force, axis=1) / max(largest, 1e-300)
-    drawn = np.flatnonzero(share > LEAST_ARROW)
-    if not len(drawn):
-        return []
-    solids = [arrow(at[i], LONGEST * size * force[i] / largest, 0.005 * size) for i in drawn]
-    return [merged(f"{name}, longest {largest * share.max():.3g} N", solids, colour)]
 
 
 def pushes(solution: CurtainSolution) -> tuple[Array, Array]:

@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from homogenize import MembraneLaw, Strength, strength_of_law
-from macro_fem.fem.rotated import RotatedLaw
+from homogenize import Strength, strength_of_law
+from macro_fem.fem.hung_law import HungLaw
 from macro_fem.output.line_load import FINE, LineLoad, Nearby, on_triangles
-from macro_fem.output.point_force import Borne, largest_borne
-from macro_fem.scene.supports import edge_nodes
+from macro_fem.output.point_force import Borne, HookRing, hook_ring, largest_borne
+from macro_fem.scene.sites import edge_nodes
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
 from rve.common.tensor import eigenvalues
 from rve.common.types import Array
@@ -33,17 +34,14 @@ KEYS = (
     "utilisation_max_at_mm",
     "utilisation_of_averages_max",
     "utilisation_of_point_forces_max",
+    "utilisation_of_hook_rings_max",
+    "ring_at_hook",
     "utilisation_mesh_too_coarse",
     "safety_factor",
     "collapse_factor",
     "first_yield_near",
 )
 """Keys of summary.json that are null where the strength is not known."""
-_OF_FORCE = (
-    "triangles there are too large for an average over one cell of the rings, so the factor is that of the force at "
-    "this point over the width of one cell"
-)
-"""What is said of a factor that follows from the force at a point."""
 _TOGETHER = 32
 """Averages whose utilisation is found at once. Larger: fewer calls, and more averages made for nothing."""
 
@@ -56,10 +54,11 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
     used = utilisation(solution)
     if used is not None and known is not None and cell is not None:
         first, last = _largest_asked(solution, known, cell.b_x_mm * cell.b_y_mm)
-        found = _numbers(solution, first, last, float(used.max()), cell.b_x_mm * cell.b_y_mm)
+        found = _numbers(solution, first, last, hook_ring(solution, known), float(used.max()))
         why = (
             "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held "
-            "or loaded point over the width of that average where the mesh is too coarse there; "
+            "or loaded point over the width of that average where the mesh is too coarse there, or of the ring that "
+            "takes that force; "
             "utilisation_pointwise_max grows with every refinement of the mesh at held and loaded points; "
             "utilisation_mesh_too_coarse says when the mesh is too coarse for both"
         )
@@ -74,7 +73,7 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Asked:
+class MostAsked:
     """What is asked of the rings: the largest of the `averages`, and of the forces at `points`."""
 
     averages: LineLoad
@@ -96,29 +95,38 @@ class Asked:
         return self.points.force.at if self.is_force and self.points.force is not None else self.averages.at
 
 
-def _numbers(solution: CurtainSolution, first: Asked, last: Asked, pointwise: float, area: float) -> dict[str, Any]:
-    """The values of `KEYS` where the strength is known, from what first yield and collapse ask for."""
-    mean = first.averages
-    is_coarse = _side(solution, mean.at) > FINE * np.sqrt(area) and pointwise > EVEN * mean.value
-    near = first.points.force.name if first.is_force and first.points.force else nearest(solution, first.at)
+def _numbers(
+    solution: CurtainSolution, first: MostAsked, last: MostAsked, ring: HookRing, pointwise: float
+) -> dict[str, Any]:
+    """The values of `KEYS` where the strength is known, from what first yield and collapse ask of mesh and `ring`."""
+    mean, cell = first.averages, solution.problem.law.cell
+    side = 0.0 if cell is None else np.sqrt(cell.b_x_mm * cell.b_y_mm)
+    is_coarse = _side(solution, mean.at) > FINE * side and pointwise > EVEN * mean.value
+    force = first.points.force if first.is_force else None
+    most, collapse, at = max(first.value, ring.value), max(last.value, ring.collapse), first.at
+    if ring.force is not None and ring.value >= first.value:
+        force, at = ring.force, ring.force.at
+    near = nearest(solution, at) if force is None else force.name
     return {
-        "utilisation_max": first.value,
-        "utilisation_max_at_mm": first.at.tolist(),
+        "utilisation_max": most,
+        "utilisation_max_at_mm": at.tolist(),
         "utilisation_of_averages_max": mean.value,
         "utilisation_of_point_forces_max": first.points.value,
+        "utilisation_of_hook_rings_max": ring.value,
+        "ring_at_hook": None if ring.force is None else f"ring at {ring.force.place}",
         "utilisation_mesh_too_coarse": bool(is_coarse and not first.is_force),
-        "safety_factor": 1.0 / first.value if first.value > 0.0 else None,
-        "collapse_factor": 1.0 / last.value if last.value > 0.0 else None,
-        "first_yield_near": near if first.value > 0.0 else None,
+        "safety_factor": 1.0 / most if most > 0.0 else None,
+        "collapse_factor": 1.0 / collapse if collapse > 0.0 else None,
+        "first_yield_near": near if most > 0.0 else None,
     }
 
 
-def strength(law: MembraneLaw) -> Strength | None:
+def strength(law: HungLaw) -> Strength | None:
     """The strength of the rings behind the law of a problem, in the frame of the weave; None if it has none."""
-    return strength_of_law(law.law if isinstance(law, RotatedLaw) else law)
+    return strength_of_law(law.own)
 
 
-def reason(law: MembraneLaw) -> str | None:
+def reason(law: HungLaw) -> str | None:
     """Why the utilisation under a law is not known; None if it is."""
     known = strength(law)
     if known is None:
@@ -162,8 +170,7 @@ def critical_load(solution: CurtainSolution) -> Array | None:
 
 def _loads(solution: CurtainSolution) -> Array:
     """S (n_cells, 3) in the frame of the weave, averaged over neighbours."""
-    law, S = solution.problem.law, _own_loads(solution)
-    return S @ law.to_weave.T if isinstance(law, RotatedLaw) else S
+    return solution.problem.law.in_weave(_own_loads(solution))
 
 
 def _own_loads(solution: CurtainSolution) -> Array:
@@ -171,7 +178,7 @@ def _own_loads(solution: CurtainSolution) -> Array:
     return solution.recovered(solution.problem.disc.cell_mean(solution.S))
 
 
-def _largest_asked(solution: CurtainSolution, known: Strength, area: float) -> tuple[Asked, Asked]:
+def _largest_asked(solution: CurtainSolution, known: Strength, area: float) -> tuple[MostAsked, MostAsked]:
     """Largest utilisation, and largest share of the collapse load: of S averaged over `area` mm2, and of forces."""
     corners, S = on_triangles(solution, _loads(solution))
     low, high = eigenvalues(S)
@@ -183,11 +190,11 @@ def _largest_asked(solution: CurtainSolution, known: Strength, area: float) -> t
     trace, stress = near.bound(X), known.yield_stress()
     own = _own_loads(solution)
 
-    def asked(value: Callable[[Array, float], Array], most: float) -> Asked:
+    def asked(value: Callable[[Array, float], Array], most: float) -> MostAsked:
         def of(S: Array) -> Array:
             return value(S, stress)
 
-        return Asked(_largest(near, X, trace * most, of), largest_borne(solution, near, own, of, most))
+        return MostAsked(_largest(near, X, trace * most, of), largest_borne(solution, near, own, of, most))
 
     return (
         asked(known.utilisation, float(known.first_yield.max()) / stress),
@@ -218,87 +225,15 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
 def _places(solution: CurtainSolution) -> Iterator[tuple[str, Array]]:
     """Names and places (k, 2) of supports and live loads."""
     problem = solution.problem
-    nodes, load, source = problem.disc.nodes, problem.scene.load, problem.scene.source
+    nodes, scene = problem.disc.nodes, problem.scene
     for number, held in enumerate(problem.supports.held, 1):
         yield f"support {number} ({held.name})", nodes[held.nodes]
-    at = [("point", number, one.at) for number, one in enumerate(load.point, 1)]
-    at += [("patch", number, one.at) for number, one in enumerate(load.patch, 1)]
+    at = [("point", number, one.at) for number, one in enumerate(scene.of(PointLoad), 1)]
+    at += [("patch", number, one.at) for number, one in enumerate(scene.of(PatchLoad), 1)]
     for kind, number, place in at:
         yield f"load.{kind} {number}", np.array([place])
-    edges = [("edge", number, one.edge) for number, one in enumerate(load.edge, 1)]
-    edges += [("bar", number, one.edge) for number, one in enumerate(load.bar, 1)]
+    edges = [("edge", number, one.edge) for number, one in enumerate(scene.of(EdgeLoad), 1)]
+    edges += [("bar", number, one.edge) for number, one in enumerate(scene.of(Bar), 1)]
     for kind, number, name in edges:
-        on_edge = edge_nodes(problem.mesh, problem.disc, name, f"{source}: [load.{kind}] edge")
+        on_edge = edge_nodes(problem.mesh, problem.disc, name, f"{scene.source}: [load.{kind}] edge")
         yield f"load.{kind} {number} ({name})", nodes[on_edge]
-
-
-def holds_line(summary: dict[str, Any]) -> str:
-    """Whether the curtain holds, in one line: the factor, what gives first, the load of hooks and runners.
-
-    >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
-    >>> known = {"first_yield_near": "support 1 (hooks)", "ring_material": "steel", "ring_yield_N_per_mm2": 235.0}
-    >>> place = {"safety_factor": 2.25, "utilisation_max_at_mm": [0.0, 80.0], "strength_note": None}
-    >>> print(holds_line({"support_forces": [hooks], **known, **place}).replace("; ", ";\\n"))
-    holds with a factor 2.25;
-    rings near support 1 (hooks), at (0, 80) mm, would yield first (steel, 235 N/mm2);
-    hooks of support 1 bear up to 10 N of 50 N
-    """
-    hooks = [(share, text) for share, _, text in _hooks(summary["support_forces"])]
-    factor, place = summary["safety_factor"], summary["utilisation_max_at_mm"]
-    parts = hooks if factor is None else [(factor, _rings(summary, min([factor, *(f for f, _ in hooks)]))), *hooks]
-    parts.sort(key=lambda part: part[0])
-    least = parts[0][0] if parts else np.inf
-    if least < 1.0:
-        head = f"does not hold, factor {least:.3g}"
-    elif place is None:
-        head = f"strength of the rings not known: {summary['strength_note']}"
-    else:
-        most = "of at most " if summary.get("utilisation_mesh_too_coarse") else ""
-        head = "no load" if np.isinf(least) else f"holds with a factor {most}{least:.3g}"
-    if summary.get("utilisation_mesh_too_coarse"):
-        parts.append((np.inf, "the mesh is too coarse there: the factor of the rings falls with refinement"))
-    elif (summary.get("utilisation_of_point_forces_max") or 0.0) > (summary.get("utilisation_of_averages_max") or 0.0):
-        parts.append((np.inf, _OF_FORCE))
-    return "; ".join([head, *(text for _, text in parts)])
-
-
-def _rings(summary: dict[str, Any], least: float) -> str:
-    """Where rings yield first, and at how many times the load if something else with factor `least` gives before."""
-    x, y = summary["utilisation_max_at_mm"]
-    factor = summary["safety_factor"]
-    what = "would yield first" if factor <= least else f"yield at {factor:.3g} times the load"
-    material = f"{summary['ring_material']}, {summary['ring_yield_N_per_mm2']:g} N/mm2"
-    return f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm, {what} ({material})"
-
-
-def _hooks(support_forces: list[dict[str, Any]]) -> Iterator[tuple[float, str, str]]:
-    """Capacity over largest force of each support by hooks or runners that states one, its name, and a sentence."""
-    for number, support in enumerate(support_forces, 1):
-        capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
-        if capacity is not None:
-            share = capacity / force if force > 0.0 else np.inf
-            name = f"{'runners' if support['support'] == 'track' else 'hooks'} of support {number}"
-            yield share, name, f"{name} bear up to {force:.4g} N of {capacity:g} N"
-
-
-def mechanism(told: dict[str, Any], support_forces: list[dict[str, Any]]) -> dict[str, Any]:
-    """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded.
-
-    told: as from `summary`. The rings by first yield, or hooks or runners by the capacity that the scene states.
-
-    >>> hooks = [{"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}]
-    >>> mechanism({"safety_factor": 2.5, "first_yield_near": "support 1 (hooks)"}, hooks)
-    {'mechanism': 'first yield of rings near support 1 (hooks)', 'mechanism_factor': 2.5}
-    """
-    known = [(share, f"capacity of {name}") for share, name, _ in _hooks(support_forces)]
-    if told["safety_factor"] is not None:
-        known.append((told["safety_factor"], f"first yield of rings near {told['first_yield_near']}"))
-    least, what = min(known, default=(np.inf, ""))
-    return (
-        dict.fromkeys(("mechanism", "mechanism_factor"))
-        if np.isinf(least)
-        else {
-            "mechanism": what,
-            "mechanism_factor": float(least),
-        }
-    )

@@ -11,7 +11,7 @@ from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.supports import point_node
+from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
 from macro_fem.scene.wind import wind_pressure
 from rve.common.errors import InputError
@@ -44,7 +44,12 @@ def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
 
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
-    """The force of a wind per reference area (d,), N/mm2; InputError where the law does not tell the drag."""
+    """The force of a wind on the flat sheet square to it (d,), N/mm2; InputError where the law tells no drag.
+
+    Wind with a speed along a sheet in the plane meets no front: it is zero.
+    """
+    if scene.d == 2 and wind.speed is not None:
+        return np.zeros(2)
     pressure = wind_pressure(wind, cell, f"{scene.source}: [load.wind]")
     return np.asarray(pressure * unit(wind.direction)[: scene.d])
 
@@ -54,19 +59,19 @@ def nodal_forces(
 ) -> Array:
     """All loads (n_nodes, d) in N; live ones (edges, points, patches, wind) are scaled by `factor`, weights are not.
 
-    Pressure that follows the surface is none of them: see `macro_fem.shape_loop`.
+    Wind with a speed is as on the flat sheet square to it, and wind that follows is none of them: see `macro_fem.drag`.
     """
     dead = load_vector(disc, weight_per_area(scene, cell))
-    for bar in scene.load.bar:
+    for bar in scene.of(Bar):
         dead += bar_weight(bar, scene, mesh, disc)
     live = np.zeros_like(dead)
-    for edge in scene.load.edge:
+    for edge in scene.of(EdgeLoad):
         live += edge_load(edge, scene, mesh, disc)
-    for point in scene.load.point:
+    for point in scene.of(PointLoad):
         live += point_load(point, scene, disc)
-    for patch in scene.load.patch:
+    for patch in scene.of(PatchLoad):
         live += patch_load(patch, scene, mesh, disc)
-    for wind in scene.load.wind:
+    for wind in scene.of(Wind):
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
 

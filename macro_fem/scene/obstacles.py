@@ -7,44 +7,19 @@ the obstacle closest to it, and the offset is the largest normal . y of the obst
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from macro_fem.scene.tables import NO_MOVE, Vector, in_3d, leaves_plane, length, vector
-from rve.common.errors import InputError
+from macro_fem.scene.tables import NO_MOVE, Coordinate, Length, Name, Point3, Timed, Vector, Way, in_3d, leaves_plane
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import choice, entry, finite, read_record, text
-
-MOST = 1e9
-"""Largest coordinate, mm."""
 
 HALVINGS = 40
 """Steps of the search for the least distance along a way; each leaves two thirds of the bracket."""
 
 RIGHT_ANGLE = 1e-3
 """Largest cosine of the angle between the two axes along which a sheet starts."""
-
-
-def _three(value: Any) -> Vector:
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise ValueError("is not a list of numbers [x, y, z]")
-    return tuple(finite(least=-MOST, most=MOST)(item) for item in value)
-
-
-def _way(value: Any) -> Vector:
-    v = (*value, 0.0) if isinstance(value, list | tuple) and len(value) == 2 else value
-    if not any(_three(v)):
-        raise ValueError("has no direction: one component must not be 0")
-    return _three(v)
-
-
-def _lengths(value: Any) -> Vector:
-    v = _three(value)
-    if min(v) <= 0.0:
-        raise ValueError("has a component that is not above 0")
-    return v
 
 
 def unit(v: Vector) -> Array:
@@ -57,13 +32,53 @@ def unit(v: Vector) -> Array:
     return np.asarray(way / np.linalg.norm(way))
 
 
+class Obstacle(Timed):
+    """What the curtain stays outside of; in motion its `history` scales `move`."""
+
+    kinds: ClassVar[dict[str, type[Obstacle]]] = {}
+    table = "obstacle"
+    name: str
+    move: Vector
+
+    def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
+        """Make the kind known to scene files."""
+        super().__init_subclass__(**more)
+        if kind:
+            cls.kind, Obstacle.kinds[kind] = kind, cls
+
+    def check(self) -> None:
+        """BadField for a vector without a direction."""
+        for key in ("facing", "axis"):
+            if not any(getattr(self, key, (1.0,))):
+                self.refuse(f"{key} = {list(getattr(self, key))}: has no direction: one component must not be 0")
+
+    @property
+    def space_reason(self) -> str:
+        """Why the obstacle takes the curtain into space."""
+        return "" if is_in_plane(self) else f"{self.name} is not a half-space of the plane"
+
+    def normal(self, x: Array) -> Array:
+        """Normals (n, 3) for places x (n, 3)."""
+        raise NotImplementedError
+
+    def support(self, normal: Array) -> Array:
+        """Offsets (n,) for normals (n, 3)."""
+        raise NotImplementedError
+
+
+class Body(Obstacle):
+    """An obstacle that is no half-space."""
+
+    clear: str
+
+
 @dataclass(frozen=True)
-class Floor:
+class Floor(Obstacle, kind="floor"):
     """Everything below `height`, mm."""
 
-    height: float = entry(finite(least=-MOST, most=MOST), 0.0)
-    move: tuple[float, ...] = vector(NO_MOVE)
-    name: str = text("floor")
+    height: Coordinate = 0.0
+    move: Way = NO_MOVE
+    name: Name = "floor"
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -75,13 +90,13 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Wall:
+class Wall(Obstacle, kind="wall"):
     """Everything behind the plane through `point`, which is `facing` the curtain along its normal."""
 
-    facing: tuple[float, ...] = entry(_way)
-    point: tuple[float, ...] = vector((0.0, 0.0))
-    move: tuple[float, ...] = vector(NO_MOVE)
-    name: str = text("wall")
+    facing: Way
+    point: Way = (0.0, 0.0)
+    move: Way = NO_MOVE
+    name: Name = "wall"
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -92,20 +107,15 @@ class Wall:
         return np.asarray(normal @ in_3d(self.point))
 
 
-def clear() -> Any:
-    """A field for what of the mesh stays outside of a body: whole cells, or its nodes only."""
-    return choice("cells", "nodes", default="cells")
-
-
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Body, kind="sphere"):
     """A ball of `radius` around `centre`."""
 
-    centre: tuple[float, ...] = entry(_three)
-    radius: float = length()
-    move: tuple[float, ...] = vector(NO_MOVE)
-    name: str = text("sphere")
-    clear: str = clear()
+    centre: Point3
+    radius: Length
+    move: Way = NO_MOVE
+    name: Name = "sphere"
+    clear: Literal["cells", "nodes"] = "cells"
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -117,15 +127,15 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class Cylinder(Body, kind="cylinder"):
     """A round cylinder of `radius` about the endless line through `point` along `axis`."""
 
-    axis: tuple[float, ...] = entry(_way)
-    radius: float = length()
-    point: tuple[float, ...] = entry(_three, (0.0, 0.0, 0.0))
-    move: tuple[float, ...] = vector(NO_MOVE)
-    name: str = text("cylinder")
-    clear: str = clear()
+    axis: Way
+    radius: Length
+    point: Point3 = (0.0, 0.0, 0.0)
+    move: Way = NO_MOVE
+    name: Name = "cylinder"
+    clear: Literal["cells", "nodes"] = "cells"
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -139,19 +149,24 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
-class Box:
+class Box(Body, kind="box"):
     """A box with sides along x, y and z: its `corner` of least coordinates and its `size`.
 
     Its edges are rounded by the radius `rounding`, by default the length of a cell: a mesh follows no sharper edge, and
     forces of nodes on either side of one would be those of a plane that cuts it off.
     """
 
-    corner: tuple[float, ...] = entry(_three)
-    size: tuple[float, ...] = entry(_lengths)
-    rounding: float | None = length(None)
-    move: tuple[float, ...] = vector(NO_MOVE)
-    name: str = text("box")
-    clear: str = clear()
+    corner: Point3
+    size: tuple[Length, Length, Length]
+    rounding: Length | None = None
+    move: Way = NO_MOVE
+    name: Name = "box"
+    clear: Literal["cells", "nodes"] = "cells"
+
+    def check(self) -> None:
+        """BadField for a box whose edges are to be rounder than it is thick."""
+        if self.rounding is not None and self.rounding > 0.5 * min(self.size) * (1.0 + 1e-9):
+            self.refuse(f"rounding = {self.rounding:g}: is more than half of its least length, {min(self.size):g} mm")
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3); that of the nearest face deep inside."""
@@ -187,24 +202,21 @@ def _directions(away: Array) -> Array:
     return np.where(size > 0.0, away / np.where(size > 0.0, size, 1.0), [0.0, 1.0, 0.0])
 
 
-Body = Cylinder | Sphere | Box
-Obstacle = Floor | Wall | Body
-OBSTACLES: dict[str, type[Obstacle]] = {
-    "floor": Floor,
-    "wall": Wall,
-    "cylinder": Cylinder,
-    "sphere": Sphere,
-    "box": Box,
-}
-
-
 @dataclass(frozen=True)
-class Start:
+class Start(Typed):
     """Where the flat sheet lies before it is let go: the material point X is at origin + X_1 x_axis + X_2 y_axis."""
 
-    origin: tuple[float, ...] = entry(_three)
-    x_axis: tuple[float, ...] = entry(_way, (1.0, 0.0, 0.0))
-    y_axis: tuple[float, ...] = entry(_way, (0.0, 1.0, 0.0))
+    origin: Point3
+    x_axis: Way = (1.0, 0.0, 0.0)
+    y_axis: Way = (0.0, 1.0, 0.0)
+
+    def check(self) -> None:
+        """BadField for axes that are not at right angles."""
+        for key in ("x_axis", "y_axis"):
+            if not any(getattr(self, key)):
+                self.refuse(f"{key} = {list(getattr(self, key))}: has no direction: one component must not be 0")
+        if abs(float(unit(self.x_axis) @ unit(self.y_axis))) > RIGHT_ANGLE:
+            self.refuse(f"y_axis = {list(self.y_axis)}: is not at a right angle to x_axis")
 
     def places(self, X: Array) -> Array:
         """Places (n, 3) of material points X (n, 2)."""
@@ -213,14 +225,17 @@ class Start:
 
 def breadth(body: Body) -> float:
     """Half the least width of a body, mm."""
-    return 0.5 * min(body.size) if isinstance(body, Box) else body.radius
+    if isinstance(body, Box):
+        return 0.5 * min(body.size)
+    assert isinstance(body, Sphere | Cylinder)
+    return body.radius
 
 
 def with_rounding(obstacle: Obstacle, cell: float) -> Obstacle:
     """The obstacle as a mesh with cells of this length (mm) meets it: a box has round edges."""
     if not isinstance(obstacle, Box) or obstacle.rounding is not None:
         return obstacle
-    return replace(obstacle, rounding=cell)
+    return replace(obstacle, rounding=min(cell, 0.5 * min(obstacle.size)))
 
 
 def is_flat(obstacle: Obstacle) -> bool:
@@ -234,7 +249,7 @@ def is_in_plane(obstacle: Obstacle) -> bool:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedObstacle:
     """An obstacle after part of its move: `number` in the scene, its `shift` (3,), components d of places."""
 
     number: int
@@ -271,25 +286,6 @@ class Placed:
         return np.minimum(ends, self.gap(start + 0.5 * (low + high)[:, None] * (end - start)))
 
 
-def placed(number: int, obstacle: Obstacle, factor: float, d: int) -> Placed:
+def placed(number: int, obstacle: Obstacle, factor: float, d: int) -> PlacedObstacle:
     """An obstacle after `factor` of its move."""
-    return Placed(number, obstacle, tuple(factor * way for way in in_3d(obstacle.move)), d)
-
-
-def check_obstacle(item: Obstacle, source: str | Path) -> None:
-    """InputError for a box whose edges are to be rounder than it is thick."""
-    if isinstance(item, Box) and item.rounding is not None and item.rounding > 0.5 * min(item.size) * (1.0 + 1e-9):
-        raise InputError(
-            f"{source}: [obstacle] (box) rounding = {item.rounding:g}: is more than half of its least length, "
-            f"{min(item.size):g} mm"
-        )
-
-
-def read_start(table: Any, source: str | Path) -> Start | None:
-    """The record of [start], None without one; InputError for axes that are not at right angles."""
-    if table is None:
-        return None
-    start = read_record(Start, table, f"{source}: [start]")
-    if abs(float(unit(start.x_axis) @ unit(start.y_axis))) > RIGHT_ANGLE:
-        raise InputError(f"{source}: [start] y_axis = {list(start.y_axis)}: is not at a right angle to x_axis")
-    return start
+    return PlacedObstacle(number, obstacle, tuple(factor * way for way in in_3d(obstacle.move)), d)

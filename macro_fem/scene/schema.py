@@ -1,53 +1,89 @@
-"""A scene: curtain, mesh, supports, loads and solver, read from TOML and checked."""
+"""A scene: curtain, what holds, loads and meets it, mesh and solver; from Python or from TOML."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from macro_fem.scene.obstacles import OBSTACLES, Obstacle, Start, check_obstacle, is_flat, is_in_plane, read_start
-from macro_fem.scene.old_names import with_new_names
+from macro_fem.scene import support_kinds, tracks
+from macro_fem.scene.meshing.dxf import read_outline
+from macro_fem.scene.moving import Motion, Thrown
+from macro_fem.scene.obstacles import Obstacle, Start, is_flat
+from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
 from macro_fem.scene.tables import (
-    LIVE_LOADS,
-    MAX_CORNERS,
+    MAX_ENTRIES,
     NO_MOVE,
-    SUPPORTS,
-    Curtain,
-    Edge,
+    Combination,
+    Item,
+    LiveLoad,
     Load,
-    Mesh,
     Solver,
     Support,
-    Track,
     Wind,
-    entries,
     in_3d,
     leaves_plane,
-    read_kinds,
 )
-from macro_fem.scene.tracks import check_track
 from rve.common.errors import InputError
 from rve.common.materials import described
 from rve.common.notebook import as_html
-from rve.common.storage.reading import read_toml
-from rve.common.values import read_record, shown, shown_key
+from rve.common.reading import expecting, read_toml
+from rve.common.typed import Typed, read_typed, refuse_unknown
+from rve.common.values import shown
+
+Kind = TypeVar("Kind")
+PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
+"""Tables of a scene file that are one record."""
+SUPPORT_MODULES = (support_kinds, tracks)
+"""Modules whose classes are kinds of supports; importing them makes the kinds known."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A checked scene; `source` names its file in messages and is where relative mesh files are looked for."""
+    """The sheet, and the `items` that hold, load and meet it, in any order.
 
-    curtain: Curtain
-    mesh: Mesh
-    support: tuple[Support, ...]
-    load: Load
-    solver: Solver
-    source: Path
-    obstacle: tuple[Obstacle, ...] = ()
+    `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file in
+    messages and is where relative mesh files are looked for.
+
+    >>> from macro_fem import Bar, Hooks
+    >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
+    200.0
+    """
+
+    curtain: Shape
+    items: tuple[Item, ...] = ()
+    mesh: Mesh = field(default_factory=Mesh)
+    load: Load = field(default_factory=Load)
+    solver: Solver = field(default_factory=Solver)
     start: Start | None = None
-    material: tuple[tuple[str, Any], ...] = ()  # of the rings, in place of the law's: `homogenize.with_material`
+    motion: Motion | None = None
+    material: tuple[tuple[str, Any], ...] = ()
+    combination: tuple[Combination, ...] = ()
+    source: Path = Path("scene")
+
+    def __post_init__(self) -> None:
+        """Check the material; InputError for items that are none."""
+        object.__setattr__(self, "items", tuple(self.items))
+        for item in self.items:
+            if not isinstance(item, Item):
+                raise InputError(f"{self.source}: {shown(item)}: is no support, load or obstacle")
+        object.__setattr__(self, "material", described(dict(self.material), f"{self.source}: [material]"))
+
+    def of(self, kind: type[Kind]) -> tuple[Kind, ...]:
+        """The items of a kind: `scene.of(Bar)`."""
+        return tuple(item for item in self.items if isinstance(item, kind))
+
+    @property
+    def support(self) -> tuple[Support, ...]:
+        """What holds the curtain."""
+        return self.of(Support)
+
+    @property
+    def obstacle(self) -> tuple[Obstacle, ...]:
+        """What the curtain stays outside of."""
+        return self.of(Obstacle)
 
     @property
     def in_space(self) -> bool:
@@ -57,7 +93,14 @@ class Scene:
     @property
     def space_reason(self) -> str:
         """Why the curtain needs a third coordinate; "" in the plane."""
-        return next(_out_of_plane(self), "")
+        if isinstance(self.load.gravity, tuple) and leaves_plane(self.load.gravity):
+            return f"[load] gravity = {list(self.load.gravity)} leaves the plane"
+        for item in self.items:
+            if item.space_reason:
+                return f"[{item.table}] {item.space_reason}"
+        if self.start is not None:
+            return "[start] lays the sheet in space"
+        return "[solver] space = true asks for it" if self.solver.space else ""
 
     @property
     def d(self) -> int:
@@ -69,35 +112,30 @@ class Scene:
         """A rectangle of width by height mm under its own weight, not hung yet; more keys of [curtain] by name.
 
         >>> Scene.rectangle(1000, 500).hung_by("corners", gather=0.9).support
-        (Corners(gather=0.9, move=(0.0, 0.0)),)
+        (Corners(gather=0.9, move=(0.0, 0.0), rings_per_hook=1),)
         """
-        tables = {"curtain": {"width": width, "height": height, **curtain}, "mesh": {"cells": cells}}
-        scene = read_scene(tables | {"support": {"kind": "top"}})
-        return replace(scene, support=())
+        return cls(Rectangle(width, height, **curtain), mesh=Mesh(cells=cells))
 
     def hung_by(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
-        return replace(self, support=(*self.support, *_read_supports({"kind": kind, **keys}, self.source)))
+        return self._with({"kind": kind, **keys}, Support.kinds, "support")
 
     def loaded_by(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more load: "bar", "point", "patch", "edge" or "wind", its keys as in [[load.KIND]].
 
         InputError as for a file.
 
-        >>> Scene.rectangle(3000, 2500).hung_by("hooks", pitch=200).loaded_by("bar", mass=12).load.bar
-        (Bar(mass=12.0, edge='bottom', straight=True),)
+        >>> Scene.rectangle(3000, 2500).hung_by("hooks", pitch=200).loaded_by("bar", mass=12).items[1]
+        Bar(mass=12.0, edge='bottom', straight=True)
         """
-        if kind not in LIVE_LOADS:
-            raise InputError(f"{self.source}: [load] {shown(kind)}: is not one of {', '.join(LIVE_LOADS)}")
-        added = getattr(_read_load({kind: keys}, self.source), kind)
-        more: dict[str, Any] = {kind: (*getattr(self.load, kind), *added)}
-        return replace(self, load=replace(self.load, **more))
+        return self._with({"kind": kind, **keys}, LiveLoad.kinds, "load")
 
     def beside(self, kind: str, **keys: Any) -> Scene:
         """The scene with one more body to stay outside of: a kind of [[obstacle]], its keys by name."""
-        return replace(
-            self, obstacle=(*self.obstacle, *read_kinds({"kind": kind, **keys}, OBSTACLES, "obstacle", self.source))
-        )
+        return self._with({"kind": kind, **keys}, Obstacle.kinds, "obstacle")
+
+    def _with(self, keys: dict[str, Any], kinds: Mapping[str, type[Item]], name: str) -> Scene:
+        return replace(self, items=(*self.items, *read_kinds(keys, kinds, name, self.source)))
 
     def with_keys(self, table: str, **keys: Any) -> Scene:
         """The scene with keys of its tables "curtain", "mesh", "load", "solver", "start" or "material" set anew.
@@ -107,229 +145,186 @@ class Scene:
         >>> Scene.rectangle(100, 50).with_keys("solver", bounds=True).with_keys("mesh", cells=8).mesh.cells
         8
         """
-        where = f"{self.source}: [{table}]"
         if table == "material":
-            return replace(self, material=described(dict(self.material) | keys, where))
-        if table == "start":
-            return replace(self, start=read_start(keys, self.source))
-        if table not in ("curtain", "mesh", "load", "solver"):
-            raise InputError(f"{where}: is not one of curtain, mesh, load, solver, start, material")
-        if table == "load" and (live_keys := keys.keys() & LIVE_LOADS):
-            raise InputError(f"{where} {min(live_keys)}: is added by loaded_by")
+            return replace(self, material=tuple((dict(self.material) | keys).items()))
+        refuse_unknown({table: keys}, ("curtain", *PARTS, "material"), f"{self.source}:", "table")
         old = getattr(self, table)
-        known = [field.name for field in fields(old) if not (table == "load" and field.name in LIVE_LOADS)]
-        given = {name: getattr(old, name) for name in known if getattr(old, name) is not None}
-        new = read_record(type(old), given | keys, where)
-        live = {name: getattr(old, name) for name in LIVE_LOADS} if table == "load" else {}
-        return replace(self, **{table: replace(new, **live)})
+        given = {} if old is None else {item.name: getattr(old, item.name) for item in fields(old)}
+        cls = PARTS[table] if old is None else type(old)
+        new: dict[str, Any] = {table: read_typed(cls, given | keys, f"{self.source}: [{table}]")}
+        return replace(self, **new)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the tables of the scene."""
-        parts = (self.curtain, self.mesh, *self.support, self.load, *self.obstacle, self.start, self.solver)
+        """What a notebook shows: the records of the scene."""
+        parts = (self.curtain, self.mesh, *self.items, self.load, self.start, self.solver)
         return as_html(f"Scene: {self.source}", dict(self.material), (str(part) for part in parts if part is not None))
 
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
-    return read_scene(read_toml(path), path)
+    with expecting("scene", path):
+        return read_scene(read_toml(path), path)
 
 
 def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
-    """The scene of parsed TOML tables; OldName is the warning for a name that has changed.
+    """The scene of parsed TOML tables.
 
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
-    data = with_new_names(data, source)
-    tables = ("curtain", "mesh", "support", "load", "solver", "obstacle", "start", "material")
-    for key in data:
-        if key not in tables:
-            raise InputError(f"{source}: {shown_key(key)}: unknown table; known are {', '.join(tables)}")
+    refuse_unknown(
+        data, ("curtain", "support", "obstacle", "body", *PARTS, "material", "combination"), f"{source}:", "table"
+    )
     if "curtain" not in data:
         raise InputError(f"{source}: [curtain]: is missing")
-    scene = Scene(
-        curtain=read_record(Curtain, data["curtain"], f"{source}: [curtain]"),
-        mesh=read_record(Mesh, data.get("mesh", {}), f"{source}: [mesh]"),
-        support=_read_supports(data.get("support", []), source),
-        load=_read_load(data.get("load", {}), source),
-        solver=read_record(Solver, data.get("solver", {}), f"{source}: [solver]"),
-        source=Path(source),
-        obstacle=read_kinds(data.get("obstacle", []), OBSTACLES, "obstacle", source),
-        start=read_start(data.get("start"), source),
-        material=described(data.get("material", {}), f"{source}: [material]"),
+    load = data.get("load", {})
+    if not isinstance(load, dict):
+        raise InputError(f"{source}: [load] is not a table")
+    live = {name: _entries(load[name], f"{source}: [load] {name}") for name in LiveLoad.kinds if name in load}
+    refuse_unknown(load, ("gravity", "steps", *LiveLoad.kinds), f"{source}: [load]")
+    one = {"load": {key: value for key, value in load.items() if key not in live}}
+    parts: dict[str, Any] = {
+        name: read_typed(cls, (data | one)[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in data
+    }
+    items = read_kinds(data.get("support", []), Support.kinds, "support", source)
+    items += tuple(
+        read_typed(LiveLoad.kinds[name], table, f"{source}: [load.{name}]") for name in live for table in live[name]
     )
-    _check_mesh_keys(scene, data, source)
+    items += read_kinds(data.get("obstacle", []), Obstacle.kinds, "obstacle", source)
+    items += read_kinds(data.get("body", []), Thrown.kinds, "body", source)
+    curtain = {"shape": "rectangle"} | data["curtain"] if isinstance(data["curtain"], dict) else data["curtain"]
+    if isinstance(curtain, dict) and curtain.get("shape") == "dxf":
+        curtain = _from_dxf(curtain, Path(source))
+    shape = read_kinds(curtain, Shape.kinds, "curtain", source, "shape")[0]
+    material = described(data.get("material", {}), f"{source}: [material]")
+    for key in ("cells", "pattern"):
+        if isinstance(shape, MeshFile) and key in data.get("mesh", {}):
+            raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
+    combinations = tuple(
+        read_typed(Combination, table, f"{source}: [combination]")
+        for table in _entries(data.get("combination", []), f"{source}: [combination]")
+    )
+    scene = Scene(shape, items, **parts, material=material, combination=combinations, source=Path(source))
     check_scene(scene)
     return scene
 
 
+def _from_dxf(curtain: dict[str, Any], source: Path) -> dict[str, Any]:
+    """The table of an outline in place of one that names a DXF file."""
+    file = curtain.get("file")
+    if not isinstance(file, str) or not file:
+        raise InputError(f'{source}: [curtain] file: is missing; shape = "dxf" names the file of the outline')
+    rest = {key: value for key, value in curtain.items() if key not in ("shape", "file")}
+    return {"shape": "outline"} | read_outline(source.parent / file) | rest
+
+
+def read_kinds(
+    tables: Any, kinds: Mapping[str, type[Any]], name: str, source: str | Path, word: str = "kind"
+) -> tuple[Any, ...]:
+    """The records of [[name]], whose class each `kind` says; InputError for a kind, key or value without sense."""
+    found = []
+    for table in _entries(tables, f"{source}: [{name}]"):
+        if not isinstance(table, dict):
+            raise InputError(f"{source}: [{name}] = {shown(table)}: is not a table")
+        kind = table.get(word)
+        if not isinstance(kind, str) or kind not in kinds:
+            raise InputError(f"{source}: [{name}] {word} = {shown(kind)}: is not one of {', '.join(kinds)}")
+        rest = {key: value for key, value in table.items() if key != word}
+        found.append(read_typed(kinds[kind], rest, f"{source}: [{name}]{f' ({kind})' if word == 'kind' else ''}"))
+    return tuple(found)
+
+
+def _entries(tables: Any, where: str) -> list[Any]:
+    """The entries of an array of tables, one of which may stand alone; InputError for anything else, or too many."""
+    tables = [tables] if isinstance(tables, dict) else tables
+    if not isinstance(tables, list):
+        raise InputError(f"{where} = {shown(tables)}: is not a table")
+    if len(tables) > MAX_ENTRIES:
+        raise InputError(f"{where}: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
+    return tables
+
+
 def check_scene(scene: Scene) -> None:
-    """InputError for tables that contradict each other, and for keys that change nothing."""
-    if not scene.support:
-        raise InputError(f"{scene.source}: [support]: is missing, so nothing holds the curtain")
-    _check_shape(scene.curtain, scene.source)
-    _check_effect(scene, scene.source)
-    check_solver(scene, scene.source)
-
-
-def _out_of_plane(scene: Scene) -> Iterator[str]:
-    """What takes a scene into space, the first thing first."""
-    for item in scene.support:
-        move = getattr(item, "move", ())
-        if move and leaves_plane(move):
-            yield f"[support] move = {list(move)} leaves the plane"
-        if isinstance(item, Track):
-            yield "[support] kind = 'track' leaves the plane"
-        if isinstance(item, Edge) and item.along and any(map(leaves_plane, item.along)):
-            yield f"[support] along = {[list(point) for point in item.along]} leaves the plane"
-    if isinstance(scene.load.gravity, tuple) and leaves_plane(scene.load.gravity):
-        yield f"[load] gravity = {list(scene.load.gravity)} leaves the plane"
-    for name in ("edge", "point", "patch"):
-        for load in getattr(scene.load, name):
-            if leaves_plane(load.force):
-                yield f"[load.{name}] force = {list(load.force)} leaves the plane"
-    for wind in scene.load.wind:
-        if leaves_plane(wind.direction):
-            yield f"[load.wind] direction = {list(wind.direction)} leaves the plane"
-    for obstacle in scene.obstacle:
-        if not is_in_plane(obstacle):
-            yield f"[obstacle] {obstacle.name} is not a half-space of the plane"
-    if scene.start is not None:
-        yield "[start] lays the sheet in space"
-    if any(wind.follows for wind in scene.load.wind):
-        yield "[load.wind] follows = true: pressure is normal to the surface"
-    if scene.solver.space:
-        yield "[solver] space = true asks for it"
-
-
-def _read_supports(tables: Any, source: str | Path) -> tuple[Support, ...]:
-    supports = read_kinds(tables, SUPPORTS, "support", source)
-    if not supports:
+    """InputError for records that contradict each other, and for keys that change nothing."""
+    source, load = scene.source, scene.load
+    _check_motion(scene)
+    _check_combinations(scene)
+    if not scene.support and scene.motion is None:
         raise InputError(f"{source}: [support]: is missing, so nothing holds the curtain")
-    return supports
-
-
-def _read_load(table: Any, source: str | Path) -> Load:
-    if not isinstance(table, dict):
-        raise InputError(f"{source}: [load] is not a table")
-    live: dict[str, tuple[Any, ...]] = {}
-    for name, cls in LIVE_LOADS.items():
-        items = entries(table.get(name, []), f"{source}: [load] {name}")
-        live[name] = tuple(read_record(cls, item, f"{source}: [load.{name}]") for item in items)
-    plain = {key: value for key, value in table.items() if key not in LIVE_LOADS}
-    known = ("gravity", "steps", *LIVE_LOADS)
-    for key, value in plain.items():
-        if key not in known:
-            raise InputError(
-                f"{source}: [load] {shown_key(key)} = {shown(value)}: unknown key; known are {', '.join(known)}"
-            )
-    base = read_record(Load, plain, f"{source}: [load]")
-    return Load(base.gravity, base.steps, **live)
-
-
-_NEEDS = {"rectangle": ("width", "height"), "disk": ("radius",), "outline": ("outline",), "file": ("file",)}
-
-
-def _check_shape(curtain: Curtain, source: str | Path) -> None:
-    """InputError unless exactly the keys that describe the shape are given."""
-    needs = _NEEDS[curtain.shape]
-    for key in ("width", "height", "radius", "outline", "file"):
-        value = getattr(curtain, key)
-        if key in needs and value is None:
-            raise InputError(f'{source}: [curtain] {key}: is missing, shape = "{curtain.shape}" needs it')
-        if key not in needs and value is not None:
-            raise InputError(f'{source}: [curtain] {key} = {shown(value)}: is not used by shape = "{curtain.shape}"')
-    corners = len(curtain.outline or ()) + sum(map(len, curtain.holes))
-    if corners > MAX_CORNERS:
-        raise InputError(
-            f"{source}: [curtain] outline and holes: have {corners} corners, at most {MAX_CORNERS} are allowed"
-        )
-    if curtain.holes and curtain.shape == "file":
-        raise InputError(f'{source}: [curtain] holes: are not used by shape = "file"')
-
-
-def _check_mesh_keys(scene: Scene, data: dict[str, Any], source: str | Path) -> None:
-    """InputError for keys of [mesh] that a mesh from a file leaves without effect."""
-    mesh = data.get("mesh", {})
-    for key in ("cells", "pattern"):
-        if scene.curtain.shape == "file" and key in mesh:
-            raise InputError(f'{source}: [mesh] {key} = {mesh[key]!r}: has no effect with shape = "file"')
-
-
-def _check_effect(scene: Scene, source: str | Path) -> None:
-    """InputError for a key that is given and changes nothing."""
-    shape = scene.curtain.shape
-    if scene.mesh.pattern != "aligned" and (shape != "rectangle" or scene.curtain.holes):
-        what = f'shape = "{shape}"' if shape != "rectangle" else "holes"
+    if scene.mesh.pattern != "aligned" and (not isinstance(scene.curtain, Rectangle) or scene.curtain.holes):
+        what = f'shape = "{scene.curtain.shape}"' if not isinstance(scene.curtain, Rectangle) else "holes"
         raise InputError(f"{source}: [mesh] pattern = {scene.mesh.pattern!r}: has no effect with {what}")
     for item in scene.support:
-        held = getattr(item, "held", "both")
-        move = getattr(item, "move", NO_MOVE)
-        for axis, way in zip("xyz", in_3d(move), strict=True):
-            if way != 0.0 and held != "both" and axis not in held:
-                raise InputError(
-                    f"{source}: [support] move = {list(move)}: has no effect along {axis}, as held = {held!r}"
-                )
-        if isinstance(item, Track):
-            check_track(item, source)
-        if isinstance(item, Edge):
-            _check_line(item, source)
-        if held == "z" and not scene.in_space:
-            raise InputError(f"{source}: [support] held = 'z': holds nothing, as the scene lies in the plane")
-    for wind in scene.load.wind:
-        _check_wind(wind, source)
-    for obstacle in scene.obstacle:
-        check_obstacle(obstacle, source)
-    load = scene.load
-    uses_start = any(not is_flat(item) for item in scene.obstacle) or any(wind.follows for wind in load.wind)
-    if scene.start is not None and not uses_start:
+        _check_held(item, scene)
+    follows = any(wind.follows for wind in scene.of(Wind))
+    if scene.start is not None and not follows and all(map(is_flat, scene.obstacle)):
         raise InputError(f"{source}: [start]: has no effect without bodies and following pressure")
-    moves = any(any(getattr(item, "move", ())) for item in (*scene.support, *scene.obstacle))
-    if load.steps > 1 and not (moves or load.edge or load.point or load.patch or load.wind):
+    moves = any(any(getattr(item, "move", ())) for item in scene.items)
+    if load.steps > 1 and not moves and not any(item.grows for item in scene.of(LiveLoad)):
         raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
+    check_solver(scene, source)
 
 
-def _check_wind(wind: Wind, source: str | Path) -> None:
-    """InputError unless exactly one of pressure and speed is given, and only keys that have an effect."""
-    where = f"{source}: [load.wind]"
-    if wind.pressure is None and wind.speed is None:
-        raise InputError(f"{where} pressure: is missing; give it in N/m2, or speed in m/s")
-    if wind.pressure is not None:
-        for key in ("speed", "air_density", "drag_coefficient"):
-            if getattr(wind, key) is not None:
-                raise InputError(f"{where} {key} = {getattr(wind, key):g}: is not used together with pressure")
+def _check_motion(scene: Scene) -> None:
+    """InputError for histories that do not go on in time, and for keys that need [motion]."""
+    for item in scene.items:
+        history, release = getattr(item, "history", ()), getattr(item, "release", None)
+        if scene.motion is None:
+            for key, value in (("history", history), ("release", release)):
+                if value:
+                    raise InputError(f"{scene.source}: {item.where} {key}: has no effect without [motion] duration")
+            if isinstance(item, Thrown):
+                raise InputError(f"{scene.source}: {item.where}: moves over time; give [motion] duration, in s")
+        for before, after in pairwise(history):
+            if after[0] <= before[0]:
+                raise InputError(
+                    f"{scene.source}: {item.where} history: {after[0]:g} s does not come after {before[0]:g} s"
+                )
+    if scene.motion is not None and scene.load.steps > 1:
+        raise InputError(f"{scene.source}: [load] steps = {scene.load.steps}: has no effect in motion, use history")
 
 
-def _check_line(item: Edge, source: str | Path) -> None:
-    """InputError for keys of an edge that have no effect with a line, or without one."""
-    where = f"{source}: [support] (edge)"
-    if item.along is None:
-        if item.sliding:
-            raise InputError(f"{where} sliding = true: has no effect without along, the line to slide on")
-        return
-    if item.gather != 1.0:
-        raise InputError(f"{where} gather = {item.gather:g}: has no effect with along, which says where the edge lies")
-    if item.held != "both":
-        raise InputError(f"{where} held = {item.held!r}: has no effect with along, which holds all but what slides")
+def _check_combinations(scene: Scene) -> None:
+    """InputError for combinations of one name, of loads that are not there, or of a scene in motion."""
+    names = [one.name for one in scene.combination]
+    kinds = {"name", "weight"} | {item.kind for item in scene.of(LiveLoad)}
+    for number, one in enumerate(scene.combination):
+        where = f"{scene.source}: [combination] {one.name}"
+        if one.name in names[:number]:
+            raise InputError(f"{where}: is the name of two combinations")
+        if scene.motion is not None:
+            raise InputError(f"{where}: has no effect with [motion]; give the factored loads")
+        for item in fields(one):
+            if item.name not in kinds and getattr(one, item.name) != 1.0:
+                raise InputError(f"{where}: {item.name}: has no effect, as the scene has no [load.{item.name}]")
 
 
-def check_solver(scene: Scene, source: str | Path) -> None:
-    """InputError if the solver does not go with the mesh or the shape."""
-    element, shape, solver = scene.mesh.element, scene.curtain.shape, scene.solver
-    if element in ("Q1", "Q2") and (shape not in ("rectangle", "file") or scene.curtain.holes):
+def _check_held(item: Support, scene: Scene) -> None:
+    """InputError for a move along what is not held, and for a component that the scene has not."""
+    held, move = getattr(item, "held", "both"), getattr(item, "move", NO_MOVE)
+    for axis, way in zip("xyz", in_3d(move), strict=True):
+        if way != 0.0 and held != "both" and axis not in held:
+            raise InputError(
+                f"{scene.source}: {item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
+            )
+    if held == "z" and not scene.in_space:
+        raise InputError(f"{scene.source}: {item.where} held = 'z': holds nothing, as the scene lies in the plane")
+
+
+def check_solver(scene: Scene, source: str | Path, by: str = "[solver] bounds and adapt:") -> None:
+    """InputError if the solver does not go with the mesh or the shape; `by`: the words that asked for bounds."""
+    element, shape, solver = scene.mesh.element, scene.curtain, scene.solver
+    if element in ("Q1", "Q2") and (not isinstance(shape, Rectangle | MeshFile) or shape.holes):
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
-    if solver.kind == "clarabel" and solver.linear_solver != "auto":
-        raise InputError(
-            f"{source}: [solver] linear_solver = {solver.linear_solver!r}: has no effect with kind = 'clarabel'"
-        )
-    if solver.kind == "elastic" and (solver.bounds or solver.adapt):
-        raise InputError(f"{source}: [solver] bounds and adapt: belong to ideal locking, not to kind = 'elastic'")
-    if (solver.bounds or solver.adapt) and any(wind.follows for wind in scene.load.wind):
-        raise InputError(f"{source}: [solver] bounds and adapt: do not go with following pressure, no dead load")
+    if not (solver.bounds or solver.adapt):
+        return
+    where = f"{source}: {by}"
+    if solver.kind == "elastic":
+        raise InputError(f"{where} need rings that lock, [solver] kind = 'rigid' or 'auto', not 'elastic'")
+    if any(wind.follows for wind in scene.of(Wind)):
+        raise InputError(f"{where} do not go with following pressure, no dead load")
     bodies = [item.name for item in scene.obstacle if not is_flat(item)]
-    if (solver.bounds or solver.adapt) and bodies:
-        raise InputError(
-            f"{source}: [solver] bounds and adapt: do not go with {bodies[0]}: outside a body the problem is not convex"
-        )
-    if (solver.bounds or solver.adapt) and element != "P1":
-        raise InputError(f"{source}: [solver] bounds and adapt: need element = 'P1', not {element!r}")
+    if bodies:
+        raise InputError(f"{where} do not go with {bodies[0]}: outside a body the problem is not convex")
+    if element != "P1":
+        raise InputError(f"{where} need element = 'P1', not {element!r}")

@@ -7,82 +7,80 @@ supports that contradict each other, pieces of the curtain that nothing holds, l
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.space import in_space_of
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.cables import Sliding, edge_line, placed_along, sliding_nodes, sloping, track_of, unit_direction
+from macro_fem.scene.cables import Sliding, sliding_nodes, sloping
 from macro_fem.scene.meshing.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import NO_MOVE, Bar, Corners, Edge, Hooks, Point, Rail, Top, Track, Vector, in_3d
-from macro_fem.scene.tracks import track_places
+from macro_fem.scene.sites import Held, Site, edge_nodes
+from macro_fem.scene.tables import Bar
 from rve.common.errors import InputError
 from rve.common.types import Array
-
-
-def held_axes(held: str, d: int) -> tuple[bool, ...]:
-    """Which of d components a support holds: "both" are all.
-
-    >>> held_axes("both", 3), held_axes("yz", 3), held_axes("yz", 2)
-    ((True, True, True), (False, True, True), (False, True))
-    """
-    return tuple(held == "both" or axis in held for axis in "xyz"[:d])
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """What one support holds: `nodes` (k,), `mask` (k, d) of components and their `positions` (k, d).
-
-    `facets` (m,): the facets of the mesh that are held as a whole; none for corners, hooks, runners and points.
-    `slide` (d,): the direction, along no axis, in which all nodes slide freely from their positions; None if they do
-    not. A direction along an axis is a component that is not in the mask.
-    """
-
-    name: str
-    nodes: np.ndarray
-    mask: np.ndarray
-    positions: Array
-    facets: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
-    slide: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Supports:
     """All supports of a scene on a discretisation: components held (n_nodes, d), where, by which, and ties T.
 
-    `pinned` holds components (n_nodes, d) that only remove a free sliding and carry no force. `sliding`: nodes on
-    sloping lines, the last columns of T; the mask has all their components.
+    `sliding`: nodes on sloping lines; the mask has all their components. `pins`: one node for each direction in which
+    nothing holds a piece of the curtain; they only remove that free sliding and carry no force. `bars` (n_nodes,
+    n_nodes): weights of the nodes that straight bars tie others to, None without bars.
     """
 
     held: tuple[Held, ...]
     mask: np.ndarray
     positions: Array
-    pinned: np.ndarray
-    tie: sparse.csc_matrix | None = field(default=None, repr=False)
-    sliding: Sliding | None = field(default=None, repr=False)
+    sliding: Sliding
+    pins: Sliding
+    bars: sparse.csc_matrix | None = field(default=None, repr=False)
 
-    def fem(self, disc: Discretization, method: str = "auto") -> SupportedFem:
-        """The discretisation with these supports; `method` of `macro_fem.fem.linear` factorizes its matrices."""
-        fixed = self.mask | self.pinned
-        return SupportedFem(disc, np.where(fixed, self.positions, 0.0), ~fixed.ravel(), self.tie, method)
+    @cached_property
+    def fixed(self) -> np.ndarray:
+        """Components (n_nodes, d) that are no unknowns themselves: those held, those of pins, those of lines."""
+        fixed = self.mask.copy()
+        fixed[self.pins.nodes] |= self.pins.direction != 0.0
+        return fixed
+
+    @cached_property
+    def tie(self) -> sparse.csc_matrix | None:
+        """T (n_nodes * d, n_z) where bars or sloping lines need one: components of nodes first, lines last."""
+        moving = self.sliding.without(self.pins.nodes)
+        free = ~self.fixed
+        if self.bars is None:
+            return moving.tied(None, free) if len(moving.nodes) else None
+        masters = free & (np.diff(self.bars.indptr) > 0)[:, None]
+        both = sparse.kron(self.bars, sparse.eye(free.shape[1]), format="csc")
+        return moving.tied(both[:, masters.ravel()], free)
+
+    def fem(self, disc: Discretization) -> SupportedFem:
+        """The discretisation with these supports."""
+        x_held = np.where(self.fixed, self.positions, 0.0)
+        return SupportedFem(disc, x_held, ~self.fixed.ravel(), self.tie)
+
+    def carried(self, force: Array) -> Array:
+        """What supports can carry of nodal forces (n_nodes, d): held components, nothing along sloping lines."""
+        out = np.where(self.mask, force, 0.0)
+        nodes, way = self.sliding.nodes, self.sliding.direction
+        out[nodes] -= (out[nodes] * way).sum(axis=1)[:, None] * way
+        return out
 
 
-def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
-    """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""
-    ends = mesh.mesh.p[:, mesh.mesh.facets[:, mesh.edge(name, where)]]
-    candidates = np.concatenate([ends[:, 0].T, ends[:, 1].T, ends.mean(axis=1).T])
-    distance, node = cKDTree(disc.nodes).query(candidates)
-    nodes = np.unique(node[distance < 1e-9 * mesh.size])
-    return nodes[np.lexsort((disc.nodes[nodes, 1], disc.nodes[nodes, 0]))]
-
-
-def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float = 1.0) -> Supports:
-    """The supports of a scene with prescribed moves scaled by `factor` (load steps)."""
-    held = tuple(_held(number, scene, mesh, disc, factor) for number in range(len(scene.support)))
+def build_supports(
+    scene: Scene,
+    mesh: CurtainMesh,
+    disc: Discretization,
+    factor: float = 1.0,
+    released: frozenset[int] = frozenset(),
+) -> Supports:
+    """The supports of a scene with prescribed moves scaled by `factor` (load steps), without the numbers `released`."""
+    items = [(number, item) for number, item in enumerate(scene.support) if number not in released]
+    held = tuple(item.hold(Site(number, item, scene, mesh, disc), factor) for number, item in items)
     positions = in_space_of(disc.nodes, scene.d)
     mask = np.zeros(positions.shape, bool)
     owner = np.full(positions.shape, -1)
@@ -108,20 +106,13 @@ def build_supports(scene: Scene, mesh: CurtainMesh, disc: Discretization, factor
         owner = np.where(here, number, owner)
         if one.slide is not None:
             ways[one.nodes] = one.slide
-    supports = Supports(held, mask, positions, np.zeros_like(mask))
-    bars = [bar for bar in scene.load.bar if bar.straight]
-    if bars:
-        supports = replace(supports, tie=_straight_bars(bars, scene, mesh, disc, mask))
     lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
-    return with_sliding(supports, lines, _held_as_a_whole(held, disc, scene.source)) if lines else supports
-
-
-def with_sliding(supports: Supports, lines: list[tuple[np.ndarray, Array]], whole: np.ndarray) -> Supports:
-    """The supports with columns of T for nodes (k,) that slide along unit vectors (d,), except those held as a `whole`
-    (n_nodes,)."""
-    sliding = sliding_nodes(lines, whole)
-    tie = sliding.tied(supports.tie, ~supports.mask)
-    return replace(supports, tie=tie, sliding=sliding)
+    sliding = none = Sliding.none(scene.d)
+    if lines:
+        sliding = sliding_nodes(lines, _held_as_a_whole(held, disc, scene.source))
+    straight = [bar for bar in scene.of(Bar) if bar.straight]
+    bars = _straight_bars(straight, scene, mesh, disc, mask) if straight else None
+    return Supports(held, mask, positions, sliding, none, bars)
 
 
 def _held_as_a_whole(held: tuple[Held, ...], disc: Discretization, source: object) -> np.ndarray:
@@ -144,122 +135,10 @@ def _held_as_a_whole(held: tuple[Held, ...], disc: Discretization, source: objec
     return whole
 
 
-def _held(number: int, scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float) -> Held:
-    """The nodes, components and positions of one support; InputError if it asks for what has no effect."""
-    X, item, source, d = disc.nodes, scene.support[number], scene.source, scene.d
-    if isinstance(item, Track):
-        return _on_track(number, item, scene, mesh, disc)
-    if isinstance(item, Edge) and item.along is not None:
-        return _on_line(item, item.along, scene, mesh, disc, factor)
-    facets = np.zeros(0, np.int64)
-    gather, held = 1.0, "both"
-    match item:
-        case Corners():
-            nodes, name = _top_corners(scene, mesh, disc), "corners"
-            gather = item.gather
-        case Top() | Rail():
-            name = "top" if isinstance(item, Top) else "rail"
-            where = f"{source}: [support] kind = '{name}' needs edge"
-            nodes, facets = edge_nodes(mesh, disc, "top", where), mesh.edge("top", where)
-            gather, held = (item.gather, "both") if isinstance(item, Top) else (1.0, "yz")
-        case Hooks():
-            nodes, name = _hook_nodes(number, item, scene, mesh, disc), "hooks"
-            gather, held = item.gather, "yz" if item.sliding else "both"
-        case Edge():
-            where = f"{source}: [support] edge"
-            nodes, facets = edge_nodes(mesh, disc, item.edge, where), mesh.edge(item.edge, where)
-            name, gather, held = f"edge {item.edge}", item.gather, item.held
-        case Point():
-            nodes = point_node(item.at, disc, f"{source}: [support] (point)")
-            name = f"point ({item.at[0]:g}, {item.at[1]:g})"
-            held = item.held
-    target = _gathered_edge(X[nodes], gather) if isinstance(item, Edge) else _gathered(X[nodes], gather, mesh)
-    mask = np.tile(held_axes(held, d), (len(nodes), 1))
-    if gather != 1.0 and np.abs((target - X[nodes])[mask[:, :2]]).max(initial=0.0) <= 1e-9 * mesh.size:
-        raise InputError(f"{source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is")
-    move = np.array(in_3d(getattr(item, "move", NO_MOVE))[:d])
-    return Held(name, nodes, mask, in_space_of(target, d) + factor * move, facets)
-
-
-def _on_track(number: int, item: Track, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Held:
-    """The top edge on its track: as a whole, or at its runners."""
-    where = f"{scene.source}: [support] (track)"
-    line, s, curve = track_of(item, mesh, where)
-    if item.pitch is None:
-        nodes, places = placed_along(mesh, disc, line, track_places(item, curve, s, s[-1]))
-        facets = mesh.edges["top"]
-    else:
-        nodes, facets = _runner_nodes(mesh.hooks[number], where, disc), np.zeros(0, np.int64)
-        places = track_places(item, curve, np.linspace(0.0, s[-1], len(nodes)), s[-1])
-    return Held("track", nodes, np.ones(places.shape, bool), places, facets)
-
-
-def _on_line(
-    item: Edge, along: tuple[Vector, Vector], scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float
-) -> Held:
-    """A named edge on a straight line in space, evenly between the two points, held or free to slide."""
-    d = scene.d
-    line, s = edge_line(mesh, item.edge, f"{scene.source}: [support] edge")
-    first, last = (np.array(point[:d]) for point in along)
-    nodes, places = placed_along(mesh, disc, line, first + (s / s[-1])[:, None] * (last - first))
-    e = unit_direction(last - first)
-    mask = np.ones(places.shape, bool)
-    if item.sliding and not sloping(e):
-        mask[:, e != 0.0] = False
-    slide = e if item.sliding and sloping(e) else None
-    move = factor * np.array(in_3d(item.move)[:d])
-    return Held(f"edge {item.edge}", nodes, mask, places + move, mesh.edges[item.edge], slide)
-
-
-def _gathered_edge(X: Array, gather: float) -> Array:
-    """Positions X (k, 2) of an edge narrowed about the middle of its bounding box."""
-    centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
-    return np.asarray(centre + gather * (X - centre))
-
-
-def _gathered(X: Array, gather: float, mesh: CurtainMesh) -> Array:
-    """Positions X (k, 2) of the top edge narrowed about the middle of the curtain."""
-    middle = 0.5 * (mesh.mesh.p[0].min() + mesh.mesh.p[0].max())
-    return np.stack([middle + gather * (X[:, 0] - middle), X[:, 1]], axis=-1)
-
-
-def _top_corners(scene: Scene, mesh: CurtainMesh, disc: Discretization) -> np.ndarray:
-    where = f"{scene.source}: [support] kind = 'corners' needs edge"
-    if disc.element == "CR":
-        raise InputError(f"{scene.source}: [support] kind = 'corners': element 'CR' has no nodes at corners, use 'P1'")
-    nodes = edge_nodes(mesh, disc, "top", where)
-    return nodes[[0, -1]]
-
-
-def _hook_nodes(number: int, item: Hooks, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> np.ndarray:
-    """The nodes at the hooks of support `number`."""
-    where = f"{scene.source}: [support] kind = 'hooks' needs edge"
-    if disc.element == "CR":
-        raise InputError(f"{scene.source}: [support] kind = 'hooks': element 'CR' has no nodes at hooks, use 'P1'")
-    mesh.edge("top", where)
-    return _runner_nodes(mesh.hooks[number], f"{scene.source}: [support] (hooks, pitch = {item.pitch:g})", disc)
-
-
-def _runner_nodes(places: Array, where: str, disc: Discretization) -> np.ndarray:
-    return np.concatenate([point_node((float(x), float(y)), disc, where) for x, y in places])
-
-
-def point_node(at: tuple[float, float], disc: Discretization, where: str) -> np.ndarray:
-    """The number (1,) of the node at a point; InputError, which tells the nearest one, if there is none."""
-    if disc.element == "CR":
-        raise InputError(f"{where} at = {list(at)}: element 'CR' has no nodes at points, use 'P1'")
-    distance = np.linalg.norm(disc.nodes - np.array(at), axis=1)
-    node = int(np.argmin(distance))
-    if distance[node] > 1e-9 * float(np.hypot(*np.ptp(disc.nodes, axis=0))):
-        x, y = disc.nodes[node]
-        raise InputError(f"{where} at = {list(at)}: the mesh has no node there, the nearest one is at ({x:g}, {y:g})")
-    return np.array([node])
-
-
 def _straight_bars(
     bars: list[Bar], scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray
 ) -> sparse.csc_matrix:
-    """T that keeps the nodes of every bar on a line; InputError for bars on bent or held edges."""
+    """Weights (n, n) that keep the nodes of every bar on a line; InputError for bars on bent or held edges."""
     lines: list[np.ndarray] = []
     for bar in bars:
         nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
@@ -271,11 +150,14 @@ def _straight_bars(
         if np.abs(X - X[0] - s[:, None] * along).max() > 1e-6 * mesh.size:
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
         lines.append(nodes)
-    return straight_ties(lines, disc.nodes, mask)
+    return straight_ties(lines, disc.nodes)
 
 
-def straight_ties(lines: list[np.ndarray], X: Array, mask: np.ndarray) -> sparse.csc_matrix:
-    """T that puts the nodes of each line between its first and its last: x = (1 - s) x_first + s x_last."""
+def straight_ties(lines: list[np.ndarray], X: Array) -> sparse.csc_matrix:
+    """Weights (n, n) that put the nodes of each line between its first and its last: x = (1 - s) x_first + s x_last.
+
+    Columns of nodes in between are empty.
+    """
     n = len(X)
     tied = np.zeros(n, bool)
     rows, columns, values = [], [], []
@@ -288,89 +170,53 @@ def straight_ties(lines: list[np.ndarray], X: Array, mask: np.ndarray) -> sparse
             values.append(weight)
         tied[nodes[1:-1]] = True
     own = np.flatnonzero(~tied)
-    T = sparse.coo_matrix(
-        (
-            np.concatenate([np.ones(len(own)), *values]),
-            (np.concatenate([own, *rows]), np.concatenate([own, *columns])),
-        ),
-        shape=(n, n),
-    ).tocsc()
-    both = sparse.kron(T, sparse.eye(mask.shape[1]), format="csc")
-    free = ~mask & ~tied[:, None]
-    return both[:, free.ravel()]
+    entries = (np.concatenate([own, *rows]), np.concatenate([own, *columns]))
+    return sparse.coo_matrix((np.concatenate([np.ones(len(own)), *values]), entries), shape=(n, n)).tocsc()
 
 
 def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: object) -> Supports:
-    """Pins one component of every piece of the curtain that can slide along x, y or z as a whole.
+    """Pins one node along every direction in which a piece of the curtain can slide as a whole.
 
     InputError for a piece that nothing holds, and for a load `force` (n_nodes, d) along a free sliding.
     """
     number, label = components(disc.cell_dofs, disc.n_nodes)
-    pinned = np.zeros_like(supports.mask)
     total = float(np.abs(force).sum())
+    nodes, ways = list[int](), list[Array]()
     for piece in range(number):
-        nodes = np.flatnonzero(label == piece)
-        held = supports.mask[nodes].any(axis=0)
-        x, y = disc.nodes[nodes].mean(axis=0)
-        if not held.any():
+        own = np.flatnonzero(label == piece)
+        x, y = disc.nodes[own].mean(axis=0)
+        if not supports.mask[own].any():
             what = "nothing holds the curtain" if number == 1 else f"nothing holds the piece around ({x:g}, {y:g})"
             raise InputError(f"{source}: [support]: {what}, so that it falls")
-        for axis in np.flatnonzero(~held):
-            push = float(force[nodes, axis].sum())
+        for way, at in _free_ways(supports, own, disc):
+            push = float((force[own] @ way).sum())
             if abs(push) > 1e-9 * total:
                 raise InputError(
-                    f"{source}: [load]: nothing carries the force of {push:.6g} N along {'xyz'[axis]}, in which the "
+                    f"{source}: [load]: nothing carries the force of {push:.6g} N along {told(way)}, in which the "
                     f"supports let the piece around ({x:g}, {y:g}) slide"
                 )
-            other = nodes[supports.mask[nodes].any(axis=1)]
-            along = disc.nodes[other, axis % 2]
-            middle = other[np.argmin(np.abs(along - along.mean()))]
-            pinned[middle, axis] = True
-        if supports.sliding is not None:
-            supports = _pin_on_line(supports, supports.sliding, nodes, disc, force, source)
-    if supports.tie is not None and pinned.any():
-        kept = ~(supports.mask | pinned).ravel()
-        masters = _tie_masters(supports)
-        tie = supports.tie[:, np.flatnonzero((masters < 0) | kept[masters])]
-        return replace(supports, pinned=pinned, tie=tie)
-    return replace(supports, pinned=pinned)
+            nodes.append(at)
+            ways.append(way)
+    d = supports.mask.shape[1]
+    return replace(supports, pins=Sliding(np.array(nodes, np.int64), np.array(ways, float).reshape(-1, d)))
 
 
-def _pin_on_line(
-    supports: Supports, sliding: Sliding, nodes: np.ndarray, disc: Discretization, force: Array, source: object
-) -> Supports:
-    """The supports, with one node fixed where the piece (k,) of the curtain can slide along its sloping lines."""
-    here = np.flatnonzero(np.isin(sliding.nodes, nodes))
-    way = sliding.common(sliding.nodes[here])
-    others = np.setdiff1d(nodes, sliding.nodes[here])
-    if way is None or way[supports.mask[others].any(axis=0)].any():
-        return supports
-    push = float(force[nodes].sum(axis=0) @ way)
-    if abs(push) > 1e-9 * float(np.abs(force).sum()):
-        x, y = disc.nodes[nodes].mean(axis=0)
-        raise InputError(
-            f"{source}: [load]: nothing carries the force of {push:.6g} N along {np.round(way, 6).tolist()}, in which "
-            f"the supports let the piece around ({x:g}, {y:g}) slide"
-        )
-    assert supports.tie is not None
-    X = disc.nodes[sliding.nodes[here]]
-    middle = int(here[np.argmin(np.linalg.norm(X - X.mean(axis=0), axis=1))])
-    column = supports.tie.shape[1] - len(sliding.nodes) + middle
-    tie = supports.tie[:, np.delete(np.arange(supports.tie.shape[1]), column)]
-    return replace(supports, tie=tie, sliding=sliding.without(middle))
+def told(way: Array) -> str:
+    """A direction in words: the letter of an axis, else its components."""
+    return str(np.round(way, 6).tolist()) if sloping(way) else "xyz"[int(np.argmax(np.abs(way)))]
 
 
-def _tie_masters(supports: Supports) -> np.ndarray:
-    """The flat number of the component that each column of T stands for: the row in which it is the only entry, 1.
-
-    -1 for nodes on sloping lines.
-    """
-    tie = supports.tie
-    assert tie is not None
-    rows = tie.tocsr()
-    single = np.flatnonzero(np.diff(rows.indptr) == 1)
-    masters = np.full(tie.shape[1], -1)
-    column = rows.indices[rows.indptr[single]]
-    value = rows.data[rows.indptr[single]]
-    masters[column[value == 1.0]] = single[value == 1.0]
-    return masters
+def _free_ways(supports: Supports, nodes: np.ndarray, disc: Discretization) -> list[tuple[Array, int]]:
+    """Unit vectors (d,) along which nothing holds a piece of nodes (k,), each with a held node in its middle."""
+    X, mask = disc.nodes, supports.mask
+    held = mask[nodes].any(axis=0)
+    at = nodes[mask[nodes].any(axis=1)]
+    out = []
+    for axis in np.flatnonzero(~held):
+        along = X[at, axis % 2]
+        out.append((np.eye(len(held))[axis], int(at[np.argmin(np.abs(along - along.mean()))])))
+    on_line = nodes[np.isin(nodes, supports.sliding.nodes)]
+    way = supports.sliding.common(on_line)
+    if way is not None and not way[mask[np.setdiff1d(nodes, on_line)].any(axis=0)].any():
+        out.append((way, int(on_line[np.argmin(np.linalg.norm(X[on_line] - X[on_line].mean(axis=0), axis=1))])))
+    return out

@@ -1,4 +1,4 @@
-"""The tables of a scene file as records: every key with its default and the range of its values.
+"""What a scene is made of: nouns whose fields are the keys of a scene file, each with its range.
 
 Lengths are mm, forces N, line loads N/mm, pressures N/m2, masses kg and kg/m2, angles degrees. x points right, y up, z
 towards the viewer; a rectangle spans from (0, 0) to (width, height), a disk is centred at (0, 0). Vectors have two or
@@ -7,32 +7,16 @@ three components and are kept as given; a third one that is not 0 takes the curt
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from macro_fem.fem.linear import METHODS
+from msgspec import Meta
+
 from macro_fem.scene.meshing.edges import canonical
-from rve.common.errors import InputError
-from rve.common.values import (
-    MISSING,
-    choice,
-    entry,
-    finite,
-    flag,
-    list_of,
-    number,
-    read_record,
-    shown,
-    text,
-    whole,
-)
+from rve.common.typed import Typed
 
-WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
-ELEMENTS = ("P1", "P2", "CR", "Q1", "Q2")
-MAX_CELLS = 20_000
-
+if TYPE_CHECKING:
+    from macro_fem.scene.sites import Held, Site
 
 MAX_CORNERS = 5_000
 """Most corners of the outline and its holes together; the work grows with their square."""
@@ -40,56 +24,31 @@ MAX_ENTRIES = 1_000
 """Most supports, and most loads of one kind."""
 LEAST_MM, MOST_MM = 1e-6, 1e9
 """Range of lengths and coordinates, in which squares and ratios stay finite."""
-MOST_FORCE = 1e12
-MOST_GRAVITY = 1e6
-"""m/s2."""
-HELD = ("both", "x", "y", "z", "xy", "xz", "yz")
-"""What a support may hold: all components, or those named."""
 
-
-def length(default: Any = MISSING) -> Any:
-    """A field for a length in mm."""
-    return number(default, least=LEAST_MM, most=MOST_MM)
-
-
-def _pair(size: float, names: str = "[x, y]") -> Any:
-    component = finite(least=-size, most=size)
-
-    def check(value: Any) -> tuple[float, float]:
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            raise ValueError(f"is not a pair of numbers {names}")
-        return component(value[0]), component(value[1])
-
-    return check
-
-
-_corners = list_of(_pair(MOST_MM), "points [x, y]", least=3, most=MAX_CORNERS)
-
-
+Length = Annotated[float, Meta(ge=LEAST_MM, le=MOST_MM)]
+Coordinate = Annotated[float, Meta(ge=-MOST_MM, le=MOST_MM)]
+Force = Annotated[float, Meta(ge=-1e12, le=1e12)]
+Capacity = Annotated[float, Meta(gt=0.0, le=1e12)]
+Factor = Annotated[float, Meta(gt=0.0, le=1e6)]
+Share = Annotated[float, Meta(gt=0.0, le=1.0)]
+Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Acceleration = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Name = Annotated[str, Meta(min_length=1)]
+Time = Annotated[float, Meta(ge=0.0, le=1e6)]
+History = Annotated[tuple[tuple[Time, Annotated[float, Meta(ge=-1e6, le=1e6)]], ...], Meta(max_length=10_000)]
+"""Pairs of time, s, and share, for scenes in motion (`macro_fem.scene.moving`)."""
+Place = tuple[Coordinate, Coordinate]
+Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Vector = tuple[float, ...]
 """Two or three components."""
+Way = Annotated[tuple[Coordinate, ...], Meta(min_length=2, max_length=3)]
+Forces = Annotated[tuple[Force, ...], Meta(min_length=2, max_length=3)]
+Polygon = Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MAX_CORNERS)]
+RingsPerHook = Annotated[int, Meta(ge=1, le=1_000)]
+Count = Annotated[int, Meta(ge=2, le=20_000)]
+HeldAxes = Literal["both", "x", "y", "z", "xy", "xz", "yz"]
+"""What a support may hold: all components, or those named."""
 NO_MOVE: Vector = (0.0, 0.0)
-
-
-def place() -> Any:
-    """A field for a material point [x, y], mm."""
-    return entry(_pair(MOST_MM))
-
-
-def _components(size: float) -> Any:
-    component = finite(least=-size, most=size)
-
-    def check(value: Any) -> Vector:
-        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
-            raise ValueError("is not a list of numbers [x, y] or [x, y, z]")
-        return tuple(component(item) for item in value)
-
-    return check
-
-
-def vector(default: Any = MISSING, *, most: float = MOST_MM) -> Any:
-    """A field for a vector [x, y] or [x, y, z] with components up to `most` in size: mm, or N."""
-    return entry(_components(most), default)
 
 
 def in_3d(v: Vector) -> tuple[float, float, float]:
@@ -107,225 +66,208 @@ def leaves_plane(v: Vector) -> bool:
     return in_3d(v)[2] != 0.0
 
 
-def _line(value: Any) -> tuple[Vector, Vector]:
-    points = list_of(_components(MOST_MM), "points [x, y, z]", least=2, most=2)(value)
-    first, last = (in_3d(point) for point in points)
-    if max(abs(a - b) for a, b in zip(first, last, strict=True)) < LEAST_MM:
-        raise ValueError(f"is no line: its points are less than {LEAST_MM:g} mm apart")
-    return first, last
+class Item(Typed):
+    """Something that holds, loads or meets the curtain, an entry of one of the lists of a scene file."""
+
+    table: ClassVar[str]
+    """The list of a scene file that holds such entries."""
+    kind: ClassVar[str]
+
+    @property
+    def where(self) -> str:
+        """The entry in messages."""
+        return f"[{self.table}] ({self.kind})"
+
+    @property
+    def points(self) -> tuple[Vector, ...]:
+        """Material points [x, y] that need a node."""
+        return ()
+
+    @property
+    def space_reason(self) -> str:
+        """Why the entry takes the curtain into space; "" if it does not."""
+        for key in ("move", "force", "direction"):
+            if leaves_plane(getattr(self, key, NO_MOVE)):
+                return f"{key} = {list(getattr(self, key))} leaves the plane"
+        return ""
 
 
-def _direction(value: Any) -> Vector:
-    v = _components(MOST_MM)(value)
-    if not any(v):
-        raise ValueError("has no direction: one component must not be 0")
-    return v
+@dataclass(frozen=True, kw_only=True)
+class Timed(Item):
+    """An entry that `history` scales in scenes in motion: pairs of time and share (`macro_fem.scene.moving`)."""
+
+    history: History = field(default=(), repr=False)
 
 
-def _gravity(value: Any) -> float | Vector:
-    if isinstance(value, list | tuple):
-        return _components(MOST_GRAVITY)(value)
-    size: float = finite(least=-MOST_GRAVITY, most=MOST_GRAVITY)(value)
-    return size
+@dataclass(frozen=True, kw_only=True)
+class Support(Timed):
+    """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
+
+    kinds: ClassVar[dict[str, type[Support]]] = {}
+    table = "support"
+    one: ClassVar[str] = "point"
+    """What results call one of the points that it holds."""
+    release: Time | None = field(default=None, repr=False)
+
+    def hold(self, site: Site, factor: float) -> Held:
+        """The nodes, components and positions that it holds after `factor` of its move.
+
+        InputError if it asks for what has no effect, or for nodes that the mesh has not.
+        """
+        raise NotImplementedError
+
+    @property
+    def has_hooks(self) -> bool:
+        """Whether it holds single points of the top edge, evenly spaced by its `pitch` or `count`."""
+        return False
+
+    def spaces(self, length: float) -> int:
+        """How many spaces between hooks fit an open line of this length, mm: the number nearest to `pitch`."""
+        pitch, count = getattr(self, "pitch", None), getattr(self, "count", None)
+        if count is not None:
+            return int(count) - 1
+        assert pitch is not None
+        return round(min(length / pitch, 1e9))
+
+    def __init_subclass__(cls, kind: str, **more: Any) -> None:
+        """Make the kind known to scene files."""
+        super().__init_subclass__(**more)
+        cls.kind, Support.kinds[kind] = kind, cls
 
 
-def _weave_angle(value: Any) -> float:
-    if isinstance(value, str) and value in WEAVE_ANGLES:
-        return WEAVE_ANGLES[value]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not -360.0 <= value <= 360.0:
-        raise ValueError('is neither "x", "y" nor an angle from -360 to 360 degrees')
-    return float(value)
+class LiveLoad(Timed):
+    """A load besides the weight of the mesh; it `grows` over the load steps unless it is a weight."""
 
+    kinds: ClassVar[dict[str, type[LiveLoad]]] = {}
+    grows: ClassVar[bool] = True
 
-def _edge(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("is not the name of an edge")
-    return canonical(value)
+    def __init_subclass__(cls, kind: str, **more: Any) -> None:
+        """Make the kind known to scene files."""
+        super().__init_subclass__(**more)
+        cls.kind, cls.table, LiveLoad.kinds[kind] = kind, f"load.{kind}", cls
 
-
-@dataclass(frozen=True)
-class Curtain:
-    """The sheet. `weave_angle`: degrees from the vertical to the weave's y axis; "y" is read as 0, "x" as 90."""
-
-    shape: str = choice("rectangle", "disk", "outline", "file", default="rectangle")
-    width: float | None = length(None)
-    height: float | None = length(None)
-    radius: float | None = length(None)
-    outline: tuple[tuple[float, float], ...] | None = entry(_corners, None)
-    holes: tuple[tuple[tuple[float, float], ...], ...] = entry(list_of(_corners, "polygons", most=MAX_ENTRIES), ())
-    file: str | None = text(None)
-    weave_angle: float = entry(_weave_angle, 0.0)
-    areal_mass: float | None = number(None, least=0.0, most=1e6)
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """`cells` along the width. `pattern`: "aligned" has edges along both diagonal families of the weave."""
-
-    cells: int = whole(32, least=1, most=MAX_CELLS)
-    element: str = choice(*ELEMENTS, default="P1")
-    pattern: str = choice("aligned", "crossed", "diagonal", default="aligned")
-
-
-@dataclass(frozen=True)
-class Corners:
-    """Both ends of the top edge held; `gather` narrows their distance."""
-
-    gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, ...] = vector(NO_MOVE)
-
-
-@dataclass(frozen=True)
-class Top:
-    """The whole top edge held; `gather` narrows it."""
-
-    gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, ...] = vector(NO_MOVE)
-
-
-@dataclass(frozen=True)
-class Rail:
-    """The top edge held in height, and in space in z too, free to slide sideways."""
-
-
-@dataclass(frozen=True)
-class Hooks:
-    """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm.
-
-    `capacity`: the force in N that a hook bears; results are compared with it.
-    """
-
-    pitch: float = length()
-    gather: float = number(1.0, above=0.0, most=1e6)
-    sliding: bool = flag(False)
-    capacity: float | None = number(None, above=0.0, most=MOST_FORCE)
+    @property
+    def where(self) -> str:
+        """The entry in messages."""
+        return f"[{self.table}]"
 
 
 @dataclass(frozen=True)
-class Edge:
-    """A named edge held, by default in all directions, and moved by `move` mm.
-
-    `along`: two points [x, y, z] of a straight line on which the edge lies, from its left or lower end to the other,
-    such as a cable; with `sliding` the edge slides on that line, which has no end.
-    """
-
-    edge: str = entry(_edge)
-    held: str = choice(*HELD, default="both")
-    gather: float = number(1.0, above=0.0, most=1e6)
-    move: tuple[float, ...] = vector(NO_MOVE)
-    along: tuple[Vector, Vector] | None = entry(_line, None)
-    sliding: bool = flag(False)
-
-
-@dataclass(frozen=True)
-class Point:
-    """The material point `at` held and moved by `move` mm."""
-
-    at: tuple[float, float] = place()
-    held: str = choice(*HELD, default="both")
-    move: tuple[float, ...] = vector(NO_MOVE)
-
-
-@dataclass(frozen=True)
-class Track:
-    """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
-
-    The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
-    viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
-    distance of the runners along the mesh; without it the whole edge is held. `drawn`: the part of the track that the
-    curtain covers, from its `side`. `capacity`: the force in N that a runner bears, as for hooks.
-    """
-
-    path: tuple[tuple[float, float], ...] | None = entry(
-        list_of(_pair(MOST_MM, "[x, z]"), "points [x, z]", least=2, most=MAX_CORNERS), None
-    )
-    radius: float | None = length(None)
-    angle: float | None = number(None, least=-360.0, most=360.0)
-    height: float | None = number(None, least=-MOST_MM, most=MOST_MM)
-    fullness: float | None = number(None, above=0.0, most=1e6)
-    pitch: float | None = length(None)
-    drawn: float = number(1.0, above=0.0, most=1.0)
-    side: str = choice("start", "end", default="start")
-    capacity: float | None = number(None, above=0.0, most=MOST_FORCE)
-
-
-Support = Corners | Top | Rail | Hooks | Edge | Point | Track
-SUPPORTS: dict[str, type[Support]] = {
-    "corners": Corners,
-    "top": Top,
-    "rail": Rail,
-    "hooks": Hooks,
-    "edge": Edge,
-    "point": Point,
-    "track": Track,
-}
-
-
-@dataclass(frozen=True)
-class EdgeLoad:
+class EdgeLoad(LiveLoad, kind="edge"):
     """Force per reference length of a named edge, N/mm."""
 
-    edge: str = entry(_edge)
-    force: tuple[float, ...] = vector(most=MOST_FORCE)
+    edge: Name
+    force: Forces
+
+    def check(self) -> None:
+        """The edge by the name that it is stored by."""
+        object.__setattr__(self, "edge", canonical(self.edge))
 
 
 @dataclass(frozen=True)
-class PointLoad:
-    """Force in N on the material point `at`."""
+class PointLoad(LiveLoad, kind="point"):
+    """Force in N on the material point `at`; `rings_per_hook`: the rings that share it."""
 
-    at: tuple[float, float] = place()
-    force: tuple[float, ...] = vector(most=MOST_FORCE)
+    at: Place
+    force: Forces
+    rings_per_hook: RingsPerHook = 1
+
+    @property
+    def points(self) -> tuple[Vector, ...]:
+        """Its place."""
+        return (self.at,)
 
 
 @dataclass(frozen=True)
-class PatchLoad:
+class PatchLoad(LiveLoad, kind="patch"):
     """Force in N, distributed evenly over the reference disk of `radius` around `at`."""
 
-    at: tuple[float, float] = place()
-    radius: float = length()
-    force: tuple[float, ...] = vector(most=MOST_FORCE)
+    at: Place
+    radius: Length
+    force: Forces
 
 
 @dataclass(frozen=True)
-class Bar:
+class Bar(LiveLoad, kind="bar"):
     """A bar of `mass` kg along a named edge. A straight one keeps the edge on a line whose length is free to shrink."""
 
-    mass: float = number(least=0.0, most=1e9)
-    edge: str = entry(_edge, "bottom")
-    straight: bool = flag(True)
+    mass: Annotated[float, Meta(ge=0.0, le=1e9)]
+    edge: Name = "bottom"
+    straight: bool = True
+    grows: ClassVar[bool] = False
+
+    def check(self) -> None:
+        """The edge by the name that it is stored by."""
+        object.__setattr__(self, "edge", canonical(self.edge))
 
 
 @dataclass(frozen=True)
-class Wind:
+class Wind(LiveLoad, kind="wind"):
     """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
-    Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` per
-    total area (by default that of the law's rings, see `macro_fem.scene.wind`). With `follows` it is per present area,
-    normal to the present surface, on the side where it first blows.
+    Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` of one
+    flat layer (by default that of the law's rings, see `macro_fem.scene.wind`); its drag is that of the layers on the
+    present front. With `follows` a pressure is per present area, normal to the present surface, on the side where it
+    first blows, and that of a speed is from the component of the speed along the normal.
     """
 
-    direction: tuple[float, ...] = entry(_direction)
-    pressure: float | None = number(None, least=-1e9, most=1e9)
-    speed: float | None = number(None, least=0.0, most=1e3)
-    air_density: float | None = number(None, above=0.0, most=1e4)
-    drag_coefficient: float | None = number(None, least=0.0, most=1e3)
-    follows: bool = flag(False)
+    direction: Way
+    pressure: Annotated[float, Meta(ge=-1e9, le=1e9)] | None = None
+    speed: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
+    air_density: Annotated[float, Meta(gt=0.0, le=1e4)] | None = None
+    drag_coefficient: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
+    follows: bool = False
+
+    def check(self) -> None:
+        """BadField unless exactly one of pressure and speed is given, and only keys that have an effect."""
+        if not any(self.direction):
+            self.refuse(f"direction = {list(self.direction)}: has no direction: one component must not be 0")
+        if self.pressure is None and self.speed is None:
+            self.refuse("pressure: is missing; give it in N/m2, or speed in m/s")
+        for key in ("speed", "air_density", "drag_coefficient") if self.pressure is not None else ():
+            if getattr(self, key) is not None:
+                self.refuse(f"{key} = {getattr(self, key):g}: is not used together with pressure")
+
+    @property
+    def space_reason(self) -> str:
+        """Why the wind takes the curtain into space."""
+        follows = "follows = true: pressure is normal to the surface" if self.follows else ""
+        return super().space_reason or follows
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether its force depends on the present shape."""
+        return self.follows or self.speed is not None
+
+
+PartialFactor = Annotated[float, Meta(ge=0.0, le=1e3)]
 
 
 @dataclass(frozen=True)
-class Load:
-    """Weight and live loads; `steps` applies live loads and moves in equal steps.
+class Combination(Typed):
+    """Partial factors on the loads of a scene: on the weight of the mesh, and on all loads of a kind.
+
+    Each combination is solved besides the loads as they are; a factor that is not given is 1.
+    """
+
+    name: Name
+    weight: PartialFactor = 1.0
+    bar: PartialFactor = 1.0
+    wind: PartialFactor = 1.0
+    edge: PartialFactor = 1.0
+    point: PartialFactor = 1.0
+    patch: PartialFactor = 1.0
+
+
+@dataclass(frozen=True)
+class Load(Typed):
+    """Weight, and how live loads grow; `steps` applies live loads and moves in equal steps.
 
     `gravity` in m/s2: a number is downwards, a vector [x, y] or [x, y, z] has the direction of the weight.
     """
 
-    gravity: float | tuple[float, ...] = entry(_gravity, 9.81)
-    steps: int = whole(1, least=1, most=1000)
-    edge: tuple[EdgeLoad, ...] = ()
-    point: tuple[PointLoad, ...] = ()
-    patch: tuple[PatchLoad, ...] = ()
-    bar: tuple[Bar, ...] = ()
-    wind: tuple[Wind, ...] = ()
+    gravity: Acceleration | Annotated[tuple[Acceleration, ...], Meta(min_length=2, max_length=3)] = 9.81
+    steps: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     @property
     def acceleration(self) -> Vector:
@@ -333,55 +275,22 @@ class Load:
         return in_3d(self.gravity) if isinstance(self.gravity, tuple) else (0.0, -self.gravity, 0.0)
 
 
-LIVE_LOADS: dict[str, type[Any]] = {
-    "edge": EdgeLoad,
-    "point": PointLoad,
-    "patch": PatchLoad,
-    "bar": Bar,
-    "wind": Wind,
-}
-
-
 @dataclass(frozen=True)
-class Solver:
-    """`kind`: "rigid" is ideal locking, "clarabel" the same by an independent solver, "elastic" the elastic law.
+class Solver(Typed):
+    """`kind`: "rigid" is ideal locking, "elastic" the elastic law; "auto" is rigid, with forces of elastic rings where
+    rigid ones leave them open (`macro_fem.elastic_forces`).
 
     `tolerance` is relative to the problem's energy scale, total load times size. `stabilising_tension` adds an even
     tension of this part of (total load / size) everywhere, which decides the shape of slack parts. The bounds in the
     summary allow for it, 0 switches it off; an elastic curtain is only guided by it. `bounds` asks for bounds of the
     continuous curtain, `adapt` for this number of refinements where the bounds differ. `space` gives a plane scene the
-    third coordinate that it does not need. `linear_solver`: the method of `macro_fem.fem.linear` that factorizes.
+    third coordinate that it does not need.
     """
 
-    kind: str = choice("rigid", "elastic", "clarabel", default="rigid")
-    tolerance: float = number(1e-9, least=1e-12, most=1e-2)
-    max_iterations: int = whole(400, least=1, most=10_000)
-    stabilising_tension: float = number(1e-6, least=0.0, most=1e-2)
-    bounds: bool = flag(False)
-    adapt: int = whole(0, least=0, most=12)
-    space: bool = flag(False)
-    linear_solver: str = choice(*METHODS, default="auto")
-
-
-def entries(tables: Any, where: str) -> list[Any]:
-    """The entries of an array of tables, one of which may stand alone; InputError for anything else, or too many."""
-    tables = [tables] if isinstance(tables, dict) else tables
-    if not isinstance(tables, list):
-        raise InputError(f"{where} = {shown(tables)}: is not a table")
-    if len(tables) > MAX_ENTRIES:
-        raise InputError(f"{where}: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
-    return tables
-
-
-def read_kinds(tables: Any, kinds: Mapping[str, type[Any]], name: str, source: str | Path) -> tuple[Any, ...]:
-    """The records of [[name]], whose class each `kind` says; InputError for a kind, key or value without sense."""
-    found = []
-    for table in entries(tables, f"{source}: [{name}]"):
-        if not isinstance(table, dict):
-            raise InputError(f"{source}: [{name}] = {shown(table)}: is not a table")
-        kind = table.get("kind")
-        if not isinstance(kind, str) or kind not in kinds:
-            raise InputError(f"{source}: [{name}] kind = {shown(kind)}: is not one of {', '.join(kinds)}")
-        rest = {key: value for key, value in table.items() if key != "kind"}
-        found.append(read_record(kinds[kind], rest, f"{source}: [{name}] ({kind})"))
-    return tuple(found)
+    kind: Literal["auto", "rigid", "elastic"] = "auto"
+    tolerance: Annotated[float, Meta(ge=1e-12, le=1e-2)] = 1e-9
+    max_iterations: Annotated[int, Meta(ge=1, le=10_000)] = 400
+    stabilising_tension: Annotated[float, Meta(ge=0.0, le=1e-2)] = 1e-6
+    bounds: bool = False
+    adapt: Annotated[int, Meta(ge=0, le=12)] = 0
+    space: bool = False

@@ -10,15 +10,105 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
-from macro_fem.scene.tables import Track
+from homogenize import MembraneLaw
+from macro_fem.fem.hung_law import largest_stretch
+from macro_fem.scene.sites import NONE, Held, Site, edge_line, placed_along
+from macro_fem.scene.tables import (
+    MAX_CORNERS,
+    Capacity,
+    Coordinate,
+    Count,
+    Degrees,
+    Factor,
+    Length,
+    Place,
+    RingsPerHook,
+    Share,
+    Support,
+)
 from rve.common.errors import InputError
 from rve.common.types import Array
 
+if TYPE_CHECKING:
+    from macro_fem.scene.meshing.mesh import CurtainMesh
+    from macro_fem.scene.schema import Scene
+
 AGREES = 0.01
 """A fullness that is given besides a track of known length may differ from theirs by this part of it."""
+
+
+@dataclass(frozen=True)
+class Track(Support, kind="track"):
+    """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
+
+    The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
+    viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
+    distance of the runners along the mesh, `count`: how many there are; without both the whole edge is held. `drawn`:
+    the part of the track that the curtain covers, from its `side`. `capacity` and `rings_per_hook`: of each runner.
+    """
+
+    one = "runner"
+
+    path: Annotated[tuple[Place, ...], Meta(min_length=2, max_length=MAX_CORNERS)] | None = None
+    radius: Length | None = None
+    angle: Degrees | None = None
+    height: Coordinate | None = None
+    fullness: Factor | None = None
+    pitch: Length | None = None
+    count: Count | None = None
+    drawn: Share = 1.0
+    side: Literal["start", "end"] = "start"
+    capacity: Capacity | None = None
+    rings_per_hook: RingsPerHook = 1
+
+    def check(self) -> None:
+        """BadField for keys that contradict each other, or that leave the track open."""
+        if self.path is not None:
+            for key in ("radius", "angle"):
+                if getattr(self, key) is not None:
+                    self.refuse(f"{key} = {getattr(self, key):g}: is not used together with path")
+            for one, two in zip(self.path, self.path[1:], strict=False):
+                if one == two:
+                    self.refuse(f"path: holds [{one[0]:g}, {one[1]:g}] twice in a row")
+        elif self.fullness is None and (self.radius is None or self.angle is None):
+            missing = "radius" if self.radius is None else "angle"
+            self.refuse(f"{missing}: is missing; a track needs path, or radius and angle, or fullness")
+        if self.angle == 0.0:
+            self.refuse("angle = 0: makes no arc; leave it out for a straight track")
+        if self.pitch is not None and self.count is not None:
+            self.refuse(f"count = {self.count}: is not used together with pitch")
+        if self.capacity is not None and not self.has_hooks:
+            self.refuse(f"capacity = {self.capacity:g}: has no effect without pitch, that of the runners")
+        if self.rings_per_hook != 1 and not self.has_hooks:
+            self.refuse(f"rings_per_hook = {self.rings_per_hook}: has no effect without pitch, that of the runners")
+        if self.side == "end" and self.drawn == 1.0:
+            self.refuse("side = 'end': has no effect with drawn = 1")
+
+    @property
+    def has_hooks(self) -> bool:
+        """Whether single points of the edge are held."""
+        return self.pitch is not None or self.count is not None
+
+    @property
+    def space_reason(self) -> str:
+        """A track is a curve in plan."""
+        return "kind = 'track' leaves the plane"
+
+    def hold(self, site: Site, factor: float) -> Held:
+        """The top edge on its track: as a whole, or at its runners."""
+        line, s, curve = track_of(self, site.mesh, site.where)
+        if self.has_hooks:
+            nodes, facets = site.hooks(), NONE
+            places = track_places(self, curve, np.linspace(0.0, s[-1], len(nodes)), s[-1])
+        else:
+            nodes, places = placed_along(site, line, track_places(self, curve, s, s[-1]))
+            facets = site.mesh.edges["top"]
+        return Held("track", nodes, np.ones(places.shape, bool), places, facets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,22 +193,28 @@ def track_places(item: Track, curve: Curve, s: Array, edge_length: float) -> Arr
     return curve.at(start + covered * s / edge_length)
 
 
-def check_track(item: Track, source: object) -> None:
-    """InputError for keys of a track that contradict each other, or that leave it open."""
-    where = f"{source}: [support] (track)"
-    if item.path is not None:
-        for key in ("radius", "angle"):
-            if getattr(item, key) is not None:
-                raise InputError(f"{where} {key} = {getattr(item, key):g}: is not used together with path")
-        for one, two in zip(item.path, item.path[1:], strict=False):
-            if one == two:
-                raise InputError(f"{where} path: holds [{one[0]:g}, {one[1]:g}] twice in a row")
-    elif item.fullness is None and (item.radius is None or item.angle is None):
-        missing = "radius" if item.radius is None else "angle"
-        raise InputError(f"{where} {missing}: is missing; a track needs path, or radius and angle, or fullness")
-    if item.angle == 0.0:
-        raise InputError(f"{where} angle = 0: makes no arc; leave it out for a straight track")
-    if item.capacity is not None and item.pitch is None:
-        raise InputError(f"{where} capacity = {item.capacity:g}: has no effect without pitch, that of the runners")
-    if item.side == "end" and item.drawn == 1.0:
-        raise InputError(f"{where} side = 'end': has no effect with drawn = 1")
+def track_of(item: Track, mesh: CurtainMesh, where: str) -> tuple[np.ndarray, Array, Curve]:
+    """Corners (k,) of the mesh along the top edge, their distances (k,) from its left end, and the track."""
+    line, s = edge_line(mesh, "top", f"{where} needs edge")
+    x, y = mesh.mesh.p[:, line]
+    return line, s, track_curve(item, s[-1], 0.5 * float(x.min() + x.max()), float(y.max()), where)
+
+
+def check_tracks(scene: Scene, mesh: CurtainMesh, law: MembraneLaw) -> None:
+    """InputError for a track between two points of which the top edge would be longer than the law lets it be."""
+    for number, item in enumerate(scene.support):
+        if not isinstance(item, Track):
+            continue
+        where = f"{scene.source}: [support] (track)"
+        line, s, curve = track_of(item, mesh, where)
+        at = s if not item.has_hooks else np.linspace(0.0, s[-1], len(mesh.hooks[number].nodes))
+        steps = np.diff(s) * largest_stretch(law, np.diff(mesh.mesh.p[:, line].T, axis=0))
+        longest = np.diff(np.interp(at, s, np.concatenate([[0.0], np.cumsum(steps)])))
+        apart = np.linalg.norm(np.diff(track_places(item, curve, at, s[-1]), axis=0), axis=1)
+        worst = int(np.argmax(apart / longest))
+        if apart[worst] > longest[worst] * (1.0 + 1e-9):
+            raise InputError(
+                f"{where}: a track of {curve.length:g} mm is too long for the mesh: it stretches the top edge of "
+                f"{s[-1]:g} mm by {100.0 * (apart[worst] / np.diff(at)[worst] - 1.0):.3g} %, and the rings lock at "
+                f"{100.0 * (longest[worst] / np.diff(at)[worst] - 1.0):.3g} %"
+            )

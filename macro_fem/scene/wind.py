@@ -1,6 +1,6 @@
 """Wind as a pressure: that of a speed, by the drag of a screen with the solidity of the rings.
 
-p = C_D rho v^2 / 2 per reference area, along the direction of the wind. C_D is that of a free-standing porous plate
+p = C_D rho v^2 / 2 per area of the front, along the direction of the wind. C_D is that of a free-standing porous plate
 that the air flows through and around (K. Steiros, M. Hultmark, Drag on flat plates of arbitrary porosity, J. Fluid
 Mech. 853 (2018) R3, doi 10.1017/jfm.2018.621, equations 2.12 and 2.15). With the open share beta = 1 - solidity,
 the resistance k = 1/beta^2 - 1 (G. I. Taylor, R. M. Davies, The aerodynamics of porous sheets, ARC R&M 2237, 1944) and
@@ -11,55 +11,70 @@ the speed u of the air in the plane of the plate over that of the wind, both of
 hold. It is 4/3 of a solid plate, and was compared with measurements down to beta = 0.23; k is that of sharp-edged
 holes, which round wires stay below. Where the mesh closes an opening, the air cannot flow around it: give
 `drag_coefficient`.
+
+Layers behind each other shade each other: n layers of solidity s are one screen of solidity 1 - (1 - s)^n on the front
+that they share. `macro_fem.drag` counts them on the present shape.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
-from scipy.optimize import brentq
+import numpy as np
 
 from homogenize import CellInfo
-from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Wind
 from rve import cell_of_sides
 from rve import solidity as solidity_of
 from rve.common.errors import InputError
+from rve.common.types import Array
 
 AIR_DENSITY = 1.25
 """kg/m3, the recommended value of EN 1991-1-4:2005, 4.5 (1), note 2."""
+SOLID = 4.0 / 3.0
+"""C_D of a plate without holes."""
+HALVINGS = 60
+"""Halvings of the interval of u, after which it is known to rounding."""
+
+
+def dynamic_pressure(wind: Wind) -> float:
+    """rho v^2 / 2 of a wind with a speed, N/mm2."""
+    assert wind.speed is not None
+    return 0.5e-6 * (AIR_DENSITY if wind.air_density is None else wind.air_density) * wind.speed**2
 
 
 def wind_pressure(wind: Wind, cell: CellInfo | None, where: str) -> float:
-    """Pressure of the wind in N/mm2 of reference area; InputError, which begins with `where`, without rings."""
+    """Pressure on one flat layer square to the wind, N/mm2; InputError, which begins with `where`, without rings."""
     if wind.speed is None:
         assert wind.pressure is not None
         return 1e-6 * wind.pressure
-    density = AIR_DENSITY if wind.air_density is None else wind.air_density
-    return 0.5e-6 * _drag(wind, cell, where) * density * wind.speed**2
+    return dynamic_pressure(wind) * float(layered_drag(wind, cell, np.ones(1), where)[0])
 
 
-def _drag(wind: Wind, cell: CellInfo | None, where: str) -> float:
+def layer_solidity(wind: Wind, cell: CellInfo | None, where: str) -> float:
+    """Solidity of one layer: that of the rings, or that whose drag is the given one, 1 from that of a plate on."""
     if wind.drag_coefficient is not None:
-        return wind.drag_coefficient
+        return solidity_of_drag(wind.drag_coefficient)
     if cell is None:
         raise InputError(
             f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give drag_coefficient"
         )
-    return drag_coefficient(ring_solidity(cell))
+    return ring_solidity(cell)
 
 
-def wind_summary(scene: Scene, cell: CellInfo | None) -> dict[str, list[dict[str, float]]]:
-    """What winds with a speed press with, and by which drag; nothing without them."""
-    found = []
-    for wind in scene.load.wind:
-        if wind.speed is not None:
-            told = {"solidity": ring_solidity(cell)} if wind.drag_coefficient is None and cell is not None else {}
-            where = f"{scene.source}: [load.wind]"
-            pressure = 1e6 * wind_pressure(wind, cell, where)
-            told |= {"drag_coefficient": _drag(wind, cell, where), "pressure_N_per_m2": pressure}
-            found.append({"speed_m_per_s": wind.speed} | told)
-    return {"wind": found} if found else {}
+def layered_solidity(solidity: float, layers: Array) -> Array:
+    """Solidity (k,) of `layers` (k,), not necessarily whole, of one solidity behind each other."""
+    return np.asarray(1.0 - (1.0 - solidity) ** layers)
+
+
+def layered_drag(wind: Wind, cell: CellInfo | None, layers: Array, where: str) -> Array:
+    """C_D (k,) per area of a front of `layers` (k,).
+
+    A given `drag_coefficient` above that of a plate, say of an opening that the mesh closes, holds for any layers.
+    """
+    most = max(SOLID, wind.drag_coefficient or 0.0) / SOLID
+    return most * drag_coefficients(layered_solidity(layer_solidity(wind, cell, where), layers))
 
 
 @lru_cache(maxsize=8)
@@ -74,18 +89,43 @@ def drag_coefficient(solidity: float) -> float:
     >>> [round(drag_coefficient(1.0 - beta), 2) for beta in (0.2, 0.3, 0.5, 0.7)]
     [1.29, 1.22, 1.0, 0.64]
     """
-    beta = 1.0 - solidity
-    if beta >= 1.0:
-        return 0.0
-    if beta <= 0.0:
-        return 4.0 / 3.0
-
-    def excess(u: float) -> float:
-        through = u**2 * (1.0 / beta**2 - 1.0) - 4.0 / 3.0 * (1.0 - u) ** 3 / (2.0 - u) ** 2
-        return _drag_at(u) - through
-
-    return _drag_at(float(brentq(excess, 0.0, 1.0, xtol=1e-14)))
+    return float(drag_coefficients(np.array([solidity]))[0])
 
 
-def _drag_at(u: float) -> float:
+def drag_coefficients(solidity: Array) -> Array:
+    """`drag_coefficient` of many solidities (k,)."""
+    open_2 = np.clip(1.0 - solidity, 0.0, 1.0) ** 2
+
+    def excess(u: Array) -> Array:
+        through = 4.0 / 3.0 * (1.0 - u) ** 3 / (2.0 - u) ** 2
+        return np.asarray(open_2 * (_drag_at(u) + through) - u**2 * (1.0 - open_2))
+
+    return np.asarray(np.where(open_2 < 1.0, _drag_at(_root(excess, len(open_2))), 0.0))
+
+
+@lru_cache(maxsize=8)
+def solidity_of_drag(drag: float) -> float:
+    """The solidity of a free-standing screen with this C_D, 1 from 4/3 on.
+
+    >>> round(solidity_of_drag(drag_coefficient(0.36)), 12)
+    0.36
+    """
+    if drag >= SOLID:
+        return 1.0
+    u = _root(lambda u: _drag_at(u) - drag, 1)[0]
+    resistance = (_drag_at(u) + 4.0 / 3.0 * (1.0 - u) ** 3 / (2.0 - u) ** 2) / u**2
+    return float(1.0 - 1.0 / np.sqrt(1.0 + resistance))
+
+
+def _root(falling: Callable[[Array], Array], k: int) -> Array:
+    """Where falling functions (k,) of u between 0 and 1 vanish."""
+    low, high = np.zeros(k), np.ones(k)
+    for _ in range(HALVINGS):
+        u = 0.5 * (low + high)
+        is_left = falling(u) > 0.0
+        low, high = np.where(is_left, u, low), np.where(is_left, high, u)
+    return 0.5 * (low + high)
+
+
+def _drag_at(u: Array) -> Array:
     return 4.0 / 3.0 * (1.0 - u) * (2.0 + u) / (2.0 - u)

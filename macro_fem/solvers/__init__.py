@@ -1,1 +1,1 @@
-"""Solvers of the discrete curtain: cones, interior points, cutting planes, Newton, clarabel, statuses."""
+"""Solvers of the discrete curtain: cones, interior points, cutting planes, statuses."""

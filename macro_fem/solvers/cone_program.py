@@ -23,6 +23,8 @@ state: the certificate. F is d x 2, d = 2 or 3.
 Half-spaces on places of the curtain, s = A z + b0 >= 0 (`walls`), are further cones of dimension one with dual
 variables u and areas v: they add A^T (v u) to the balance of forces, -sum v u b0 to the dual value and A^T (v u / s) A
 to Newton's matrix, whose pattern stays: all nodes of a row are those of one cell.
+
+A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is minimised (`inertia`).
 """
 
 from __future__ import annotations
@@ -34,11 +36,13 @@ from typing import Protocol
 
 import numpy as np
 
+from homogenize import MembraneLaw
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
-from macro_fem.solvers.options import STEPS, StepOptions
+from macro_fem.solvers.inertia import NO_INERTIA, Inertia
+from macro_fem.solvers.options import LIFT, PATH
 from macro_fem.solvers.soc import Vectors
-from macro_fem.solvers.walls import NO_ROWS, Rows
+from macro_fem.solvers.walls import NO_ROWS, WallRows
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 
@@ -84,7 +88,7 @@ class Iteration:
 
 
 @dataclass(frozen=True)
-class State:
+class ConeState:
     """Free unknowns z, strains eps (nq, k), primal cone vectors s (lengths), dual ones y (N/mm); slacks t (m,) and dual
     variables u (m,), N/mm, of half-spaces on nodes."""
 
@@ -98,7 +102,8 @@ class State:
 
 @dataclass(frozen=True)
 class Program:
-    """The problem with its cones: load (n,), roots L (nc, 3) of the half-spaces, radii c, the scale in N mm.
+    """The problem with its cones: the law that knows more of them, load (n,), roots L (nc, 3) of the
+    half-spaces, radii c, the scale in N mm.
 
     R (3, k) is the root of the compliance, N (nc, k) what the strains eps do to each cone, both without columns for a
     rigid curtain; N has one more for tau where the cones have `extra`. w (nc,) is the reference area of the point of
@@ -106,12 +111,14 @@ class Program:
     """
 
     fem: Fem
+    law: MembraneLaw
     load: Array
     cones: Cones
     R: Array
     scale: float
     total: float
-    rows: Rows = NO_ROWS
+    rows: WallRows = NO_ROWS
+    inertia: Inertia = NO_INERTIA
 
     @cached_property
     def L(self) -> Array:
@@ -179,13 +186,11 @@ class Program:
         return E if self.cones.extra is None else np.column_stack([E, eps[:, k]])
 
 
-def make_program(
-    fem: Fem, load: Array, cones: Cones, scale: float, total: float, compliance: Array, rows: Rows = NO_ROWS
-) -> Program:
-    """The program of a list of half-spaces; compliance (3, 3) in tensor components, zero for a rigid curtain."""
+def compliance_root(compliance: Array) -> Array:
+    """R (3, k) with R R^T W = compliance (3, 3) in tensor components; without columns for a rigid curtain."""
     values, vectors = np.linalg.eigh(compliance / WEIGHT)
     is_soft = values > 1e-15 * max(values.max(), 1e-300)
-    return Program(fem, load, cones, vectors[:, is_soft] * np.sqrt(values[is_soft]), scale, total, rows)
+    return np.asarray(vectors[:, is_soft] * np.sqrt(values[is_soft]))
 
 
 @dataclass(frozen=True)
@@ -196,7 +201,7 @@ class Measure:
     misfit of the strains; `error`: the largest of these. `lower`: a bound of the potential from below over all states
     within REACH sizes of this one, `dual` the same without what unbalanced forces could do. `wanted` are the cone
     vectors that the unknowns ask for; r_x (n,), r_e (nq, k), r_s, r_t (m,): residuals of equilibrium, strains, cones,
-    half-spaces on nodes.
+    half-spaces on nodes; r_y (n,): the forces of the dual variables alone.
     """
 
     gap: float
@@ -207,6 +212,7 @@ class Measure:
     lower: float
     wanted: Vectors
     r_x: Array
+    r_y: Array
     r_e: Array
     r_s: Vectors
     r_t: Array
@@ -216,11 +222,12 @@ class Measure:
         return max(self.gap, self.unbalanced, self.outside, self.strain)
 
 
-def measure(program: Program, state: State) -> Measure:
+def measure(program: Program, state: ConeState) -> Measure:
     """The residuals and the gap of a state, recomputed from its unknowns and y."""
     fem, w, scale, rows = program.fem, program.w, program.scale, program.rows
     sum_of_parts, strain = program.pull(state.y)
-    r_x = program.load + fem.force(sum_of_parts) + rows.force(state.u)
+    r_y = fem.force(sum_of_parts) + rows.force(state.u)
+    r_x = program.load + r_y + program.inertia.force(state.z)
     r_e = strain - state.eps
     wanted = program.slack(state.z, state.eps)
     r_s, r_t = state.s - wanted, state.t - rows.slack(state.z)
@@ -231,49 +238,52 @@ def measure(program: Program, state: State) -> Measure:
     dual -= 0.5 * float((fem.weight * soc.row_dot(strain, strain)).sum())
     dual -= float((rows.v * state.u * rows.slack(zero)).sum())
     unbalanced = float(np.abs(r_x).sum()) / program.total
+    below = program.inertia.deficit(r_x)
+    lower = (dual - float(((program.load + r_y) * state.z).sum()) + program.inertia.energy(state.z)) / scale
     return Measure(
         gap=_products(program, state) / scale,
         unbalanced=unbalanced,
         outside=max(float(np.sqrt((r_s.dot(r_s) / program.c**2).max())), float(np.abs(r_t).max(initial=0.0))),
         strain=float(np.sqrt((fem.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
         dual=dual / scale,
-        lower=(dual - float((r_x * state.z).sum())) / scale - REACH * unbalanced,
+        lower=lower - (REACH * unbalanced if below is None else below / scale),
         wanted=wanted,
         r_x=r_x,
+        r_y=r_y,
         r_e=r_e,
         r_s=r_s,
         r_t=r_t,
     )
 
 
-def mean_product(program: Program, state: State) -> float:
+def mean_product(program: Program, state: ConeState) -> float:
     """mu: the mean of s.y over the cones, N/mm."""
     return _products(program, state) / program.area
 
 
-def _products(program: Program, state: State) -> float:
+def _products(program: Program, state: ConeState) -> float:
     """Sum of all s.y times their areas, N mm."""
     return float((program.w * state.s.dot(state.y)).sum()) + float((program.rows.v * state.t * state.u).sum())
 
 
-def is_inside(state: State) -> bool:
+def is_inside(state: ConeState) -> bool:
     """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
     is_in_rows = min(state.t.min(initial=np.inf), state.u.min(initial=np.inf)) > 0.0
     return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0 and is_in_rows)
 
 
-def first_state(program: Program, z: Array, options: StepOptions = STEPS) -> State:
+def find_first_state(program: Program, z: Array, first_gap: float = PATH.first_gap) -> ConeState:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
     eps = np.zeros((len(program.fem.weight), program.N.shape[1]))
-    s = program.slack(z, eps).lifted(options.lift * program.c)
-    t = np.maximum(program.rows.slack(z), options.lift)
-    mu = options.first_gap * program.scale / program.area
-    return State(z, eps, s, soc.inverse(s, mu), t, mu / t)
+    s = program.slack(z, eps).lifted(LIFT * program.c)
+    t = np.maximum(program.rows.slack(z), LIFT)
+    mu = first_gap * program.scale / program.area
+    return ConeState(z, eps, s, soc.inverse(s, mu), t, mu / t)
 
 
 def is_certificate(program: Program, now: Measure) -> bool:
     """Whether y proves that no admissible z exists: its dual value is large against load and unbalanced forces."""
     if program.lead or now.outside == 0.0 or now.dual <= 0.0:
         return False
-    stress_only = float(np.abs(now.r_x - program.load).sum()) / program.total
+    stress_only = float(np.abs(now.r_y).sum()) / program.total
     return stress_only < 1e-6 * now.dual

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import Measure, Program, State, mean_product
+from macro_fem.solvers.cone_program import ConeState, Measure, Program, mean_product
 from macro_fem.solvers.cones import times_root
-from macro_fem.solvers.options import StepOptions
+from macro_fem.solvers.options import BOUNDARY
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.strains import Strains
 from macro_fem.solvers.walls import longest
@@ -17,7 +17,7 @@ from rve.common.types import Array
 
 
 @dataclass(frozen=True)
-class Step:
+class ConeStep:
     """Changes of the unknowns, the cone vectors and what is asked of them; lengths at most 1; the share of residuals
     kept."""
 
@@ -36,7 +36,7 @@ class Step:
 class _Newton:
     """Newton's matrix in the scaling of a state, factorised; directions for different aims share it."""
 
-    def __init__(self, program: Program, state: State, now: Measure) -> None:
+    def __init__(self, program: Program, state: ConeState, now: Measure) -> None:
         self.program, self.state, self.now = program, state, now
         self.W = soc.scaling(state.s, state.y)
         self.point = self.W.apply(state.y)
@@ -56,9 +56,10 @@ class _Newton:
             H[:, a + 1, a + 1] += S[:, 2]
         self.strains = Strains(H, k) if k else None
         A = H if self.strains is None else self.strains.reduced
-        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.rows.added(state.u / state.t))
+        added = program.inertia.added(program.rows.added(state.u / state.t))
+        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), added)
 
-    def direction(self, aim: Vectors, row_aim: Array, keep: float) -> tuple[Step, Vectors, Vectors]:
+    def direction(self, aim: Vectors, row_aim: Array, keep: float) -> tuple[ConeStep, Vectors, Vectors]:
         """The step to point o (W dy + W^-1 ds) = aim and u dt + t du = row_aim with residuals reduced to the part
         `keep`, W^-1 ds and W dy."""
         program, W, now, rows = self.program, self.W, self.now, self.program.rows
@@ -79,30 +80,21 @@ class _Newton:
         scaled = W.undo(ds)
         dt = rows.change(dz) - r_t
         du = (row_aim - u * dt) / t
-        return Step(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
+        return ConeStep(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
 
 
-def step_lengths(program: Program, state: State, step: Step, boundary: float) -> tuple[float, float]:
+def step_lengths(program: Program, state: ConeState, step: ConeStep, boundary: float) -> tuple[float, float]:
     """How far s and y may go, at most 1; equally far where strains tie them together."""
     primal = min(1.0, boundary * soc.largest_step(state.s, step.ds), boundary * longest(state.t, step.dt))
     dual = min(1.0, boundary * soc.largest_step(state.y, step.dy), boundary * longest(state.u, step.du))
     return (min(primal, dual),) * 2 if program.lead else (primal, dual)
 
 
-def search(
-    program: Program,
-    state: State,
-    now: Measure,
-    least_gap: float,
-    *,
-    corrector: bool = True,
-    boundary: float = StepOptions.boundary,
-) -> Step | None:
+def find_step(program: Program, state: ConeState, now: Measure, least_gap: float) -> ConeStep | None:
     """A predictor-corrector step and its lengths; None if rounding leaves none.
 
     The aim is no closer than `least_gap` (relative to the scale): with gaps far below the residuals Newton's matrix
-    would lose its digits to them, and steps get stuck. Without the second-order term of the `corrector` it is a plain
-    Newton step towards the same aim.
+    would lose its digits to them, and steps get stuck.
     """
     try:
         newton = _Newton(program, state, now)
@@ -115,19 +107,19 @@ def search(
     affine, scaled_ds, scaled_dy = newton.direction(square * -1.0, -row_square, 0.0)
     reach = min(step_lengths(program, state, affine, 1.0))
     sigma = (1.0 - reach) ** 3
-    second = soc.product(scaled_ds, scaled_dy) * float(corrector)
+    second = soc.product(scaled_ds, scaled_dy)
     aim = max(sigma * mu, min(mu, least_gap * program.scale / program.area))
-    row_aim = aim - row_square - affine.dt * affine.du * float(corrector)
+    row_aim = aim - row_square - affine.dt * affine.du
     step, _, _ = newton.direction(unit * aim - square - second, row_aim, sigma)
     if not (np.all(np.isfinite(step.dz)) and np.all(np.isfinite(step.dy.head))):
         return None
-    primal, dual = step_lengths(program, state, step, boundary)
+    primal, dual = step_lengths(program, state, step, BOUNDARY)
     return replace(step, primal=primal, dual=dual)
 
 
-def moved(state: State, step: Step) -> State:
+def advance(state: ConeState, step: ConeStep) -> ConeState:
     """The state after a step."""
-    return State(
+    return ConeState(
         state.z + step.primal * step.dz,
         state.eps + step.primal * step.deps,
         state.s + step.ds * step.primal,

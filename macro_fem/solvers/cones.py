@@ -10,12 +10,10 @@ is concave in F with gradient -F S. Points carry different numbers of half-space
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from homogenize import Cut, HalfSpaces, MembraneLaw
-from macro_fem.fem.rotated import RotatedLaw
 from rve.common.tensor import IDENTITY
 from rve.common.types import Array
 
@@ -113,23 +111,6 @@ def same_cones(start: HalfSpaces, n_points: int) -> Cones:
     )
 
 
-@runtime_checkable
-class Faceted(Protocol):
-    """A law with finitely many half-spaces."""
-
-    def facets(self) -> HalfSpaces:
-        """All of them."""
-        ...
-
-
-def facets_of(law: MembraneLaw) -> HalfSpaces | None:
-    """All half-spaces of a law, in the frame of the curtain; None if they are not a finite list."""
-    if isinstance(law, RotatedLaw):
-        own = facets_of(law.law)
-        return None if own is None else HalfSpaces(own.S @ law.to_curtain.T, own.h)
-    return law.facets() if isinstance(law, Faceted) else None
-
-
 def with_cuts(
     cones: Cones, point: np.ndarray, S: Array, h: Array, extra: Array | None = None
 ) -> tuple[Cones, np.ndarray]:
@@ -152,7 +133,7 @@ def with_cuts(
     )
 
 
-def repeated(cones: Cones, times: int) -> Cones:
+def repeat_cones(cones: Cones, times: int) -> Cones:
     """The half-spaces of n points for `times` copies of these points, one copy after the other."""
     n, nc = len(cones.first), len(cones)
     copies = np.arange(times)[:, None]
@@ -165,7 +146,7 @@ def repeated(cones: Cones, times: int) -> Cones:
     )
 
 
-def taken_from(cones: Cones, source: np.ndarray) -> Cones:
+def take_from(cones: Cones, source: np.ndarray) -> Cones:
     """For each new point the half-spaces of point `source` (n,) of the old ones."""
     count = np.bincount(cones.point, minlength=len(cones.first))[source]
     first = np.cumsum(count) - count
@@ -174,12 +155,12 @@ def taken_from(cones: Cones, source: np.ndarray) -> Cones:
     return Cones(point, cones.S[old], cones.h[old], first, None if cones.extra is None else cones.extra[old])
 
 
-def supported(cones: Cones, law: MembraneLaw) -> Cones:
+def with_support(cones: Cones, law: MembraneLaw) -> Cones:
     """The half-spaces of `law` with the same S as those of `cones`."""
     return replace(cones, h=law.support(cones.S))
 
 
-def steadied(cones: Cones, keep: np.ndarray) -> np.ndarray:
+def keep_steady(cones: Cones, keep: np.ndarray) -> np.ndarray:
     """`keep` (nc,) and what Newton's matrix needs to stay definite: at every point one well-conditioned S, or all."""
     det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
     roundest = np.maximum.reduceat(det, cones.first)[cones.point]

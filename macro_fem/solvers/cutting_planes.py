@@ -11,18 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homogenize import MembraneLaw
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import Measure, Program, State, mean_product
-from macro_fem.solvers.cone_step import Step
-from macro_fem.solvers.cones import all_cuts, only, steadied, with_cuts
-from macro_fem.solvers.options import CUTS, CutOptions, StepOptions
+from macro_fem.solvers.cone_program import ConeState, Measure, Program, mean_product
+from macro_fem.solvers.cone_step import ConeStep
+from macro_fem.solvers.cones import all_cuts, keep_steady, only, with_cuts
+from macro_fem.solvers.options import BOUNDARY, IDLE, LIFT, NEAR, ROUNDED, SHARE, STRAY
 from macro_fem.solvers.soc import Vectors
 from rve.common.types import Array
 
 
 @dataclass(frozen=True)
-class Found:
+class NearestHalfSpaces:
     """The law's nearest half-space S (nq, 3), h (nq,) at each point, by how much it is violated, and if it is missing.
 
     violation (nq,) is (S:E - h) / (h + tr S / 2) for the locked strain E, negative inside; is_missing (nq,) marks
@@ -36,9 +35,9 @@ class Found:
     extra: Array | None = None
 
 
-def find(program: Program, law: MembraneLaw, E: Array, wanted: Vectors, options: CutOptions = CUTS) -> Found:
+def find_nearest(program: Program, E: Array, wanted: Vectors) -> NearestHalfSpaces:
     """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`."""
-    nearest_one = all_cuts(law, E)
+    nearest_one = all_cuts(program.law, E)
     S, h, slack = nearest_one.S, nearest_one.h, -nearest_one.violation
     trace = S[:, 0] + S[:, 2]
     cones = program.cones
@@ -46,16 +45,16 @@ def find(program: Program, law: MembraneLaw, E: Array, wanted: Vectors, options:
     nearest = np.maximum.reduceat(known, cones.first)
     over = -slack / trace
     is_unknown = over > nearest + 1e-12 * (1.0 + np.abs(nearest))
-    is_missing = is_unknown & ((over > 0.0) | (over > options.near * nearest))
-    return Found(S, h, -slack / (h + 0.5 * trace), is_missing, nearest_one.extra)
+    is_missing = is_unknown & ((over > 0.0) | (over > NEAR * nearest))
+    return NearestHalfSpaces(S, h, -slack / (h + 0.5 * trace), is_missing, nearest_one.extra)
 
 
-def at_rest(program: Program, now: Measure, found: Found, options: CutOptions = CUTS) -> Found:
+def drop_stray(program: Program, now: Measure, found: NearestHalfSpaces) -> NearestHalfSpaces:
     """`found` without points whose own cones are still far from their place: first those are to be met, or refuted."""
-    if now.outside < options.stray:
+    if now.outside < STRAY:
         return found
     stray = np.sqrt(now.r_s.dot(now.r_s)) / program.c
-    is_at_rest = np.maximum.reduceat(stray, program.cones.first) < options.stray
+    is_at_rest = np.maximum.reduceat(stray, program.cones.first) < STRAY
     return replace(found, is_missing=found.is_missing & is_at_rest)
 
 
@@ -64,7 +63,7 @@ class Joined:
     """A program with half-spaces added and its state; order (nc + k,): where each cone was, k new ones at the end."""
 
     program: Program
-    state: State
+    state: ConeState
     order: np.ndarray
     old: int
 
@@ -74,13 +73,11 @@ class Joined:
         return np.flatnonzero(self.order >= self.old)
 
 
-def joined(
-    program: Program, state: State, found: Found, options: CutOptions = CUTS, lift: float = StepOptions.lift
-) -> Joined:
+def join(program: Program, state: ConeState, found: NearestHalfSpaces) -> Joined:
     """The program with all missing half-spaces, at the same unknowns.
 
     Dual vectors are those of the central path for the distance at hand. Where that is small or negative the cone vector
-    is lifted, so that the half-space does not take more than `options.share` of what its point carries; all dual
+    is lifted, so that the half-space does not take more than `SHARE` of what its point carries; all dual
     vectors of the point are then lowered together until it carries what it did, which unbalances forces least.
     """
     new = np.flatnonzero(found.is_missing)
@@ -93,7 +90,7 @@ def joined(
     load = program.cones.sum(program.carried(state.y) * program.c)[new]
     c = wider.c[fresh]
     s = wider.slack(state.z, state.eps, fresh)
-    s = s.lifted(np.clip(0.5 * mu / (options.share * load), options.rounded, lift) * c)
+    s = s.lifted(np.clip(0.5 * mu / (SHARE * load), ROUNDED, LIFT) * c)
     y = soc.inverse(s, mu)
     eased = np.ones(len(cones.first))
     eased[new] = 1.0 / (1.0 + program.carried(y) * c / load)
@@ -109,7 +106,7 @@ def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
     )
 
 
-def widened(step: Step, into: Joined, boundary: float = StepOptions.boundary) -> Step:
+def widen(step: ConeStep, into: Joined) -> ConeStep:
     """The step for the wider program: the old changes, of the new cones the primal part alone, and lengths for both."""
     fresh, program, state = into.fresh, into.program, into.state
     d_wanted = program.map(program.fem.gradient_change(step.dz), step.deps, fresh)
@@ -117,8 +114,8 @@ def widened(step: Step, into: Joined, boundary: float = StepOptions.boundary) ->
     ds = d_wanted - (s - program.slack(state.z, state.eps, fresh)) * (1.0 - step.keep)
     none = Vectors(np.zeros(len(fresh)), np.zeros_like(ds.tail))
     dy = _merged(step.dy, none, into.order)
-    primal = min(step.primal, boundary * soc.largest_step(s, ds))
-    dual = min(step.dual, boundary * soc.largest_step(state.y, dy))
+    primal = min(step.primal, BOUNDARY * soc.largest_step(s, ds))
+    dual = min(step.dual, BOUNDARY * soc.largest_step(state.y, dy))
     if program.lead:
         primal = dual = min(primal, dual)
     return replace(
@@ -131,12 +128,12 @@ def widened(step: Step, into: Joined, boundary: float = StepOptions.boundary) ->
     )
 
 
-def pruned(program: Program, state: State, idle: float = CutOptions.idle) -> tuple[Program, State]:
+def prune(program: Program, state: ConeState) -> tuple[Program, ConeState]:
     """The program without half-spaces that are far away and carry next to nothing: the law tells if they are missed."""
     distance = state.s.margin() / program.c
     load = program.carried(state.y) * program.c
     cones = program.cones
-    keep = steadied(cones, (load > idle * cones.sum(load)[cones.point]) | (distance < idle))
+    keep = keep_steady(cones, (load > IDLE * cones.sum(load)[cones.point]) | (distance < IDLE))
     which = np.flatnonzero(keep)
     few = replace(program, cones=only(cones, keep))
     return few, replace(state, s=_chosen(state.s, which), y=_chosen(state.y, which))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -103,11 +104,36 @@ FREE = Reach(np.inf, np.inf)
 """Supports that can be moved apart for ever, such as a single point."""
 
 
+class Status(StrEnum):
+    """How an answer ended: `CONVERGED` if it is as accurate as asked; its message says what the others mean.
+
+    Those of a curtain come first, then those of rings on demand, then that of every ring.
+    """
+
+    CONVERGED = "converged"
+    TAUT = "taut"
+    INFEASIBLE = "infeasible"
+    STALLED = "stalled"
+    ITERATIONS = "iterations"
+    NOT_FINITE = "not_finite"
+    UNSETTLED = "unsettled"
+    PIERCED = "pierced"
+    MESH_LIMIT = "mesh_limit"
+    LAW_LIMIT = "law_limit"
+    BOUND_LIMIT = "bound_limit"
+    TURN_LIMIT = "turn_limit"
+    CURTAIN_LIMIT = "curtain_limit"
+    CONTRADICTION = "contradiction"
+    OUT_OF_REACH = "out-of-reach"
+
+    __repr__ = str.__repr__
+
+
 @dataclass(frozen=True)
 class Verdict:
     """One status per way to end, and its sentence: what happened and what to try."""
 
-    status: str
+    status: Status
     message: str
 
 
@@ -120,7 +146,7 @@ class Judged(ABC):
         """Status and message, from the numbers of the answer."""
 
     @property
-    def status(self) -> str:
+    def status(self) -> Status:
         """One word for how it ended."""
         return self.verdict.status
 
@@ -137,7 +163,8 @@ class Settling:
     misfit: forces that turned in the last round, reactions of bodies and following pressure; complementarity: reactions
     times the distance of their nodes from the body, over load times size; asked: what both must not exceed;
     between_nodes_mm: how deep bodies are inside the mesh between its nodes, which only a finer mesh makes less;
-    depth: the same over half the least width of the body; crossed: how deep the mesh has been on its way there.
+    depth: the same over half the least width of the body; crossed: how deep the mesh has been on its way there;
+    is_wind: whether nothing but wind depends on the shape.
     """
 
     rounds: int
@@ -147,6 +174,7 @@ class Settling:
     between_nodes_mm: float
     depth: float
     crossed: float = 0.0
+    is_wind: bool = False
 
     @property
     def is_settled(self) -> bool:
@@ -155,13 +183,13 @@ class Settling:
 
     def verdict(self, last: Verdict) -> Verdict:
         """The verdict of the last round, or "unsettled" where that has converged and the rounds have not."""
-        if last.status not in ("converged", "taut"):
+        if last.status not in (Status.CONVERGED, Status.TAUT):
             return last
         if max(self.depth, self.crossed) > PIERCED:
-            return Verdict("pierced", THROUGH.format(self, 100.0 * max(self.depth, self.crossed)))
+            return Verdict(Status.PIERCED, THROUGH.format(self, 100.0 * max(self.depth, self.crossed)))
         if self.is_settled:
             return last
-        return Verdict("unsettled", UNSETTLED.format(self))
+        return Verdict(Status.UNSETTLED, (RESTLESS if self.is_wind else UNSETTLED).format(self))
 
 
 PIERCED = 0.5
@@ -171,9 +199,13 @@ THROUGH = (
     "least width, here or on the way; take a finer mesh, or more load steps"
 )
 UNSETTLED = (
-    "contact with bodies, or pressure that follows the surface, has not settled after {0.rounds} rounds: forces of "
+    "contact with bodies, or wind on the present shape, has not settled after {0.rounds} rounds: forces of "
     "{0.misfit:.1e} of the load still turn, reactions times distances are {0.complementarity:.1e} of load times size; "
     "take more load steps, or a finer mesh"
+)
+RESTLESS = (
+    "wind on the present shape has not settled after {0.rounds} rounds: forces of {0.misfit:.1e} of the load still "
+    "turn, and a sheet that flutters has no rest; take less wind, a heavier bar at its lower edge, or follows = false"
 )
 INFEASIBLE = (
     "the supports are farther apart than the mesh can stretch: its rings would have to give at least {excess:.3g} % "
@@ -194,7 +226,6 @@ WHY = {
     "closed": "the answer does not have the accuracy asked for: {numbers}; ask for a wider solver.tolerance",
     "iterations": "stopped after {n} iterations with {numbers}: raise solver.max_iterations",
     "stalled": "rounding leaves no progress at {numbers}: ask for a wider solver.tolerance",
-    "not_convex": "no regularisation made the tangent definite, {numbers}: take smaller load steps",
     "not_finite": "the law has no finite energy: a cell is turned inside out; take smaller load steps",
 }
 """What a solver stopped for, where its answer is none."""
@@ -205,12 +236,12 @@ NUMBERS = (
 
 
 def judged(
-    stop: str, evidence: Evidence, asked: Accuracy, n: int, reach: Reach = FREE, give: float | None = None
+    stop: str, evidence: Evidence, asked: Accuracy, n: int, reach: Reach = FREE, relaxation: float | None = None
 ) -> Verdict:
     """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
 
-    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; give: by how
-    much rings gave in a problem that was relaxed, None where they are elastic.
+    stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; relaxation:
+    by how much the law was relaxed, None where rings are elastic.
 
     >>> asked = Accuracy(1e-9, 1e-9, 1e-8)
     >>> judged("closed", Evidence(1e-10, 0.0, 0.0), asked, 9).status
@@ -219,16 +250,16 @@ def judged(
     'stalled'
     """
     if stop == "infeasible" or reach.is_out:
-        return Verdict("infeasible", INFEASIBLE.format(excess=100.0 * reach.excess))
+        return Verdict(Status.INFEASIBLE, INFEASIBLE.format(excess=100.0 * reach.excess))
     if stop == "blocked":
-        return Verdict("infeasible", BLOCKED)
+        return Verdict(Status.INFEASIBLE, BLOCKED)
     numbers = NUMBERS.format(evidence)
     if not evidence.is_finite:
-        return Verdict("not_finite", WHY["not_finite"])
+        return Verdict(Status.NOT_FINITE, WHY["not_finite"])
     is_rounded = stop in ("closed", "stalled") and asked.is_met(evidence, ROUNDING)
     if not (asked.is_met(evidence) or is_rounded):
-        return Verdict("stalled" if stop == "closed" else stop, WHY[stop].format(n=n, numbers=numbers))
+        return Verdict(Status.STALLED if stop == "closed" else Status(stop), WHY[stop].format(n=n, numbers=numbers))
     if reach.is_at_limit:
-        how = ", by their stiffness" if give is None else f" {100.0 * give:.3g} % beyond locking"
-        return Verdict("taut", TAUT.format(limit=100.0 * AT_LIMIT, give=how))
-    return Verdict("converged", CONVERGED if asked.is_met(evidence) else ROUNDED.format(numbers=numbers))
+        how = ", by their stiffness" if relaxation is None else f" {100.0 * relaxation:.3g} % beyond locking"
+        return Verdict(Status.TAUT, TAUT.format(limit=100.0 * AT_LIMIT, give=how))
+    return Verdict(Status.CONVERGED, CONVERGED if asked.is_met(evidence) else ROUNDED.format(numbers=numbers))

@@ -11,47 +11,41 @@ t* = 1: the supports hold the mesh at its largest stretch, and any multiple of t
 multipliers.
 
 In the last case the dual problem has no solution, or no bounded set of them, and an interior point that must keep away
-from the law's boundary has no place to be. So the rings are let give a little: the law is met by F / (1 + g), that is,
-the curtain x / (1 + g) hangs from supports which are drawn together by as much.
+from the law's boundary has no place to be. So the law is relaxed by a relative stretch g:
+it is met by
+F / (1 + g), that is, the curtain x / (1 + g) hangs from supports which are drawn together by as much.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.central_path import PathResult, solve_path
+from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import green_strain, least_slack
 from macro_fem.solvers.options import PathOptions
+from macro_fem.solvers.path_result import PathResult
 from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
 from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
-from rve.common.values import Options, entry, finite, list_of, number
 
+RELAXATIONS = (AT_LIMIT, 1e-3)
+"""Relative stretches by which the law is relaxed, tried in turn: the answer is off by its square root, multipliers are
+its inverse."""
+LEAST_GAP = 1e-7
+"""Least gap asked for there: double precision leaves no less beside multipliers that are so large."""
+REACH_GAP = 1e-6
+"""Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
+SURE = 2.0
+"""The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
 
-@dataclass(frozen=True)
-class StretchOptions(Options):
-    """How the limit is found and relaxed; InputError for values that make no sense."""
-
-    gives: tuple[float, ...] = entry(
-        list_of(finite(above=0.0, most=0.1), "stretches", least=1, most=10), (AT_LIMIT, 1e-3)
-    )
-    """By how much rings may give, tried in turn: the answer is off by its square root, multipliers are its inverse."""
-    gap: float = number(1e-7, above=0.0, most=1.0)
-    """Least gap asked for there: double precision leaves no less beside multipliers that are so large."""
-    reach_gap: float = number(1e-6, above=0.0, most=AT_LIMIT)
-    """Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
-    sure: float = number(2.0, least=1.0, most=100.0)
-    """The search for the factor ends early once it exceeds 1 by this many times AT_LIMIT. Larger ones search longer."""
-
-
-Solve = Callable[[SupportedFem, Array, Array, PathOptions, Walls | None], PathResult]
-"""A rigid solver of a discretisation under loads (n,) from unknowns (n,), outside of half-spaces on nodes."""
+Solve = Callable[[SupportedFem, Array, PathOptions, Walls | None], PathResult]
+"""A rigid solver of a discretisation from unknowns (n,), outside of half-spaces on nodes."""
 
 
 def reach_of(
@@ -59,16 +53,14 @@ def reach_of(
     law: MembraneLaw,
     start: Array,
     size: float,
-    solve: Solve | None = None,
-    how: StretchOptions = StretchOptions(),
 ) -> Reach:
     """How much farther apart the supports could be; cheap where the unknowns `start` already are slack everywhere.
 
-    `size` (mm) is the extent of the curtain; `solve` another solver than our own interior point.
+    `size` (mm) is the extent of the curtain.
     """
-    room = least_slack(law, green_strain(fem.gradient(start)))
-    if room > how.sure * 2.0 * AT_LIMIT:
-        return Reach(_stretchable(1.0, room), np.inf)
+    margin = least_slack(law, green_strain(fem.gradient(start)))
+    if margin > SURE * 2.0 * AT_LIMIT:
+        return Reach(_stretchable(1.0, margin), np.inf)
     wider = movable(fem, size)
     if wider is None:
         return FREE
@@ -80,22 +72,19 @@ def reach_of(
         return Reach(_stretchable(factor, least_slack(law, green_strain(wider.gradient(z)))), max(0.0, -dual / size))
 
     def is_decided(z: Array, dual: float) -> bool:
-        return bounds(z, dual).lower > 1.0 + how.sure * AT_LIMIT
+        return bounds(z, dual).lower > 1.0 + SURE * AT_LIMIT
 
-    options = PathOptions(how.reach_gap, how.reach_gap, drawn=False, enough=is_decided)
-    zero = np.zeros(wider.n)
-    result = (
-        solve_path(wider, law, load, zero, size, options) if solve is None else solve(wider, load, zero, options, None)
-    )
+    options = PathOptions(REACH_GAP, REACH_GAP, drawn=False, enough=is_decided)
+    result = solve_path(wider, law, load, np.zeros(wider.n), size, options)
     return bounds(result.z, result.dual)
 
 
-def _stretchable(factor: float, room: float) -> float:
-    """How far a state at `factor` may be scaled: |F L|^2 = (1 - room) c^2 at the fullest half-space.
+def _stretchable(factor: float, margin: float) -> float:
+    """How far a state at `factor` may be scaled: |F L|^2 = (1 - margin) c^2 at the fullest half-space.
 
-    A state drawn together to a point, room = 1, may be scaled without limit.
+    A state drawn together to a point, margin = 1, may be scaled without limit.
     """
-    return factor / float(np.sqrt(1.0 - min(room, 1.0 - 1e-9))) if factor > 0.0 else 0.0
+    return factor / float(np.sqrt(1.0 - min(margin, 1.0 - 1e-9))) if factor > 0.0 else 0.0
 
 
 def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
@@ -113,27 +102,20 @@ def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
     return replace(tied, x_held=np.zeros_like(apart), tie=sparse.hstack([tied.tie, column]).tocsc())
 
 
-def solve_taut(
-    fem: SupportedFem,
-    load: Array,
-    start: Array,
-    options: PathOptions,
-    reach: Reach,
-    solve: Solve,
-    how: StretchOptions = StretchOptions(),
-    walls: Walls | None = None,
+def solve_at_stretch_limit(
+    solve: Solve, fem: SupportedFem, start: Array, options: PathOptions, reach: Reach, walls: Walls | None = None
 ) -> tuple[PathResult, float]:
-    """The answer for rings that give, with its own bounds, and by how much; the last one tried if none converges.
+    """The answer for a relaxed law, with its own bounds, and the relaxation; the last one tried if none converges.
 
-    They give as much as the supports are out of reach, and a little more.
+    The law is relaxed by as much as the supports are out of reach, and a little more.
     """
-    loose = replace(options, gap=max(how.gap, options.gap))
-    for more in how.gives:
-        give = max(0.0, 1.0 / reach.lower - 1.0) + more
-        nearer = fem.moved(fem.x_held / (1.0 + give))
-        near_walls = None if walls is None else walls.scaled(1.0 / (1.0 + give))
-        result = solve(nearer, load, start / (1.0 + give), loose, near_walls)
+    loose = replace(options, gap=max(LEAST_GAP, options.gap))
+    for more in RELAXATIONS:
+        relaxation = max(0.0, 1.0 / reach.lower - 1.0) + more
+        nearer = fem.moved(fem.x_held / (1.0 + relaxation))
+        near_walls = None if walls is None else walls.scaled(1.0 / (1.0 + relaxation))
+        result = solve(nearer, start / (1.0 + relaxation), loose, near_walls)
         if result.converged:
             break
-    scale = 1.0 + give
-    return replace(result, z=scale * result.z, primal=scale * result.primal, dual=scale * result.dual), give
+    scale = 1.0 + relaxation
+    return replace(result, z=scale * result.z, primal=scale * result.primal, dual=scale * result.dual), relaxation

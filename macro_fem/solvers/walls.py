@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from macro_fem.fem.supported import SupportedFem
 from rve.common.types import Array
@@ -85,13 +86,24 @@ class Walls:
         return Walls(self.node[keep], self.normal[keep], self.offset[keep], self.owner[keep], self.share[keep])
 
     def is_movable(self, fem: SupportedFem) -> np.ndarray:
-        """Which half-spaces (m,) concern a component that an unknown moves; the others hold or do not."""
-        moves = np.abs(self.normal)[:, None, :] * np.abs(self.share)[:, :, None] * ~fem.held[self.node]
-        return np.asarray(moves.sum(axis=(1, 2)) > 1e-12)
+        """Which half-spaces (m,) some unknown moves a point of along the normal; the others hold or do not."""
+        if fem.tie is None:
+            moves = np.abs(self.normal)[:, None, :] * np.abs(self.share)[:, :, None] * ~fem.held[self.node]
+            return np.asarray(moves.sum(axis=(1, 2)) > 1e-12)
+        m, d = self.normal.shape
+        entries = self.share[:, :, None] * self.normal[:, None, :]
+        columns = (d * self.node[:, :, None] + np.arange(d)).reshape(m, -1)
+        rows = np.repeat(np.arange(m), columns.shape[1])
+        A = sparse.csr_matrix((entries.ravel(), (rows, columns.ravel())), shape=(m, fem.x_held.size))
+        return np.asarray(abs(A @ fem.tie).sum(axis=1)).ravel() > 1e-12
+
+    def stuck(self, fem: SupportedFem) -> float:
+        """How deep points that no unknown moves along the normal are beyond their half-spaces, mm; 0 if none is."""
+        return float((-self.only(~self.is_movable(fem)).gap(fem.x_held)).max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class WallRows:
     """The half-spaces as rows of a program: slacks s = A z + b0 without unit, weights v (m,) in mm2."""
 
     fem: SupportedFem | None
@@ -160,11 +172,11 @@ class Rows:
         return np.concatenate(places), np.concatenate(rows), np.concatenate(values)
 
 
-NO_ROWS = Rows(None, None)
+NO_ROWS = WallRows(None, None)
 """The rows of a program without half-spaces on points."""
 
 
-def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> Rows:
+def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> WallRows:
     """The rows of half-spaces that unknowns can meet, in units of `size` mm.
 
     ValueError if a held node is beyond one that no unknown moves.
@@ -172,13 +184,13 @@ def rows_of(fem: SupportedFem, walls: Walls | None, size: float) -> Rows:
     if walls is None or not len(walls):
         return NO_ROWS
     can = walls.is_movable(fem)
-    beyond = float((-walls.only(~can).gap(fem.x_held)).max(initial=0.0))
+    beyond = walls.stuck(fem)
     if beyond > TOUCHED * size:
         raise ValueError(f"a held node is {beyond:g} mm beyond a half-space")
-    return Rows(fem, walls.only(can), size) if can.any() else NO_ROWS
+    return WallRows(fem, walls.only(can), size) if can.any() else NO_ROWS
 
 
-def all_forces(walls: Walls | None, fem: SupportedFem, rows: Rows, u: Array) -> Array:
+def all_forces(walls: Walls | None, fem: SupportedFem, rows: WallRows, u: Array) -> Array:
     """The reactions (m,) of all half-spaces, N: zero for those that are no rows."""
     if walls is None:
         return np.zeros(0)

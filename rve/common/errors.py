@@ -16,10 +16,6 @@ class NotConverged(RuntimeError):
     """A single solve did not reach its tolerance; the message holds the status and its sentence."""
 
 
-class OldName(FutureWarning):
-    """A file uses a name that has changed; the message says the new one. Commands print it on standard error."""
-
-
 SENTENCES = {
     "converged": "equilibrium found: residual, gaps and links are within tolerance",
     "stalled": "no equilibrium after all attempts; allow more iterations or attempts, or move the load by 0.01 degrees",
@@ -45,9 +41,7 @@ def noted_if_stopped(note: str) -> Iterator[None]:
     """
     try:
         yield
-    except Exception:
-        raise
-    except BaseException as stop:
+    except KeyboardInterrupt as stop:
         stop.add_note(note)
         raise
 

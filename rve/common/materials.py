@@ -10,43 +10,44 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, NoReturn
+
+from msgspec import Meta
 
 from rve.common.errors import InputError
-from rve.common.rings import DENSITY_KG_PER_M3, LEAST_KG_PER_MM3, MOST_KG_PER_MM3, STEEL_KG_PER_MM3
-from rve.common.values import Check, checked, entry, finite, optional, read_record, shown, shown_key, string
+from rve.common.rings import STEEL_KG_PER_MM3, Density, DensityPerM3
+from rve.common.typed import BadField, Typed, read_entry, read_typed, refuse_unknown
+from rve.common.values import shown
 
-YOUNG = finite(least=500.0, most=2e6)
+Young = Annotated[float, Meta(ge=500.0, le=2e6)]
 """N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
-POISSON = finite(least=0.0, most=0.5)
-STRESS = finite(above=0.0, most=2e4)
-_DENSITY = finite(least=LEAST_KG_PER_MM3, most=MOST_KG_PER_MM3)
+Poisson = Annotated[float, Meta(ge=0.0, le=0.5)]
+Stress = Annotated[float, Meta(gt=0.0, le=2e4)]
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(Typed):
     """A material: name, density in kg/mm3, Young's modulus, yield and ultimate stress in N/mm2, Poisson's ratio.
 
     Yield and ultimate stress may be unknown, None. `check_material` finds numbers that no material has.
     """
 
-    name: str = entry(lambda value: str(value), "steel")
-    density_kg_per_mm3: float = entry(_DENSITY, STEEL_KG_PER_MM3)
-    young_N_per_mm2: float = entry(YOUNG, 210e3)
-    poisson: float = entry(POISSON, 0.3)
-    yield_N_per_mm2: float | None = entry(optional(STRESS), 235.0)
-    ultimate_N_per_mm2: float | None = entry(optional(STRESS), 360.0)
+    name: str = "steel"
+    density_kg_per_mm3: Density = STEEL_KG_PER_MM3
+    young_N_per_mm2: Young = 210e3
+    poisson: Poisson = 0.3
+    yield_N_per_mm2: Stress | None = 235.0
+    ultimate_N_per_mm2: Stress | None = 360.0
 
-    def __post_init__(self) -> None:
-        """InputError for numbers out of range, and for an ultimate stress below the yield stress."""
-        checks = {name: field.metadata["check"] for name, field in self.__dataclass_fields__.items() if name != "name"}
-        for name, check in checks.items():
-            checked(vars(self), name, check, f"material {self.name!r}:")
+    def check(self) -> None:
+        """BadField for an ultimate stress below the yield stress."""
         low, high = self.yield_N_per_mm2, self.ultimate_N_per_mm2
         if low is not None and high is not None and high < low:
-            raise InputError(
-                f"material {self.name!r}: ultimate_N_per_mm2 = {high:g}: is less than yield_N_per_mm2 = {low:g}"
-            )
+            self.refuse(f"ultimate_N_per_mm2 = {high:g}: is less than yield_N_per_mm2 = {low:g}")
+
+    def refuse(self, what: str) -> NoReturn:
+        """Raise BadField, which names the material."""
+        raise BadField(what, f"material {self.name!r}") from None
 
 
 STEEL = Material()
@@ -60,6 +61,19 @@ MATERIALS = {
         Material("steel 1.4404", 8.0e-6, 200e3, 0.3, 200.0, 500.0),
         # ASTM B348, grade 2, annealed (least strength); ASM Handbook 2 (density, elastic constants).
         Material("titanium grade 2", 4.51e-6, 105e3, 0.37, 275.0, 345.0),
+        # ASTM B348, grade 5 (Ti-6Al-4V), annealed (least strength); ASM data sheet MTP644 (density, elastic constants).
+        Material("titanium grade 5", 4.43e-6, 114e3, 0.33, 828.0, 895.0),
+        # EN 10270-3, normal strength, wire of 1.75 to 2 mm (least tensile strength: 1900 at 1 mm, 1500 at 4 mm; Young's
+        # modulus as drawn). The standard has no yield stress: 70 % of the tensile strength, usual for such wire.
+        Material("spring wire 1.4310", 7.9e-6, 185e3, 0.3, 1190.0, 1700.0),
+        # EN 754-2, annealed (AlMg5, EN AW-5019); data sheets of wire as drawn for welding (AlMg5Cr, EN AW-5356).
+        Material("aluminium EN AW-5019", 2.64e-6, 70e3, 0.33, 110.0, 250.0),
+        Material("aluminium EN AW-5356", 2.64e-6, 71e3, 0.33, 110.0, 240.0),
+        # EN 12166, CuZn37 (CW508L), eighth hard, thick wire: R370. Thin half-hard wire has up to 510.
+        Material("brass CuZn37", 8.44e-6, 110e3, 0.35, 250.0, 370.0),
+        # Cu-ETP (CW004A), R240: Wieland K32 (proof and tensile strength, density, elastic constants); annealed copper
+        # yields at some 70.
+        Material("copper", 8.94e-6, 115e3, 0.34, 180.0, 240.0),
     )
 }
 """Named materials. Strengths are least values of the standards named beside them."""
@@ -78,12 +92,12 @@ def named_material(name: str, where: str = "material") -> Material:
     return MATERIALS[name]
 
 
-_KEYS: dict[str, tuple[str, Check]] = {
-    "density": ("density_kg_per_mm3", DENSITY_KG_PER_M3),
-    "young": ("young_N_per_mm2", YOUNG),
-    "poisson": ("poisson", POISSON),
-    "yield": ("yield_N_per_mm2", STRESS),
-    "ultimate": ("ultimate_N_per_mm2", STRESS),
+_KEYS: dict[str, tuple[str, Any]] = {
+    "density": ("density_kg_per_mm3", DensityPerM3),
+    "young": ("young_N_per_mm2", Young),
+    "poisson": ("poisson", Poisson),
+    "yield": ("yield_N_per_mm2", Stress),
+    "ultimate": ("ultimate_N_per_mm2", Stress),
 }
 
 
@@ -101,9 +115,9 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", bas
     name = given.get("material")
     base = base if name is None else named_material(name, f"{where} {prefix}material".strip())
     values: dict[str, Any] = {}
-    for key, (field, check) in _KEYS.items():
+    for key, (field, kind) in _KEYS.items():
         if given.get(key) is not None:
-            values[field] = checked({prefix + key: given[key]}, prefix + key, check, where)
+            values[field] = read_entry({prefix + key: given[key]}, prefix + key, kind, where)
     if "density_kg_per_mm3" in values:
         values["density_kg_per_mm3"] /= 1e9
     low, high = values.get("yield_N_per_mm2", base.yield_N_per_mm2), values.get("ultimate_N_per_mm2")
@@ -121,21 +135,15 @@ def described(table: Any, where: str) -> tuple[tuple[str, Any], ...]:
     if not isinstance(table, dict):
         raise InputError(f"{where} is not a table of names and values")
     known = ("material", *_KEYS)
-    for key, value in table.items():
-        if key not in known:
-            raise InputError(f"{where} {shown_key(key)} = {shown(value)}: unknown key; known are {', '.join(known)}")
+    refuse_unknown(table, known, where)
     if "material" in table:
-        named_material(checked(table, "material", string, where), f"{where} material")
-    for key, (_, check) in _KEYS.items():
+        named_material(read_entry(table, "material", str, where), f"{where} material")
+    for key, (_, kind) in _KEYS.items():
         if key in table:
-            checked(table, key, check, where)
+            read_entry(table, key, kind, where)
     return tuple(table.items())
 
 
 def read_material(table: Mapping[str, Any], where: str) -> Material:
     """The material that a file holds, as `dataclasses.asdict` writes it; InputError names file, key and value."""
-    try:
-        return read_record(Material, table, where)
-    except InputError as error:
-        text = str(error)
-        raise error if text.startswith(where) else InputError(f"{where} {text}") from None
+    return read_typed(Material, table, where)

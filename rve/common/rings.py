@@ -5,30 +5,51 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from rve.common.errors import InputError
-from rve.common.values import BadValue, Check, checked, finite, string
+from rve.common.typed import read_entry
+from rve.common.values import shown
 
 STEEL_KG_PER_MM3 = 7.85e-6
 LEAST_MM, MOST_MM = 1e-9, 1e9
 """Lengths of rings: their powers must stay numbers."""
+LEAST_R1_MM, MOST_R1_MM = 0.1, 200.0
+"""Radii of rings that a command takes: from jewellery to anti-submarine nets."""
 LEAST_KG_PER_MM3, MOST_KG_PER_MM3 = 1e-12, 1e3
-_length = finite(least=LEAST_MM, most=MOST_MM)
-RING_CHECKS: dict[str, Check] = {
-    "r1_mm": _length,
-    "r2_mm": _length,
-    "b_x_mm": _length,
-    "b_y_mm": _length,
-    "density_kg_per_mm3": finite(least=LEAST_KG_PER_MM3, most=MOST_KG_PER_MM3),
-    "areal_mass_kg_per_m2": finite(above=0.0, most=1e18),
+Length = Annotated[float, Meta(ge=LEAST_MM, le=MOST_MM)]
+Density = Annotated[float, Meta(ge=LEAST_KG_PER_MM3, le=MOST_KG_PER_MM3)]
+ArealMass = Annotated[float, Meta(gt=0.0, le=1e18)]
+RING_TYPES: dict[str, Any] = {
+    "r1_mm": Length,
+    "r2_mm": Length,
+    "b_x_mm": Length,
+    "b_y_mm": Length,
+    "density_kg_per_mm3": Density,
+    "areal_mass_kg_per_m2": ArealMass,
 }
-DENSITY_KG_PER_M3 = finite(least=100.0, most=30_000.0)
+DensityPerM3 = Annotated[float, Meta(ge=100.0, le=30_000.0)]
 """Densities a user may ask for: 7.85 would be g/cm3, 7.85e-6 kg/mm3."""
 
 
+def check_ring_size(r1: float, option: str) -> None:
+    """InputError for rings outside 0.1 to 200 mm, with the value in mm that was probably meant.
+
+    >>> check_ring_size(0.006, "--r1")
+    Traceback (most recent call last):
+    ...
+    rve.common.errors.InputError: --r1 = 0.006: rings are from 0.1 to 200 mm; lengths are in mm, did you mean 6?
+    """
+    if not LEAST_R1_MM <= r1 <= MOST_R1_MM:
+        meant = [x for x in (1e3 * r1, 1e-3 * r1) if LEAST_R1_MM <= x <= MOST_R1_MM]
+        hint = f"; lengths are in mm, did you mean {meant[0]:g}?" if meant else ""
+        raise InputError(f"{option} = {r1:g}: rings are from {LEAST_R1_MM:g} to {MOST_R1_MM:g} mm{hint}")
+
+
 def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
-    """The numbers of `RING_CHECKS` that `table` holds, by name; `where` names file and table.
+    """The numbers of `RING_TYPES` that `table` holds, by name; `where` names file and table.
 
     InputError for a number out of its range, wire as thick as its ring, or a side of the reference cell that such rings
     cannot have: less than the radius of the wire, or more than four rings side by side.
@@ -36,7 +57,7 @@ def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
     >>> check_rings({"r1_mm": 5, "r2_mm": 0.5, "weave": "4-in-1"}, "law.json: cell")
     {'r1_mm': 5.0, 'r2_mm': 0.5}
     """
-    found = {key: checked(table, key, check, where) for key, check in RING_CHECKS.items() if key in table}
+    found = {key: read_entry(table, key, kind, str(where)) for key, kind in RING_TYPES.items() if key in table}
     r1, r2 = found.get("r1_mm"), found.get("r2_mm")
     if r1 is not None and r2 is not None and not r2 < r1:
         raise InputError(f"{where} r2_mm = {r2:g}: must be less than r1_mm = {r1:g}")
@@ -54,9 +75,9 @@ def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
 
 def _check_mass(found: Mapping[str, float], where: object) -> None:
     """InputError if areal mass and density contradict each other: a cell holds a whole number of rings."""
-    if not RING_CHECKS.keys() <= found.keys():
+    if not RING_TYPES.keys() <= found.keys():
         return
-    r1, r2, b_x, b_y, density, mass = (found[key] for key in RING_CHECKS)
+    r1, r2, b_x, b_y, density, mass = (found[key] for key in RING_TYPES)
     count = mass / areal_mass(r1, r2, b_x * b_y, density)
     if not 0.5 < count < 1e6 or abs(count - round(count)) > 1e-6 * count:
         raise InputError(
@@ -92,7 +113,7 @@ class Joint:
 
     @staticmethod
     def of(value: Any) -> Joint:
-        """The joint of a name; "butted" is "butted:worst". BadValue (a ValueError) for other names.
+        """The joint of a name; "butted" is "butted:worst". ValueError for other names.
 
         A stated angle stands for its mirror image as well: a ring may be woven with either side to the front, and the
         mirror image of a mesh has its joints there.
@@ -102,17 +123,19 @@ class Joint:
         >>> len(Joint.of("butted").angles_deg)
         36
         """
-        kind, colon, angle = string(value).partition(":")
+        kind, colon, angle = str(value).partition(":")
         if kind == "welded" and not colon:
             return Joint("welded", ())
         if kind != "butted":
-            raise BadValue("is not welded, butted:worst or butted:ANGLE with an angle in degrees from the grain")
+            raise ValueError("is not welded, butted:worst or butted:ANGLE with an angle in degrees from the grain")
         if angle == "worst" or not colon:
             return Joint("butted:worst", tuple(float(x) for x in range(0, 360, WORST_STEP_DEG)))
         try:
-            degrees = finite(least=-360.0, most=360.0)(float(angle))
-        except ValueError as error:
-            raise BadValue("needs an angle from -360 to 360 degrees after butted:, or worst") from error
+            degrees = float(angle)
+        except ValueError:
+            degrees = math.nan
+        if not -360.0 <= degrees <= 360.0:
+            raise ValueError("needs an angle from -360 to 360 degrees after butted:, or worst")
         return Joint(f"butted:{degrees:g}", (degrees, -degrees) if degrees % 180.0 else (degrees,))
 
 
@@ -122,5 +145,14 @@ same for all joints between two neighbouring contacts; only one between contacts
 
 
 def joint_name(value: Any) -> str:
-    """The name of a joint as files have it: a check as in `rve.common.values`."""
+    """The name of a joint as files have it; ValueError for other names."""
     return Joint.of(value).name
+
+
+def read_joint(table: Mapping[str, Any], where: str = "") -> str:
+    """The name of the joint that a file states, welded if it states none; InputError for other names."""
+    value = table.get("joint", "welded")
+    try:
+        return Joint.of(value).name
+    except ValueError as error:
+        raise InputError(f"{where} joint = {shown(value)}: {error}".lstrip()) from error

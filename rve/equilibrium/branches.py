@@ -16,21 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.progress import tell
-from rve.common.records import Flags, Index
-from rve.common.records import Rows as Records
+from rve.common.records import Flags, Index, Rows
 from rve.common.tensor import WEIGHT, double_dot, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import (
-    GAIN,
-    MARGINS,
-    DeadLoad,
-    States,
-    largest,
-    promising,
-    random_poses,
-    restarted,
-)
+from rve.equilibrium.dead_load import MARGINS, DeadLoad, follow_promising, random_poses, restart
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.largest_work import GAIN, KnownStates, largest
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
@@ -43,15 +34,15 @@ ROUNDS = 4
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 MOVED = 1e-6
 """Strain by which a state must differ from the old one of its row to be another state."""
-ON_ITS_WAY = "below"
+UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
 BALANCE_STEPS = 20
-BALANCED = 1e-10
+WORK_TOLERANCE = 1e-10
 """Difference of the works S*:E_A and S*:E_B at unit trace at which two coexisting states are in balance."""
 
 
 @dataclass(frozen=True)
-class Rows(Records):
+class RowStates(Rows):
     """Locked states under the Cauchy loads s (n, 3), weave axes: poses, S of unit trace and E (n, 3), nan where none is
     known; branch (n,): "slack", "restart" or "coexisting"; unique (n,), False for coexisting states.
     """
@@ -64,7 +55,7 @@ class Rows(Records):
 
 
 @dataclass(frozen=True)
-class Mesh:
+class LoadedCell:
     """What does not change: equations under Cauchy and under dead loads, sides of the reference cell in r1, options."""
 
     cauchy: Equations
@@ -73,9 +64,9 @@ class Mesh:
     options: DirectOptions
 
     @staticmethod
-    def of(equations: Equations, sides: tuple[float, float], options: DirectOptions) -> Mesh:
+    def of(equations: Equations, sides: tuple[float, float], options: DirectOptions) -> LoadedCell:
         """The mesh of these equations under Cauchy loads."""
-        return Mesh(equations, replace(equations, load=DeadLoad(sides)), sides, options)
+        return LoadedCell(equations, replace(equations, load=DeadLoad(sides)), sides, options)
 
     @property
     def has_images(self) -> bool:
@@ -88,16 +79,16 @@ class Mesh:
         return np.asarray(S / trace(S)[:, None])
 
 
-def starting_rows(states: LockedStates, mesh: Mesh) -> Rows:
+def make_rows(states: LockedStates, mesh: LoadedCell) -> RowStates:
     """Rows of the converged ones of these locked states."""
     pose, s, good = states.pose, states.s, states.found.status == "converged"
     E = np.where(good[:, None], strain_of(pose, mesh.sides), np.nan)
     S = np.full(E.shape, np.nan)
     S[good] = mesh.conjugate(E[good], s[good])
-    return Rows(pose, S, E, np.full(len(s), "slack", dtype="<U16"), np.ones(len(s), dtype=bool))
+    return RowStates(pose, S, E, np.full(len(s), "slack", dtype="<U16"), np.ones(len(s), dtype=bool))
 
 
-def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | None, Index, Flags]:
+def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell) -> tuple[RowStates, Equilibrium | None, Index, Flags]:
     """The rows with their states of largest work; equilibria of the changed rows and their numbers; contradicted (n,).
 
     Equilibria of rows whose branch is "coexisting" are those under the dead load S, of the others under s.
@@ -108,7 +99,7 @@ def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | 
         return rows, found, where, left
     known = dead_states(rows, mesh)
     for count in range(ROUNDS):
-        bad, states = contradicted(rows, known, mesh)
+        bad, states = find_contradictions(rows, known, mesh)
         if not len(bad):
             break
         tell(f"{len(bad)} loads for which other states do more work, round {count + 1}")
@@ -116,14 +107,14 @@ def largest_rows(rows: Rows, s: Array, mesh: Mesh) -> tuple[Rows, Equilibrium | 
         rivals = best.states(mesh.sides)
         known = known.plus(rivals.with_images(mesh.has_images))
         bad = bad[np.isfinite(best.h)]
-        rows, new, done = with_rivals(rows, s, bad, rivals.pose, known.plus(states), mesh)
-        found, where = merged(found, where, new, done)
-    bad, _ = contradicted(rows, known, mesh)
+        rows, new, done = solve_from_rivals(rows, s, bad, rivals.pose, known.plus(states), mesh)
+        found, where = merge_equilibria(found, where, new, done)
+    bad, _ = find_contradictions(rows, known, mesh)
     left[bad] = True
     return rows, found, where, left
 
 
-def merged(
+def merge_equilibria(
     found: Equilibrium | None, where: Index, new: Equilibrium | None, rows: Index
 ) -> tuple[Equilibrium | None, Index]:
     """Equilibria of the rows `where`, replaced or joined by `new` ones of `rows`."""
@@ -137,7 +128,7 @@ def merged(
     return found.take(keep).join([new]).take(order), both[order]
 
 
-def dead_states(rows: Rows, mesh: Mesh) -> States:
+def dead_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
     """Locked states under the S of some rows as dead loads, from the slack pose and from a random admissible pose each,
     with their images; only those whose paths promise more work than the state of their own row does.
     """
@@ -148,32 +139,32 @@ def dead_states(rows: Rows, mesh: Mesh) -> States:
     n = len(sample.S)
     S, E = np.tile(sample.S, (2, 1)), np.tile(sample.E, (2, 1))
     start = start_pose(mesh.dead.weave, n).join([random_poses(mesh.dead, n)])
-    pick, found = promising(S, E, mesh.dead, mesh.sides, mesh.options, start)
+    pick, found = follow_promising(S, E, mesh.dead, mesh.sides, mesh.options, start)
     ended = np.flatnonzero(found.status == "converged")
     pose = found.pose.take(ended)
-    return States(pose, S[pick[ended]], strain_of(pose, mesh.sides)).with_images(mesh.has_images)
+    return KnownStates(pose, S[pick[ended]], strain_of(pose, mesh.sides)).with_images(mesh.has_images)
 
 
-def contradicted(rows: Rows, known: States, mesh: Mesh) -> tuple[Index, States]:
+def find_contradictions(rows: RowStates, known: KnownStates, mesh: LoadedCell) -> tuple[Index, KnownStates]:
     """Rows under whose S a known state, or the image of one, does more work than their own, and rows that are still
     on their way; all known states.
     """
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
-    own = States(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.has_images)
+    own = KnownStates(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.has_images)
     states = own.plus(known)
-    bad = lacking(rows.S[good], rows.E[good], states) > GAIN
-    return good[bad | (rows.branch[good] == ON_ITS_WAY)], states
+    bad = missing_work(rows.S[good], rows.E[good], states) > GAIN
+    return good[bad | (rows.branch[good] == UNDECIDED)], states
 
 
-def lacking(S: Array, E: Array, states: States) -> Array:
+def missing_work(S: Array, E: Array, states: KnownStates) -> Array:
     """How much more work than the strains E (n, 3) the best of the states does under S (n, 3), (n,); 0 if none does."""
     gain = (S * WEIGHT) @ states.E.T - double_dot(S, E)[:, None]
     return np.asarray(gain.max(axis=1, initial=0.0))
 
 
-def with_rivals(
-    rows: Rows, s: Array, bad: Index, rivals: Pose, known: States, mesh: Mesh
-) -> tuple[Rows, Equilibrium | None, Index]:
+def solve_from_rivals(
+    rows: RowStates, s: Array, bad: Index, rivals: Pose, known: KnownStates, mesh: LoadedCell
+) -> tuple[RowStates, Equilibrium | None, Index]:
     """The rows `bad` solved again from their rivals, poses (k,) that do more work under their S; equilibria of the rows
     that are solved now, and their numbers.
 
@@ -182,36 +173,40 @@ def with_rivals(
     from its rival if that is where it came from.
     """
     old = rows.E[bad]
-    new = restarted(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
+    new = restart(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
     E, S = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3))
     got = new.status == "converged"
     S[got] = mesh.conjugate(E[got], s[bad[got]])
-    climbs = got & (lacking(S, E, known) <= GAIN)
+    climbs = got & (missing_work(S, E, known) <= GAIN)
     pick, rest = np.flatnonzero(climbs), np.flatnonzero(~climbs)
     if len(pick):
         unique = strain_is_unique(mesh.cauchy, new.take(pick), s[bad[pick]])
-        rows = replaced(rows, bad[pick], new.pose.take(pick), S[pick], E[pick], "restart", unique)
+        rows = replace_rows(rows, bad[pick], new.pose.take(pick), S[pick], E[pick], "restart", unique)
     if not len(rest):
         return rows, new, bad
-    both, S_star, fine = balanced(s[bad[rest]], rows.pose.take(bad[rest]), rivals.take(rest), mesh)
+    both, S_star, fine = balance_works(s[bad[rest]], rows.pose.take(bad[rest]), rivals.take(rest), mesh)
     ok, on = np.flatnonzero(fine), np.flatnonzero(~fine)
     pose, where = both.pose.take(ok), bad[rest[ok]]
-    rows = replaced(rows, where, pose, S_star[ok], strain_of(pose, mesh.sides), "coexisting", np.zeros(len(ok), bool))
+    rows = replace_rows(
+        rows, where, pose, S_star[ok], strain_of(pose, mesh.sides), "coexisting", np.zeros(len(ok), bool)
+    )
     left, where = rest[on], bad[rest[on]]
     fresh = np.flatnonzero(got[left] & (np.abs(E[left] - old[left]).max(axis=1) > MOVED))
     pose = rivals.take(left).put(fresh, new.pose.take(left[fresh]))
     E = strain_of(pose, mesh.sides)
-    rows = replaced(rows, where, pose, mesh.conjugate(E, s[where]), E, ON_ITS_WAY, np.zeros(len(on), bool))
+    rows = replace_rows(rows, where, pose, mesh.conjugate(E, s[where]), E, UNDECIDED, np.zeros(len(on), bool))
     keep = np.sort(np.concatenate([pick, rest[ok]]))
     return rows, new.put(rest[ok], both.take(ok)).take(keep), bad[keep]
 
 
-def replaced(rows: Rows, where: Index, pose: Pose, S: Array, E: Array, branch: str, unique: Flags) -> Rows:
+def replace_rows(
+    rows: RowStates, where: Index, pose: Pose, S: Array, E: Array, branch: str, unique: Flags
+) -> RowStates:
     """The rows with other states at `where`."""
-    return rows.put(where, Rows(pose, S, E, np.full(len(where), branch, dtype="<U16"), unique))
+    return rows.put(where, RowStates(pose, S, E, np.full(len(where), branch, dtype="<U16"), unique))
 
 
-def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibrium, Array, Flags]:
+def balance_works(s: Array, first: Pose, second: Pose, mesh: LoadedCell) -> tuple[Equilibrium, Array, Flags]:
     """Equilibria (k,) under the dead loads S* at which two states do the same work; S* (k, 3); where it was found.
 
     The share t of the second state is found by the Illinois method: t = 0 has the second state do more work, t = 1 the
@@ -223,7 +218,7 @@ def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibri
     t, S = 0.5 * high, mesh.conjugate(E[0], s)
     g_low, g_high = double_dot(S, E[1] - E[0]), double_dot(mesh.conjugate(E[1], s), E[1] - E[0])
     fine = (g_low > 0.0) & (g_high < 0.0)
-    found = [restarted(S, mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0)) for pose in poses]
+    found = [restart(S, mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0)) for pose in poses]
     open_, last_up = np.flatnonzero(fine), np.full(len(s), -1)
     for _ in range(BALANCE_STEPS):
         if not len(open_):
@@ -232,7 +227,7 @@ def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibri
         t[i] = low[i] + (high[i] - low[i]) * g_low[i] / (g_low[i] - g_high[i])
         S[i] = mesh.conjugate((1.0 - t[i])[:, None] * E[0][i] + t[i][:, None] * E[1][i], s[i])
         for k in range(2):
-            new = restarted(S[i], mesh.dead, poses[k].take(i), MARGINS[0], mesh.options)
+            new = restart(S[i], mesh.dead, poses[k].take(i), MARGINS[0], mesh.options)
             found[k], poses[k] = found[k].put(i, new), poses[k].put(i, new.pose)
             E[k][i] = strain_of(new.pose, mesh.sides)
             fine[i] &= new.status == "converged"
@@ -243,7 +238,7 @@ def balanced(s: Array, first: Pose, second: Pose, mesh: Mesh) -> tuple[Equilibri
         g_low[i] = np.where(up, g, np.where(again, 0.5 * g_low[i], g_low[i]))
         last_up[i] = up
         low[i], high[i] = np.where(up, t[i], low[i]), np.where(up, high[i], t[i])
-        open_ = i[(np.abs(g) > BALANCED) & fine[i]]
+        open_ = i[(np.abs(g) > WORK_TOLERANCE) & fine[i]]
     fine[open_] = False
     take = np.flatnonzero(t > 0.5)
     return found[0].put(take, found[1].take(take)), S, fine

@@ -15,13 +15,13 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rve.common.progress import tell
-from rve.common.records import Flags, Index, Rows
+from rve.common.records import Index, Rows
 from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
-from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility, local_flexibility
+from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation
@@ -38,8 +38,6 @@ _BLOCK = 256
 """Cases worked on together: some 150 MB."""
 _SOFT = 1e-8
 """Stiffness in s r1^2 below which a motion is free."""
-_ROUNDS, _SETTLED = 40, 1e-9
-"""Most rounds for the forces where crossing wires give, and the change of forces in s r1 at which they end."""
 WELDED = Joint.of("welded")
 
 
@@ -69,14 +67,12 @@ def ring_states(
     reference: tuple[float, float],
     poisson: float,
     joint: Joint = WELDED,
-    size: Array | None = None,
 ) -> RingStates:
     """First-order elastic states and strength of the converged ones of the locked states `found` under loads s (n, 3).
 
     reference: sides of the reference cell in r1. Of butted rings with several angles, first yield and collapse are each
-    those at the worst angle, forces and compliance those at the angle that gives most. With size (n,), the loads' sizes
-    in E r1, wires also give where they cross, as much as these loads press them (`rve.ring.hertz`). Rows that have not
-    converged have nan, and so have those whose forces at crossing wires have not settled.
+    those at the worst angle, forces and compliance those at the angle that gives most. Rows that
+    have not converged have nan.
     """
     good = np.flatnonzero(found.status == "converged")
     states = RingStates(
@@ -86,11 +82,10 @@ def ring_states(
         return states
     parts = [good[start : start + _BLOCK] for start in range(0, len(good), _BLOCK)]
     ring = Ring(1.0, equations.wire, 1.0, poisson)
-    size = np.full(len(s), np.nan) if size is None else size
     blocks = []
     for number, rows in enumerate(parts):
         tell(f"wires of the rings under {len(good)} loads", number / len(parts))
-        blocks.append(_block(equations, found.take(rows), s[rows], reference, ring, joint, size[rows]))
+        blocks.append(_block(equations, found.take(rows), s[rows], reference, ring, joint))
     return states.put(good, blocks[0].join(blocks[1:]))
 
 
@@ -101,11 +96,10 @@ def _block(
     reference: tuple[float, float],
     ring: Ring,
     joint: Joint,
-    size: Array,
 ) -> RingStates:
-    """`ring_states` of locked states that have all converged; size is nan where crossing wires do not give."""
+    """`ring_states` of locked states that have all converged."""
     ends = contact_ends(equations, found)
-    cells = _cells(equations, found, s, reference, ends, size)
+    cells = _cells(equations, found, s, reference, ends)
     first, *rest = joint.angles_deg or (np.nan,)
     states, energy = _jointed(found, cells, ends, ring, first)
     for angle in rest:
@@ -122,18 +116,14 @@ def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_de
     joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
     C = contact_flexibility(ends, ring, joint)
     lam = _forces(cells, ends, C)
-    lost = np.zeros(len(lam))
-    if not np.isnan(cells.size).any():
-        C, lam, settled = _pressed(cells, ends, ring, C, lam)
-        lost = np.where(settled, 0.0, np.nan)
-    locking, elastic = (D + lost[:, None, None] for D in _compliances(found, cells, ends, C, lam))
-    stress = lost
+    locking, elastic = _compliances(found, cells, ends, C, lam)
+    stress = np.zeros(len(lam))
     for k in range(ends.grain.shape[1]):
         phi, direction, contact = ends.on(k)
         open_at = None if joint is None else joint[:, k]
         forces = _at_ends(lam, contact) * direction
         stress = np.maximum(stress, peak_stress(phi, forces, ring, joint=open_at).stress)
-    collapse = _collapse(cells, ends, lam, ring, joint) + lost
+    collapse = _collapse(cells, ends, lam, ring, joint)
     energy = np.einsum("nc,ncd,nd->n", lam, C, lam)
     angles = np.full(len(lam), angle_deg)
     return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse, angles), energy
@@ -142,8 +132,7 @@ def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_de
 @dataclass(frozen=True)
 class _Cells:
     """Equations of n cells at the touching contacts of `Ends`: gradients G (n, c, m), load f (n, m), forces `start`
-    (n, c) of the rigid solver, loads S (n, 3) and their size (n,) in E r1, strain gradient B (n, 3, 3); area in
-    r1^2."""
+    (n, c) of the rigid solver, loads S (n, 3), strain gradient B (n, 3, 3); area in r1^2."""
 
     dead: Equations
     G: Array
@@ -152,19 +141,16 @@ class _Cells:
     S: Array
     B: Array
     area: float
-    size: Array
 
 
-def _cells(
-    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends, size: Array
-) -> _Cells:
+def _cells(equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends) -> _Cells:
     S = second_pk(deformation(found.pose, reference), s)
     dead = replace(equations, load=DeadLoad(reference))
     system = dead.assemble(found.pose, found.contacts, found.lam, S)
     G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
     start = np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1)
     B = lattice_strain(found.pose.lattice, reference)[1]
-    return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1], size)
+    return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1])
 
 
 def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
@@ -175,22 +161,6 @@ def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
         forces = elastic_forces(cells.G[i, rows], cells.f[i], C[i][np.ix_(rows, rows)], cells.start[i, rows])
         lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
     return lam
-
-
-def _pressed(cells: _Cells, ends: Ends, ring: Ring, C: Array, lam: Array) -> tuple[Array, Array, Flags]:
-    """C with what crossing wires give at their forces, the forces that go with it, from those without it, and whether
-    those of each cell have settled (n,).
-
-    Where balance leaves a choice, each round leaves a third of the error, as the approach over the force falls with its
-    cube root.
-    """
-    for _ in range(_ROUNDS):
-        full = C + local_flexibility(ends, ring, lam, cells.size)[:, :, None] * np.eye(C.shape[1])
-        new = _forces(cells, ends, full)
-        change, lam = np.abs(new - lam).max(axis=1), new
-        if change.max() < _SETTLED:
-            break
-    return full, lam, change < _SETTLED
 
 
 def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array, lam: Array) -> tuple[Array, Array]:

@@ -12,16 +12,19 @@ must not count the saddle between them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from rve.common.progress import tell, way
-from rve.common.records import Flags, Index, Rows
+from rve.common.records import Index, Rows
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import Options, choice, number, whole
+from rve.equilibrium.steps import Valley, accept_step, carry_forces, newton_direction
 from rve.equilibrium.system import Equations, System
-from rve.geometry.contacts import Contacts, parallel_clearance
+from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, moved, start_pose
 
 SLOW = (0.5, 0.7)
@@ -31,7 +34,7 @@ NEVER = 1e300
 
 
 @dataclass(frozen=True)
-class DirectOptions(Options):
+class DirectOptions(Typed):
     """Options of the direct solver; lengths in units of r1, forces in units of s r1. InputError for senseless values.
 
     tolerance: weighted residual R at which a case has converged; the default leaves two digits to the paper's 1e-9.
@@ -43,27 +46,26 @@ class DirectOptions(Options):
     attempts: tries per case; those after the first lower mu slowly.
     patience: iterations without progress after which mu is lowered off the central path.
     rejection: a step that multiplies the merit by more than this is taken back.
-    curvature_below: mu below which contact curvature is in the Jacobian; 1 is always. Smaller values take more
-    iterations (docs/reports/omissions.md).
+    corrections: second-order corrections of a step, which follow curved valleys (`rve.equilibrium.steps`).
     branches: "largest" looks for the locked state of largest work wherever several coexist, "first" keeps the one
     reached from the slack pose.
     reference: the cell that strains refer to, "side-by-side" or "locked" (`rve.solve.reference_sides`).
     """
 
-    tolerance: float = number(1e-11, above=0.0, most=1.0)
-    mu_start: float = number(0.03, above=0.0, most=1.0)
-    mu_end: float = number(1e-13, above=0.0, most=1.0)
-    shrink: float = number(0.1, above=0.0, most=0.99)
-    power: float = number(1.5, least=1.0, most=10.0)
-    reach: float = number(0.6, above=0.0, most=10.0)
-    step: float = number(0.15, above=0.0, most=0.5)
-    max_iterations: int = whole(150, least=0, most=1_000_000)
-    attempts: int = whole(3, least=1, most=100)
-    patience: int = whole(20, least=1, most=1_000_000)
-    rejection: float = number(3.0, least=1.0, most=NEVER)
-    curvature_below: float = number(1.0, least=0.0, most=1.0)
-    branches: str = choice("largest", "first", default="largest")
-    reference: str = choice("side-by-side", "locked", default="side-by-side")
+    tolerance: Annotated[float, Meta(gt=0.0, le=1.0)] = 1e-11
+    mu_start: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.03
+    mu_end: Annotated[float, Meta(gt=0.0, le=1.0)] = 1e-13
+    shrink: Annotated[float, Meta(gt=0.0, le=0.99)] = 0.1
+    power: Annotated[float, Meta(ge=1.0, le=10.0)] = 1.5
+    reach: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.6
+    step: Annotated[float, Meta(gt=0.0, le=0.5)] = 0.15
+    max_iterations: Annotated[int, Meta(ge=0, le=1_000_000)] = 150
+    attempts: Annotated[int, Meta(ge=1, le=100)] = 3
+    patience: Annotated[int, Meta(ge=1, le=1_000_000)] = 20
+    rejection: Annotated[float, Meta(ge=1.0, le=NEVER)] = 3.0
+    corrections: Annotated[int, Meta(ge=0, le=10)] = 0
+    branches: Literal["largest", "first"] = "largest"
+    reference: Literal["side-by-side", "locked"] = "side-by-side"
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Equilibrium(Rows):
 
     pose: Pose
     lam: Array
-    contacts: Contacts
+    contacts: CellContacts
     R: Array
     iterations: Index
     status: NDArray[np.str_]
@@ -85,7 +87,7 @@ class Equilibrium(Rows):
 
 
 @dataclass(frozen=True)
-class _State(Rows):
+class PathState(Rows):
     """Cases still in the batch: row numbers, loads, poses, contacts, forces, path parameter, progress of the iteration.
 
     best, last: merit; stall: iterations without progress; radius: trust radius; moved: length of the last step.
@@ -94,7 +96,7 @@ class _State(Rows):
     row: Index
     s: Array
     pose: Pose
-    contacts: Contacts
+    contacts: CellContacts
     lam: Array
     mu: Array
     best: Array
@@ -106,94 +108,7 @@ class _State(Rows):
     iterations: Index
 
 
-def carry_forces(old: Contacts, lam: Array, new: Contacts, mu: Array) -> Array:
-    """Contact forces for new contacts: the force of a pair of rings is handed on in full.
-
-    Contacts that have one nearest successor each keep their forces. Where minima merge, split, appear or vanish, the
-    force of the pair is shared out as on the central path, in proportion to 1/gap. New pairs start at mu/gap.
-    """
-    share = np.where(new.present, 1.0 / np.maximum(new.gap, 1e-14), 0.0)
-    between = new.rho[:, :, :, None] - old.rho[:, :, None, :]
-    distance = np.sqrt(np.einsum("npijx,npijx->npij", between, between))
-    distance = np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
-    heir = distance.argmin(axis=2)
-    slots = np.arange(distance.shape[2])[:, None]
-    gives = (slots == heir[:, :, None, :]) & old.present[:, :, None, :]
-    one_to_one = (gives.sum(axis=3) == new.present).all(axis=2)[..., None]
-    total = lam.sum(axis=2, keepdims=True)
-    shared = total * share / np.maximum(share.sum(axis=2, keepdims=True), 1e-300)
-    kept = (gives * lam[:, :, None, :]).sum(axis=3)
-    out = np.where(one_to_one, kept, np.where(total > 0.0, shared, mu[:, None, None] * share))
-    return np.where(new.present, np.maximum(out, 1e-16), 0.0)
-
-
-def newton_direction(
-    system: System, gap: Array, lam: Array, mu: Array, present: Flags, step: Array
-) -> tuple[Array, Array]:
-    """Primal-dual Newton step (dq (n, m), dlam (n, c)) for r = 0, lam gap = mu, no longer than `step`.
-
-    Eliminating dlam leaves K dq = r + G^T (mu - lam gap)/gap with K = -J + G^T diag(lam/gap) G. Where the symmetric
-    part of K is indefinite, or the step too long, a multiple of the identity is added.
-    """
-    n, m = system.r.shape
-    target = np.where(present, (mu[:, None] - lam * gap) / gap, 0.0)
-    ratio = np.where(present, lam / gap, 0.0)
-    Gt = system.G.transpose(0, 2, 1)
-    K = -system.J + np.matmul(Gt * ratio[:, None, :], system.G)
-    rhs = system.r + np.matmul(Gt, target[..., None])[..., 0]
-    broken = ~(np.isfinite(K).all(axis=(1, 2)) & np.isfinite(rhs).all(axis=1))
-    K[broken], rhs[broken] = np.eye(m), 0.0  # no step: the case stalls and is tried again from another start
-    lowest = np.linalg.eigvalsh(0.5 * (K + K.transpose(0, 2, 1)))[:, 0]
-    noise = 1e-15 * np.abs(K).max(axis=(1, 2))
-    shift = np.where(lowest <= noise, 1.2 * np.abs(lowest) + np.maximum(1e-10, noise), 0.0)
-    dq = np.zeros((n, m))
-    todo = np.arange(n)
-    for _ in range(14):
-        shifted = K[todo] + shift[todo, None, None] * np.eye(m)
-        dq[todo] = np.linalg.solve(shifted, rhs[todo, :, None])[..., 0]
-        todo = todo[np.abs(dq[todo]).max(axis=1) > step[todo]]
-        if not len(todo):
-            break
-        first = 0.017 / step[todo] * np.linalg.norm(rhs[todo], axis=1)
-        shift[todo] = np.maximum(first, 2.5 * shift[todo])
-    return dq, np.where(present, target - ratio * np.matmul(system.G, dq[..., None])[..., 0], 0.0)
-
-
-def _accepted_step(
-    state: _State, dq: Array, equations: Equations, options: DirectOptions
-) -> tuple[Pose, Contacts, Array]:
-    """The pose after the longest of the steps 1, 1/2, 1/4 ... that keeps gaps positive and links intact."""
-    length = np.minimum(1.0, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
-    floor = 0.01 * state.contacts.min_gap
-
-    def look(rows: Index) -> tuple[Pose, Contacts, Flags]:
-        here = state.pose.take(rows)
-        pose = moved(here, equations.displacement(length[rows, None] * dq[rows], here))
-        contacts = equations.contacts(pose, options.reach)
-        apart = np.ones(len(rows), dtype=bool)
-        long = np.flatnonzero(length[rows] * np.abs(dq[rows]).max(axis=1) > 0.2 * equations.wire)
-        if len(long):  # shorter steps cannot carry a ring through a wire
-            way = parallel_clearance(here.take(long), pose.take(long), equations.weave, equations.wire)
-            apart[long] = way > -equations.wire
-        return pose, contacts, contacts.links_intact & (contacts.min_gap >= floor[rows]) & apart
-
-    pose, contacts, good = look(np.arange(len(dq)))
-    bad = np.flatnonzero(~good)
-    for _ in range(30):
-        if not len(bad):
-            break
-        length[bad] *= 0.5
-        part, found, good = look(bad)
-        pose, contacts = pose.put(bad, part), contacts.put(bad, found)
-        bad = bad[~good]
-    if len(bad):
-        length[bad] = 0.0
-        pose = pose.put(bad, state.pose.take(bad))
-        contacts = contacts.put(bad, state.contacts.take(bad))
-    return pose, contacts, length
-
-
-def _measure(state: _State, system: System) -> tuple[Array, Array, Array]:
+def measure_merit(state: PathState, system: System) -> tuple[Array, Array, Array]:
     """Weighted residual R, largest distance from the central path, and the merit that joins both, each (n,)."""
     product = state.lam * np.where(state.contacts.present, state.contacts.gap, 0.0)
     off = np.where(state.contacts.present, np.abs(product - state.mu[:, None, None]), 0.0).reshape(len(state.row), -1)
@@ -201,7 +116,7 @@ def _measure(state: _State, system: System) -> tuple[Array, Array, Array]:
     return R, off.max(axis=1), np.sqrt(R**2 + (off**2).sum(axis=1))
 
 
-def _followed(state: _State, off: Array, merit: Array, options: DirectOptions) -> _State:
+def update_path(state: PathState, off: Array, merit: Array, options: DirectOptions) -> PathState:
     """The state with its path parameter, trust radius and counters updated."""
     better = merit < state.last
     improved = merit < 0.9 * state.best
@@ -227,7 +142,7 @@ def _followed(state: _State, off: Array, merit: Array, options: DirectOptions) -
     )
 
 
-def _advanced(state: _State, equations: Equations, options: DirectOptions, system: System) -> _State:
+def iterate(state: PathState, equations: Equations, options: DirectOptions, system: System) -> PathState:
     """One interior-point iteration for every case of the batch."""
     n = len(state.row)
     con = state.contacts
@@ -235,7 +150,8 @@ def _advanced(state: _State, equations: Equations, options: DirectOptions, syste
     gap = np.where(present, con.gap.reshape(n, -1), 1.0)
     lam = state.lam.reshape(n, -1)
     dq, dlam = newton_direction(system, gap, lam, state.mu, present, state.radius)
-    pose, contacts, length = _accepted_step(state, dq, equations, options)
+    valley = Valley.of(system, con, gap, lam, options.corrections)
+    pose, contacts, length = accept_step(state.pose, con, dq, state.radius, equations, options.reach, valley)
     with np.errstate(divide="ignore", invalid="ignore"):
         longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(axis=1)
     lam = (lam + np.minimum(longest, 1.0)[:, None] * dlam).reshape(state.lam.shape)
@@ -246,14 +162,13 @@ def _advanced(state: _State, equations: Equations, options: DirectOptions, syste
     return replace(state, pose=pose, contacts=contacts, lam=lam, moved=moved)
 
 
-def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[list[_State], _State]:
+def iterate_to_end(state: PathState, equations: Equations, options: DirectOptions) -> tuple[list[PathState], PathState]:
     """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
-    finished: list[_State] = []
+    finished: list[PathState] = []
     anchor, anchor_system, cases = state, None, len(state.row)
     for iteration in range(options.max_iterations + 1):
-        curved = state.mu <= options.curvature_below
-        system = equations.assemble(state.pose, state.contacts, state.lam, state.s, curved)
-        R, off, merit = _measure(state, system)
+        system = equations.assemble(state.pose, state.contacts, state.lam, state.s)
+        R, off, merit = measure_merit(state, system)
         if anchor_system is not None:
             worse = merit > options.rejection * state.last
             if worse.any():
@@ -261,7 +176,7 @@ def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[l
                 radius = np.maximum(0.3 * np.minimum(state.radius, state.moved), 1e-7)
                 state = state.put(rows, replace(anchor, radius=radius).take(rows))
                 system = system.put(rows, anchor_system.take(rows))
-                R, off, merit = _measure(state, system)
+                R, off, merit = measure_merit(state, system)
                 state = replace(state, last=np.where(worse, merit, state.last))
         state = replace(state, R=R)
         done = (options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end)
@@ -273,13 +188,13 @@ def _run(state: _State, equations: Equations, options: DirectOptions) -> tuple[l
             break
         here = way(options.mu_start, float(np.median(state.mu)), options.mu_end) or 0.0
         tell(f"{cases} loads of rings", 1.0 - (1.0 - here) * len(state.row) / cases)
-        state = _followed(state, off, merit, options)
+        state = update_path(state, off, merit, options)
         anchor, anchor_system = state, system
-        state = _advanced(state, equations, options, system)
+        state = iterate(state, equations, options, system)
     return finished, state
 
 
-def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
+def attempt_options(options: DirectOptions, attempt: int) -> DirectOptions:
     """Options of an attempt: after the first, mu falls slowly and no step is taken back.
 
     A load that is nearly uniaxial, or a pull along the grain of thin wire, moves the cell far along a narrow valley
@@ -292,7 +207,7 @@ def _attempt(options: DirectOptions, attempt: int) -> DirectOptions:
     return replace(options, shrink=shrink, power=1.0, rejection=NEVER, max_iterations=4 * options.max_iterations)
 
 
-def _disturbed(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
+def disturb(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
     """Start poses shifted by seeded random numbers of size `amount`, the same for every case and batch."""
     shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, equations.modes.shape[1])
     return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1)), pose))
@@ -331,12 +246,12 @@ def follow(
     found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, none, stalled, none + options.attempts)
     left, iterations = np.arange(len(s)), none
     for attempt in range(options.attempts):
-        tuned = _attempt(options, attempt)
+        tuned = attempt_options(options, attempt)
         pose = first.take(left)
         if attempt > 0:
-            pose = _disturbed(pose, equations, attempt, 0.03)
-        state = _started(left, s[left], pose, iterations, equations, tuned)
-        finished, rest = _run(state, equations, tuned)
+            pose = disturb(pose, equations, attempt, 0.03)
+        state = start_path(left, s[left], pose, iterations, equations, tuned)
+        finished, rest = iterate_to_end(state, equations, tuned)
         for part in finished:
             tries = np.full(len(part.row), attempt + 1)
             status = np.full(len(part.row), "converged", dtype="<U16")
@@ -350,12 +265,12 @@ def follow(
     return replace(found, iterations=total)
 
 
-def _started(
+def start_path(
     row: Index, s: Array, pose: Pose, iterations: Index, equations: Equations, options: DirectOptions
-) -> _State:
+) -> PathState:
     """The state of cases at the start of an attempt, on the central path as far as forces can be."""
     contacts = equations.contacts(pose, options.reach)
     mu, inf, zero = np.full(len(row), options.mu_start), np.full(len(row), np.inf), np.zeros(len(row))
     lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
     radius = np.full(len(row), options.step)
-    return _State(row, s, pose, contacts, lam, mu, inf, inf, zero.astype(int), radius, zero, inf, iterations)
+    return PathState(row, s, pose, contacts, lam, mu, inf, inf, zero.astype(int), radius, zero, inf, iterations)

@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.system import Equations, System
-from rve.geometry.contacts import Contacts
+from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, moved
 
 _SIZES = 1.6e-2 * 0.5 ** np.arange(7)
@@ -60,7 +60,7 @@ def _inward(s: Array, size: float) -> Array:
     return s + size * (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
 
 
-def _trail(s: Array, equations: Equations, options: DirectOptions) -> list[Equilibrium]:
+def approach_limit(s: Array, equations: Equations, options: DirectOptions) -> list[Equilibrium]:
     """Equilibria for decreasing second loads, each started from the one before.
 
     The start of a solve is the one before stopped at complementarity 1e-3 of the second load, where gaps are still
@@ -84,12 +84,12 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
 
     The smallest three additions whose extrapolation Newton's method confirms count; status "no-limit" if none do.
     """
-    trail = _trail(s, equations, options)
+    trail = approach_limit(s, equations, options)
     result = replace(trail[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
     iterations = np.sum([part.iterations for part in trail], axis=0)
     left = np.arange(len(s))
     for last in range(len(trail) - 1, 1, -1):
-        limit = _extrapolated(
+        limit = extrapolate_limit(
             [part.take(left) for part in trail[last - 2 : last + 1]], s[left], equations, options, last
         )
         good = np.flatnonzero(limit.status == "converged")
@@ -100,7 +100,7 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     return replace(result, iterations=iterations)
 
 
-def _extrapolated(
+def extrapolate_limit(
     three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, last: int
 ) -> Equilibrium:
     """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone."""
@@ -131,7 +131,7 @@ def _reach(guess: Pose, found: Equilibrium, equations: Equations, options: Direc
     return 1.5 * widest + 1e-6
 
 
-def touching(contacts: Contacts, reach: float | Array) -> NDArray[np.bool_]:
+def touching(contacts: CellContacts, reach: float | Array) -> NDArray[np.bool_]:
     """Contacts whose gap is below `reach`, one number or one per case, (n, p, SLOTS)."""
     return contacts.present & (contacts.gap < np.reshape(reach, (-1, 1, 1)))
 
@@ -148,7 +148,7 @@ def contact_forces(system: System, active: NDArray[np.bool_]) -> Array:
 
 def polish(
     pose: Pose, equations: Equations, s: Array, options: DirectOptions, reach: float | Array = 1e-5, steps: int = 4
-) -> tuple[Pose, Array, Contacts, Array]:
+) -> tuple[Pose, Array, CellContacts, Array]:
     """Newton on r = 0 and gap = 0 of all touching contacts; least-norm steps, so that a free mode stays where it is.
 
     Returns pose, forces (n, p, SLOTS), contacts and weighted residual R (n,). Converges quadratically from a pose near

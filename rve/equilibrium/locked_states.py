@@ -10,7 +10,7 @@ from rve.common.records import Flags, Rows
 from rve.common.types import Array
 from rve.equilibrium.interior_point import Equilibrium
 from rve.geometry.cell import Cell
-from rve.geometry.contacts import Contacts, find_contacts
+from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.pose import Pose
 
 
@@ -40,7 +40,7 @@ class LockedStates(Rows):
         return self.found.lam
 
     @property
-    def contacts(self) -> Contacts:
+    def contacts(self) -> CellContacts:
         """Where the forces act."""
         return self.found.contacts
 

@@ -14,7 +14,6 @@ from rve.common.types import Array
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.circles import cross, dot, tangent_frame
-from rve.ring.hertz import approach_per_force, relative_curvatures
 from rve.ring.kernels import flexibility, opened_flexibility
 from rve.ring.section import Ring
 
@@ -27,8 +26,7 @@ class Ends(Rows):
     """Where contacts act on the rings of n cells: slot (n, c) of each contact, present (n, c); of its two ends, first
     all on ring a, then all on ring b: ring (n, 2c), angle phi (n, 2c), direction (n, 2c, 3) in the ring's local axes,
     zero for padding. Of each ring, grain (n, k): the angle at which it is farthest along the grain, and sense (n, k):
-    1 where angles grow counterclockwise as seen from the front, else -1. curvature (n, c, 2): relative curvatures of
-    the wires where they touch, in 1/r1 (`rve.ring.hertz`)."""
+    1 where angles grow counterclockwise as seen from the front, else -1."""
 
     slot: Index
     present: Flags
@@ -37,7 +35,6 @@ class Ends(Rows):
     direction: Array
     grain: Array
     sense: Array
-    curvature: Array
 
     def joints(self, angle_deg: float) -> Array:
         """The angles (n, k) of joints that are `angle_deg` degrees around each ring from the grain."""
@@ -65,20 +62,15 @@ def contact_ends(equations: Equations, found: Equilibrium, near: float = TOUCHIN
     m = contacts.minima.take(where.reshape(n, -1)[np.arange(n)[:, None], slot].ravel())
     pair = slot // contacts.gap.shape[2]
     rings = equations.weave.pairs[pair][..., :2]
-    parts, wires = [], []
+    parts = []
     for k, (rho, push) in enumerate(((m.rho_a, -m.normal), (m.rho_b, m.normal))):
         normal = found.pose.normals[np.arange(n)[:, None], rings[..., k]].reshape(-1, 3)
         phi, local = _in_ring(rho, push, normal)
-        wires.append((_skin_curvatures(local[:, 0], equations.wire), cross(normal, rho)))
         parts.append((phi.reshape(n, count), np.where(present[..., None], local.reshape(n, count, 3), 0.0)))
     phi, direction = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-    (first, along), (second, other) = wires
-    curvature = relative_curvatures(first, second, dot(along, other)).reshape(n, count, 2)
     e1, e2 = tangent_frame(found.pose.normals)
     grain, sense = np.arctan2(e2[..., 1], e1[..., 1]), np.copysign(1.0, found.pose.normals[..., 2])
-    return Ends(
-        slot, present, np.concatenate([rings[..., 0], rings[..., 1]], axis=1), phi, direction, grain, sense, curvature
-    )
+    return Ends(slot, present, np.concatenate([rings[..., 0], rings[..., 1]], axis=1), phi, direction, grain, sense)
 
 
 def _in_ring(rho: Array, push: Array, normal: Array) -> tuple[Array, Array]:
@@ -87,21 +79,6 @@ def _in_ring(rho: Array, push: Array, normal: Array) -> tuple[Array, Array]:
     radial = rho / np.sqrt(dot(rho, rho))[:, None]
     local = np.stack([dot(push, radial), dot(push, cross(normal, radial)), dot(push, normal)], axis=1)
     return np.arctan2(dot(rho, e2), dot(rho, e1)), local
-
-
-def _skin_curvatures(radial: Array, wire: float) -> Array:
-    """Curvatures (k, 2) in 1/r1 of the skin of a ring along and across its wire, where a push acts whose component
-    outwards in the plane of the ring is `radial` (k,): 1 on the inside, where the skin is hollow along the wire."""
-    return np.stack([-radial / (1.0 - wire * radial), np.full(radial.shape, 1.0 / wire)], axis=1)
-
-
-def local_flexibility(ends: Ends, ring: Ring, lam: Array, size: Array) -> Array:
-    """Approach over force (n, c) by Hertz at the contact forces lam (n, c) in s r1 of loads `size` (n,) in E r1.
-
-    It grows as the force falls; contacts with less than 1e-6 of the largest force have that of 1e-6.
-    """
-    force = np.maximum(lam, 1e-6 * lam.max(axis=1, keepdims=True)) * size[:, None]
-    return approach_per_force(ends.curvature, ring.young, ring.poisson) / np.cbrt(force)
 
 
 def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:

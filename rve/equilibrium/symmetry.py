@@ -22,14 +22,14 @@ from rve.common.types import Array
 from rve.equilibrium.interior_point import (
     DirectOptions,
     Equilibrium,
-    carry_forces,
     follow,
     solve_equilibrium,
     unit_loads,
 )
 from rve.equilibrium.limits import loose_motions
+from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations
-from rve.geometry.contacts import Contacts
+from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, start_pose
 from rve.geometry.weave import Weave
 
@@ -127,7 +127,7 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     half = symmetric_equations(equations, symmetry)
     once = replace(options, attempts=1, max_iterations=min(MOST_ITERATIONS, options.max_iterations))
     part = follow(unit, half, once, symmetric_start(equations.weave, symmetry, len(s)))
-    found = expanded(part, symmetry, equations, unit, options.reach)
+    found = expand_symmetric(part, symmetry, equations, unit, options.reach)
     left = np.flatnonzero(~is_confirmed(found, half, equations, unit, options.tolerance))
     if not len(left):
         return found, len(s)
@@ -145,7 +145,9 @@ def symmetric_start(weave: Weave, symmetry: Symmetry, count: int) -> Pose:
     return replace(pose, centres=centres, normals=np.stack([first, first * _TURNED], axis=1))
 
 
-def expanded(found: Equilibrium, symmetry: Symmetry, equations: Equations, s: Array, reach: float) -> Equilibrium:
+def expand_symmetric(
+    found: Equilibrium, symmetry: Symmetry, equations: Equations, s: Array, reach: float
+) -> Equilibrium:
     """Equilibria of the symmetric equations with the contacts and forces of all pairs, and R of all equations."""
     part = found.contacts
     lam = _shared_by_twins(part, found.lam, symmetry)
@@ -163,7 +165,7 @@ def expanded(found: Equilibrium, symmetry: Symmetry, equations: Equations, s: Ar
     return replace(found, lam=lam, contacts=contacts, R=np.where(np.isnan(found.R), np.nan, R))
 
 
-def _shared_by_twins(contacts: Contacts, lam: Array, symmetry: Symmetry) -> Array:
+def _shared_by_twins(contacts: CellContacts, lam: Array, symmetry: Symmetry) -> Array:
     """Forces (n, q, SLOTS) with equal parts for contacts that are each other's image within one pair of rings.
 
     Symmetric motions see only the sum of the two forces, so the solver does not determine their shares. The

@@ -6,7 +6,7 @@ Unknown are the 9 reduced coordinates (4-in-1) and one force per contact:
 
 f is a constant Cauchy line load s on the *current* cell: s.(a2y, -a2x) on a1 and s.(-a1y, a1x) on a2. It follows the
 deformation, so its derivative is unsymmetric. J = dr/dq holds load stiffness, contact curvature and the curvature of
-the lattice coordinates. Lengths are in units of r1 and forces in units of s r1. Another `Load` may take its place:
+the lattice coordinates. Lengths are in units of r1 and forces in units of s r1. Another `CellLoad` may take its place:
 springs towards a given pose are in `spring`.
 """
 
@@ -16,12 +16,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rve.common.records import Rows
 from rve.common.types import Array
-from rve.geometry.circles import distance_gradient, distance_hessian
-from rve.geometry.contacts import Contacts, find_contacts
+from rve.geometry.contacts import CellContacts, find_contacts
+from rve.geometry.distance import distance_gradient, distance_hessian
 from rve.geometry.pose import Pose, pair_maps, reduction, ring_normals
 from rve.geometry.weave import Weave
 
@@ -57,7 +56,7 @@ def weighted_size(f: Array, M: Array) -> Array:
     return np.sqrt(np.maximum(np.einsum("ni,ni->n", f, np.linalg.solve(M, f[..., None])[..., 0]), 0.0))
 
 
-class Load(Protocol):
+class CellLoad(Protocol):
     """What pulls at a cell; `s` holds one row of numbers per case whose meaning is the load's own."""
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
@@ -70,15 +69,15 @@ class Load(Protocol):
 
 
 @dataclass(frozen=True)
-class LineLoad:
+class CauchyLoad:
     """The Cauchy line loads s (n, 3); residuals are relative to them."""
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See Load."""
+        """See CellLoad."""
         return on_coordinates(lattice_load(pose, s)[1], pose, T)
 
     def size(self, f: Array, M: Array) -> Array:
-        """See Load."""
+        """See CellLoad."""
         return weighted_size(f, M)
 
 
@@ -154,18 +153,18 @@ class Equations:
     maps: Array
     mass: Array
     modes: Array
-    load: Load = field(default_factory=LineLoad)
+    load: CellLoad = field(default_factory=CauchyLoad)
     middle: tuple[int, int] | None = None
     far_pairs: bool = False
     idle_curvature: bool = False
 
     @staticmethod
-    def of(weave: Weave, wire: float, modes: Array | None = None, load: Load | None = None) -> Equations:
+    def of(weave: Weave, wire: float, modes: Array | None = None, load: CellLoad | None = None) -> Equations:
         """Equations of a weave with wire radius r2/r1; by default all coordinates are free and a line load pulls."""
         free = np.eye(4 * weave.classes + 1) if modes is None else modes
-        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or LineLoad())
+        return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or CauchyLoad())
 
-    def contacts(self, pose: Pose, reach: float) -> Contacts:
+    def contacts(self, pose: Pose, reach: float) -> CellContacts:
         """Every contact of these poses whose gap is below `reach` (in r1)."""
         return find_contacts(pose, self.weave, self.wire, reach, far_pairs=self.far_pairs)
 
@@ -189,13 +188,8 @@ class Equations:
             v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
         return v
 
-    def assemble(
-        self, pose: Pose, contacts: Contacts, lam: Array, s: Array, curved: NDArray[np.bool_] | None = None
-    ) -> System:
-        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...).
-
-        curved (n,): cases whose J holds the curvature of the contacts, by default all.
-        """
+    def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
+        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
         n = len(s)
         T = reduction(pose)
         m = T.shape[2]
@@ -211,7 +205,7 @@ class Equations:
         r = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0]
         force = lam[contacts.present]
         works = force > (-1.0 if self.idle_curvature else IDLE)
-        bent = np.flatnonzero(works if curved is None else works & curved[case])
+        bent = np.flatnonzero(works)
         H = distance_hessian(minima.take(bent), *ring_normals(pose, self.weave, case[bent], pair[bent]), 1.0)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
         cases, first = np.unique(case[bent], return_index=True)

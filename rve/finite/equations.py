@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rve.common.types import Array
 from rve.finite.touching import Index, Placed, Touching
 from rve.finite.walls import wall_derivatives
-from rve.geometry.circles import distance_gradient, distance_hessian, tangent_frame
+from rve.geometry.circles import tangent_frame
+from rve.geometry.distance import distance_gradient, distance_hessian
 
 BLOCK = 5
 PAIR = 7

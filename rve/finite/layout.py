@@ -19,10 +19,10 @@ from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
-from rve.geometry.pose import Pose, start_pose
+from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
-from rve.localization.poses import shares, weave_sides
-from rve.localization.rings import axes_of_weave
+from rve.strained.placed import axes_of_weave, reference_shares, shares
+from rve.strained.poses import weave_sides
 
 if TYPE_CHECKING:
     from rve.finite.records import FiniteOptions
@@ -41,7 +41,8 @@ class FiniteMesh:
 
     X (n, 2): centres in mm; index (n, 3): class and lattice point i, j; area (n,): reference area in mm2 that each ring
     stands for; linked (m, 2): pairs of rings that interlink; sides: b_x, b_y of the reference cell in mm, in the axes
-    of the weave; hang_deg: angle from the vertical to the weave's y axis.
+    of the weave; hang_deg: angle from the vertical to the weave's y axis; bars: rings (k,) in order that stay on a
+    line, between the first and the last in proportion to the reference.
 
     >>> mesh = FiniteMesh.rectangle(Cell(), 2, 1)
     >>> len(mesh.X), len(mesh.linked), bool(np.isclose(mesh.area.sum(), np.ptp(mesh.X, axis=0).prod()))
@@ -55,6 +56,7 @@ class FiniteMesh:
     linked: Index
     sides: tuple[float, float]
     hang_deg: float = 0.0
+    bars: tuple[Index, ...] = ()
 
     @classmethod
     def rectangle(cls, cell: Cell, columns: int, rows: int) -> FiniteMesh:
@@ -126,8 +128,7 @@ class FiniteMesh:
         from the slack weave; held rings and half-spaces that cut it travel to their places. guide (n, 3): places in mm
         that pull at the centres in the beginning and no more at the end, nan where none does. A local minimum of the
         potential is found, which need not be the lowest; the guide has a part in which it is. An answer that has not
-        converged is returned with its status.
-        InputError for other shapes, no load, and pieces that nothing holds.
+        converged is returned with its status. InputError for other shapes, no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
@@ -135,9 +136,10 @@ class FiniteMesh:
         >>> mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False).status
         'converged'
         """
-        from rve.finite.solution import Problem, solve_mesh
+        from rve.finite.problem import Problem
+        from rve.finite.solution import solve_mesh
 
-        held = np.asarray(held, dtype=bool) | np.array([False, False, not space])
+        held = np.asarray(held, dtype=bool)
         at = np.asarray(at, dtype=float)
         near = None if guide is None else np.asarray(guide, dtype=float)
         problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls), near)
@@ -169,13 +171,6 @@ def _user_sides(cell: Cell, sides: tuple[float, float]) -> tuple[float, float]:
     return sides[::-1] if cell.grain == "x" else sides
 
 
-def _reference_shares(cell: Cell) -> Array:
-    """Shares (K, 2) of the sides in the centres of the rings of a cell."""
-    weave = cell.weave
-    pose = Pose(weave.start_lattice[None], weave.start_centres[None], weave.start_normals[None])
-    return np.concatenate([np.zeros((1, 2)), shares(pose)[0]])
-
-
 def _origin(border: Array, sides: Array, axes: Array) -> Array:
     """Where the lattice point (0, 0) of class 0 is, mm."""
     ij = (border - border[0]) @ axes / sides
@@ -195,7 +190,7 @@ def _sites(
         raise InputError(f"the box around the outline has {count} rings, at most {MOST_RINGS} are allowed")
     i, j = (x.ravel() for x in np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)))
     parts = []
-    for ring, share in enumerate(_reference_shares(cell)):
+    for ring, share in enumerate(reference_shares(cell)):
         X = ((np.column_stack([i, j]) + share) * sides) @ axes.T + origin
         parts.append((np.column_stack([np.full(len(i), ring), i, j]), X))
     index, X = (np.concatenate(column) for column in zip(*parts, strict=True))

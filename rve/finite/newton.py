@@ -12,10 +12,13 @@ from rve.common.types import Array
 from rve.finite.equations import BLOCK, PAIR, add_metric, blocks, lacking, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer, Solve
 from rve.finite.iterate import Linear, State, Step, Work, barrier, ties
+from rve.finite.passage import safe_parts
 from rve.finite.records import FiniteOptions, Task
 from rve.finite.system import Factored, Pattern, forces_that_stop
-from rve.finite.touching import Index, Touching, safe_parts
+from rve.finite.touching import Index, Touching
 
+_WAY = 3.0
+"""Largest way of a held ring in one iteration, in r1."""
 _SOFT = 1e-10
 """Stiffness of every coordinate: rings that nothing touches stay where they are."""
 _IDLE = 1e-6
@@ -52,13 +55,13 @@ def linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> Li
     way = np.where(task.held, task.at - state.placed.x, 0.0)
     far = float(np.sqrt((way**2).sum(axis=1)).max(initial=0.0))
     held = np.zeros((len(way), BLOCK))
-    held[:, :3] = way * min(1.0, options.step / max(far, 1e-300))
+    held[:, :3] = way * min(1.0, _WAY / max(far, 1e-300))
     # Damping is measured in the force that a pair carries: pairs near supports need more of it.
     carried = np.bincount(con.minima.pair, state.force, minlength=len(con.key))
     heavy = np.maximum(carried, 0.1 * mu * np.isin(con.key, task.keys))
     value = barrier(state.placed, con, task, mu, reach)
     felt = (con.count > 0) | (heavy > 0.0)  # pairs without contact stay out of the pattern
-    pattern = Pattern.of(con, felt, task.free)
+    pattern = Pattern.of(con, felt, task.free, task.tie)
     return Linear(G, stiff, K, pattern, soft, np.where(task.free, rhs, 0.0), held, heavy, value, mu, far > 0.0)
 
 
@@ -106,7 +109,7 @@ def _solver(con: Touching, line: Linear, factorize: Factorizer, work: Work, n: i
     work.factors += 1
     if not callable(factor):
         work.failed += 1
-        _convexify(con, line, line.pattern.free[factor] // BLOCK, work, n)
+        _convexify(con, line, line.pattern.rings(factor), work, n)
         return None, push
     work.last = Factored(line.pattern.solver(factor), con, line.G, work, n)
     return work.last.solve, push

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from rve.common.types import Array
 from rve.finite.touching import Index, Placed, Touching
@@ -22,28 +23,17 @@ SENTENCES = {
 class FiniteOptions:
     """Options of `FiniteMesh.solve`; lengths in units of r1, forces in units of the mean force on a link.
 
-    tolerance: of the Karush-Kuhn-Tucker residual. mu_start, mu_end: first and last product of force and gap; shrink,
-    power: mu falls to the lesser of shrink mu and mu^power, once the decrement of Newton's method is below calm mu per
-    ring. After `patience` iterations in which the decrement did not fall by 30 % it is multiplied by `lift`, at most
-    `retries` times before `stalled`.
-    reach: gap beyond which a contact has no force. step: largest way of a held ring in one iteration.
-    method: "cholmod", "superlu", or "auto" for the first that is installed.
+    tolerance: of the Karush-Kuhn-Tucker residual. patience: iterations in which the decrement of Newton's method did
+    not fall by 30 % after which mu, the product of force and gap, is lifted, at most `retries` times before `stalled`.
+    reach: gap beyond which a contact has no force.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
 
     tolerance: float = 1e-8
-    mu_start: float = 0.1
-    mu_end: float = 1e-9
-    shrink: float = 0.3
-    power: float = 1.15
-    calm: float = 0.5
     patience: int = 8
-    lift: float = 30.0
     retries: int = 20
     reach: float = 0.6
-    step: float = 3.0
     max_iterations: int = 1000
-    method: str = "auto"
     disturbance: float = 0.01
     seed: int = 0
 
@@ -52,7 +42,8 @@ class FiniteOptions:
 class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
     free coordinates (n, 5); beside: whether points beside soft minima are constraints too; guide (n, 3): places that
-    pull at the centres while mu is large, nan where none does."""
+    pull at the centres while mu is large, nan where none does; tie (k, u): the free coordinates of the u that rings on
+    straight bars leave, None without bars."""
 
     linked: Index
     wire: float
@@ -62,6 +53,7 @@ class Task:
     free: NDArray[np.bool_]
     beside: bool = True
     guide: Array | None = None
+    tie: sparse.csr_matrix | None = None
 
     @property
     def keys(self) -> Index:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rve.common.types import Array
 from rve.finite.equations import spread
 from rve.finite.iterate import Linear, State, Step, Work, barrier
+from rve.finite.passage import is_passage_safe
 from rve.finite.records import FiniteOptions, Task
 from rve.finite.touching import (
     Index,
@@ -21,7 +22,6 @@ from rve.finite.touching import (
     Touching,
     find_touching,
     followed_gaps,
-    is_passage_safe,
     links_intact,
     of_pairs,
 )

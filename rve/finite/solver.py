@@ -27,6 +27,14 @@ from rve.finite.records import FiniteOptions, Found, Record, Task
 from rve.finite.search import searched
 from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
 
+_FIRST, _LAST = 0.1, 1e-9
+"""First and last mu, the product of force and gap."""
+_SHRINK, _POWER = 0.3, 1.15
+"""mu falls to the lesser of _SHRINK mu and mu^_POWER."""
+_CALM = 0.5
+"""It falls once the decrement of Newton's method is below this part of mu per ring."""
+_LIFT = 30.0
+"""Factor on mu where the iterates do not settle at it."""
 _TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
 
@@ -34,23 +42,38 @@ _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
 
 
+_PARTS = (1, 8)
+"""In how many parts held rings are moved: all at once closes gaps for good from some starts (1 of 100 at random)."""
+
+
 def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
-    factorize = Factorizer(options.method)
+    for parts in _PARTS:
+        found = _solve(task, start, options, parts)
+        if found.status != "out-of-reach":
+            break
+    return found
+
+
+def _solve(task: Task, start: Placed, options: FiniteOptions, parts: int) -> Found:
+    """The equilibrium, held rings moved in so many parts, each once the rings are calm."""
+    whole, part = task.at, 1
+    task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
+    factorize = Factorizer()
     touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
-    force = central(touching.gap, options.mu_start, options.reach)
+    force = central(touching.gap, _FIRST, options.reach)
     none = np.zeros(len(touching.key))
-    state = State(start, touching, force, options.mu_start, 1e-3, none, none)
+    state = State(start, touching, force, _FIRST, 1e-3, none, none)
     history: list[Record] = []
     least, finest = np.inf, state
-    pace, status, is_minimum, near = Pace(float(options.patience)), "iterations", False, options
+    pace, status, is_minimum, near = Patience(float(options.patience)), "iterations", False, options
     for _ in range(options.max_iterations):
-        share = way(options.mu_start, state.mu, options.mu_end)
+        share = way(_FIRST, state.mu, _LAST)
         tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {state.mu:.0e}", share)
         G = gradients(state.placed, state.touching)
         residual, product = kkt(state.touching, G, state.force, task)
         merit, has_arrived = max(residual, product), _way_to_go(state, task) < 1e-12
-        is_last = state.mu <= options.mu_end
+        is_last = state.mu <= _LAST
         if has_arrived and is_last and merit < options.tolerance and is_minimum:
             status = "converged"
             break
@@ -58,6 +81,10 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
             least, finest = merit, state
         pace = pace.after(merit, history[-1].decrement if history else -1.0)
         is_calm = not is_last and _is_calm(history, state, options)
+        if has_arrived and is_calm and part < parts:
+            part += 1
+            task = replace(task, at=start.x + (whole - start.x) * part / parts)
+            pace, has_arrived = Patience(float(options.patience)), False
         if has_arrived and (is_calm or pace.is_over(options, is_last)):
             if not is_calm and pace.lifts == options.retries:
                 status = "stalled"
@@ -77,7 +104,7 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
 
 
 @dataclass(frozen=True)
-class Pace:
+class Patience:
     """How many iterations in a row the residual has not fallen at this mu, and how many the Newton decrement."""
 
     patience: float
@@ -87,7 +114,7 @@ class Pace:
     slow: int = -1
     least: float = np.inf
 
-    def after(self, merit: float, decrement: float) -> Pace:
+    def after(self, merit: float, decrement: float) -> Patience:
         """The pace after one more iterate; decrement of the step that led to it, negative where there is none."""
         is_better, is_nearer = merit < 0.9 * self.best, self.slow >= 0 and 0.0 <= decrement < 0.7 * self.least
         return replace(
@@ -98,9 +125,9 @@ class Pace:
             least=decrement if is_nearer else self.least,
         )
 
-    def at_next(self, is_calm: bool) -> Pace:
+    def at_next(self, is_calm: bool) -> Patience:
         """The pace at another mu; a lift costs iterations, so that the next one is longer in coming."""
-        return Pace(self.patience if is_calm else min(1.5 * self.patience, 100.0), self.lifts + (not is_calm))
+        return Patience(self.patience if is_calm else min(1.5 * self.patience, 100.0), self.lifts + (not is_calm))
 
     def is_over(self, options: FiniteOptions, is_last: bool) -> bool:
         """Whether mu is to be lifted; the last one only where the residual does not fall."""
@@ -118,10 +145,7 @@ def _at_next_mu(state: State, task: Task, options: FiniteOptions, is_calm: bool)
     The smaller mu, the nearer are the contacts that count. Where a fold runs through the mesh at a small mu, every ring
     that it meets shortens the steps; at a higher one it passes in a few.
     """
-    if is_calm:
-        mu = max(options.mu_end, min(options.shrink * state.mu, state.mu**options.power))
-    else:
-        mu = min(options.mu_start, options.lift * state.mu)
+    mu = max(_LAST, min(_SHRINK * state.mu, state.mu**_POWER)) if is_calm else min(_FIRST, _LIFT * state.mu)
     near = replace(options, reach=min(options.reach, next(part for least, part in _NEARER if mu >= least)))
     return _found_again(replace(state, mu=mu), task, near.reach), near
 
@@ -139,7 +163,8 @@ def kkt(touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, 
     """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
     out = spread(touching, G, force, len(task.force))
     out[:, :3] += task.force
-    unbalanced = np.abs(np.where(task.free, out, 0.0)).sum()
+    own = out[task.free]
+    unbalanced = np.abs(own if task.tie is None else task.tie.T @ own).sum()
     return float(unbalanced / np.abs(task.force).sum()), float((force * touching.gap).sum() / len(task.linked))
 
 
@@ -151,7 +176,7 @@ def _is_calm(history: list[Record], state: State, options: FiniteOptions) -> boo
     """Whether the last step of Newton's method at this mu could have gained next to nothing."""
     if not history or history[-1].mu != state.mu:
         return False
-    return 0.0 <= history[-1].decrement < options.calm * state.mu * len(state.placed.x)
+    return 0.0 <= history[-1].decrement < _CALM * state.mu * len(state.placed.x)
 
 
 def _is_stuck(history: list[Record]) -> bool:

@@ -29,6 +29,7 @@ class Pattern:
 
     felt: pairs with a block; free (k,): the free unknowns among 5 n; add: sums blocks of pairs to those of the matrix;
     take: the entries of these by column; indices, indptr: of the compressed columns; diagonal: its entries among them.
+    tie (k, u): the free unknowns of the u that rings on bars leave, None without bars.
     """
 
     felt: Index
@@ -38,9 +39,16 @@ class Pattern:
     indices: Index
     indptr: Index
     diagonal: Index
+    tie: sparse.csr_matrix | None = None
 
     @classmethod
-    def of(cls, touching: Touching, felt: NDArray[np.bool_], free: NDArray[np.bool_]) -> Pattern:
+    def of(
+        cls,
+        touching: Touching,
+        felt: NDArray[np.bool_],
+        free: NDArray[np.bool_],
+        tie: sparse.csr_matrix | None = None,
+    ) -> Pattern:
         """The pattern of the pairs that are `felt` (p,), of unknowns `free` (n, 5)."""
         n, rows = len(free), np.flatnonzero(felt)
         a, b = touching.a[rows], touching.b[rows]
@@ -69,15 +77,27 @@ class Pattern:
             indices,
             np.concatenate([[0], np.cumsum(count)]).astype(np.int32),
             np.flatnonzero(indices == columns),
+            tie,
         )
 
     def matrix(self, pairs: Array, soft: Array) -> sparse.csc_matrix:
-        """The symmetric matrix (k, k) of blocks of pairs (p, 7, 7), `soft` (n, 5) added to its diagonal."""
+        """The symmetric matrix (k, k) of blocks of pairs (p, 7, 7), `soft` (n, 5) on its diagonal; ties applied."""
         parts = pairs[self.felt].reshape(-1, PAIR * PAIR)[:, _EXPAND] * _SIGN
         data = (self.add @ parts.reshape(-1, BLOCK * BLOCK)).ravel()[self.take]
         data[self.diagonal] += soft.ravel()[self.free]
         k = len(self.free)
-        return sparse.csc_matrix((data, self.indices, self.indptr), shape=(k, k))
+        full = sparse.csc_matrix((data, self.indices, self.indptr), shape=(k, k))
+        if self.tie is None:
+            return full
+        tied = (self.tie.T @ full @ self.tie).tocsc()
+        tied.sort_indices()
+        return tied
+
+    def rings(self, rows: Index) -> Index:
+        """The rings that rows of the matrix belong to."""
+        if self.tie is not None:
+            rows = self.tie[:, rows].nonzero()[0]
+        return np.asarray(self.free[rows] // BLOCK)
 
     def solver(self, solve: Solve) -> Solve:
         """A function of right-hand sides (n, 5, ...) that solves for the free unknowns; the others are 0."""
@@ -85,7 +105,8 @@ class Pattern:
         def solved(push: Array) -> Array:
             flat = push.reshape(push.shape[0] * BLOCK, *push.shape[2:])
             out = np.zeros(flat.shape)
-            out[self.free] = solve(flat[self.free])
+            right = flat[self.free]
+            out[self.free] = solve(right) if self.tie is None else self.tie @ solve(self.tie.T @ right)
             return out.reshape(push.shape)
 
         return solved

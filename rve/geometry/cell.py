@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rve.common.errors import InputError
-from rve.common.materials import STEEL, Material
+from rve.common.materials import STEEL, Material, named_material
 from rve.common.notebook import as_html
 from rve.common.rings import (
     LEAST_KG_PER_MM3,
@@ -24,11 +24,11 @@ from rve.geometry.weave import FOUR_IN_ONE, Weave
 class Cell:
     """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
 
+    `material` may be a name.
     `density` follows the material, or the material follows a density other than that of steel. Raises InputError for
     radii that are not positive numbers, for wire too thick for the weave, and for two different densities.
 
-    >>> from rve.common.materials import named_material
-    >>> Cell(material=named_material("steel 1.4404")).density, Cell(density=8e-6).material.density_kg_per_mm3
+    >>> Cell(material="steel 1.4404").density, Cell(density=8e-6).material.density_kg_per_mm3
     (8e-06, 8e-06)
     """
 
@@ -37,9 +37,11 @@ class Cell:
     weave: Weave = FOUR_IN_ONE
     grain: str = "y"
     density: float = STEEL_KG_PER_MM3
-    material: Material = STEEL
+    material: Material = STEEL  # or its name, which __post_init__ replaces
 
     def __post_init__(self) -> None:
+        if isinstance(self.material, str):
+            object.__setattr__(self, "material", named_material(self.material))
         for name, value in (("r1", self.r1), ("r2", self.r2), ("density", self.density)):
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{name} = {value}: must be a positive number")

@@ -1,4 +1,4 @@
-"""Contact of two congruent tori: every local minimum of the distance of their centre circles, with two derivatives.
+"""Contact of two congruent tori: every local minimum of the distance of their centre circles.
 
 Ring A has its centre at the origin and unit normal n_a, ring B its centre at d and unit normal n_b; both centre circles
 have radius r1. Points on them are rho_a and d + rho_b, w = d + rho_b - rho_a joins them, D = |w|, and u = w / D is the
@@ -127,14 +127,14 @@ def _polish(
     pair: Index,
     angle: Array,
     width: float | Array,
-    d: Array,
-    n_a: Array,
-    n_b: Array,
+    circles: tuple[Array, Array, Array],
     r1: float,
     shift: float | Array = 0.0,
 ) -> tuple[Array, Minima]:
-    """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima."""
-    d, n_a, n_b = d[pair], n_a[pair], n_b[pair]
+    """Newton on the slope from angle + shift, kept in the bracket angle +- width by bisection; angles and minima.
+
+    circles: d, n_a, n_b (n, 3) of all pairs."""
+    d, n_a, n_b = (of[pair] for of in circles)
     e1, e2 = tangent_frame(n_a)
     angle, low, high = angle + shift, angle - width, angle + width
     # Rows at rest leave, so that none depends on the company it is polished in; most need five rounds, a few thirty.
@@ -212,7 +212,7 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     # The vertex of the parabola through three samples; a lonely sample may be no minimum and keeps its angle.
     vertex = np.where(bend > 0.0, -0.5 * (rise[pair, column] + fall[pair, column]) / np.maximum(bend, 1e-300), 0.0)
     centre, shift = step * column.astype(np.float64), step * np.clip(vertex, -0.5, 0.5)
-    angle, found = _polish(pair, centre, step, d, n_a, n_b, r1, shift)
+    angle, found = _polish(pair, centre, step, (d, n_a, n_b), r1, shift)
     near = found.distance <= reach
     soft = near & (found.curvature < _SOFT)
     hidden, place = _shoulders(rise, fall, can_reach, step)
@@ -236,14 +236,14 @@ def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, r1: float, *
     """
     e1, e2 = tangent_frame(n_a[near.pair])
     angle = np.arctan2(dot(near.rho_a, e2), dot(near.rho_a, e1))
-    return _polish(near.pair, angle, width, d, n_a, n_b, r1)[1]
+    return _polish(near.pair, angle, width, (d, n_a, n_b), r1)[1]
 
 
 def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple[Index, Array]:
     """Pairs (k,) and angles (k,) between samples (n, m) where the slope keeps its sign but has its least size.
 
     rise, fall (n, m): differences to the next sample and from the one before. A minimum in a basin narrower than two
-    samples looks like that: one in 700 of random pairs within 0.9 r1 (benchmarks/stability/pairs.py counts what is
+    samples looks like that: one in 700 of random pairs within 0.9 r1 (docs/reports/stability.md counts what is
     missed).
     """
     size = np.abs(rise)
@@ -273,7 +273,7 @@ def _with_twins(
     slope = np.diff(f, axis=1) / width
     row, column = np.nonzero((slope[:, :-1] <= 0.0) & (slope[:, 1:] > 0.0))
     bracket = np.maximum(width[column], width[column + 1])
-    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, d, n_a, n_b, r1)
+    _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, circles, r1)
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
     stable = found.curvature > -_ROUND_OFF
     twins = twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach))
@@ -293,57 +293,3 @@ def _joined(parts: list[Minima], r1: float) -> Minima:
         gap = both.rho_a[back:] - both.rho_a[:-back]
         first[back:] &= ~(same_pair & (dot(gap, gap) < (1e-4 * r1) ** 2))
     return both.take(first)
-
-
-def distance_gradient(m: Minima) -> Array:
-    """Derivative of the distance with respect to (d, theta_a, theta_b), (m, 9), by the envelope theorem.
-
-    theta are rotation vectors of the rings in space: dD = u . dd - (rho_a x u) . dtheta_a + (rho_b x u) . dtheta_b.
-    Units 1 and mm (per radian).
-    """
-    return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
-
-
-def _minus_cross_matrix(a: Array) -> Array:
-    """Matrix of theta -> theta x a, (m, 3, 3)."""
-    out = np.zeros((*a.shape, 3))
-    out[:, 0, 1], out[:, 0, 2] = a[:, 2], -a[:, 1]
-    out[:, 1, 0], out[:, 1, 2] = -a[:, 2], a[:, 0]
-    out[:, 2, 0], out[:, 2, 1] = a[:, 1], -a[:, 0]
-    return out
-
-
-def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags | None = None) -> Array:
-    """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
-
-    n_a, n_b (m, 3) are the normals of the two rings of each minimum. With q = (d, theta) and the two angles phi that
-    place the points, the implicit function theorem gives H = D_qq - D_qphi D_phiphi^-1 D_phiq. A minimum that is about
-    to vanish (det D_phiphi -> 0) has an unbounded H; its determinant is kept above 1e-10 of its scale. Where `fixed`
-    (m,) the point of ring a stays where it is on its ring and only that of ring b slides.
-    """
-    u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
-    eye = np.eye(3)
-    W = np.concatenate(
-        [np.broadcast_to(eye, (len(dist), 3, 3)), -_minus_cross_matrix(ra), _minus_cross_matrix(rb)], axis=2
-    )
-    uW = np.matmul(u[:, None, :], W)
-    D_qq = (np.matmul(W.transpose(0, 2, 1), W) - uW.transpose(0, 2, 1) * uW) / dist[:, None, None]
-    for block, rho, sign in ((slice(3, 6), ra, -1.0), (slice(6, 9), rb, 1.0)):
-        outer = u[:, :, None] * rho[:, None, :]
-        spin = 0.5 * (outer + outer.transpose(0, 2, 1)) - dot(u, rho)[:, None, None] * eye
-        D_qq[:, block, block] += sign * spin
-    ta, tb = cross(n_a, ra), cross(n_b, rb)
-    w_phi = np.stack([-ta, tb], axis=2)  # dw/dphi_a, dw/dphi_b; both normal to u at a minimum
-    D_qp = np.matmul(W.transpose(0, 2, 1), w_phi) / dist[:, None, None]
-    D_qp[:, 3:6, 0] -= cross(ta, u)
-    D_qp[:, 6:9, 1] += cross(tb, u)
-    aa = r1**2 / dist + dot(u, ra)
-    bb = r1**2 / dist - dot(u, rb)
-    ab = -dot(ta, tb) / dist
-    scale = (r1**2 / dist) ** 2
-    det = np.maximum(aa * bb - ab**2, 1e-10 * scale)
-    inverse = np.stack([np.stack([bb, -ab], 1), np.stack([-ab, aa], 1)], 1) / det[:, None, None]
-    if fixed is not None:
-        inverse[fixed] = 0.0
-        inverse[fixed, 1, 1] = 1.0 / np.maximum(bb[fixed], 1e-10 * r1**2 / dist[fixed])
-    return D_qq - np.matmul(np.matmul(D_qp, inverse), D_qp.transpose(0, 2, 1))

@@ -18,7 +18,7 @@ SLOTS = 2  # minima kept per pair of rings, the lowest two: linked rings have no
 
 
 @dataclass(frozen=True)
-class Contacts(Rows):
+class CellContacts(Rows):
     """Contacts of n cases, pair by pair and slot by slot; entries of empty slots have no meaning unless stated.
 
     present (n, p, SLOTS): which slots hold a contact; gap (n, p, SLOTS) in units of r1, inf where empty; distance of
@@ -49,7 +49,7 @@ class Contacts(Rows):
         return self.gap.reshape(len(self.gap), -1).min(axis=1)
 
 
-def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, *, far_pairs: bool = False) -> Contacts:
+def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, *, far_pairs: bool = False) -> CellContacts:
     """Every contact of every case whose gap is below `reach` (in r1), and whether all links are intact.
 
     wire = r2/r1. Pairs too far apart to touch are skipped unless `far_pairs` is set.
@@ -66,7 +66,7 @@ def can_touch(d: Array, limit: float) -> NDArray[np.bool_]:
     return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
 
 
-def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weave, wire: float) -> Contacts:
+def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weave, wire: float) -> CellContacts:
     """Minima in their slots; `geometry`: offset and normals of every pair of every case, each (n * p, 3)."""
     d, na, nb = geometry
     p = len(weave.pairs)
@@ -82,7 +82,7 @@ def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weav
         out[slot] = values
         return out.reshape(n, p, SLOTS, *values.shape[1:])
 
-    return Contacts(
+    return CellContacts(
         slots(np.ones(len(slot), dtype=bool), False),
         slots(found.distance - 2.0 * wire, np.inf),
         slots(found.distance, np.inf),

@@ -7,19 +7,25 @@ rings, v = T(q) u.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from rve.common.records import Index
+from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import Options, choice, flag, number, whole
 from rve.equilibrium.system import Equations
-from rve.geometry.contacts import Contacts
+from rve.geometry.contacts import CellContacts
 from rve.geometry.weave import Weave
+
+MOST = 1e15
+"""Largest value of an option: products of two stay finite."""
+Positive = Annotated[float, Meta(gt=0.0, le=MOST)]
 
 
 @dataclass(frozen=True)
-class StewartTrinkleOptions(Options):
+class StewartTrinkleOptions(Typed):
     """Parameters of the paper's section 3.1, in mm, kg, s; InputError for senseless values.
 
     Two are calibrated, see docs/explanation/paper_scheme.md: `rotational_damping` (the paper prints 0.1 kgm/s) and
@@ -33,27 +39,24 @@ class StewartTrinkleOptions(Options):
     reach: contacts with a larger gap in r1 are ignored.
     largest_move: largest displacement (r1) and rotation (rad) of a ring per step, so that rings do not pass through
     each other.
-    contacts: "newton" finds all local minima, "projection" those that two alternating projections per pair of rings end
-    in.
     curvature: the step holds the curvature of its contacts (`geometric_stiffness`) beside their linearised gaps.
     Without it, as eq. (6) is printed, some cases chatter between merging minima and end with the status "time-step".
     """
 
-    r1_mm: float = number(5.0, above=0.0)
-    density: float = number(7.85e-6, above=0.0)
-    damping: float = number(1.0, above=0.0)
-    rotational_damping: float = number(100.0, above=0.0)
-    stiffness: float = number(1e6, above=0.0)
-    load: float = number(2.5, above=0.0)
-    h_max: float = number(1.0, above=0.0)
-    h_min: float = number(1e-9, above=0.0)
-    tolerance: float = number(1e-9, above=0.0)
-    max_steps: int = whole(20000, least=1, most=1_000_000_000)
-    restore: float = number(2.0, least=1.0)
-    reach: float = number(0.2, above=0.0)
-    largest_move: float = number(0.4, above=0.0)
-    contacts: str = choice("newton", "projection", default="newton")
-    curvature: bool = flag(True)
+    r1_mm: Positive = 5.0
+    density: Positive = 7.85e-6
+    damping: Positive = 1.0
+    rotational_damping: Positive = 100.0
+    stiffness: Positive = 1e6
+    load: Positive = 2.5
+    h_max: Positive = 1.0
+    h_min: Positive = 1e-9
+    tolerance: Positive = 1e-9
+    max_steps: Annotated[int, Meta(ge=1, le=1_000_000_000)] = 20000
+    restore: Annotated[float, Meta(ge=1.0, le=MOST)] = 2.0
+    reach: Positive = 0.2
+    largest_move: Positive = 0.4
+    curvature: bool = True
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ def copies(weave: Weave) -> Index:
     )
 
 
-def contact_energy(contacts: Contacts, stiffness: Array) -> Array:
+def contact_energy(contacts: CellContacts, stiffness: Array) -> Array:
     """Elastic energy of the penetrating contacts, (n,)."""
     pressed = np.where(contacts.present, np.minimum(contacts.gap, 0.0), 0.0)
     return 0.5 * (stiffness[:, None] * pressed**2).sum(axis=(1, 2))

@@ -5,15 +5,14 @@ the velocity at its end: inertia, damping, the line load at its beginning and co
 there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
 numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
 in M (T u - v). Gyroscopic torques w x I w vanish and are left out: frictionless contacts never spin a torus about its
-own axis, and about its diameters all moments of inertia are equal. `benchmarks/ten_rings.py` is the reference form with
-every constraint written out.
+own axis, and about its diameters all moments of inertia are equal. `tests/test_rve/ten_rings.py` is the reference form
+with every constraint written out.
 
 Options, units and matrices are in `rve.paper.dynamics`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,14 +22,12 @@ from numpy.typing import NDArray
 from rve.common.progress import tell, way
 from rve.common.records import Flags, Index, Rows
 from rve.common.types import Array
-from rve.equilibrium.contact_qp import ContactStep, Programme, solve_contact_step
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.system import Equations, lattice_load
-from rve.geometry.circles import distance_gradient, distance_hessian
-from rve.geometry.contacts import Contacts, find_contacts
+from rve.geometry.contacts import CellContacts, find_contacts
+from rve.geometry.distance import distance_gradient, distance_hessian
 from rve.geometry.pose import Pose, moved, reduction, ring_normals, start_pose
-from rve.geometry.weave import Weave
-from rve.paper.alternating_projection import find_contacts_by_projection
+from rve.paper.contact_qp import ContactStep, Programme, solve_contact_step
 from rve.paper.dynamics import (
     Dynamics,
     StewartTrinkleOptions,
@@ -45,11 +42,9 @@ ROUND_OFF = 1e-13
 NO_STEP = 1e300
 """R before the first step."""
 
-Finder = Callable[[Pose, Weave, float, float], Contacts]
-
 
 @dataclass(frozen=True)
-class Motion(Rows):
+class CellMotion(Rows):
     """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts and their forces lam in the
     last step, ring velocities v (n, m_full) in r1/s and rad/s, next time step h, time, accepted and rejected steps, R
     of the last step.
@@ -58,7 +53,7 @@ class Motion(Rows):
     row: Index
     s: Array
     pose: Pose
-    contacts: Contacts
+    contacts: CellContacts
     lam: Array
     v: Array
     h: Array
@@ -96,7 +91,7 @@ class Settled(Rows):
     """
 
     pose: Pose
-    contacts: Contacts
+    contacts: CellContacts
     lam: Array
     R: Array
     steps: Index
@@ -106,12 +101,7 @@ class Settled(Rows):
     history: History | None = None
 
 
-def finder_of(options: StewartTrinkleOptions) -> Finder:
-    """The contact search that the options name."""
-    return find_contacts if options.contacts == "newton" else find_contacts_by_projection
-
-
-def gap_gradients(pose: Pose, contacts: Contacts, equations: Equations) -> Array:
+def gap_gradients(pose: Pose, contacts: CellContacts, equations: Equations) -> Array:
     """Derivative of every gap with respect to the reduced coordinates, (n, p * SLOTS, m); 0 in empty slots."""
     minima = contacts.minima
     case, pair = np.divmod(minima.pair, len(equations.weave.pairs))
@@ -137,7 +127,7 @@ class _Frozen(Rows):
     bend: Array
 
 
-def geometric_stiffness(pose: Pose, contacts: Contacts, equations: Equations, stiffness: Array) -> Array:
+def geometric_stiffness(pose: Pose, contacts: CellContacts, equations: Equations, stiffness: Array) -> Array:
     """Positive part of the contact curvature -sum lam d2gap/dq2 with the elastic forces of the pose, (n, m, m).
 
     It grows without bound where two minima merge: there the contact point runs along the ring and the linearised gap
@@ -160,7 +150,7 @@ def geometric_stiffness(pose: Pose, contacts: Contacts, equations: Equations, st
     return np.matmul(root, root.transpose(0, 2, 1))
 
 
-def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics, curvature: bool) -> _Frozen:
+def _freeze(motion: CellMotion, equations: Equations, dynamics: Dynamics, curvature: bool) -> _Frozen:
     con = motion.contacts
     n = len(con.gap)
     slots = con.present.reshape(n, -1)
@@ -175,7 +165,7 @@ def _freeze(motion: Motion, equations: Equations, dynamics: Dynamics, curvature:
     return _Frozen(T, gap_gradients(motion.pose, con, equations), load, gap, k, total, bend)
 
 
-def _trial(motion: Motion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tuple[ContactStep, Array]:
+def _trial(motion: CellMotion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tuple[ContactStep, Array]:
     """The solved quadratic programme of a step of length h (n,), and the ring velocities at its end."""
     T, Tt = frozen.T, frozen.T.transpose(0, 2, 1)
     hh = h[:, None, None]
@@ -188,8 +178,8 @@ def _trial(motion: Motion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tup
 
 
 def advanced(
-    motion: Motion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
-) -> tuple[Motion, Array, Array]:
+    motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
+) -> tuple[CellMotion, Array, Array]:
     """One accepted step of every case: the motion, the step lengths, and the rise of the energy.
 
     The step is halved until contact and kinetic energy, less the work of the load of the step on the displacement of
@@ -213,12 +203,17 @@ def advanced(
 
 
 def _tried(
-    motion: Motion, start: _Frozen, h: Array, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
-) -> tuple[Motion, Array, Flags]:
+    motion: CellMotion,
+    start: _Frozen,
+    h: Array,
+    equations: Equations,
+    options: StewartTrinkleOptions,
+    dynamics: Dynamics,
+) -> tuple[CellMotion, Array, Flags]:
     """The motion after a step of length h (n,), the change of its energy, and whether the step may be accepted."""
     step, v = _trial(motion, start, h, dynamics)
     pose = moved(motion.pose, step.w)
-    contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
+    contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     way = np.concatenate([pose.a1 - motion.pose.a1, pose.a2 - motion.pose.a2], axis=1)
     work = (start.load * way).sum(axis=1)
     total = contact_energy(contacts, dynamics.stiffness) + kinetic_energy(v, dynamics)
@@ -229,15 +224,15 @@ def _tried(
     return replace(motion, pose=pose, contacts=contacts, lam=lam, v=v, R=R), change, good
 
 
-def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Motion:
+def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> CellMotion:
     """All cases at rest in the slack pose of the weave, under line loads s (n, 3) of any size."""
     n = len(s)
     pose = start_pose(equations.weave, n)
-    contacts = finder_of(options)(pose, equations.weave, equations.wire, options.reach)
+    contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     zero, none = np.zeros(n), np.zeros(n, dtype=int)
     v, lam = np.zeros((n, len(equations.mass))), np.zeros(contacts.gap.shape)
     h, R = np.full(n, options.h_max), np.full(n, NO_STEP)
-    return Motion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R)
+    return CellMotion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R)
 
 
 def solve(
@@ -256,7 +251,7 @@ def solve(
     """
     options = options or StewartTrinkleOptions()
     dynamics, motion = Dynamics.of(equations, options), begin(s, equations, options)
-    ended: list[Motion] = []
+    ended: list[CellMotion] = []
     log: list[tuple[Any, ...]] = []
     while len(motion.row):
         # The residual falls by powers of ten on the way to rest, and the slowest case counts.
@@ -278,7 +273,7 @@ def solve(
     return Settled(*columns, History(*map(np.concatenate, zip(*log, strict=True))) if history else None)
 
 
-def follow_motion(s: Array, equations: Equations, options: StewartTrinkleOptions | None = None) -> list[Motion]:
+def follow_motion(s: Array, equations: Equations, options: StewartTrinkleOptions | None = None) -> list[CellMotion]:
     """The motion of one case under the Cauchy line load s (1, 3): its start, then every accepted step.
 
     The last has R below the tolerance if the rings have come to rest within the steps that the options allow.

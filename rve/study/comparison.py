@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rve.common.errors import require
-from rve.common.storage.files import versions, write_text
-from rve.common.storage.jobs import check_out_job, job
+from rve.common.files import check_out_job, job, versions, write_text
 from rve.common.types import Array
 from rve.directions import grid
 from rve.paper.dynamics import StewartTrinkleOptions
@@ -128,10 +127,10 @@ def run(
     options: StewartTrinkleOptions | None = None,
 ) -> Study:
     """Solve the study and write it into `out_dir`, which is made if need be: cases.csv, history_*.csv, comparison.md,
-    study.json and the pictures fig_09.png to fig_17.png and contacts_missed.png. Returns what was solved.
+    study.json and the pictures fig_09.png to fig_17.png. Returns what was solved.
 
     Without angles these are the paper's 190 cases: about two minutes on one core.
-    All files appear together, and what they replace is gone (`rve.common.storage`). InputError when matplotlib is
+    All files appear together, and what they replace is gone (`rve.common.files`). InputError when matplotlib is
     missing or the folder cannot be made or written, before anything is solved.
     """
     require("matplotlib", "plots", "the study")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, shade, viridis
 from rve.common.progress import tell
-from rve.geometry.circles import are_linked, local_minima
-from rve.paper.alternating_projection import alternating_projection
-from rve.plots import draw_case, figure, save
+from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.study.cases import Study, history_strain, side_contact_times
 
@@ -20,16 +19,12 @@ if TYPE_CHECKING:
 
 
 NAMES = ("E11", "E12", "E22")
-COLOURS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
-LIGHTEST = 0.88
-"""Lines and marks on white do without the lightest part of the map viridis."""
+COLOURS = (BLUE, VERMILION, GREEN)
 
 
 def load_cases(study: Study) -> Figure:
     """Fig. 9: angles of the cases, and their line loads in space."""
-    fig, _ = figure(9.5, 4.5, ncols=2)
-    fig.clear()
+    fig = new_figure(9.5, 4.5)
     plane, space = fig.add_subplot(1, 2, 1), fig.add_subplot(1, 2, 2, projection="3d")
     plane.plot(study.beta_deg, study.alpha_deg, "o", ms=4, color=COLOURS[0])
     plane.set(xlabel="ratio angle beta, degrees", ylabel="principal angle alpha, degrees")
@@ -39,7 +34,7 @@ def load_cases(study: Study) -> Figure:
 
 
 def _loads_in_space(ax: Any, study: Study) -> None:
-    marks = ax.scatter(*study.s[:, [0, 1, 2]].T, c=study.beta_deg, cmap=_shades(), s=14, depthshade=False)
+    marks = ax.scatter(*study.s[:, [0, 1, 2]].T, c=study.beta_deg, cmap=viridis(), s=14, depthshade=False)
     _in_space(ax, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat"))
     ax.figure.colorbar(marks, ax=ax, shrink=0.6, pad=0.12, label="beta, degrees")
 
@@ -52,31 +47,23 @@ def _in_space(ax: Any, names: tuple[str, str, str]) -> None:
     ax.xaxis.labelpad = ax.yaxis.labelpad = ax.zaxis.labelpad = 8.0
 
 
-def _shades() -> Any:
-    """The map viridis without its lightest part."""
-    import matplotlib
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, LIGHTEST, 256)))
-
-
-def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Figure:
+def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Any:
     """Figs. 10 to 12: the locked cell under a load, which is solved if the study does not have it."""
     case = study.case(alpha_deg, beta_deg)
     if case is not None:
-        return draw_case(study.table, case)
-    return draw_case(solve_table(study.cell, ([alpha_deg], [beta_deg])))
+        return draw_case(study.table, case).figure
+    return draw_case(solve_table(study.cell, ([alpha_deg], [beta_deg]))).figure
 
 
 def strains(study: Study) -> Figure:
     """Fig. 13: strain components against beta for each alpha; lines the direct solver, marks the paper's scheme."""
-    fig, axes = figure(12.0, 4.6, ncols=3)
-    shades = _shades()
+    fig = new_figure(12.0, 4.6)
+    axes = fig.subplots(1, 3)
     values = np.unique(study.alpha_deg)
     for k, ax in enumerate(axes):
         for alpha in values:
             rows = np.flatnonzero(study.alpha_deg == alpha)
-            colour = shades(alpha / max(values.max(), 1.0))
+            colour = shade(alpha / max(values.max(), 1.0))
             ax.plot(study.beta_deg[rows], study.table.E[rows, k], "-", color=colour, lw=1.0, label=f"{alpha:g}")
             ax.plot(study.beta_deg[rows], study.E[rows, k], "o", color=colour, ms=3, mfc="none")
         free = ~study.table.unique
@@ -91,8 +78,7 @@ def strains(study: Study) -> Figure:
 
 def surface(study: Study) -> Figure:
     """Fig. 14: line loads, and the convex surface of locked strains."""
-    fig, _ = figure(10.5, 5.0, ncols=2)
-    fig.clear()
+    fig = new_figure(10.5, 5.0)
     left, right = (fig.add_subplot(1, 2, k, projection="3d") for k in (1, 2))
     _loads_in_space(left, study)
     E = study.table.E
@@ -101,7 +87,7 @@ def surface(study: Study) -> Figure:
         sheet = E.reshape(len(alphas), len(betas), 3)
         for sign in (1.0, -1.0):  # the weave is symmetric: alpha -> -alpha mirrors the shear
             right.plot_surface(sheet[..., 0], sign * sheet[..., 1], sheet[..., 2], color=COLOURS[0], alpha=0.35, lw=0.3)
-    right.scatter(*study.E.T, c=study.beta_deg, cmap=_shades(), s=10, depthshade=False)
+    right.scatter(*study.E.T, c=study.beta_deg, cmap=viridis(), s=10, depthshade=False)
     _in_space(right, ("E11", "E12", "E22"))
     fig.suptitle("line loads and locked strains; the mirrored half (-alpha) is drawn as a surface only", fontsize=11)
     return fig
@@ -109,7 +95,7 @@ def surface(study: Study) -> Figure:
 
 def steps(study: Study) -> Figure:
     """Fig. 15: accepted steps of each case."""
-    fig, ax = figure(8.0, 4.2)
+    ax = new_axes(8.0, 4.2)
     number = np.arange(1, len(study.s) + 1)
     for name, mark, colour in (("converged", "o", COLOURS[0]), ("", "x", "black")):
         rows = (study.rest.status == "converged") == bool(name)
@@ -119,18 +105,18 @@ def steps(study: Study) -> Figure:
     ax.axhspan(150, 300, color="0.88", zorder=0, label="most cases of the paper")
     ax.set(xlabel="load case (beta runs fastest)", ylabel="accepted steps n")
     ax.legend(fontsize=10)
-    return fig
+    return ax.figure
 
 
 def clock(study: Study) -> Figure:
     """Fig. 16: cumulated time against steps."""
-    fig, ax = figure(6.4, 4.6)
-    marks = ax.scatter(study.rest.steps, study.rest.time, c=study.beta_deg, cmap=_shades(), s=22)
+    ax = new_axes(6.4, 4.6)
+    marks = ax.scatter(study.rest.steps, study.rest.time, c=study.beta_deg, cmap=viridis(), s=22)
     ax.axhspan(45.0, 60.0, color="0.88", zorder=0)
     ax.set(xscale="log", yscale="log", xlabel="accepted steps n", ylabel="cumulated time, s")
     ax.set_title("grey: accumulation of cases in the paper, 45 to 60 s", fontsize=11)
-    fig.colorbar(marks, label="beta, degrees")
-    return fig
+    ax.figure.colorbar(marks, ax=ax, label="beta, degrees")
+    return ax.figure
 
 
 def progress_of_two(study: Study) -> Figure | None:
@@ -139,7 +125,8 @@ def progress_of_two(study: Study) -> Figure | None:
     known = [(pair, case) for pair, case in cases if case is not None]
     if not known:
         return None
-    fig, axes = figure(5.2 * len(known), 6.4, nrows=2, ncols=len(known), squeeze=False, sharex="col")
+    fig = new_figure(5.2 * len(known), 6.4)
+    axes = fig.subplots(2, len(known), squeeze=False, sharex="col")
     for column, (pair, case) in enumerate(known):
         h = study.history
         rows = np.flatnonzero(h.case == case)
@@ -165,37 +152,6 @@ def progress_of_two(study: Study) -> Figure | None:
     return fig
 
 
-def missed_contacts(tilt_deg: float = 34.0, size: int = 121) -> Figure:
-    """Where alternating projection misses minima: two linked rings tilted by +-`tilt_deg` about x, over their offset.
-
-    Colour: minima found by Newton's method on all sampled minima less those that projections from one start (left), and
-    from two starts (right), end in.
-    """
-    x = np.linspace(-1.9, 1.9, size)
-    dx, dy = (part.ravel() for part in np.meshgrid(x, x))
-    d = np.stack([dx, dy, 0.0 * dx], axis=1)
-    tilt = np.radians(tilt_deg)
-    n_a = np.tile([0.0, np.sin(tilt), np.cos(tilt)], (len(d), 1))
-    n_b = np.tile([0.0, -np.sin(tilt), np.cos(tilt)], (len(d), 1))
-    count = np.bincount(local_minima(d, n_a, n_b, 1.0).pair, minlength=len(d))
-    linked = are_linked(d, n_a, n_b, 1.0)
-    ends = [alternating_projection(d, n_a, n_b, sign * d) for sign in (1.0, -1.0)]
-    both = 1 + (np.linalg.norm(ends[0].rho_a - ends[1].rho_a, axis=1) > 1e-4)
-    fig, axes = figure(10.5, 4.6, ncols=2, sharey=True)
-    for ax, found, title in ((axes[0], 1, "one start"), (axes[1], both, "two starts")):
-        missing = np.where(linked, count - found, np.nan).reshape(size, size)
-        picture = ax.pcolormesh(x, x, missing, cmap="coolwarm", vmin=-1.0, vmax=1.0, shading="nearest", rasterized=True)
-        share = np.nanmean(missing > 0.0) / np.mean(linked)
-        ax.set(
-            xlabel="offset of the rings along x, r1", title=f"{title}: misses a contact in {share:.0%} of linked pairs"
-        )
-        ax.set_aspect("equal")
-    axes[0].set_ylabel("offset of the rings along y, r1")
-    fig.suptitle("alternating projection started towards the other ring, and away from it", fontsize=11)
-    fig.colorbar(picture, ax=axes, label="contacts missed (blue: one counted twice)", ticks=[-1, 0, 1])
-    return fig
-
-
 def draw_all(study: Study, folder: Path) -> None:
     """Draw every picture of the study into a folder."""
     pictures: dict[str, Callable[[], Figure | None]] = {
@@ -208,10 +164,9 @@ def draw_all(study: Study, folder: Path) -> None:
         "fig_15": lambda: steps(study),
         "fig_16": lambda: clock(study),
         "fig_17": lambda: progress_of_two(study),
-        "contacts_missed": missed_contacts,
     }
     for number, (name, draw) in enumerate(pictures.items()):
         tell(f"drawing, {name}.png", number / len(pictures))
         fig = draw()
         if fig is not None:
-            save(fig, folder / f"{name}.png")
+            save_figure(folder / f"{name}.png", fig)

@@ -57,7 +57,7 @@ def test_errors_fall_with_the_rows_and_stay_inside_the_bounds(unseen, coarse):
     for row in (wide, close):
         assert row[H_MOST] < row["outer less inner bound"]  # truth and law lie between the same two bounds
         assert 0.0 <= row[ABOVE] <= 1.0
-    assert spacing_table([wide, close]).rows[1][1] == len(finer)
+    assert spacing_table([wide, close]).rows[1][1] == f"{len(finer):,}"
 
 
 def test_a_law_is_right_where_it_was_fitted_and_a_wrong_one_is_seen(coarse):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.fitting.rows import Rows
+from homogenize.fitting.rows import LockedRows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, from_disc, trace
 
 
@@ -32,12 +32,12 @@ def disc_grid(rings, spokes):
 def rows_of(truth, S):
     S = S / trace(S)[:, None]
     E = truth.strain(S)
-    return Rows(S, E, double_dot(S, E), np.ones(len(S), bool), np.arange(len(S)))
+    return LockedRows(S, E, double_dot(S, E), np.ones(len(S), bool), np.arange(len(S)))
 
 
 def table_of(S, E, *, status=None, unique=None, provenance=None):
     """A table in memory with the given loads and strains; angles are those of the load on the undeformed cell."""
-    from rve.table import StrainTable
+    from rve.table import RowQuality, StrainTable
 
     n = len(S)
     alpha = np.degrees(0.5 * np.arctan2(2.0 * S[:, 1], S[:, 0] - S[:, 2]))
@@ -51,12 +51,9 @@ def table_of(S, E, *, status=None, unique=None, provenance=None):
         S,
         np.zeros((n, 2)),
         np.zeros((n, 2)),
-        zeros,
-        zeros,
-        np.zeros(n, int),
         np.ones(n, bool) if unique is None else unique,
         np.full(n, "converged") if status is None else status,
-        np.zeros(n, int),
+        RowQuality(zeros, zeros, np.zeros(n, int), np.zeros(n, int)),
         None,
         {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646069623526} if provenance is None else provenance,
     )

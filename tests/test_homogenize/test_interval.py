@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from homogenize.interval import interval_or_law, law_interval, read_law_interval, rows_with_largest_work
-from homogenize.io import DEFAULT_LAW, save_law
+from homogenize.io import DEFAULT_LAW
 from homogenize.laws.net import diagonal_net
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, from_disc
@@ -63,7 +63,7 @@ def test_files_without_rows_hold_a_law_and_no_interval(tmp_path: Path):
     del record["provenance"]["table_rows"]
     bare, net = tmp_path / "bare.json", tmp_path / "net.json"
     bare.write_text(json.dumps(record))
-    save_law(diagonal_net(), net)
+    diagonal_net().save(net)
     for path in (bare, net):
         assert not hasattr(interval_or_law(path), "inner")
         with pytest.raises(InputError, match="table_rows"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.io import default_law, load_law, save_law
+from homogenize.io import default_law, load_law
 from homogenize.laws.net import diagonal_net, ring_cell, ring_net
 from rve.common.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
 
@@ -80,7 +80,7 @@ def test_response_is_the_gradient_of_its_energy(law):
 
 def test_law_file_keeps_the_law(tmp_path):
     law = default_law()
-    save_law(law, tmp_path / "law.json")
+    law.save(tmp_path / "law.json")
     again = load_law(tmp_path / "law.json")
     assert again.to_dict() == law.to_dict()
     assert again.cell == law.cell

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homogenize.fitting.rows import Rows, normality
+from homogenize.fitting.rows import LockedRows, normality
 from rve.common.tensor import double_dot
 
 
@@ -12,7 +12,7 @@ def two_rows(apart):
     S = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, 0.5]])
     E = np.array([[0.1, 0.0, 0.1], [0.1, 0.0, 0.1]])
     E[1, [0, 2]] += apart
-    return Rows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))
+    return LockedRows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))
 
 
 @pytest.mark.parametrize("apart", [1e-12, 3e-9])

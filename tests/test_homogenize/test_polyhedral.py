@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 from homogenize.fitting.bounds import bounds_of, inner_law, outer_law
 from homogenize.fitting.refine import refined_half_spaces
 from homogenize.fitting.report import random_loads
-from homogenize.io import load_law, save_law
+from homogenize.io import load_law
 from homogenize.laws.polyhedral import MAP_PAYS, polyhedral_law
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
@@ -162,7 +162,7 @@ def test_half_spaces_of_any_size_are_the_same_law(rows):
 
 def test_law_file_keeps_every_digit(rows, tmp_path):
     law = outer_law(rows, ANISOTROPIC)
-    save_law(law, tmp_path / "law.json")
+    law.save(tmp_path / "law.json")
     again = load_law(tmp_path / "law.json")
     E = np.random.default_rng(9).normal(scale=0.5, size=(50, 3))
     assert np.array_equal(again.response(E).S, law.response(E).S)

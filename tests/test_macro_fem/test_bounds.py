@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from homogenize.laws.net import diagonal_net
-from macro_fem.bounds.adapt import levels, marked
+from macro_fem.bounds.adapt import levels, mark
+from macro_fem.bounds.dual_problem import dual_problem
 from macro_fem.bounds.equilibrated import dual_mesh
-from macro_fem.bounds.interval import _near_points, bound, dual_problem
+from macro_fem.bounds.interval import _near_points, bound
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.scene.meshing.mesh import build_mesh, refine
@@ -125,11 +126,11 @@ def test_refinement_follows_the_error(ring_like, scene_tables):
 def test_marking_takes_the_fewest_cells():
     rng = np.random.default_rng(4)
     error = rng.exponential(size=200)
-    chosen = marked(error, 0.6)
+    chosen = mark(error, 0.6)
     assert error[chosen].sum() >= 0.6 * error.sum()
     assert error[chosen].sum() - error[chosen].min() < 0.6 * error.sum()
     assert set(chosen) == set(np.argsort(-error)[: len(chosen)])
-    assert len(marked(np.zeros(3))) == 0
+    assert len(mark(np.zeros(3))) == 0
 
 
 def test_refined_meshes_keep_their_named_edges():

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from macro_fem.bounds import interval as bounds
-from macro_fem.bounds.interval import bound, dual_problem
+from macro_fem.bounds.dual_problem import dual_problem
+from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.problem import gathered_start, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.options import PathOptions
@@ -98,7 +99,7 @@ def spread_cost(solution, force):
     sk = solution.problem.mesh.mesh
     corner = int(np.argmin(np.abs(sk.p).sum(axis=0)))
     edges = [sk.p[:, pair[pair != corner][0]] for pair in sk.facets.T if corner in pair]
-    vertices = solution.problem.law.vertices
+    vertices = solution.problem.law.own.vertices
     green = np.array([[[a, c], [c, b]] for a, c, b in vertices])
     lengths = np.array([np.hypot(*e) for e in edges])
     kappa = [np.sqrt(1.0 + 2.0 * max(e @ E @ e for E in green) / (e @ e)) for e in edges]

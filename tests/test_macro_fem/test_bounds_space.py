@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import macro_fem
 from macro_fem.bounds.adapt import levels
-from macro_fem.bounds.interval import BoundOptions, bound
+from macro_fem.bounds.dual_problem import BoundOptions
+from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from rve import Cell
@@ -189,7 +190,7 @@ def test_what_is_not_convex_has_no_bounds(scene_tables, extra, reason):
 def test_rings_on_demand_work_in_space():
     support = [{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, 90.0, 60.0]}]
     tables = {"curtain": {"width": 100.0, "height": 100.0}, "mesh": {"cells": 6}, "support": support}
-    result = macro_fem.solve(read_scene(tables), rings=Cell(), accuracy=2e-2)
+    result = macro_fem.solve(read_scene(tables), macro_fem.OnDemand(Cell(), 2e-2))
     low, high = result.summary["bounds"]["mean_height_mm"]
     assert result.status == "converged"
     assert low < 90.0 + catenary_mean(100.0, 60.0, 10.0) < high

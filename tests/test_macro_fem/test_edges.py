@@ -8,12 +8,13 @@ from scipy.spatial import cKDTree
 
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_scene
-from macro_fem.output.files import held_length, summarize
+from macro_fem.output.files import summarize
+from macro_fem.output.supports import held_length
+from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, refine
 from macro_fem.scene.meshing.outline import mesh_outline
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import make_problem
 from rve.common.errors import InputError
 
 RISE = np.linspace(100.0, 0.0, 24)  # an even number: the arch has a flat facet at its apex
@@ -192,7 +193,10 @@ def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
     finer = refine(mesh, np.arange(0, mesh.mesh.t.shape[1], 3), scene)
     assert finer.mesh.t.shape[1] > 1.3 * mesh.mesh.t.shape[1]
     assert lengths(finer) == pytest.approx(lengths(mesh))
-    assert len(finer.hooks[0]) == len(mesh.hooks[0]) == round(arc(ROUND[2:]) / 11.0) + 1
+    places = mesh.hooks[0].places.T
+    assert finer.mesh.p[:, finer.hooks[0].nodes] == pytest.approx(places)
+    assert mesh.mesh.p[:, mesh.hooks[0].nodes] == pytest.approx(places)
+    assert len(finer.hooks[0].nodes) == len(mesh.hooks[0].nodes) == round(arc(ROUND[2:]) / 11.0) + 1
 
 
 @pytest.mark.parametrize(

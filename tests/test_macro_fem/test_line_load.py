@@ -7,8 +7,11 @@ import skfem
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import CellInfo
-from macro_fem.curtain import solve_scene
+from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.fem.cells import recovered
 from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
+from macro_fem.problem import make_problem
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 
 AREA = 11.0 * 12.646069623526
@@ -108,3 +111,55 @@ def test_smaller_cells_carry_higher_averages():
     solution = solve(12, {"kind": "corners"})
     values = [largest_mean(solution, CellInfo(5.0, 0.5, b, b, 2.785).b_x_mm ** 2).value for b in (6.0, 12.0, 24.0)]
     assert largest(solution).value > values[0] > 1.2 * values[1] > 1.44 * values[2]
+
+
+def four_in_a_rectangle(mesh):
+    """The four triangles (n, 4) of each rectangle of a crossed mesh, around its middle."""
+    t = mesh.mesh.t
+    middles = np.flatnonzero(np.bincount(t.ravel()) == 4)
+    inner = np.setdiff1d(middles, mesh.mesh.boundary_nodes())
+    cells = np.array([np.flatnonzero((t == k).any(axis=0)) for k in inner])
+    away = mesh.mesh.p[:, t[:, cells]].mean(axis=1) - mesh.mesh.p[:, inner][:, :, None]
+    return np.take_along_axis(cells, np.argsort(np.arctan2(away[1], away[0]), axis=1), axis=1)
+
+
+CHECKERBOARD = np.array([1.0, -1.0, 1.0, -1.0]) / 4.0
+
+
+def crossed(cells):
+    tables = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": cells, "pattern": "crossed"}}
+    scene = read_scene({**tables, "support": {"kind": "corners"}, "solver": {"kind": "rigid"}})
+    return make_problem(scene, default_law(), build_mesh(scene, default_law().cell))
+
+
+def test_an_average_over_neighbours_has_no_checkerboard_and_keeps_what_is_linear():
+    """Any sum of a linear field and of checkerboards, one of its own strength in each rectangle."""
+    problem = crossed(6)
+    mesh, rng = problem.mesh.mesh, np.random.default_rng(2)
+    four = four_in_a_rectangle(problem.mesh)
+    assert len(four) * 4 == mesh.t.shape[1]
+    linear = mesh.p[:, mesh.t].mean(axis=1).T @ [0.3, -0.7] + 2.0
+    board = np.zeros(len(linear))
+    board[four] = 4.0 * CHECKERBOARD
+    is_inner = ~np.isin(mesh.t, mesh.boundary_nodes()).any(axis=0)
+    found = recovered(mesh.t.T, linear + board, problem.disc.cell_area)
+    assert found[is_inner] == pytest.approx(linear[is_inner], rel=1e-12)
+    assert np.abs(recovered(mesh.t.T, board, problem.disc.cell_area)).max() < 1e-12
+    board[four] *= rng.uniform(0.5, 1.5, (len(four), 1))
+    assert np.abs(recovered(mesh.t.T, board, problem.disc.cell_area)[four] @ CHECKERBOARD).max() < 0.05
+
+
+def test_line_loads_of_a_crossed_mesh_have_no_checkerboard():
+    """Its part of the line load, away from the hooks: a third and more in cells, below 0.5 % in what is drawn."""
+    solution = solve_problem(crossed(12))
+    four = four_in_a_rectangle(solution.problem.mesh)
+    middle = solution.problem.mesh.mesh.p[:, solution.problem.mesh.mesh.t[:, four]].mean(axis=(1, 3))
+    four = four[np.hypot(np.minimum(middle[0], 400.0 - middle[0]), 400.0 - middle[1]) > 100.0]
+    cells = np.linalg.svd(solution.problem.disc.cell_mean(solution.P))[1][:, 0]
+    drawn = solution.principal()[0][:, 0]
+
+    def part(values):
+        return np.linalg.norm(values[four] @ CHECKERBOARD) / np.linalg.norm(values[four].mean(axis=1))
+
+    assert part(cells) > 0.33
+    assert part(drawn) < 0.005

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from homogenize.io import default_law
+from macro_fem.problem import gathered_start, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cone_program import first_state, make_program, mean_product, measure
-from macro_fem.solvers.cone_step import moved, search, step_lengths
+from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, mean_product, measure
+from macro_fem.solvers.cone_step import advance, find_step, step_lengths
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
-from macro_fem.solvers.cutting_planes import find, joined, pruned, widened
-from macro_fem.solvers.options import PathOptions, StepOptions
+from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
+from macro_fem.solvers.options import PathOptions
 from rve.common.tensor import double_dot, trace
 
 
@@ -35,8 +35,9 @@ def begun(problem):
     fem = problem.fem
     load, z = fem.gather(problem.force), fem.unknowns(gathered_start(problem))
     total = np.abs(load).sum()
-    program = make_program(fem, load, first_cones(problem.law, len(fem.weight)), 140.0 * total, total, np.zeros((3, 3)))
-    return program, first_state(program, z)
+    cones = first_cones(problem.law, len(fem.weight))
+    program = Program(fem, problem.law, load, cones, compliance_root(np.zeros((3, 3))), 140.0 * total, total)
+    return program, find_first_state(program, z)
 
 
 def on_the_way(problem, rings):
@@ -44,9 +45,9 @@ def on_the_way(problem, rings):
     program, state = begun(problem)
     for _ in range(60):
         now = measure(program, state)
-        step = search(program, state, now, 1e-10)
+        step = find_step(program, state, now, 1e-10)
         E = green_strain(problem.fem.gradient(state.z + step.primal * step.dz))
-        found = find(program, rings, E, now.wanted + step.d_wanted * step.primal)
+        found = find_nearest(program, E, now.wanted + step.d_wanted * step.primal)
         if np.count_nonzero(found.is_missing) > 3:
             return program, state, step, found
         part = 0.5 * step.primal
@@ -86,7 +87,7 @@ def test_what_is_missing_is_what_no_known_half_space_says(problem, rings):
 
 def test_joining_keeps_the_unknowns_and_the_central_path(problem, rings):
     program, state, step, found = on_the_way(problem, rings)
-    into = joined(program, state, found)
+    into = join(program, state, found)
     fresh = into.fresh
     assert np.array_equal(into.program.cones.point[fresh], np.flatnonzero(found.is_missing))
     assert np.array_equal(into.state.z, state.z)
@@ -107,19 +108,19 @@ def test_joining_keeps_the_unknowns_and_the_central_path(problem, rings):
     assert np.abs(product.tail[fresh]).max() < 1e-6 * mu.max()
     # inside the law before the step, so nothing is lifted: the residual of the cones stays what it was
     assert measure(into.program, into.state).outside == pytest.approx(measure(program, state).outside, abs=1e-12)
-    shorter = widened(step, into)
+    shorter = widen(step, into)
     assert shorter.primal < step.primal
     assert min(step_lengths(into.program, into.state, shorter, 1.0)) >= min(shorter.primal, shorter.dual)
     E = green_strain(problem.fem.gradient(state.z + shorter.primal * step.dz))
-    end = find(into.program, rings, E, shorter.d_wanted)
+    end = find_nearest(into.program, E, shorter.d_wanted)
     assert end.violation[found.is_missing].max() < 0.0
 
 
 def test_pruning_leaves_what_carries(problem):
     program, state = begun(problem)
     while (now := measure(program, state)).gap > 0.03:
-        state = moved(state, search(program, state, now, 1e-10))
-    few, left = pruned(program, state)
+        state = advance(state, find_step(program, state, now, 1e-10))
+    few, left = prune(program, state)
     assert len(few.c) < 0.9 * len(program.c)
     assert np.array_equal(np.unique(few.cones.point), np.arange(len(few.cones.first)))
     load = state.y.head * program.c
@@ -136,4 +137,4 @@ def test_the_path_takes_few_steps_though_the_law_has_thousands_of_half_spaces(pr
     assert len(result.cones) < 14 * len(result.cones.first)
     assert law_cut(rings, green_strain(problem.fem.gradient(result.z)))[2].min() > -1e-9
     assert result.evidence.unbalanced < PathOptions.gap
-    assert min(line.gap for line in result.history) > 0.5 * StepOptions.least_gap * PathOptions.gap
+    assert min(line.gap for line in result.history) > 0.5 * PathOptions.least_gap * PathOptions.gap

@@ -1,7 +1,5 @@
 """Floors, walls and bodies against closed forms, balance, virtual work and clarabel; sentences for what cannot be."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,14 +7,14 @@ from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.obstacles import obstacle_forces, pushes_of
+from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.obstacles import OBSTACLES, placed
-from macro_fem.scene.schema import read_scene
-from macro_fem.scene.tables import read_kinds
+from macro_fem.scene.obstacles import Box, Obstacle, placed, with_rounding
+from macro_fem.scene.schema import read_kinds, read_scene
 from macro_fem.shape_loop import ShapeOptions, solve_shape
-from macro_fem.solution import make_problem
 from macro_fem.solvers.walls import Walls, rows_of
 from rve.common.errors import InputError
+from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 
 DENSITY = 2.785 * 9.81e-6
 """Weight of the small scenes, N/mm2."""
@@ -46,7 +44,7 @@ def on_floor(scene_tables, cells, level, **more):
 
 
 @pytest.mark.parametrize("space", [False, True])
-@pytest.mark.parametrize("kind", ["rigid", "clarabel", "elastic"])
+@pytest.mark.parametrize("kind", ["rigid", "elastic"])
 def test_sheet_on_the_floor_hangs_at_its_length_and_the_rest_lies_down(fitted_law, scene_tables, kind, space):
     tables = on_floor(scene_tables, 4, 33.0, solver={"kind": kind, "space": space})
     solution = answer(tables, fitted_law)
@@ -57,8 +55,7 @@ def test_sheet_on_the_floor_hangs_at_its_length_and_the_rest_lies_down(fitted_la
     assert np.abs(solution.x[:, 1] - exact).max() < (2e-3 if kind == "elastic" else 1e-4)
     lying = -problem.force[Y < 33.0, 1].sum()
     assert solution.pushes[:, 1].sum() == pytest.approx(lying, rel=2e-5)  # of which the stabilising tension is 1e-6
-    if kind != "clarabel":
-        assert_balanced(solution)
+    assert_balanced(solution)
 
 
 def test_height_above_the_floor_is_of_second_order(fitted_law, scene_tables):
@@ -88,8 +85,7 @@ def test_clarabel_agrees_on_the_program_with_walls(fitted_law, scene_tables, z):
     tables = scene_tables(mesh={"cells": 4}, support={"kind": "corners", "gather": 0.5}) | {"obstacle": obstacles}
     problem = posed(tables, fitted_law)
     assert problem.fem.d == (3 if z else 2)
-    other = replace(problem, scene=replace(problem.scene, solver=replace(problem.scene.solver, kind="clarabel")))
-    own, oracle = solve_problem(problem), solve_problem(other)
+    own, oracle = solve_problem(problem), curtain_by_clarabel(problem)
     assert own.status == oracle.status == "converged"
     assert_balanced(own)
     assert {0, 1} == set(problem.walls.owner[own.wall_forces > 1e-4 * np.abs(problem.force).sum()])
@@ -295,8 +291,8 @@ def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
         "floor": {"height": 1.0},
         "wall": {"facing": [1.0, 2.0, 2.0], "point": [1.0, 0.0, 0.0]},
     }
-    (item,) = read_kinds({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, OBSTACLES, "obstacle", "scene")
-    assert isinstance(item, OBSTACLES[kind])
+    (item,) = read_kinds({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, Obstacle.kinds, "obstacle", "scene")
+    assert isinstance(item, Obstacle.kinds[kind])
     body = placed(0, item, 0.5, 3)
     x = rng.uniform(-15.0, 15.0, (400, 3))
     normal = body.normal(x)
@@ -395,7 +391,7 @@ def test_least_distance_from_a_way_is_that_of_its_nearest_point():
         {"kind": "cylinder", "axis": [1.0, 2.0, -1.0], "point": [0.0, 1.0, 0.0], "radius": 3.0},
         {"kind": "box", "corner": [-3.0, -2.0, -4.0], "size": [6.0, 5.0, 7.0], "rounding": 1.0},
     ]
-    for number, body in enumerate(read_kinds(bodies, OBSTACLES, "obstacle", "scene")):
+    for number, body in enumerate(read_kinds(bodies, Obstacle.kinds, "obstacle", "scene")):
         one = placed(number, body, 0.0, 3)
         start, end = rng.normal(scale=9.0, size=(2, 40, 3))
         sampled = np.array([one.gap(a + t * (b - a)).min() for a, b in zip(start, end, strict=True)])
@@ -411,25 +407,13 @@ def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables)
 
 
 BAD = [
-    ({"obstacle": 7}, "[obstacle] = 7: is not a table"),
-    ({"obstacle": {"kind": "cube"}}, "[obstacle] kind = 'cube': is not one of floor, wall, cylinder, sphere, box"),
-    ({"obstacle": {"kind": "sphere", "radius": 1}}, "[obstacle] (sphere) centre: is missing"),
-    ({"obstacle": {"kind": "sphere", "centre": [0, 0], "radius": 1}}, "centre = [0, 0]: is not a list of numbers"),
-    ({"obstacle": {"kind": "sphere", "centre": [0, 0, 0], "radius": -1}}, "radius = -1"),
-    ({"obstacle": {"kind": "cylinder", "axis": [0, 0, 0], "radius": 1}}, "axis = [0, 0, 0]: has no direction"),
-    ({"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [1, 0, 1]}}, "size = [1, 0, 1]: has a component"),
+    ({"obstacle": {"kind": "cube"}}, "[obstacle] kind = 'cube': is not one of floor, wall, sphere, cylinder, box"),
+    ({"obstacle": {"kind": "cylinder", "axis": [0, 0, 0], "radius": 1}}, "axis = [0.0, 0.0, 0.0]: has no direction"),
     (
         {"obstacle": {"kind": "box", "corner": [0, 0, 0], "size": [9, 4, 9], "rounding": 3}},
         "(box) rounding = 3: is more than half of its least length, 4 mm",
     ),
-    ({"obstacle": {"kind": "wall", "facing": [0, 0]}}, "facing = [0, 0]: has no direction"),
-    ({"obstacle": {"kind": "floor", "height": "low"}}, "height = 'low': is not a number"),
-    ({"obstacle": {"kind": "floor", "move": [1]}}, "move = [1]"),
-    ({"obstacle": {"kind": "floor", "radius": 1}}, "radius"),
-    (
-        {"obstacle": {"kind": "sphere", "centre": [0, 0, 9], "radius": 1, "clear": "all"}},
-        "clear = 'all': is not one of cells, nodes",
-    ),
+    ({"obstacle": {"kind": "wall", "facing": [0, 0]}}, "facing = [0.0, 0.0]: has no direction"),
     ({"start": {"origin": [0, 0, 0]}}, "[start]: has no effect without bodies"),
     (
         {
@@ -437,10 +421,6 @@ BAD = [
             "obstacle": {"kind": "sphere", "centre": [0, 0, 9], "radius": 1},
         },
         "[start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis",
-    ),
-    (
-        {"load": {"wind": {"pressure": 1, "direction": [0, 0, 1], "follows": 3}}},
-        "follows = 3: is neither true nor false",
     ),
 ]
 
@@ -472,3 +452,9 @@ def test_walls_join_and_scale():
     assert two.offset.tolist() == [2.0, 6.0]
     assert two.owner.tolist() == [4, 4]
     assert two.gap(np.array([[0.0, 5.0]])).tolist() == [3.0, -1.0]
+
+
+def test_edges_of_a_thin_box_are_as_round_as_it_is_thick_on_a_coarse_mesh():
+    thin = Box((0.0, 0.0, 0.0), (100.0, 20.0, 100.0))
+    assert with_rounding(thin, 50.0).rounding == 10.0
+    assert with_rounding(thin, 5.0).rounding == 5.0

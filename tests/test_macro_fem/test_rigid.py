@@ -8,15 +8,13 @@ import pytest
 from homogenize.laws.net import diagonal_net, ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_scene
-from macro_fem.fem.membrane import first_piola
-from macro_fem.fem.rotated import rotated
+from macro_fem.problem import gathered_start, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.clarabel import solve_clarabel
 from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.options import PathOptions
+from tests.test_macro_fem.clarabel_oracle import solve_clarabel
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 STRETCH_X, SHRINK_Y = 17.42005 / 11.0, 4.25798 / 12.646069623526
@@ -34,7 +32,10 @@ def assert_certified(solution, law, size=100.0):
     unbalanced = fem.gather(force) - fem.force(solution.P)
     spread = solution.problem.scene.solver.stabilising_tension
     assert np.abs(unbalanced).sum() < (1e-8 + 100.0 * spread) * np.abs(force).sum()
-    assert np.abs(first_piola(solution.F, solution.S) - solution.P).max() < 1e-3 * np.abs(solution.P).max()
+    assert (
+        np.abs(solution.F @ solution.S[:, [0, 1, 1, 2]].reshape(-1, 2, 2) - solution.P).max()
+        < 1e-3 * np.abs(solution.P).max()
+    )
     S = solution.S
     assert np.all(S[:, 0] * S[:, 2] - S[:, 1] ** 2 > -1e-12 * S.max() ** 2)
     scale = np.abs(force).sum() * size
@@ -169,15 +170,15 @@ def test_supports_at_the_very_limit_are_named_and_bounded(scene_tables):
     assert solution.x[top, 1] == pytest.approx(100.0, abs=1e-9)
     assert np.ptp(solution.x[top, 0]) == pytest.approx(100.0 * LIMIT, rel=1e-9)
     # it leaves the law by what it says, and would not reach without
-    assert solution.give == pytest.approx(1e-4, rel=1e-3)
-    assert 0.5 * solution.give < solution.stretch_excess < 1.01 * solution.give
+    assert solution.relaxation == pytest.approx(1e-4, rel=1e-3)
+    assert 0.5 * solution.relaxation < solution.stretch_excess < 1.01 * solution.relaxation
     assert -1e-9 < solution.relative_gap < 2e-5
     # the answers for less gather come up to it from below as the square root of what is missing
     below = [solve(scene_tables(support={"kind": "top", "gather": LIMIT * (1.0 - e)}), law) for e in (4e-3, 1e-3)]
     assert [b.status for b in below] == ["converged"] * 2
     limit = 2.0 * below[1].primal - below[0].primal
     missing = (limit - solution.primal) / (limit - below[1].primal)
-    assert missing == pytest.approx(np.sqrt(solution.give / 1e-3), rel=0.02)
+    assert missing == pytest.approx(np.sqrt(solution.relaxation / 1e-3), rel=0.02)
 
 
 @pytest.mark.parametrize("kind", ["rigid", "elastic"])
@@ -226,7 +227,6 @@ def test_a_rigid_turn_of_weave_and_supports_turns_the_answer(ring_like):
     }
     one, two = solve(hung, ring_like), solve(lying, ring_like)
     assert one.primal == pytest.approx(two.primal, rel=1e-7)
-    assert rotated(ring_like, 180.0) is ring_like
 
 
 @pytest.mark.parametrize("state", [0, 1, 2])

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import macro_fem
 from macro_fem import read_scene
 from macro_fem.cli import main
-from macro_fem.compare import side_by_side
-from macro_fem.every_ring import ring_scene
-from rve import InputError
+from macro_fem.rings.compare import side_by_side
+from macro_fem.rings.ring_scene import ring_scene
+from rve import Cell, InputError
 
 B_X, B_Y = 11.0, 12.646069623526
 
@@ -57,7 +58,7 @@ def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     assert result.exit_code == 0, result.output
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"] == "converged"
-    assert summary["rings"] == 8
+    assert summary["ring_count"] == 8
     assert summary["links_intact"] is True
     assert summary["min_gap_mm"] >= -1e-9
     assert summary["kkt_residual"] <= 1e-8
@@ -66,8 +67,14 @@ def test_rings_writes_its_files_and_the_numbers_agree(tmp_path):
     # potential = weight times the loss of height, for a load of weight alone
     weight = -summary["total_load_N"][1]
     assert summary["potential_N_mm"] == pytest.approx(weight * (summary["mean_height_mm"] - 0.5 * B_Y), rel=1e-6)
-    assert summary["support_forces"][0]["sum_N"][1] == pytest.approx(weight, rel=1e-6)
-    assert sorted(file.name for file in out.iterdir()) == ["rings.html", "rings.png", "rings.vtu", "summary.json"]
+    assert summary["support_forces"][0]["force_N"][1] == pytest.approx(weight, rel=1e-6)
+    assert sorted(file.name for file in out.iterdir()) == [
+        "rings.html",
+        "rings.png",
+        "rings.vtu",
+        "summary.json",
+        "support_forces.csv",
+    ]
 
 
 def test_the_disk_guides_the_rings_to_an_equilibrium_of_the_same_scene(tmp_path):
@@ -110,7 +117,7 @@ def test_supports_out_of_reach_are_said_to_be_so(tmp_path):
     assert summary["status"] == "out-of-reach"
     assert summary["kkt_residual"] is None
     assert summary["largest_contact_force_N"] is None
-    assert summary["support_forces"][0]["sum_N"] is None
+    assert summary["support_forces"][0]["force_N"] is None
     assert summary["way_left_mm"] > 1.0
     assert (out / "rings.png").exists()
 
@@ -162,10 +169,10 @@ def test_rings_lie_on_the_floor_and_against_the_wall_of_a_scene():
 @pytest.mark.parametrize(
     ("tables", "says"),
     [
-        ({"load": {"bar": {"mass": 1.0}}}, "straight = false"),
+        ({"load": {"bar": {"edge": "left", "mass": 1.0}}}, "is held, or has a second bar"),
         ({"load": {"gravity": 0.0}}, "no load"),
         ({"obstacle": [{"kind": "sphere", "centre": [0.0, 0.0, -20.0], "radius": 9.0}]}, "floors and walls"),
-        ({"curtain": {"width": 5.0, "height": 3.0}}, "rings"),
+        ({"curtain": {"width": 5.0, "height": 3.0}}, "did you mean 5000"),
         ({"curtain": {"width": 1e5, "height": 1e5}}, "make it smaller"),
     ],
 )
@@ -173,3 +180,92 @@ def test_what_rings_cannot_do_is_refused_in_a_sentence(tables, says):
     with pytest.raises(InputError, match=says) as error:
         ring_scene(scene(**tables)).solve(space=False)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("space", [False, True])
+def test_a_wall_that_pushes_rings_along_their_rail_is_refused(space):
+    """On a rail one ring is held along it, so that the mesh stays somewhere; it must not carry anything."""
+    hung = ring_scene(scene(support={"kind": "rail"}))
+    assert hung.pins.direction.tolist() == [[1.0, 0.0, 0.0]]
+    free = hung.solve(space=space)
+    assert free.status == "converged"
+    assert not free.reaction[:, 0].any()
+    wall = {"kind": "wall", "facing": [1.0, 1.0], "point": [10.0, 0.0]}
+    with pytest.raises(InputError, match=r"\[obstacle\]: nothing carries the force of 0.00\d* N along x"):
+        ring_scene(scene(support={"kind": "rail"}, obstacle=[wall])).solve(space=space)
+
+
+def test_rings_that_nothing_holds_have_no_support_force(tmp_path):
+    """In the plane, which keeps all rings in it: its forces are no support's."""
+    rings = ring_scene(scene())
+    found = rings.solve(space=False)
+    held = np.concatenate([nodes for _, nodes in rings.groups])
+    assert not np.delete(found.reaction, held, axis=0).any()
+    assert found.reaction[:, 1].sum() == pytest.approx(-rings.force[:, 1].sum(), rel=1e-8)
+
+
+@pytest.mark.parametrize("space", [False, True])
+def test_rings_of_a_straight_bar_stay_on_a_line(space):
+    """In proportion to the reference, as in the disk; what carries the load is that of a loose bar, the potential no
+    lower."""
+    answers = []
+    for straight in (True, False):
+        load = {"bar": {"mass": 0.01, "straight": straight}}
+        rings = ring_scene(scene(4, 3, support={"kind": "corners", "gather": 0.9}, load=load))
+        found = rings.solve(space=space)
+        assert found.status == "converged"
+        assert found.kkt_residual < 1e-8
+        assert found.reaction.sum(axis=0) == pytest.approx(-rings.force.sum(axis=0), abs=1e-7)
+        answers.append((rings, found))
+    (rings, tied), (_, loose) = answers
+    (bar,) = rings.mesh.bars
+    assert np.array_equal(np.sort(bar), np.flatnonzero(np.isclose(rings.mesh.X[:, 1], 0.0)))
+    x, s = tied.centre[bar], np.linspace(0.0, 1.0, len(bar))[:, None]
+    assert np.abs(x - (1.0 - s) * x[0] - s * x[-1]).max() < 1e-9
+    assert np.abs(np.diff(loose.centre[bar, 1], 2)).max() > 1e-2
+    assert space or tied.potential >= loose.potential
+    assert tied.potential == pytest.approx(loose.potential, rel=0.2)
+
+
+def test_a_bar_on_rings_of_no_line_is_refused():
+    outline = {"shape": "outline", "outline": [[0, 0], [40, 8], [40, 60], [0, 60]]}
+    tables = {"curtain": outline, "support": {"kind": "top"}, "load": {"bar": {"mass": 0.01}}}
+    with pytest.raises(InputError, match="the rings of a straight bar lie on no line"):
+        ring_scene(read_scene(tables)).solve(space=False)
+
+
+def test_both_answers_of_a_scene_tell_the_same_things_by_the_same_names(tmp_path):
+    """A law and every ring: status, load, forces of supports with the same keys, columns and sums."""
+    scene = macro_fem.Scene.rectangle(22.0, B_Y, cells=2).hung_by("top")
+    both = macro_fem.solve(scene), macro_fem.solve(scene, macro_fem.EveryRing(Cell(), space=False))
+    assert all(isinstance(one, macro_fem.Solution) for one in both)
+    assert [one.status for one in both] == [macro_fem.Status.CONVERGED] * 2
+    disk, rings = (one.summary for one in both)
+    shared = {"status", "message", "mean_height_mm", "lowest_point_mm", "total_load_N", "support_forces", "rings"}
+    assert shared | {"hang_deg", "safety_factor", "iterations", "wall_s", "versions"} <= disk.keys() & rings.keys()
+    assert rings["rings"] == pytest.approx(disk["rings"], rel=1e-6)
+    for one, other in zip(disk["support_forces"], rings["support_forces"], strict=True):
+        assert other.keys() <= one.keys()
+        assert other["force_N"][:2] == pytest.approx(one["force_N"], rel=1e-6, abs=1e-9)
+    for one in both:
+        assert one.support_forces().force_y_N.sum() == pytest.approx(-one.summary["total_load_N"][1], rel=1e-6)
+    both[1].save(tmp_path, picture=False)
+    assert {path.name for path in tmp_path.iterdir()} == {"summary.json", "support_forces.csv", "rings.vtu"}
+    assert both[1].rings().largest_force.max() == rings["largest_contact_force_N"]
+    assert both[1].safety_factor is None
+
+
+def test_who_answers_is_a_law_or_says_how():
+    scene = macro_fem.Scene.rectangle(22.0, B_Y, cells=2).hung_by("top")
+    with pytest.raises(InputError, match=r"OnDemand\(cell\) or EveryRing\(cell\), not a Cell"):
+        macro_fem.solve(scene, Cell())
+    with pytest.raises(InputError, match="needs the law that guides"):
+        macro_fem.solve(scene, macro_fem.EveryRing(Cell(), start="disk"))
+
+
+def test_the_rings_of_a_cell_are_those_of_the_law_of_its_table():
+    """`EveryRing(cell)` takes the reference cell and mass that the shipped law has for the same rings."""
+    scene = macro_fem.Scene.rectangle(22.0, B_Y, cells=2).hung_by("top")
+    one, other = ring_scene(scene, Cell()), ring_scene(scene)
+    np.testing.assert_allclose(one.mesh.X, other.mesh.X, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(one.force, other.force, rtol=1e-6)

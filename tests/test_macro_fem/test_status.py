@@ -12,15 +12,15 @@ from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene, supports_reach
+from macro_fem.problem import gathered_start, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
-from macro_fem.solution import gathered_start, make_problem
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
-KINDS = ("rigid", "clarabel", "elastic")
+KINDS = ("rigid", "elastic")
 RAIL_AND_CORNERS = [{"kind": "rail"}, {"kind": "corners"}]
 ALL_EDGES = [{"kind": "edge", "edge": edge} for edge in ("left", "right", "top", "bottom")]
 ASKED = Accuracy(gap=1e-9, unbalanced=1e-9, violation=1e-8)
@@ -40,7 +40,7 @@ def solve(support, hang="y", cells=4, law=None, **solver):
     return solve_scene(read_scene(tables(support, hang, cells, **solver)), law or default_law())
 
 
-@pytest.mark.parametrize("stop", ["closed", "stalled", "iterations", "not_convex"])
+@pytest.mark.parametrize("stop", ["closed", "stalled", "iterations"])
 @pytest.mark.parametrize("number", ["gap", "unbalanced", "violation"])
 @pytest.mark.parametrize("value", [0.048, 2e-6, np.nan, np.inf])
 def test_no_reason_to_stop_outweighs_a_bad_number(stop, number, value):
@@ -78,11 +78,11 @@ def test_an_answer_with_other_numbers_has_another_status(kind):
     solution = solve({"kind": "corners"}, kind=kind)
     assert solution.status == "converged"
     assert replace(solution, dual=solution.dual - 0.01 * abs(solution.primal)).status == "stalled"
-    assert replace(solution, P=1.001 * solution.P).status == "stalled"
-    assert replace(solution, F=np.nan * solution.F).status == "not_finite"
+    assert replace(solution, inner=replace(solution.inner, P=1.001 * solution.P)).status == "stalled"
+    assert replace(solution, x=np.nan * solution.x).status == "not_finite"
     assert replace(solution, reach=Reach(1.0, 1.0)).status == "taut"
     if kind != "elastic":
-        assert replace(solution, F=1.001 * solution.F).status == "stalled"
+        assert replace(solution, x=1.001 * solution.x).status == "stalled"
 
 
 def test_rail_and_corners_close_the_gap(fitted_law):
@@ -93,10 +93,9 @@ def test_rail_and_corners_close_the_gap(fitted_law):
     result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     gap = (result.primal - result.dual) / (np.abs(load).sum() * problem.mesh.size)
     assert result.status != "converged" or abs(gap) < 2e-6
-    solution, oracle = (solve(RAIL_AND_CORNERS, "x", 6, fitted_law, kind=kind) for kind in ("rigid", "clarabel"))
-    assert (solution.status, oracle.status) == ("taut", "taut")
+    solution = solve(RAIL_AND_CORNERS, "x", 6, fitted_law)
+    assert solution.status == "taut"
     assert abs(solution.relative_gap) < 5e-6
-    assert solution.mean_height() == pytest.approx(oracle.mean_height(), abs=0.05)
     assert solution.mean_height() == pytest.approx(376.7, rel=0.015)  # rings that do not give, by clarabel
 
 

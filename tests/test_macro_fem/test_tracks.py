@@ -11,11 +11,10 @@ from homogenize.io import default_law
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_problem, solve_scene
+from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
-from macro_fem.scene.tables import Track
-from macro_fem.scene.tracks import track_curve, track_places
-from macro_fem.solution import make_problem
+from macro_fem.scene.tracks import Track, track_curve, track_places
 from rve.common.errors import InputError
 
 from .conftest import STRETCH_X
@@ -98,7 +97,7 @@ def test_a_straight_track_is_the_gathered_top_edge(ring_like, scene_tables, elem
     supports = known, {"kind": "track", "fullness": 1.25, **runners}
     keys = {"mesh": {"cells": 4, "element": element}, "load": WIND}
     if element == "CR" and pitch is not None:
-        with pytest.raises(InputError, match="element 'CR' has no nodes at points"):
+        with pytest.raises(InputError, match="element 'CR' has no nodes at hooks"):
             solved(scene_tables, ring_like, supports[1], **keys)
         return
     hung, track = (solved(scene_tables, ring_like, support, **keys) for support in supports)
@@ -178,21 +177,12 @@ def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({}, "radius: is missing"),
         ({"radius": 50.0}, "angle: is missing"),
-        ({"path": [[0, 0]]}, "path = [[0, 0]]: is not a list of at least 2 points [x, z]"),
-        ({"path": [[0, 0], [1, 2, 3]]}, "path = [[0, 0], [1, 2, 3]]: is not a pair of numbers [x, z]"),
         ({"path": [[0, 0], [0, 0]]}, "path: holds [0, 0] twice in a row"),
         ({"path": [[0, 0], [50, 0]], "angle": 20.0}, "angle = 20: is not used together with path"),
-        ({"fullness": 0.0}, "fullness = 0.0: must be greater than 0"),
         ({"fullness": 1.5, "angle": 0.0}, "angle = 0: makes no arc"),
-        ({"fullness": 1.5, "drawn": 1.2}, "drawn = 1.2: must be at most 1"),
-        ({"fullness": 1.5, "side": "left"}, "side = 'left': is not one of start, end"),
         ({"fullness": 1.5, "side": "end"}, "side = 'end': has no effect with drawn = 1"),
-        ({"fullness": 1.5, "pitch": 0.0}, "pitch = 0.0: must be at least"),
-        ({"fullness": 1.5, "height": "top"}, "height = 'top': is not a number"),
         ({"fullness": 1.5, "capacity": 5.0}, "capacity = 5: has no effect without pitch"),
-        ({"fullness": 1.5, "pitch": 50.0, "capacity": 0.0}, "capacity = 0.0: must be greater than 0"),
     ],
 )
 def test_bad_keys_of_a_track_end_in_one_sentence(scene_tables, keys, message):
@@ -233,8 +223,8 @@ SHAPES = {
         ("rectangle", "Q1", "lone", "weight", "elastic"),
         ("rectangle", "Q1", "cables", "wind", "rigid"),
         ("rectangle", "P2", "cables", "floor", "rigid"),
-        ("rectangle", "P1", "cables", "point", "clarabel"),
-        ("rectangle", "P1", "lone", "floor", "clarabel"),
+        ("rectangle", "P1", "cables", "point", "rigid"),
+        ("rectangle", "P1", "lone", "floor", "rigid"),
         ("hole", "CR", "path", "wind", "elastic"),
         ("hole", "P2", "arc", "point", "rigid"),
         ("disk", "P1", "runners", "weight", "elastic"),

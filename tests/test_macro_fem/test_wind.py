@@ -9,11 +9,14 @@ import macro_fem
 import rve
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
-from macro_fem.curtain import solve_scene
+from macro_fem.curtain import solve_convex, solve_problem
+from macro_fem.drag import front_of, senses, vector_areas, wind_density, wind_summary
+from macro_fem.fem.assembly import gradient
+from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.wind import drag_coefficient, ring_solidity
-from macro_fem.solution import make_problem
+from macro_fem.shape_loop import ShapeOptions, solve_shape
 from rve.common.errors import InputError
 
 
@@ -61,12 +64,155 @@ def test_a_speed_is_the_pressure_of_its_drag(scene_tables):
     assert wind_force(given, diagonal_net()) == pytest.approx(0.5 * 0.9 * 400.0 * area, rel=1e-12)
 
 
-def test_the_same_pressure_gives_the_same_curtain(scene_tables):
-    law = default_law()
-    by_speed = solve_scene(with_wind(scene_tables, speed=12.0, drag_coefficient=1.0), law)
-    by_pressure = solve_scene(with_wind(scene_tables, pressure=0.5 * 1.25 * 144.0), law)
-    assert by_speed.status == "converged"
-    assert by_speed.x == pytest.approx(by_pressure.x, abs=1e-9)
+def posed(tables, law=None):
+    scene, law = read_scene(tables), default_law() if law is None else law
+    return make_problem(scene, law, build_mesh(scene, law.cell))
+
+
+def hung(support, wind, **mesh):
+    return {
+        "curtain": {"width": 3000.0, "height": 2300.0},
+        "mesh": {"cells": 4, **mesh},
+        "support": support,
+        "load": {"wind": {"direction": [0.0, 0.0, 1.0], **wind}},
+    }
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+@pytest.mark.parametrize("keys", [{}, {"drag_coefficient": 0.9}, {"drag_coefficient": 1.44}, {"follows": True}])
+def test_a_flat_curtain_square_to_the_wind_is_one_layer(element, keys):
+    """Also one that is made of nodes laid flat anywhere across the wind."""
+    problem = posed(hung({"kind": "top"}, {"speed": 15.0, **keys}, element=element))
+    flat = keys.get("drag_coefficient", drag_coefficient(ring_solidity(problem.law.cell)))
+    density = wind_density(problem, problem.fem.reference + np.array([7.0, 5.0, 300.0]), senses(problem))
+    assert density == pytest.approx(np.tile([0.0, 0.0, 0.5e-6 * 1.25 * 225.0 * flat], (len(density), 1)), rel=1e-9)
+
+
+@pytest.mark.parametrize("width", [1.0, 0.5])
+def test_layers_of_a_gathered_half_beside_a_flat_half(width):
+    """The half of the mesh that is drawn to a part of its width has 1/width layers, the other one, away from it, 1."""
+    problem = posed(hung({"kind": "top"}, {"speed": 15.0}, cells=8))
+    x = problem.fem.reference.copy()
+    x[:, 0] = np.where(x[:, 0] > 1500.0, x[:, 0], 1500.0 + width * (x[:, 0] - 1500.0))
+    density = wind_density(problem, x, [1.0])[:, 2]
+    middle = problem.disc.points[:, 0]
+    plate = 0.5e-6 * 1.25 * 225.0
+    layered = drag_coefficient(1.0 - (1.0 - ring_solidity(problem.law.cell)) ** (1.0 / width)) * width
+    alone = drag_coefficient(ring_solidity(problem.law.cell))
+    assert density[middle < 1000.0] == pytest.approx(plate * layered, rel=1e-9)
+    assert density[middle > 2000.0] == pytest.approx(plate * alone, rel=1e-9)
+    assert 0.0 < layered <= 4.0 / 3.0 * width
+
+
+def test_a_sheet_folded_upon_itself_is_two_layers():
+    problem = posed(hung({"kind": "top"}, {"speed": 15.0}, cells=16))
+    x = problem.fem.reference.copy()
+    x[:, 2] = np.maximum(x[:, 0] - 1500.0, 0.0) * 0.01
+    x[:, 0] = np.where(x[:, 0] > 1500.0, 3010.0 - x[:, 0], x[:, 0])
+    force = problem.disc.weight @ wind_density(problem, x, [1.0])[:, 2]
+    s = ring_solidity(problem.law.cell)
+    front = 1.5 * 2.3
+    assert force == pytest.approx(0.5 * 1.25 * 225.0 * drag_coefficient(1.0 - (1.0 - s) ** 2) * front, rel=0.05)
+
+
+@pytest.mark.parametrize("speed", [3.0, 12.0])
+def test_a_strip_swings_out_of_the_wind_to_a_closed_form(speed):
+    """A straight strip at the angle t from the vertical: tan t = q C_D(1/cos t layers) cos t over its weight."""
+    problem = posed(hung({"kind": "top"}, {"speed": speed}) | {"curtain": {"width": 200.0, "height": 2000.0}})
+    solution = solve_problem(problem)
+    assert solution.status == "converged", solution.message
+    law, q = problem.law, 0.5 * 1.25 * speed**2
+    F = solution.F
+    length = float(np.linalg.norm(F[:, :, 1], axis=1).mean())
+    front = np.abs(np.cross(F[:, :, 0], F[:, :, 1])[:, 2])
+    s = ring_solidity(law.cell)
+    per_area = drag_coefficient(1.0 - (1.0 - s) ** float(1.0 / front.mean())) * q * front.mean()
+    weight = law.cell.areal_mass_kg_per_m2 * 9.81
+    low = solution.x[problem.disc.nodes[:, 1] == 0.0].mean(axis=0) - [100.0, 2000.0, 0.0]
+    assert length == pytest.approx(1.0, abs=0.05)
+    assert low[2] / -low[1] == pytest.approx(per_area / weight, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [12.0, 37.0])
+def test_a_strip_in_wind_that_follows_comes_to_rest_at_a_closed_form(speed):
+    """At the angle t from the vertical: q C_D cos^2 t per present area against its weight's part along the normal."""
+    wind = {"speed": speed, "follows": True}
+    problem = posed(hung({"kind": "top"}, wind) | {"curtain": {"width": 200.0, "height": 2000.0}})
+    solution = solve_problem(problem)
+    assert solution.status == "converged", solution.message
+    size = float(np.linalg.norm(np.cross(solution.F[:, :, 0], solution.F[:, :, 1]), axis=1).mean())
+    s = ring_solidity(problem.law.cell)
+    press = drag_coefficient(1.0 - (1.0 - s) ** (1.0 / size)) * 0.5 * 1.25 * speed**2 * size
+    part = problem.law.cell.areal_mass_kg_per_m2 * 9.81 / (2.0 * press)
+    t = np.arcsin(np.sqrt(part**2 + 1.0) - part)
+    low = solution.x[problem.disc.nodes[:, 1] == 0.0].mean(axis=0) - [100.0, 2000.0, 0.0]
+    assert np.arctan2(low[2], -low[1]) == pytest.approx(t, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_drawn_track_in_wind_that_follows_comes_to_rest():
+    """3000 x 2300 mm on a track of radius 1500 mm at fullness 1.5; supports carry the drag along the wind."""
+    track = {"kind": "track", "radius": 1500.0, "fullness": 1.5}
+    solution = solve_problem(posed(hung(track, {"speed": 15.0, "follows": True}, cells=8)))
+    assert solution.status == "converged", solution.message
+    (told,) = wind_summary(solution)["wind"]
+    assert -solution.reactions[:, 2].sum() == pytest.approx(told["drag_N"], abs=solution.noise)
+    assert told["drag_N"] < 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told["front_area_m2"]
+
+
+def test_wind_without_rest_says_so():
+    problem = posed(hung({"kind": "top"}, {"speed": 30.0, "follows": True}, cells=2))
+    solution = solve_shape(problem, None, solve_convex, ShapeOptions(rounds=2))
+    assert solution.status == "unsettled"
+    assert "a sheet that flutters has no rest; take less wind, a heavier bar" in solution.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["fullness", "drawn"])
+def test_the_drag_of_a_solved_curtain_is_continuous(key):
+    """Small steps in fullness and in how far it is drawn make small steps in drag, also at the flat curtain."""
+    drags = []
+    for step in (0.0, 0.01, 0.02, 0.04):
+        track = (
+            {"kind": "track", "fullness": 1.0 + step} if key == "fullness" else {"kind": "track", "drawn": 1.0 - step}
+        )
+        solution = solve_problem(posed(hung({"fullness": 1.2, **track}, {"speed": 8.0})))
+        assert solution.status == "converged", solution.message
+        drags.append(wind_summary(solution)["wind"][0]["drag_N"])
+    assert np.abs(np.diff(drags)).max() < 0.05 * drags[0]
+
+
+def test_a_track_drawn_to_its_half_takes_less_than_a_plate():
+    """3000 x 2300 mm on a track of radius 1500 mm at fullness 1.5: the half-open front is 1.0 m wide."""
+    drags = []
+    for drawn in (1.0, 0.5):
+        track = {"kind": "track", "radius": 1500.0, "fullness": 1.5, "drawn": drawn}
+        solution = solve_problem(posed(hung(track, {"speed": 15.0}, cells=8)))
+        assert solution.status == "converged", solution.message
+        (told,) = wind_summary(solution)["wind"]
+        plate = 4.0 / 3.0 * 0.5 * 1.25 * 225.0 * told["front_area_m2"]
+        assert told["drag_N"] <= plate
+        assert -solution.reactions[:, 2].sum() == pytest.approx(told["drag_N"], rel=1e-5)
+        assert told["layers"] * told["front_area_m2"] == pytest.approx(6.9, rel=1e-9)
+        drags.append(told["drag_N"])
+    assert drags[1] < 0.75 * drags[0] < 0.75 * 742.0
+    assert drags[1] < 420.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_shape_takes_more_than_a_plate_on_its_front(seed):
+    """Random gathered, tilted, folded and crumpled sheets; the front is at most the sum of what the cells show."""
+    rng = np.random.default_rng(seed)
+    problem = posed(hung({"kind": "top"}, {"speed": 15.0}, cells=6))
+    x = problem.fem.reference @ rng.standard_normal((3, 3)) * rng.uniform(0.2, 1.0)
+    x += rng.uniform(0.0, 200.0) * rng.standard_normal(x.shape)
+    a = vector_areas(problem, gradient(problem.disc, x))
+    front = front_of(problem, problem.winds[0], x, a)
+    density = wind_density(problem, x, senses(problem))
+    drag = problem.disc.weight @ density[:, 2]
+    assert 0.0 < drag <= 4.0 / 3.0 * 0.5e-6 * 1.25 * 225.0 * front.total
+    assert front.total <= problem.disc.cell_area @ np.abs(a[:, 2]) * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -74,11 +220,7 @@ def test_the_same_pressure_gives_the_same_curtain(scene_tables):
     [
         ({}, "pressure: is missing; give it in N/m2, or speed in m/s"),
         ({"pressure": 5.0, "speed": 3.0}, "speed = 3: is not used together with pressure"),
-        ({"pressure": 5.0, "air_density": 1.2}, "air_density = 1.2: is not used together with pressure"),
         ({"pressure": 5.0, "drag_coefficient": 1.2}, "drag_coefficient = 1.2: is not used together with pressure"),
-        ({"speed": -3.0}, "speed = -3.0: must be at least 0"),
-        ({"speed": 3.0, "air_density": 0.0}, "air_density = 0.0: must be greater than 0"),
-        ({"speed": 3.0, "drag_coefficient": "high"}, "drag_coefficient = 'high': is not a number"),
         ({"speed": 3.0, "direction": [0.0, 0.0]}, "direction = [0.0, 0.0]: has no direction"),
     ],
 )

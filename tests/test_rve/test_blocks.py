@@ -6,9 +6,9 @@ import pytest
 from rve import solve as sweep
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.localization import forces as ring_forces
-from rve.localization.forces import largest_forces
 from rve.solve import solve_table
+from rve.strained import forces as ring_forces
+from rve.strained.forces import largest_forces
 
 ALPHA, BETA = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rve.geometry.circles import are_linked, distance_gradient, distance_hessian, local_minima, tangent_frame
+from rve.geometry.circles import are_linked, foot_on_circle, local_minima, tangent_frame
+from rve.geometry.distance import distance_gradient, distance_hessian
 
 
 def unit(x):
@@ -152,3 +153,17 @@ def test_linking_agrees_with_the_gauss_integral():
     number = np.array([gauss_linking(d[i], n_a[i], n_b[i]) for i in clear])
     np.testing.assert_allclose(np.abs(number), linked[clear].astype(float), atol=0.05)
     assert 10 < linked[clear].sum() < len(clear) - 10
+
+
+def test_the_foot_of_a_point_on_a_circle_is_the_nearest_of_many_also_on_its_axis():
+    rng = np.random.default_rng(3)
+    n = unit(rng.normal(size=(6, 3)))
+    p = rng.normal(size=(6, 3))
+    p[:2] = [[1.5], [0.0]] * n[:2]  # on the axis, and at the centre
+    foot = foot_on_circle(p, n, 2.0)
+    assert np.linalg.norm(foot, axis=1) == pytest.approx(2.0, abs=1e-12)
+    assert (foot * n).sum(axis=1) == pytest.approx(0.0, abs=1e-12)
+    e, f = tangent_frame(n)
+    angle = np.linspace(0.0, 2.0 * np.pi, 2001)[:, None, None]
+    sampled = np.linalg.norm(2.0 * (np.cos(angle) * e + np.sin(angle) * f) - p, axis=2).min(axis=0)
+    assert np.linalg.norm(foot - p, axis=1) == pytest.approx(sampled, abs=1e-5)

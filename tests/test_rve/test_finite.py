@@ -7,15 +7,18 @@ import pytest
 from scipy.optimize import minimize
 
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
+from rve.drawn import ALONG
 from rve.finite.equations import blocks, gradients, lacking, pair_vectors, spread, times
 from rve.finite.factor import Factorizer
 from rve.finite.iterate import State, Work, barrier, central
 from rve.finite.newton import linearized
+from rve.finite.passage import is_passage_safe, ways
 from rve.finite.records import Task
 from rve.finite.system import Factored, Pattern, forces_that_stop
-from rve.finite.touching import Placed, find_touching, followed_gaps, is_passage_safe, links_intact, ways
+from rve.finite.touching import Placed, find_touching, followed_gaps, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
+from rve.geometry.weave import WEAVES
 
 G = 9.81
 
@@ -36,8 +39,8 @@ def top_of(mesh):
 
 def check(solution):
     assert solution.status == "converged"
-    assert solution.links_intact
-    assert solution.min_gap_mm >= -1e-9
+    assert solution.contacts.links_intact
+    assert solution.contacts.min_gap_mm >= -1e-9
     assert solution.kkt_residual <= 1e-8
 
 
@@ -292,7 +295,7 @@ def test_a_straight_chain_has_its_known_length():
         way = solution.centre[-1] - solution.centre[0]
         assert np.linalg.norm(way) == pytest.approx(2 * (n - 1) * (5.0 - 0.5), abs=1e-5)
         assert way[:2] / np.linalg.norm(way) == pytest.approx([0.6, 0.8], abs=1e-5)
-        assert solution.force[solution.force > 1e-6] == pytest.approx(0.5, rel=1e-5)
+        assert solution.contacts.force[solution.contacts.force > 1e-6] == pytest.approx(0.5, rel=1e-5)
         assert solution.reaction[0] == pytest.approx([-0.3, -0.4, 0.0], abs=1e-7)
 
 
@@ -307,7 +310,8 @@ def test_supports_carry_the_load_and_the_virial_is_that_of_the_load():
     P = solution.line_load(np.zeros(len(mesh.X), dtype=int), np.array([area]))[0]
     # the virial theorem: sum of external force times reference position over the area
     outer = (solution.load + solution.reaction)[:, :, None] * mesh.X[:, None, :]
-    assert pytest.approx(outer.sum(axis=0) / area, abs=1e-9) == P
+    assert outer.sum(axis=0)[:2] / area == pytest.approx(P[:2], abs=1e-9)  # along z the plane holds the rings
+    assert not solution.reaction[~held.any(axis=1)].any()
 
 
 def slsqp(mesh, force, held, at):
@@ -387,7 +391,7 @@ def test_supports_out_of_reach_have_no_forces_and_say_how_far_they_are():
     assert found.status == "out-of-reach"
     assert "closer together" in found.message
     assert found.kkt_residual == np.inf
-    assert np.isnan(found.force).all()
+    assert np.isnan(found.contacts.force).all()
     assert np.isnan(found.reaction).all()
     # two rings with one between them are as far apart as a straight chain of three
     ends = held[:, 0]
@@ -527,18 +531,20 @@ def from_random_starts(seeds):
 
 
 def test_random_starts_end_at_one_potential():
-    found, scale = from_random_starts(range(2))
+    """From start 10 the supports cannot be moved at once."""
+    found, scale = from_random_starts((0, 1, 10))
     for one in found:
         check(one)
     assert found[0].potential == pytest.approx(found[1].potential, abs=1e-5 * scale)
+    assert found[2].potential == pytest.approx(found[1].potential, abs=0.05 * scale)
 
 
 @pytest.mark.slow
 def test_no_ring_tunnels_from_a_hundred_random_starts():
     found, scale = from_random_starts(range(100))
     for one in found:
-        assert one.links_intact
-        assert one.min_gap_mm >= -1e-9
+        assert one.contacts.links_intact
+        assert one.contacts.min_gap_mm >= -1e-9
         assert one.status in ("converged", "stalled")
     settled = [one for one in found if one.status == "converged"]
     assert len(settled) >= 95
@@ -553,8 +559,8 @@ def test_a_vtu_file_has_the_places_of_the_answer_to_the_last_digit(tmp_path):
     found = mesh.solve(*hung(mesh, top_of(mesh)), space=False)
     found.write_vtu(tmp_path / "rings.vtu")
     read = pyvista.read(tmp_path / "rings.vtu")
-    assert np.array_equal(read.cell_data["centre_mm"], found.centre)
-    assert np.array_equal(read.cell_data["normal"], found.normal)
+    assert np.array_equal(read.cell_data["centre_mm"][::ALONG], found.centre)
+    assert np.array_equal(read.cell_data["normal"][::ALONG], found.normal)
     points = np.asarray(read.points).reshape(len(found.centre), -1, 3)
     assert np.linalg.norm(points - found.centre[:, None], axis=2) == pytest.approx(5.0, abs=1e-12)
 
@@ -677,3 +683,11 @@ def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():
     for guide, says in ((at[:2], "guide: has shape"), (at + np.inf, "finite")):
         with pytest.raises(InputError, match=says):
             mesh.solve(force, held, at, guide=guide)
+
+
+@pytest.mark.parametrize(("weave", "ratio"), [("4-in-1", 3.985), ("4-in-1", 4.03), ("6-in-1", 6.0), ("6-in-1", 6.1)])
+def test_near_jamming_the_disturbance_leaves_the_start_open(weave, ratio):
+    """A disturbance of 0.01 r1 is more than the clearance there: wires overlapped, and held rings did not arrive."""
+    mesh = FiniteMesh.rectangle(Cell(ratio, 1.0, WEAVES[weave]), 2, 2)
+    found = mesh.solve(*hung(mesh, top_of(mesh)))
+    check(found)

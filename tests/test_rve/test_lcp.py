@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from rve.equilibrium.contact_qp import Programme, solve_contact_step
+from rve.paper.contact_qp import Programme, solve_contact_step
 
 
 def programme(rng, n, c, stiffness):

@@ -8,7 +8,6 @@ import pytest
 from rve.common.errors import InputError
 from rve.common.materials import Material, named_material
 from rve.common.rings import Joint
-from rve.equilibrium.compliance import soften
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.elastic_rings import elastic_forces, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
@@ -22,7 +21,7 @@ from rve.geometry.weave import FOUR_IN_ONE
 from rve.more_columns import RingOptions, with_rings
 from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
 from rve.ring.stress import peak_stress
-from rve.solve import locked, reference_sides, solve_table
+from rve.solve import locked_block, reference_sides, solve_table
 
 from .frame import frame_flexibility
 
@@ -38,7 +37,8 @@ RING = Ring(1.0, 0.1, 1.0, POISSON)
 def paper():
     """The 190 locked states of the paper's grid, and what their rings do."""
     a, b = np.meshgrid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0), indexing="ij")
-    found, s, unique = locked(a.ravel(), b.ravel(), Cell(), DirectOptions())
+    block, _ = locked_block(a.ravel(), b.ravel(), Cell(), DirectOptions())
+    found, s, unique = block.found, block.s, block.unique
     assert (found.status == "converged").all()
     return found, s, unique, ring_states(EQUATIONS, found, s, SIDES, POISSON)
 
@@ -100,21 +100,6 @@ def test_both_parts_of_the_compliance_come_from_potentials(paper):
         assert np.linalg.eigvalsh(0.5 * (W + W.transpose(0, 2, 1)))[:, 0].min() > -1e-8 * np.abs(W).max()
     along = np.einsum("nij,nj->ni", states.locking[unique], S)
     assert np.abs(along).max() < 1e-8 * np.abs(states.locking[unique]).max()  # the surface is homogeneous
-
-
-def test_contacts_of_equal_springs_give_what_the_nonlinear_solver_finds():
-    """C = 1/kappa in place of the rings': D(kappa) of `soften`, extrapolated to rigid contacts, is the bend of the
-    surface, and kappa S:D S tends to lam lam/A."""
-    s = cauchy_line_load([0.0, 20.0, 10.0, 45.0, 30.0], [45.0, 30.0, 20.0, 90.0, 65.0])
-    found = solve_equilibrium(s, EQUATIONS, DirectOptions())
-    states = ring_states(EQUATIONS, found, s, SIDES, POISSON)
-    S = second_pk(deformation(found.pose, SIDES), s)
-    D = {kappa: soften(found, s, EQUATIONS, kappa, SIDES).compliance for kappa in (1e5, 1e6)}
-    bend = (10.0 * D[1e6] - D[1e5]) / 9.0
-    assert states.locking == pytest.approx(bend, abs=1e-5 * np.abs(bend).max())
-    along = {kappa: kappa * np.einsum("ni,nij,nj->n", S * WEIGHT, D[kappa], S) for kappa in D}
-    exact = (found.lam**2).sum(axis=(1, 2)) / AREA  # unique forces: every choice of C finds them
-    assert (10.0 * along[1e6] - along[1e5]) / 9.0 == pytest.approx(exact, rel=1e-4)
 
 
 def test_bend_of_the_surface_by_differences_of_locked_states():

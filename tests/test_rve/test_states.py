@@ -14,7 +14,7 @@ from rve.common.tensor import WEIGHT
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.weave import FOUR_IN_ONE
-from rve.more_columns import with_compliance, with_rings
+from rve.more_columns import with_rings
 from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.table import read_table
@@ -43,7 +43,7 @@ def test_states_are_those_of_the_rows(table):
     system = equations.assemble(part.pose, part.contacts, part.lam, part.s)
     assert system.weighted_residual.max() < 1e-9
     np.testing.assert_allclose(part.pose.a1 * 5.0, table.x2_mm[good], atol=1e-12)
-    np.testing.assert_allclose(part.contacts.min_gap * 5.0, table.min_gap_mm[good], atol=1e-15)
+    np.testing.assert_allclose(part.contacts.min_gap * 5.0, table.quality.min_gap_mm[good], atol=1e-15)
     assert part.lam[~part.contacts.present].max() == 0.0
 
 
@@ -53,14 +53,9 @@ def test_states_do_not_go_into_files(table, tmp_path):
     assert read.states is None
     with pytest.raises(InputError, match="no locked states to draw"):
         draw_case(read)
-    again = with_compliance(read, 1e4)
-    assert again.compliance == pytest.approx(with_compliance(table, 1e4).compliance, rel=1e-6, nan_ok=True)
 
 
-def test_compliance_and_picture_solve_nothing(table):
-    compliant, count = solves(lambda: with_compliance(table, 1e4))
-    assert count == 0
-    assert np.isfinite(compliant.compliance).all(axis=(1, 2)).tolist() == [True, True, False, False]
+def test_a_picture_solves_nothing(table):
     _, count = solves(lambda: draw_case(table, 1))
     assert count == 0
 
@@ -69,7 +64,6 @@ def test_rings_solve_nothing_and_are_those_of_a_table_from_a_file(table, tmp_pat
     rings, count = solves(lambda: with_rings(table, Cell()))
     assert count == 0
     assert np.isfinite(rings.strength).all(axis=1).tolist() == [True, True, False, True]
-    assert np.array_equal(with_compliance(table).compliance, rings.compliance, equal_nan=True)
     table.save(tmp_path / "t.csv")
     again = with_rings(read_table(tmp_path / "t.csv"), Cell())
     assert again.strength == pytest.approx(rings.strength, rel=1e-3, nan_ok=True)
@@ -95,8 +89,7 @@ def test_commands_solve_once(tmp_path):
     # The reference, the load, and its S as a dead load.
     assert count("case", *load) == count("case", *load, "--plot", tmp_path / "c.png") == 3
     out = ("--out", tmp_path / "t.csv")
-    assert count("table", *out, *load) == count("table", *out, *load, "--compliance", 1000) == 3
-    assert count("table", *out, *load, "--span") == 3  # no free strain: nothing to span
+    assert count("table", *out, *load) == count("table", *out, *load, "--rings") == 3
     assert count("table", *out, *load, "--branches", "first") == 2
 
 
@@ -112,6 +105,6 @@ def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
     assert equations.assemble(states.pose, states.contacts, states.lam, states.s).weighted_residual.max() < 1e-9
     plain = solve_table(Cell(), loads)
     np.testing.assert_allclose(states.pose.lattice, plain.states.pose.lattice, atol=1e-9)
-    stiff = with_compliance(solve_table(Cell(weave=forgetful), loads), 1e4).compliance
-    assert stiff == pytest.approx(with_compliance(plain, 1e4).compliance, rel=1e-5, abs=1e-9)
-    assert (np.einsum("nii->n", WEIGHT[:, None] * stiff) > 0.0).all()
+    rings = with_rings(solve_table(Cell(weave=forgetful), loads), Cell(weave=forgetful)).compliance
+    assert rings == pytest.approx(with_rings(plain, Cell()).compliance, rel=1e-5, abs=1e-9)
+    assert (np.einsum("nii->n", WEIGHT[:, None] * rings) > 0.0).all()

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.common.errors import InputError
-from rve.equilibrium.compliance import soften
 from rve.equilibrium.interior_point import solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import cauchy_line_load
@@ -53,14 +51,6 @@ def test_energy_never_rises_in_an_accepted_step(rest):
     assert rest.history.rise.max() <= st.ROUND_OFF
     assert rest.history.rise.min() < -0.1  # it does fall, by far more than the allowance
     assert rest.history.h.min() > 0.0
-
-
-def test_rest_is_the_soft_equilibrium_that_newton_finds(rest, rigid, loads):
-    kappa = Dynamics.of(EQUATIONS, OPTIONS).stiffness
-    soft = soften(rigid, loads, EQUATIONS, kappa, reference(rigid))
-    assert list(soft.status) == ["converged"] * len(ALPHA)
-    off = strain_of(rest.pose, reference(rigid)) - strain_of(soft.pose, reference(rigid))
-    assert np.abs(off).max() < 2e-8  # the motion ends somewhere below R = 1e-9; another stiffness is off by 1e-6
 
 
 def test_residual_of_eq_9_is_that_of_the_static_system(rest, loads):
@@ -148,22 +138,6 @@ def test_a_step_that_cannot_shrink_is_told(loads):
     assert np.isfinite(stuck.pose.lattice).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("stiffness", 0.0),
-        ("density", -1.0),
-        ("h_max", np.nan),
-        ("load", np.inf),
-        ("contacts", "guess"),
-        ("restore", 0.5),
-    ],
-)
-def test_senseless_options_are_named(name, value):
-    with pytest.raises(InputError, match=f"StewartTrinkleOptions: {name} = "):
-        replace(OPTIONS, **{name: value})
-
-
 def test_copies_of_a_link_among_the_ten_rings():
     count = {tuple(pair): n for pair, n in zip(FOUR_IN_ONE.pairs.tolist(), copies(FOUR_IN_ONE), strict=True)}
     assert [count[0, 1, i, j] for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1))] == [4, 4, 2, 2]
@@ -185,12 +159,5 @@ def test_all_cases_of_the_paper_fall_in_energy_and_keep_their_links():
     rigid = solve_equilibrium(s, EQUATIONS)
     cell = tuple(rigid.pose.lattice[18, :2])
     unique = (beta > 0.0) | (alpha < 15.0) | (alpha > 40.0)
-    soft = soften(rigid, s, EQUATIONS, Dynamics.of(EQUATIONS, OPTIONS).stiffness, cell)
-    # A pull at 45 degrees (two rows, one load): at ten rings' unequal stiffnesses Newton's method does not settle on
-    # its working contacts (at equal ones it does); there the rigid strain is the measure, penetration included.
-    hard = unique & (soft.status != "converged")
-    assert set(zip(alpha[hard], beta[hard], strict=True)) <= {(45.0, 0.0), (45.0, 90.0)}
     E = strain_of(rest.pose, cell)
-    off = np.abs(E - strain_of(soft.pose, cell)).max(axis=1)
-    assert off[unique & ~hard].max() < 1e-6
-    assert np.abs(E - strain_of(rigid.pose, cell)).max(axis=1)[hard].max(initial=0.0) < 5e-6
+    assert np.abs(E - strain_of(rigid.pose, cell)).max(axis=1)[unique].max() < 5e-6  # penetration included

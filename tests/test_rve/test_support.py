@@ -12,8 +12,9 @@ from rve.cli import main
 from rve.common.errors import InputError, NotConverged
 from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
 from rve.directions import grid
-from rve.equilibrium.dead_load import DeadLoad, largest, opened, random_poses, solve_dead
+from rve.equilibrium.dead_load import DeadLoad, open_gaps, random_poses, solve_dead
 from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.largest_work import largest
 from rve.equilibrium.symmetry import is_symmetric, symmetry_of
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -87,6 +88,33 @@ def test_size_unit_grain_and_mirror_change_nothing():
     image = support(Cell(), mirror(S), FIRST)
     np.testing.assert_allclose(image.h, plain.h, atol=1e-12)
     np.testing.assert_allclose(image.E, mirror(plain.E), atol=1e-9)
+
+
+def loads_near_the_straight_chain(cell, count, seed):
+    """Loads of unit trace just inside rank one, with normals near that of the face of the straight chain of rings."""
+    rng = np.random.default_rng(seed)
+    face = solve_table(cell, ([30.0], [0.0]), FIRST).S[0]
+    size = 10.0 ** rng.uniform(-5.0, -2.0, count)
+    angle = np.arctan2(np.sqrt(face[2]), np.sqrt(face[0])) + size * rng.uniform(-2.0, 2.0, count)
+    along = np.stack([np.cos(angle) ** 2, np.cos(angle) * np.sin(angle), np.sin(angle) ** 2], axis=1)
+    S = along + size[:, None] * (np.array([1.0, 0.0, 1.0]) - along)
+    return S / (S[:, :1] + S[:, 2:])
+
+
+@pytest.mark.parametrize(
+    "ratio", [10.0, *(pytest.param(ratio, marks=pytest.mark.slow) for ratio in (5.0, 7.0, 20.0, 50.0))]
+)
+def test_loads_just_inside_rank_one_lock_in_the_state_of_largest_work(ratio):
+    """The weak second load decides where on a curved face of the locking surface the cell rests."""
+    cell = Cell(5.0, 5.0 / ratio)
+    S = loads_near_the_straight_chain(cell, 8 if ratio == 10.0 else 24, 1)
+    if ratio == 10.0:
+        S = np.concatenate([S, [[0.26846867, 0.30864901, 0.35490794]]])
+    found = support(cell, S, FIRST if ratio == 10.0 else None)
+    assert (found.status == "converged").all()
+    assert (found.h[:, None] - (S * WEIGHT) @ found.E.T).min() > -1e-9
+    table = solve_table(cell, (np.arange(16.0, 40.0, 4.0), np.zeros(6)), FIRST)
+    assert (found.h[:, None] - (S * WEIGHT) @ table.E[table.converged].T).min() > -1e-9
 
 
 THIN = pytest.mark.slow
@@ -210,7 +238,7 @@ def test_free_strains_are_flagged():
 def test_a_locked_pose_is_opened_a_little():
     equations = Equations.of(FOUR_IN_ONE, 0.1, load=DeadLoad((2.2, 2.53)))
     found = solve_dead(random_loads(8, 2), equations, DirectOptions())
-    pose = opened(found.pose, equations, 1e-4, 0.6)
+    pose = open_gaps(found.pose, equations, 1e-4, 0.6)
     contacts = equations.contacts(pose, 0.6)
     assert contacts.links_intact.all()
     assert (contacts.min_gap > 5e-5).all()
@@ -236,11 +264,8 @@ def test_states_known_before_are_starts():
     [
         ([1.0, 0.0, -0.5], "has the eigenvalue -0.5"),
         ([0.3, 0.4, 0.3], "has the eigenvalue -0.1"),
-        ([-1.0, 0.0, -1.0], "has the eigenvalue -1"),
         ([0.0, 0.0, 0.0], "give a load"),
-        ([1.0, np.nan, 1.0], "finite"),
         ([1.0, 2.0], "shape"),
-        ("pull", "numbers"),
     ],
 )
 def test_loads_that_are_none(S, words):

@@ -7,7 +7,7 @@ import pytest
 
 from rve.equilibrium.interior_point import DirectOptions, follow, solve_equilibrium, unit_loads
 from rve.equilibrium.symmetry import (
-    expanded,
+    expand_symmetric,
     is_confirmed,
     is_symmetric,
     solve_equilibrium_symmetric,
@@ -86,9 +86,9 @@ def test_wrong_forces_are_not_confirmed():
     equations, symmetry = Equations.of(FOUR_IN_ONE, 0.1), symmetry_of(FOUR_IN_ONE)
     half = symmetric_equations(equations, symmetry)
     part = follow(s, half, OPTIONS, symmetric_start(FOUR_IN_ONE, symmetry, 2))
-    good = expanded(part, symmetry, equations, s, OPTIONS.reach)
+    good = expand_symmetric(part, symmetry, equations, s, OPTIONS.reach)
     assert is_confirmed(good, half, equations, s, OPTIONS.tolerance).all()
-    twice = expanded(replace(part, lam=2.0 * part.lam), symmetry, equations, s, OPTIONS.reach)
+    twice = expand_symmetric(replace(part, lam=2.0 * part.lam), symmetry, equations, s, OPTIONS.reach)
     assert not is_confirmed(twice, half, equations, s, OPTIONS.tolerance).any()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rve.equilibrium.interior_point import carry_forces
+from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk

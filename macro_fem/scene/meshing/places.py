@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.scene.meshing.edges import CORNER, paths
+from macro_fem.scene.tables import Support
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -78,32 +79,45 @@ def counterclockwise(points: Array, cells: np.ndarray) -> np.ndarray:
     return np.where(area[:, None] < 0.0, cells[:, ::-1], cells)
 
 
-def hook_places(points: Array, pairs: np.ndarray, pitch: float, where: str) -> Array:
-    """Hooks (k, 2) on an edge of facets `pairs` (m, 2): evenly spaced along each of its lines, with one at each end.
+@dataclass(frozen=True, eq=False)
+class HookRow:
+    """The hooks of one support: reference `places` (k, 2), the `pitch` that fits the edge, mm, and their nodes (k,)."""
 
-    The spacing is the one nearest to `pitch` that fits. InputError if the pitch is longer than the edge, or finer than
-    its facets.
+    places: Array
+    pitch: float
+    nodes: np.ndarray
+
+
+def hook_places(points: Array, pairs: np.ndarray, item: Support, where: str) -> HookRow:
+    """Hooks on an edge of facets `pairs` (m, 2): evenly spaced along each of its lines, with one at each end.
+
+    The spacing is the one nearest to the pitch that fits; that of the longest line is told. InputError if the pitch is
+    longer than the edge, or finer than its facets.
     """
-    found = []
+    found, fitted = [], []
+    pitch, count = getattr(item, "pitch", None), getattr(item, "count", None)
+    named = f"{where} count = {count}:" if pitch is None else f"{where} pitch = {pitch:g}:"
     for path in paths(map(tuple, pairs), points):
         line = points[path]
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        length = float(arc[-1])
-        if pitch > length * (1.0 + 1e-9):
-            raise InputError(f"{where} pitch = {pitch:g}: is wider than the top edge, {length:g} mm")
-        number = round(min(length / pitch, 1e9))
+        length, is_closed = float(arc[-1]), path[0] == path[-1]
+        if pitch is not None and pitch > length * (1.0 + 1e-9):
+            raise InputError(f"{named} is wider than the top edge, {length:g} mm")
+        number = item.spaces(length) + (1 if is_closed and count is not None else 0)
         if number > len(path) - 1:
             raise InputError(
-                f"{where} pitch = {pitch:g}: is finer than the mesh, whose nodes on the top edge are "
+                f"{named} is finer than the mesh, whose nodes on the top edge are "
                 f"{length / (len(path) - 1):g} mm apart; use more cells"
             )
-        at = np.linspace(0.0, length, number + 1)[: number if path[0] == path[-1] else None]
+        fitted.append((length, length / number))
+        at = np.linspace(0.0, length, number + 1)[: number if is_closed else None]
         found.append(np.stack([np.interp(at, arc, line[:, 0]), np.interp(at, arc, line[:, 1])], axis=-1))
-    return np.concatenate(found)
+    return HookRow(np.concatenate(found), max(fitted)[1], np.zeros(0, np.int64))
 
 
-def with_nodes_at(sheet: Sheet, places: Array, wheres: list[str]) -> Sheet:
-    """The sheet with a node at each of the places (k, 2); InputError, which begins with `wheres`, if it cannot."""
+def with_nodes_at(sheet: Sheet, places: Array, wheres: list[str]) -> tuple[Sheet, np.ndarray]:
+    """The sheet with a node at each of the places (k, 2), and these nodes (k,); InputError, which begins with
+    `wheres`, if it cannot."""
     tiny = SAME * sheet.size
     distance, node = cKDTree(sheet.points).query(places)
     kept = set(node[distance < tiny].tolist()) | _ends_of_lines(sheet)
@@ -114,7 +128,8 @@ def with_nodes_at(sheet: Sheet, places: Array, wheres: list[str]) -> Sheet:
             change = _best_change(sheet, places[k], kept, f"{wheres[k]}: ")
             sheet, nearest = _applied(sheet, change), change.node
         kept.add(nearest)
-    return sheet
+        node[k] = nearest
+    return sheet, node
 
 
 def through(lines: Array, places: Array) -> Array:

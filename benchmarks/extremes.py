@@ -1,0 +1,288 @@
+"""What was tried at the extremes and what happened. `tests/test_benchmarks/test_extremes.py` asserts the same rows."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.frame import Section, table
+from benchmarks.measure import Row, count_of, outcomes
+from benchmarks.problems import Array, normality, square
+from homogenize import default_law
+from homogenize.laws.net import ring_net
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.protocol import MembraneLaw
+from macro_fem.curtain import solve_scene
+from macro_fem.fem.hung_law import HungLaw
+from macro_fem.scene.schema import read_scene
+from rve.common.errors import InputError
+from rve.directions import product
+from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.circles import local_minima
+from rve.geometry.contacts import find_contacts
+from rve.geometry.distance import distance_gradient, distance_hessian
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import Pose, moved, start_pose
+from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
+from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions, solve
+from rve.solve import solve_table
+from rve.table import StrainTable
+
+R1, WIRE = 5.0, 0.1
+RATIOS = (
+    (FOUR_IN_ONE, (3.98093, 3.9811, 3.99, 4.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0)),
+    (SIX_IN_ONE, (5.9433, 5.95, 6.0, 7.0, 10.0, 20.0, 50.0, 100.0)),
+)
+LOADS = product(np.array([0.0, 15.0, 30.0, 45.0]), np.array([0.0, 5.0, 20.0, 45.0, 70.0, 85.0, 90.0]))
+UNIQUE = np.array([[0.0, 0.0], [0.0, 45.0], [10.0, 10.0], [20.0, 30.0], [45.0, 0.0], [45.0, 90.0], [30.0, 70.0]])
+"""Loads whose strain is unique at r1/r2 = 10, one of them the kink (0, 0)."""
+CIRCLE = np.arange(-180.0, 180.0, 7.5)
+SMALL = 10.0 ** np.linspace(-6.0, 0.0, len(CIRCLE))
+RIMS = {
+    "uniaxial, beta = 0": 0.0 * CIRCLE,
+    "nearly uniaxial, beta = 1e-6 to 1": SMALL,
+    "nearly uniaxial, 90 - beta = 1e-6 to 1": 90.0 - SMALL,
+    "nearly equibiaxial, beta - 45 = 1e-6 to 1": 45.0 + SMALL,
+}
+"""beta for alpha over the full circle, at and near the boundary of the tensile cone."""
+Z, Y, TILT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, np.sin(1e-8), np.cos(1e-8)]])
+PAIRS = (
+    ("coaxial", (0.0, 0.0, 0.7), Z, 0.7),
+    ("the same circle", (0.0, 0.0, 0.0), Z, 0.0),
+    ("the same circle, turned by 1e-8", (0.0, 0.0, 0.0), TILT, 0.0),
+    ("coplanar, apart", (2.5, 0.0, 0.0), Z, 0.5),
+    ("coplanar, crossing", (1.0, 0.0, 0.0), Z, 0.0),
+    ("parallel planes, crossing projections", (1.0, 0.0, 0.3), Z, 0.3),
+    ("nearly parallel planes, 1e-8", (1.0, 0.0, 0.3), TILT, 0.3),
+    ("perpendicular through the centre", (0.0, 0.0, 0.0), Y, 0.0),
+    ("perpendicular, circle A about a point of B", (1.0, 0.0, 0.0), Y, 1.0),
+    ("perpendicular, taut", (1.8, 0.0, 0.0), Y, 0.2),
+    ("far apart", (1e6, 0.0, 0.0), Y, 1e6 - 2.0),
+)
+"""Name, centre and normal of circle B (A at the origin, normal z, r1 = 1), least distance."""
+OUTCOME, ERROR, RISES = "outcome", "error of the distance", "energy never rises"
+LATTICE, STATUS, HEIGHT = "difference of lattices, r1", "status or message", "mean height, mm"
+FAR = 1e6
+NOISE = {"R": "at_most 1e-11", "overlap, mm": "at_most 1e-12", "iterations, median": ".0f"}
+
+
+def table_row(name: str, found: StrainTable) -> Row:
+    """How the loads of a table end; rows contradict each other where S_i:(E_i - E_j) < -1e-8 for some j."""
+    return {
+        "loads": name,
+        OUTCOME: outcomes(found.status),
+        "iterations, median": float(np.median(found.quality.iterations)),
+        "R": np.nanmax(found.quality.R),
+        "overlap, mm": max(0.0, -np.nanmin(found.quality.min_gap_mm)),
+        "contradicting rows": int((normality(found) < -1e-8).sum()),
+    }
+
+
+def ratio_row(weave: Weave, ratio: float) -> Row:
+    """28 loads of one cell between the jamming limit and thin wire."""
+    return table_row(f"28, {weave.name} at r1/r2 = {ratio:g}", solve_table(Cell(R1, R1 / ratio, weave), LOADS))
+
+
+def rim_row(name: str, ratio: float) -> Row:
+    """Loads at the boundary of the tensile cone."""
+    return table_row(f"48, {name}, r1/r2 = {ratio:g}", solve_table(Cell(R1, R1 / ratio), (CIRCLE, RIMS[name])))
+
+
+def random_rows(groups: int, each: int = 250) -> list[Row]:
+    """Random loads, `each` for one random ratio of radii, log-uniform from 4 to 100."""
+    rng = np.random.default_rng(20261120)
+    rows = []
+    for ratio in np.sort(np.exp(rng.uniform(np.log(4.0), np.log(100.0), groups))):
+        angles = rng.uniform(-180.0, 180.0, each), rng.uniform(0.0, 90.0, each)
+        rows.append(table_row(f"{each} at random, r1/r2 = {ratio:.1f}", solve_table(Cell(R1, R1 / ratio), angles)))
+    return rows
+
+
+def admissible(pose: Pose, gap: float = 0.0) -> Array:
+    """Which poses keep all links and every gap above `gap`, (n,)."""
+    contacts = find_contacts(pose, FOUR_IN_ONE, WIRE, 0.6)
+    return contacts.links_intact & (contacts.min_gap > gap)
+
+
+def squeezed(sense: float, gap: float) -> Pose:
+    """The slack cell closed (sense -1) or opened (+1) evenly in its plane until its least gap is `gap` r1."""
+    slack = start_pose(FOUR_IN_ONE, 1)
+
+    def pose(part: float) -> Pose:
+        f = 1.0 + sense * part
+        return Pose(slack.lattice * [f, f, 1.0], slack.centres * f, slack.normals)
+
+    low, high = 0.0, 1.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if admissible(pose(middle), gap)[0] else (low, middle)
+    return pose(low)
+
+
+def random_poses(count: int, seed: int = 7) -> Pose:
+    """Admissible poses, sides and centres moved by up to 0.3 r1 and rings tilted by up to 0.3."""
+    rng = np.random.default_rng(seed)
+    found = start_pose(FOUR_IN_ONE, 1)
+    while len(found.lattice) <= count:
+        shift = 0.3 * rng.uniform(-1.0, 1.0, (2 * count, 4 * FOUR_IN_ONE.classes + 1))
+        pose = moved(start_pose(FOUR_IN_ONE, 2 * count), shift)
+        found = found.join([pose.take(admissible(pose))])
+    return found.take(np.arange(1, count + 1))
+
+
+def start_row(name: str, start: Pose) -> Row:
+    """Starts, as many for each load of `UNIQUE` in turn: how far their locked lattices are from the default's."""
+    n = len(start.lattice) // len(UNIQUE)
+    s, equations = cauchy_line_load(*UNIQUE.T), Equations.of(FOUR_IN_ONE, WIRE)
+    found = solve_equilibrium(np.repeat(s, n, axis=0), equations, DirectOptions(), start)
+    truth = np.repeat(solve_equilibrium(s, equations).pose.lattice, n, axis=0)
+    apart = np.abs(found.pose.lattice - truth).max(axis=1)[found.status == "converged"]
+    return {"start": name, OUTCOME: outcomes(found.status), LATTICE: apart.max()}
+
+
+def start_rows(random: int) -> list[Row]:
+    """From nearly closed, nearly open and random poses."""
+    each = np.zeros(len(UNIQUE), int)
+    rows = [
+        start_row(f"nearly {name}, least gap {gap:.0e} r1", squeezed(sense, gap).take(each))
+        for name, sense in (("closed", -1.0), ("open", 1.0))
+        for gap in (1e-2, 1e-6, 1e-12)
+    ]
+    return [*rows, start_row("random poses", random_poses(random * len(UNIQUE)))]
+
+
+def pair_row(name: str, centre: tuple[float, ...], normal: Array, expected: float) -> Row:
+    """Least distance of two circles against the closed form, and whether the derivatives are finite."""
+    given = np.array([centre]), Z[None], normal[None]
+    found = local_minima(*given, 1.0)
+    parts = distance_gradient(found), distance_hessian(found, given[1][found.pair], given[2][found.pair], 1.0)
+    error = abs(found.distance.min() - expected) / max(1.0, expected)
+    return {"pair": name, ERROR: error, "derivatives finite": all(np.isfinite(part).all() for part in parts)}
+
+
+def ladders() -> Iterator[tuple[str, dict[str, float]]]:
+    """Name and options of the paper's scheme: k over ten decades, damping and mass over six, load over eight."""
+    paper = StewartTrinkleOptions()
+    scaled = ("stiffness", "damping", "rotational_damping", "density")
+    for e in range(2, 13, 2):
+        yield f"contact stiffness 1e{e} kg/s2", {"stiffness": 10.0**e}
+    for e in (-3, -2, -1, 1, 2, 3):
+        f = 10.0**e
+        yield f"both dampings times 1e{e}", {"damping": f, "rotational_damping": 100.0 * f}
+        yield f"mass times 1e{e}", {"density": paper.density * f}
+    for e in range(-4, 4):
+        yield f"h_max 1e{e} s", {"h_max": 10.0**e}
+    for e in range(-4, 5, 2):
+        load = {"load": 2.5 * 10.0**e}
+        yield f"line load times 1e{e}", load
+        together = {name: getattr(paper, name) * 10.0**e for name in scaled}
+        yield f"line load, k, both dampings and mass times 1e{e}", load | together
+
+
+def motion_row(name: str, changes: dict[str, float], steps: int) -> Row:
+    """Six loads in the paper's scheme with these options changed."""
+    options = replace(StewartTrinkleOptions(), max_steps=steps, **changes)  # type: ignore[arg-type]
+    s = cauchy_line_load(*UNIQUE[:6].T)
+    found = solve(s, Equations.of(FOUR_IN_ONE, WIRE), options, history=True)
+    assert found.history is not None
+    row: Row = {"what is varied": name, OUTCOME: outcomes(found.status), "steps, median": float(np.median(found.steps))}
+    intact = found.contacts.links_intact.all()
+    return row | {"largest R": found.R.max(), RISES: found.history.rise.max() <= ROUND_OFF, "links intact": intact}
+
+
+def law_kinds() -> dict[str, MembraneLaw]:
+    """One law of every kind."""
+    rings = default_law()
+    assert rings.cell is not None
+    return {"polyhedral": rings, "polyhedral, turned": HungLaw(rings, 30.0), "net": ring_net(rings.cell)}
+
+
+def law_row(name: str, law: MembraneLaw) -> Row:
+    """Whether answers at vertices, on edges and far outside are finite, and E - E* = A S there."""
+    rng = np.random.default_rng(9)
+    far = FAR * np.concatenate([rng.normal(size=(200, 3)), np.eye(3), -np.eye(3)])
+    source: Any = getattr(law, "law", law)
+    corners = source.vertices[:400] if isinstance(source, PolyhedralLaw) else source.response(far).E_star
+    corners = corners @ law.to_curtain.T if isinstance(law, HungLaw) else corners
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=0))
+    E = np.concatenate([corners, corners + 1e-15, corners + 1e-9, middles, far])
+    answer, cut = law.response(E), law.cut(E)
+    parts = answer.energy, answer.S, answer.C, answer.E_star, cut.S, cut.h, cut.violation
+    metric = np.abs(E - answer.E_star - answer.S @ law.compliance.T).max(axis=1) / (1.0 + np.abs(E).max(axis=1))
+    finite = all(np.isfinite(part).all() for part in parts)
+    return {"law": name, "strains": len(E), "all finite": finite, "E - E* = A S": metric.max()}
+
+
+def curtain_tables() -> dict[str, dict[str, Any]]:
+    """Tables of scenes of extreme shape, support and load, by name; each is a square of 100 mm unless it says so."""
+    still = {"load": {"gravity": 0.0}}
+    held = {"support": {"kind": "top"}}
+    made: dict[str, dict[str, Any]] = {
+        "ribbon 1 : 1000, hanging": {"curtain": {"width": 1.0, "height": 1000.0}, "mesh": {"cells": 1}} | held,
+        "ribbon 1000 : 1, held along its top": {"curtain": {"width": 1000.0, "height": 1.0}, "mesh": {"cells": 400}}
+        | held,
+        "one cell": {"mesh": {"cells": 1}},
+        "gathered to 2 %": {"support": {"kind": "top", "gather": 0.02}},
+        "no gravity, no load": still,
+        "no gravity, drawn by supports": still | {"support": {"kind": "corners", "gather": 1.3}},
+    }
+    for gather in (1.5, 1.58, 1.6, 3.0):
+        made[f"corners drawn apart to {gather:g}"] = {"support": {"kind": "corners", "gather": gather}}
+    for force in (1e-6, 1.0, 1e6):
+        made[f"a point load of {force:g} N"] = {"load": {"point": [{"at": [50.0, 0.0], "force": [0.0, -force]}]}}
+    return made
+
+
+def curtain_row(name: str, tables: dict[str, Any], law: MembraneLaw, kind: str) -> Row:
+    """One curtain: its answer, or the sentence that says why there is none."""
+    whole = square(12, {"kind": "corners", "gather": 0.9}, 100.0, solver={"kind": kind}) | tables
+    row: Row = {"curtain": name, "solver": kind}
+    try:
+        found = solve_scene(read_scene(whole), law)
+    except InputError as error:
+        return row | {STATUS: str(error)}
+    if found.status != "converged":
+        return row | {STATUS: f"{found.status}: {found.message}"}
+    answer = {"iterations": found.iterations, "unbalanced": found.residual, HEIGHT: found.mean_height()}
+    return row | {STATUS: str(found.status)} | answer
+
+
+def curtain_rows() -> list[Row]:
+    """All extremes by both solvers, and nine decades of stiffness."""
+    law = default_law()
+    rows = [curtain_row(*one, law, kind) for kind in ("rigid", "elastic") for one in curtain_tables().items()]
+    for size in 10.0 ** np.arange(10):
+        stiff = replace(law, stiffness=size * np.eye(3), strength=None)  # type: ignore[type-var]
+        rows.append(curtain_row(f"rings of {size:.0e} N/mm", {}, stiff, "elastic"))
+    return rows
+
+
+def measure(full: bool) -> Section:
+    """All of it; `full` has four times as many random loads and starts."""
+    more = 4 if full else 1
+    loads = [ratio_row(weave, ratio) for weave, ratios in RATIOS for ratio in ratios]
+    loads += [rim_row(name, ratio) for name in RIMS for ratio in (5.0, 10.0, 50.0)] + random_rows(6 * more)
+    starts, curtains = start_rows(10 * more), curtain_rows()
+    motions = [motion_row(*one, steps=200 * more) for one in ladders()]
+    pairs = [pair_row(*one) for one in PAIRS]
+    laws = [law_row(*one) for one in law_kinds().items()]
+    text = (
+        "A row says how many cases `converged`, or the status of the failure, or the sentence with which the input "
+        "was refused. Residuals and gaps at the level of round-off are given by the power of ten that bounds them. "
+        "Curtains are squares of 100 mm hung by two corners at 90 % of the width unless the row says otherwise."
+    )
+    missed = [row["loads"] for row in loads if len(row[OUTCOME].split()) > 2]
+    good = count_of([row[STATUS] == "converged" for row in curtains])
+    conclusion = f"Loads that end otherwise than `converged`: {'; '.join(missed) or 'none'}. {good} curtains converge."
+    tables = (
+        table("Loads of cells", loads, NOISE),
+        table("Starts of cells, r1/r2 = 10, 7 loads", starts, {LATTICE: "at_most 1e-10"}),
+        table("Two circles", pairs, {ERROR: "at_most 1e-15"}),
+        table("The paper's scheme, 6 loads", motions, {"largest R": ".0e", "steps, median": ".0f"}),
+        table("Laws", laws, {"E - E* = A S": "at_most 1e-14"}),
+        table("Curtains", curtains, {"unbalanced": "at_most 1e-12", HEIGHT: ".5g"}),
+    )
+    return Section("Extremes", text, tables, (), conclusion)

@@ -1,1 +1,0 @@
-"""One problem, one file per code: `run(n)` yields when it is set up, when it is solved, and then its answer."""

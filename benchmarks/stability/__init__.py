@@ -1,1 +1,0 @@
-"""Report 2: what was tried at the extremes and what happened, case by case."""

@@ -1,0 +1,96 @@
+"""Load directions of a table as points of the disc, and what is known between them, by triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, Delaunay, QhullError
+
+from rve.common.errors import InputError
+from rve.common.tensor import disc, eigenvalues, mirror, trace
+from rve.common.types import Array
+
+SAME = 1e-9
+"""Loads in the disc closer than this are one load."""
+FLAT = 1e-12
+"""Twice the area in the disc below which a triangle holds no load."""
+CHUNK = 500
+"""Loads looked up together: 15 MB for the triangles of 190 rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Load directions as points of the disc, and the triangles between them; with their mirror images if `is_mirrored`.
+
+    slope (2, 3, t), level (3, t): the weights of each triangle's corners at a point x are x slope + level; rows (t, 3):
+    the loads at its corners; hull (k, 3): the half-planes around all. Neighbours are neighbours as Cauchy loads, which
+    lie on a grid, while S crowds where the cell locks far from its reference.
+    """
+
+    slope: Array
+    level: Array
+    rows: NDArray[np.intp]
+    hull: Array
+    is_mirrored: bool
+
+    @staticmethod
+    def of(S: Array, cauchy: Array, is_mirrored: bool) -> Directions:
+        """Those of loads S (n, 3) of unit trace and their Cauchy loads (n, 3); InputError unless they surround the
+        equibiaxial load."""
+        x, s = disc(S), cauchy
+        if is_mirrored:
+            x, s = disc(np.vstack([S, mirror(S)])), np.vstack([cauchy, mirror(cauchy)])
+        first = np.sort(np.unique(np.round(x / SAME), axis=0, return_index=True)[1])
+        x, s = x[first], s[first]
+        try:
+            triangles, hull = Delaunay(disc(s / trace(s)[:, None])).simplices, ConvexHull(x).equations
+        except (QhullError, ValueError) as error:
+            raise InputError("strengths need loads that differ in angle and ratio; these lie on one line") from error
+        if hull[:, 2].max() >= 0.0:
+            raise InputError("strengths need loads on all sides of the equibiaxial one")
+        sides = np.swapaxes(x[triangles[:, :2]] - x[triangles[:, 2:]], 1, 2)
+        good = np.abs(np.linalg.det(sides)) > FLAT
+        triangles = triangles[good]
+        two = np.linalg.inv(sides[good])
+        slope = np.concatenate([two, -two.sum(axis=1, keepdims=True)], axis=1)
+        level = np.array([0.0, 0.0, 1.0]) - np.einsum("tij,tj->ti", slope, x[triangles[:, 2]])
+        rows = first[triangles] % len(S)
+        return Directions(slope.transpose(2, 1, 0).copy(), level.T.copy(), rows, hull, is_mirrored)
+
+    def at(self, S: Array) -> tuple[NDArray[np.intp], Array]:
+        """LockedRows (m, 3) around each load S (m, 3) of unit trace, and their weights (m, 3), which sum to 1.
+
+        A load outside of the hull is drawn towards the equibiaxial one until it lies on it. In a weave that is its own
+        mirror image a load and its image have the same weights, though triangles between points on a square may not be
+        mirror images.
+        """
+        x = disc(S)
+        if self.is_mirrored:
+            x[:, 1] = np.abs(x[:, 1])
+        beyond = np.maximum((x @ self.hull[:, :2].T / -self.hull[:, 2]).max(axis=1), 1.0)
+        x = x / beyond[:, None]
+        rows, weights = np.empty((len(x), 3), dtype=np.intp), np.empty((len(x), 3))
+        for start in range(0, len(x), CHUNK):
+            part = slice(start, start + CHUNK)
+            three = x[part, :1, None] * self.slope[0] + x[part, 1:, None] * self.slope[1] + self.level
+            best = three.min(axis=1).argmax(axis=1)
+            inside = np.maximum(np.take_along_axis(three, best[:, None, None], axis=2)[..., 0], 0.0)
+            rows[part], weights[part] = self.rows[best], inside / inside.sum(axis=1, keepdims=True)
+        return rows, weights
+
+
+def tensile_part(S: Array) -> Array:
+    """Line loads S (n, 3) with compressive principal values set to zero.
+
+    >>> tensile_part(np.array([[3.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+    array([[3. , 0. , 0. ],
+           [0.5, 0.5, 0.5]])
+    """
+    low, high = eigenvalues(S)
+    mean, half = 0.5 * (low + high), 0.5 * (high - low)
+    top, bottom = np.maximum(high, 0.0), np.maximum(low, 0.0)
+    share = 0.5 * (top - bottom) / np.where(half > 0.0, half, 1.0)
+    middle = 0.5 * (top + bottom)
+    return np.stack([middle + share * (S[:, 0] - mean), share * S[:, 1], middle + share * (S[:, 2] - mean)], axis=1)

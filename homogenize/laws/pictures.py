@@ -1,0 +1,133 @@
+"""Pictures of a law alone: cuts through the admissible strains, strength. `homogenize.plots` adds those of tables."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from homogenize.laws.protocol import MembraneLaw
+from homogenize.strength import MAKE_AGAIN, Strength
+from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, shade
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SHEARS = (0.0, 0.05, 0.1, 0.15, 0.2)
+"""E12 of the sections that are drawn."""
+MARGIN = 0.2
+"""Sections reach this strain beyond what the uniaxial supports allow."""
+UNIAXIAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
+    """(E11 + E22)/2 on the locking surface over D = (E11 - E22)/2 and G = E12, arrays of one shape."""
+    flat = np.stack([D.ravel(), G.ravel(), -D.ravel()], axis=1)
+    return np.asarray(-law.cut(flat).violation.reshape(D.shape))
+
+
+def plot_sections(
+    law: MembraneLaw, shears: tuple[float, ...] = SHEARS, reach: tuple[float, float] | None = None, ax: Any = None
+) -> Axes:
+    """Cuts through the set of admissible strains at constant shear E12: E22 over E11.
+
+    `reach`: least and greatest (E11 - E22)/2, by default what the supports under loads along x and y allow.
+    """
+    ax = new_axes() if ax is None else ax
+    along, across = law.support(UNIAXIAL)
+    least, most = (-across - MARGIN, along + MARGIN) if reach is None else reach
+    D = np.linspace(least, most, 400)
+    for number, shear in enumerate(shears):
+        T = surface_height(law, D, np.full_like(D, shear))
+        is_open = np.minimum(T + D, T - D) > -0.5  # I + 2E has positive sides
+        colour = shade(number / max(len(shears) - 1, 1))
+        ax.plot((T + D)[is_open], (T - D)[is_open], color=colour, label=f"E12 = {shear:.3f}")
+    ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=10)
+    return cast("Axes", ax)
+
+
+def plot_strength(
+    law: MembraneLaw, known: Strength | None, yield_N_per_mm2: float | None = None, axes: Any = None
+) -> Any:
+    """The locking surface in strain space, first yield and collapse in the space of line loads, and sections of both.
+
+    known: the strength of the law. axes: three, the first two of them 3D, by default those of a new figure; they are
+    returned. InputError if there is no strength, or neither it nor the caller has a yield stress.
+    """
+    if known is None:
+        raise InputError(f"the law holds no strength; {MAKE_AGAIN}")
+    stress = known.yield_stress(yield_N_per_mm2)
+    if axes is None:
+        figure = new_figure(13.5, 4.8)
+        axes = [
+            *(solid_axes(figure.add_subplot(1, 3, k, projection="3d")) for k in (1, 2)),
+            figure.add_subplot(1, 3, 3),
+        ]
+    _plot_locking(law, axes[0])
+    first, last = strength_loads(known, stress)
+    axes[1].plot_surface(
+        *np.moveaxis(first, -1, 0), cmap="cividis", alpha=0.9, rcount=73, ccount=25, label="first yield"
+    )
+    axes[1].plot_wireframe(*np.moveaxis(last, -1, 0), color=VERMILION, lw=0.7, rcount=24, ccount=6, label="collapse")
+    axes[1].set(xlabel="S11 (N/mm)", ylabel="S12 (N/mm)", zlabel="S22 (N/mm)", title="Space of line loads")
+    axes[1].legend(loc="upper left", fontsize=11)
+    _plot_strength_sections(known, stress, axes[2])
+    axes[0].figure.suptitle(f"{known.joint} rings of {known.material.name}, yield stress {stress:g} N/mm$^2$")
+    return axes
+
+
+def solid_axes(ax: Any) -> Any:
+    """3D axes whose names do not run into their numbers."""
+    ax.set_box_aspect(None, zoom=0.82)
+    ax.locator_params(nbins=5)
+    ax.xaxis.labelpad = ax.yaxis.labelpad = 8.0
+    ax.zaxis.labelpad = 11.0
+    return ax
+
+
+def _plot_locking(law: MembraneLaw, ax: Any) -> None:
+    """The locking surface over the strains that loads along the axes allow."""
+    along, across = law.support(UNIAXIAL)
+    shear = float(law.support(np.array([[0.5, 0.5, 0.5]]))[0] - law.support(np.array([[0.5, 0.0, 0.5]]))[0])
+    D, G = np.meshgrid(np.linspace(-across - 0.1, along + 0.1, 60), np.linspace(-1.0, 1.0, 61) * (shear + 0.1))
+    T = surface_height(law, D, G)
+    T = np.where(np.minimum(T + D, T - D) > -0.5, T, np.nan)
+    ax.plot_surface(T + D, G, T - D, cmap="cividis", linewidth=0.2, edgecolor="0.3", rcount=30, ccount=30)
+    ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")
+
+
+def strength_loads(known: Strength, stress: float) -> tuple[Array, Array]:
+    """Line loads (73, 25, 3) in N/mm of first yield and of collapse, over directions and shares of the smaller one."""
+    share, angle = np.meshgrid(np.linspace(0.0, 1.0, 25), np.linspace(0.0, 2.0 * np.pi, 73))
+    c, s = 0.5 * share * np.cos(angle), 0.5 * share * np.sin(angle)
+    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1)
+    flat = S.reshape(-1, 3)
+    loads = 1.0 / known.utilisation(flat, stress), 1.0 / known.collapse_utilisation(flat, stress)
+    first, last = (load.reshape(*share.shape, 1) * S for load in loads)
+    return first, last
+
+
+def _plot_strength_sections(known: Strength, stress: float, ax: Any) -> None:
+    """First yield (lines) and collapse (dashes) over the principal line loads, for three principal directions."""
+    share = np.linspace(0.0, 1.0, 91)
+    for degrees, colour, mark in ((0, "black", "o"), (22.5, BLUE, "s"), (45, VERMILION, "^")):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        first, second = np.array([c * c, c * s, s * s]), np.array([s * s, -c * s, c * c])
+        S = share[:, None] * first + (1.0 - share[:, None]) * second
+        for used, line, name in (
+            (known.utilisation(S, stress), "-", "first yield"),
+            (known.collapse_utilisation(S, stress), "--", "collapse"),
+        ):
+            style = {"color": colour, "lw": 1.8, "marker": mark, "markevery": 15}
+            ax.plot(share / used, (1.0 - share) / used, line, label=f"{degrees:g} deg, {name}", **style)
+    names = {
+        "xlabel": "principal line load at this angle to x (N/mm)",
+        "ylabel": "principal line load across it (N/mm)",
+    }
+    ax.set(**names, title="Principal line loads", xlim=(0.0, None), ylim=(0.0, None))
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=9, loc="lower right")

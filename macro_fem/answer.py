@@ -1,0 +1,94 @@
+"""The answer that `macro_fem.solve` gives, whoever has been asked: a law, the rings on demand, or every ring."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from macro_fem.output.supports import support_rows
+from macro_fem.solvers.status import Status
+from rve.common.errors import require
+from rve.common.notebook import as_html
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+RECORD = "summary.json"
+"""The file that stands for the job; it lists the others by their checksums."""
+
+
+class Solution(ABC):
+    """A solved scene: status, summary, forces of supports, pictures, rings and files."""
+
+    @property
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
+
+    @abstractmethod
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        picture: bool = True,
+        animation: bool = False,
+        html: bool = False,
+        inputs: Sequence[Path | None] = (),
+    ) -> dict[str, Any]:
+        """Write summary.json, VTU and pictures into `folder`; the summary.
+
+        All files appear together, and what they replace is gone (`rve.common.files`). InputError where they cannot be
+        written, or would overwrite `inputs`, or if what a picture needs is missing.
+        """
+
+    @abstractmethod
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """The answer in the plane, on `ax` or axes of their own (matplotlib)."""
+
+    @abstractmethod
+    def write_html(self, path: str | Path) -> None:
+        """Write the answer as one HTML file that turns in a browser without a network; InputError without plotly."""
+
+    @abstractmethod
+    def rings(self) -> Any:
+        """Every ring with its place, tilt and largest contact force."""
+
+    @property
+    def status(self) -> Status:
+        """How the answer ended."""
+        return Status(self.summary["status"])
+
+    @property
+    def message(self) -> str:
+        """What the status means, and what to try."""
+        return str(self.summary["message"])
+
+    @property
+    def safety_factor(self) -> float | None:
+        """Factor on all loads at which the first ring would yield; None where the strength is not known."""
+        factor: float | None = self.summary["safety_factor"]
+        return factor
+
+    def support_forces(self) -> DataFrame:
+        """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv:
+        number and name of the support, x and y in the reference state in mm, components in N.
+
+        InputError if pandas is not installed.
+        """
+        require("pandas", "notebook", "support_forces()", "read support_forces.csv in another way")
+        from pandas import DataFrame
+
+        columns, rows = support_rows(self.summary["support_forces"])
+        return DataFrame(rows, columns=list(columns))
+
+    def __str__(self) -> str:
+        return f"Solution: {self.status}, mean height {self.summary['mean_height_mm']:.3f} mm"
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: status, and the numbers of the summary that are single values."""
+        return as_html(self, self.summary)

@@ -1,0 +1,218 @@
+"""Wind on the present shape: drag of layers on their front, pressure normal to the surface.
+
+A cell whose vector area is a = F_1 x F_2 per reference area shows the front v = |a . w| to a wind along w: it is 1/v
+layers there. Where other cells are before or behind its middle, their layers are added. n layers of solidity s have the
+solidity 1 - (1 - s)^n, from which C_D follows (`macro_fem.scene.wind`); every layer takes 1/n of q C_D per area of the
+front, where q = rho v^2 / 2. The sum is never more than the drag of a plate on the front, and that of one flat layer
+square to the wind is q C_D(s).
+
+Wind that follows presses along a. A pressure is as it is, per present area. That of a speed is of its component along
+the normal, q C_D (a . w / |a|)^2, and counts 1/|a| layers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from macro_fem.fem.assembly import gradient, load_vector
+from macro_fem.fem.cells import recovered
+from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.problem import CurtainProblem
+from macro_fem.scene.loads import PER_MM2
+from macro_fem.scene.obstacles import unit
+from macro_fem.scene.tables import Wind
+from macro_fem.scene.wind import (
+    dynamic_pressure,
+    layer_solidity,
+    layered_drag,
+    layered_solidity,
+    wind_pressure,
+)
+from macro_fem.solution import CurtainSolution
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+EDGE = 0.3
+"""Share of a cell's height on both sides of its edges over which its shade fades in. The rounds need not settle with a
+jump, and hardly do with 0.05."""
+LEAST_FRONT = 1e-9
+"""Front per reference area below which it is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """What cells show to a wind: front (n_cells,) per reference area, layers (n_cells,) on the way of the wind."""
+
+    area: Array
+    layers: Array
+    reference: Array
+
+    @property
+    def total(self) -> float:
+        """The front that all cells share, mm2."""
+        return float(self.reference @ (1.0 / self.layers))
+
+
+def loaded(problem: CurtainProblem) -> Discretization:
+    """The points at which loads are integrated; those of an admissible problem are at corners, which is not exact."""
+    return discretize(problem.mesh.mesh, "P2") if problem.disc.element == "P2" else problem.disc
+
+
+def with_wind(problem: CurtainProblem, density: Array) -> CurtainProblem:
+    """The problem with wind that presses the points with `density` (n_points, d) in N/mm2 instead of what it held."""
+    disc = loaded(problem)
+    before = np.zeros_like(problem.force) if problem.wind is None else load_vector(disc, spread(disc, problem.wind))
+    return replace(problem, force=problem.force - before + load_vector(disc, density), wind=disc.cell_mean(density))
+
+
+def spread(disc: Discretization, values: Array) -> Array:
+    """Cell values (n_cells, ...) at all points of the cells."""
+    return np.tile(values, (disc.n_quad, *[1] * (values.ndim - 1)))
+
+
+def wind_density(problem: CurtainProblem, x: Array, sense: list[float]) -> Array:
+    """What winds press the points with (n_points, 3), N/mm2, on a shape with nodes at x (n_nodes, 3)."""
+    F = gradient(problem.disc, x)
+    area, seen = np.cross(F[:, :, 0], F[:, :, 1]), vector_areas(problem, F)
+    total = np.zeros_like(area)
+    for wind, sign in zip(problem.winds, sense, strict=True):
+        if wind.speed is None:
+            total += sign * problem.factor * wind_pressure(wind, None, "") * area
+        else:
+            total += spread(problem.disc, problem.factor * _drag(problem, wind, x, seen))
+    return total
+
+
+def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
+    """What a wind with a speed presses cells of vector areas a (n_cells, 3) with, (n_cells, 3), N/mm2."""
+    along = unit(wind.direction)
+    v = a @ along
+    front = front_of(problem, wind, x, a)
+    drag = dynamic_pressure(wind) * layered_drag(wind, problem.law.cell, front.layers, problem.where_wind)
+    push = drag / front.layers
+    if not wind.follows:
+        return np.asarray(push[:, None] * along)
+    size = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT)
+    return np.asarray((push * size * v * np.abs(v) / size**4)[:, None] * a)
+
+
+def vector_areas(problem: CurtainProblem, F: Array) -> Array:
+    """Vector areas (n_cells, 3) per reference area, of gradients F (n_points, 3, 2), averaged over neighbours.
+
+    Slack cells fold in many ways, of which none is the answer; the average hardly depends on them.
+    """
+    disc = problem.disc
+    return recovered(problem.mesh.mesh.t.T, disc.cell_mean(np.cross(F[:, :, 0], F[:, :, 1])), disc.cell_area)
+
+
+def front_of(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Front:
+    """The front that a wind meets, of cells with vector areas a (n_cells, 3) and nodes at x (n_nodes, 3)."""
+    along = unit(wind.direction)
+    seen = np.maximum(np.abs(a @ along), LEAST_FRONT)
+    own = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT) if wind.follows else seen
+    layers = 1.0 / own + _shade(problem, x, along, 1.0 / own)
+    return Front(seen, layers, problem.disc.cell_area)
+
+
+def _shade(problem: CurtainProblem, x: Array, along: Array, layers: Array) -> Array:
+    """Layers (n_cells,) of other cells before and behind the middle of each, seen along a direction.
+
+    Cells that touch are parts of one layer, whatever fold there is between them.
+    """
+    disc, t = problem.disc, problem.mesh.mesh.t.T
+    _, _, Vt = np.linalg.svd(along[None])
+    corners = _corners(disc, x) @ Vt[1:].T
+    middle = corners.mean(axis=1)
+    k = corners.shape[1]
+    cell = np.tile(np.arange(disc.n_cells), k - 2)
+    parts = np.concatenate([corners[:, [0, i, i + 1]] for i in range(1, k - 1)])
+    centre = parts.mean(axis=1)
+    reach = 1.2 * float(np.linalg.norm(parts - centre[:, None], axis=2).max())
+    near = cKDTree(middle).sparse_distance_matrix(cKDTree(centre), reach, output_type="coo_matrix")
+    point, part = near.row, near.col
+    touch = sparse.csr_matrix((np.ones(t.size), (np.repeat(np.arange(len(t)), t.shape[1]), t.ravel())))
+    is_far = np.asarray((touch[point].multiply(touch[cell[part]])).sum(axis=1)).ravel() == 0.0
+    point, part = point[is_far], part[is_far]
+    share = np.clip((_inside(middle[point], parts[part]) + EDGE) / (2.0 * EDGE), 0.0, 1.0)
+    shade = np.bincount(point, share * layers[cell[part]], minlength=disc.n_cells)
+    return np.asarray(shade, dtype=float)
+
+
+def _corners(disc: Discretization, x: Array) -> Array:
+    """Places (n_cells, k, 3) of the corners of all cells, in their order around them."""
+    X = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
+    X = X if disc.element.startswith("Q") else np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    return np.einsum("ka,caj->ckj", disc.shapes_at(X), x[disc.cell_dofs])
+
+
+def _inside(p: Array, corners: Array) -> Array:
+    """Least barycentric coordinate (n,) of points p (n, 2) in triangles (n, 3, 2); far below 0 in flat ones."""
+    a, b, c = (corners[:, i] - p for i in range(3))
+    parts = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=-1)
+    total = parts.sum(axis=1, keepdims=True)
+    flat = np.abs(total) <= 1e-12 * np.abs(parts).max(axis=1, keepdims=True)
+    return np.asarray(np.where(flat, -1.0, parts / np.where(flat, 1.0, total)).min(axis=1))
+
+
+def _cross(u: Array, v: Array) -> Array:
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+
+
+def senses(problem: CurtainProblem) -> list[float]:
+    """1 for each wind that blows along F_1 x F_2 of the flat sheet where it starts, -1 against it.
+
+    InputError for a pressure that follows and blows along the flat sheet.
+    """
+    start = problem.scene.start
+    axes = problem.frame.T if start is None else (unit(start.x_axis), unit(start.y_axis))
+    normal = np.cross(*axes)
+    signs = []
+    for wind in problem.winds:
+        along = float(normal @ unit(wind.direction))
+        if wind.speed is None and abs(along) < 1e-3:
+            raise InputError(
+                f"{problem.where_wind} direction = {list(wind.direction)}: lies in the flat sheet, so "
+                "that it tells no side for follows = true; lay the sheet across it by [start]"
+            )
+        signs.append(float(np.sign(along)))
+    return signs
+
+
+def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]:
+    """Drag and pressure of one flat layer in winds with a speed, and front, layers and drag of the present shape.
+
+    `layers` and `front_solidity` are means over the front.
+    """
+    found = []
+    for wind in solution.problem.scene.of(Wind):
+        if wind.speed is not None:
+            found.append({"speed_m_per_s": wind.speed} | _told(solution, wind))
+    return {"wind": found} if found else {}
+
+
+def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
+    problem = solution.problem
+    cell, where = problem.law.cell, problem.where_wind
+    alone = layer_solidity(wind, cell, where)
+    told = {
+        "solidity": alone,
+        "drag_coefficient": float(layered_drag(wind, cell, np.ones(1), where)[0]),
+        "pressure_N_per_m2": wind_pressure(wind, cell, where) / PER_MM2,
+    }
+    if problem.fem.d == 2:
+        return told | {"front_area_m2": 0.0, "drag_N": 0.0}
+    a = vector_areas(problem, solution.F)
+    front = front_of(problem, wind, solution.x, a)
+    density = problem.factor * _drag(problem, wind, solution.x, a)
+    share = front.reference / front.layers
+    solidity = share @ layered_solidity(alone, front.layers) / front.total
+    return told | {
+        "front_area_m2": front.total * PER_MM2,
+        "layers": float(front.reference.sum() / front.total),
+        "front_solidity": float(solidity),
+        "drag_N": float(front.reference @ density @ unit(wind.direction)),
+    }

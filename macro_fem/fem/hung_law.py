@@ -1,0 +1,111 @@
+"""The law of a curtain: a membrane law whose weave lies at an angle to the axes of the curtain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from homogenize import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, elastic_law
+from rve.common.tensor import dyad
+from rve.common.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class HungLaw:
+    """`own`, the law in the frame of its weave, as a membrane law in the frame of a curtain.
+
+    The weave is rotated counterclockwise by `angle_deg`. With R the rotation by the angle, tensors of the curtain and
+    of the weave are related by A = R A_weave R^T; on triples this is the matrix `to_curtain` (3, 3). Every curtain has
+    one of these, made with the discrete problem, also at the angle 0; nothing behind it looks at the kind of `own`.
+    """
+
+    own: MembraneLaw
+    angle_deg: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the law."""
+        return self.own.name
+
+    @property
+    def cell(self) -> CellInfo | None:
+        """The rings behind the law, in the frame of the weave."""
+        return self.own.cell
+
+    @property
+    def compliance(self) -> Array:
+        """The metric of the response in the frame of the curtain, see MembraneLaw."""
+        return self.to_curtain @ self.own.compliance @ self.to_weave
+
+    @cached_property
+    def to_curtain(self) -> Array:
+        """Triples of the weave to triples of the curtain (3, 3)."""
+        return rotation_on_triples(self.angle_deg)
+
+    @cached_property
+    def to_weave(self) -> Array:
+        """Triples of the curtain to triples of the weave (3, 3)."""
+        return rotation_on_triples(-self.angle_deg)
+
+    def in_weave(self, A: Array) -> Array:
+        """Triples (n, 3) of the curtain in the frame of the weave."""
+        return np.asarray(A @ self.to_weave.T)
+
+    def support(self, S: Array) -> Array:
+        """h(S), see MembraneLaw."""
+        return self.own.support(self.in_weave(S))
+
+    def half_spaces(self) -> HalfSpaces:
+        """Half-spaces to start with, see MembraneLaw."""
+        return self._turned(self.own.half_spaces())
+
+    def facets(self) -> HalfSpaces | None:
+        """All half-spaces of the law; None if they are not a finite list."""
+        found = self.own.facets()
+        return None if found is None else self._turned(found)
+
+    def cut(self, E: Array) -> Cut:
+        """The most violated half-space, see MembraneLaw."""
+        cut = self.own.cut(np.column_stack([self.in_weave(E[:, :3]), E[:, 3:]]))
+        return replace(cut, S=cut.S @ self.to_curtain.T)
+
+    def response(self, E: Array) -> Response:
+        """The elastic answer, see MembraneLaw."""
+        local = self.own.response(self.in_weave(E))
+        T = self.to_curtain
+        return Response(local.energy, local.S @ T.T, T @ local.C @ self.to_weave, local.E_star @ T.T)
+
+    def elastic(self) -> HungLaw:
+        """The law with the compliance of its rings, see MembraneLaw."""
+        return replace(self, own=elastic_law(self.own))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The law and the angle."""
+        return {"law": self.own.to_dict(), "angle_deg": self.angle_deg}
+
+    def _turned(self, found: HalfSpaces) -> HalfSpaces:
+        return replace(found, S=found.S @ self.to_curtain.T)
+
+
+def rotation_on_triples(angle_deg: float) -> Array:
+    """R A R^T as a matrix (3, 3) on triples, exact for quarter turns.
+
+    >>> rotation_on_triples(90.0) @ [1.0, 2.0, 3.0]
+    array([ 3., -2.,  1.])
+    """
+    quarter = angle_deg / 90.0
+    if quarter == round(quarter):
+        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
+    else:
+        c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    return np.array([[c * c, -2 * c * s, s * s], [c * s, c * c - s * s, -c * s], [s * s, 2 * c * s, c * c]])
+
+
+def largest_stretch(law: MembraneLaw, directions: Array) -> Array:
+    """How far the law lets a line along each direction (n, 2) stretch: sqrt(1 + 2 h(e e^T)) (n,)."""
+    e = directions / np.linalg.norm(directions, axis=1)[:, None]
+    return np.sqrt(np.maximum(1.0 + 2.0 * law.support(dyad(e)), 0.0))

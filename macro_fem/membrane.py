@@ -1,0 +1,201 @@
+"""The answer of a law: the curtain at each load step, its bounds, summary, pictures and files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from macro_fem.answer import RECORD, Solution
+from macro_fem.bounds.adapt import Level
+from macro_fem.bounds.interval import CurtainBounds
+from macro_fem.combinations import envelope, envelope_table
+from macro_fem.elastic_forces import with_forces
+from macro_fem.order import order, order_table
+from macro_fem.output import obstacles
+from macro_fem.output.explain import features
+from macro_fem.output.files import summarize, write_series, write_summary, write_vtu
+from macro_fem.output.intervals import bounds_summary, interval_summary
+from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
+from macro_fem.rings.curtain import curtain_of
+from macro_fem.rings.localize import localize
+from macro_fem.scene.meshing.dxf import write_outline
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Combination
+from macro_fem.solution import CurtainSolution
+from macro_fem.solvers.status import Status
+from rve.common.errors import require
+from rve.common.files import check_out_file, check_out_job, job, write_text
+from rve.common.progress import tell
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from macro_fem.demand.record import Demand
+    from macro_fem.rings.field import RingField
+    from macro_fem.rings.localize import LocalizeOptions
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MembraneSolution(Solution):
+    """A solved scene: `steps`, the curtain at each load step, the last one at full load; `levels` of a scene that asks
+    for bounds, each a finer mesh than the one before; `demand` of one whose law was asked of the rings; `combinations`:
+    the answer to each combination of loads.
+    """
+
+    scene: Scene
+    steps: tuple[CurtainSolution, ...]
+    levels: tuple[Level, ...] = ()
+    demand: Demand | None = None
+    combinations: tuple[tuple[Combination, MembraneSolution], ...] = ()
+
+    @property
+    def solution(self) -> CurtainSolution:
+        """The curtain at full load, on the finest mesh."""
+        return self.steps[-1]
+
+    @cached_property
+    def loaded(self) -> CurtainSolution:
+        """The curtain at full load with the forces that files and pictures show: those of elastic rings where rigid
+        ones leave them open (`macro_fem.elastic_forces`), found in a second step when first asked for."""
+        return with_forces(self.solution)
+
+    @property
+    def status(self) -> Status:
+        """How the solve at full load ended, "converged" if it is accurate, and as narrow as asked of the rings."""
+        failed = [one.status for _, one in self.combinations if one.status != Status.CONVERGED]
+        own = Status(self.solution.status if self.demand is None else self.demand.status)
+        return failed[0] if failed and own == Status.CONVERGED else own
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
+        return self._summary(picture=False)
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        picture: bool = True,
+        animation: bool = False,
+        html: bool = False,
+        inputs: Sequence[Path | None] = (),
+    ) -> dict[str, Any]:
+        """Write summary.json, curtain.vtu, support_forces.csv and curtain.png, see `Solution.save`.
+
+        With more than one load step curtain.pvd lists one VTU per step. `animation`: curtain.gif of the load steps;
+        `html`: curtain.html, which turns in a browser.
+        """
+        wanted = Pictures(picture, animation, html)
+        wanted.check(self.scene)
+        check_out_job(folder, RECORD, inputs=inputs)
+        summary = self._summary(picture=picture)
+        bounds = self.levels[-1].bounds if self.levels else None
+        with job(folder, RECORD, inputs) as staged:
+            _write(staged, self._shown, bounds)
+            density = None if bounds is None else error_density(self.solution, bounds)
+            tell("files and pictures")
+            write_pictures(staged, self._shown, wanted, density)
+            write_summary(staged, summary)
+            write_text(staged / "order.csv", order_table(summary["order"]))
+            if self.combinations:
+                write_text(staged / "envelope.csv", envelope_table(summary))
+        return summary
+
+    def write_html(self, path: str | Path) -> None:
+        """See `Solution.write_html`."""
+        check_out_file(path, "path")
+        write_curtain_page(path, self.loaded)
+
+    def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
+        """Write two pages of PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
+        Pictures(report=Path(path)).check_paths(inputs)
+        require("matplotlib", "plots", "a report", "read summary.json")
+        from macro_fem.output.report import write_report
+
+        write_report(path, self.loaded, self.summary, inputs)
+
+    def write_dxf(self, path: str | Path) -> None:
+        """Write the outline of the flat sheet as DXF, mm; InputError without ezdxf (extra `cad`)."""
+        Pictures(dxf=Path(path)).check_paths(())
+        mesh = self.solution.problem.mesh.mesh
+        write_outline(Path(path), mesh.p, mesh.facets[:, mesh.boundary_facets()])
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Line loads of the deformed curtain with their directions, on `ax` or axes of their own (matplotlib)."""
+        require("matplotlib", "plots", "plot()", "read curtain.vtu in another program")
+        from macro_fem.output.plots import plot_line_loads
+
+        return plot_line_loads(self.loaded, ax)
+
+    def plot_utilisation(self, ax: Axes | None = None) -> Axes:
+        """Utilisation of the rings of each cell, on `ax` or axes of their own; InputError if the law does not tell it.
+
+        Beside held and loaded points that of a cell grows with every refinement: judge by `utilisation_max`.
+        """
+        require("matplotlib", "plots", "plot_utilisation()", "read curtain.vtu in another program")
+        from macro_fem.output.plots import plot_utilisation
+
+        return plot_utilisation(self.loaded, ax)
+
+    def rings(self, options: LocalizeOptions | None = None) -> RingField:
+        """Every ring of the curtain at full load: place, tilt, gaps, links and contact forces (`macro_fem.localize`).
+
+        InputError where the law has no rings.
+        """
+        return localize(curtain_of(self.loaded, self.summary), options)
+
+    @property
+    def _shown(self) -> list[CurtainSolution]:
+        """The load steps, the last one with its forces."""
+        return [*self.steps[:-1], self.loaded]
+
+    def _summary(self, *, picture: bool) -> dict[str, Any]:
+        summary = summarize(self.loaded)
+        if self.levels:
+            lines = [bounds_summary(level) for level in self.levels]
+            summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
+        if self.demand is not None:
+            summary |= self.demand.to_dict()
+        summary |= obstacles.summary(self._shown)
+        if self.combinations:
+            summary |= envelope([(one, found.summary) for one, found in self.combinations])
+            failed = [row for row in summary["combinations"] if row["status"] != Status.CONVERGED]
+            if failed and summary["status"] == Status.CONVERGED:
+                message = f"combination {failed[0]['name']}: {failed[0]['message']}"
+                summary |= {"status": failed[0]["status"], "message": message}
+        summary["order"] = order(self.loaded, summary)
+        summary["features"] = features(self.loaded, bounds=bool(self.levels), picture=picture)
+        if len(self.steps) > 1:
+            count = len(self.steps)
+            summary["steps"] = [_step_line(one, step, count) for step, one in enumerate(self.steps, 1)]
+        return summary
+
+
+def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, Any]:
+    """What the summary says of one load step."""
+    return {
+        "step": step,
+        "factor": step / steps,
+        "status": solution.status,
+        "mean_height_mm": solution.mean_height(),
+        "lowest_point_mm": float(solution.x[:, 1].min()),
+        "potential_primal_N_mm": solution.primal,
+    }
+
+
+def _write(out: Path, steps: list[CurtainSolution], bounds: CurtainBounds | None) -> None:
+    """VTU files."""
+    solution = steps[-1]
+    extra = {} if bounds is None else {"error_N_mm_per_mm2": error_density(solution, bounds)}
+    write_vtu(out / "curtain.vtu", solution, extra)
+    if len(steps) > 1:
+        write_series(out, steps)
+
+
+def error_density(solution: CurtainSolution, bounds: CurtainBounds) -> Array:
+    """Error per reference area of every triangle (n_cells,), N mm / mm2."""
+    return bounds.error / solution.problem.disc.cell_area

@@ -1,0 +1,104 @@
+"""Half-spaces of a step: obstacles at their places at its end, and bodies with mass."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from macro_fem.motion.step import Stepped
+from macro_fem.problem import CurtainProblem, meeting_points, placed_obstacles, tangent_walls
+from macro_fem.scene.moving import Ball
+from macro_fem.scene.obstacles import PlacedObstacle
+from macro_fem.solvers.walls import TOUCHED, Walls
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+REACH = 2.0
+"""Points farther from a ball than this many times the way that they may go in a step get no half-space."""
+
+
+class Contacts:
+    """Tangent half-spaces of the obstacles of a problem, and of balls whose centres are the last nodes.
+
+    before: the problem at the start of the step, whose obstacles may be elsewhere. way: how far nodes may come towards
+    a ball during the step, mm.
+    """
+
+    def __init__(
+        self,
+        problem: CurtainProblem,
+        balls: tuple[Ball, ...],
+        before: CurtainProblem | None = None,
+        way: float = np.inf,
+    ) -> None:
+        self.problem, self.balls, self.way = problem, balls, way
+        self.near: dict[int, np.ndarray] = {}
+        self.obstacles = placed_obstacles(problem)
+        self.before = {one.number: one for one in placed_obstacles(before)} if before is not None else {}
+        self.n = problem.disc.n_nodes
+
+    def tangents(self, x: Array) -> Walls | None:
+        """Half-spaces that touch obstacles and balls where they are closest to points of nodes at x (n, d)."""
+        return Walls.joined([*self._flat_and_bodies(x), *self._of_balls(x)])
+
+    def _flat_and_bodies(self, x: Array) -> list[Walls]:
+        problem = self.problem
+        return [
+            tangent_walls(one, problem.fem, one.normal(meeting_points(one.obstacle, problem.disc).places(x[: self.n])))
+            for one in self.obstacles
+        ]
+
+    def _of_balls(self, x: Array) -> list[Walls]:
+        points, found = self.problem.disc.meeting, []
+        at = points.places(x[: self.n])
+        for k, ball in enumerate(self.balls):
+            away = at - x[self.n + k]
+            distance = np.linalg.norm(away, axis=1)
+            near = self.near.setdefault(k, np.flatnonzero(distance < ball.radius + REACH * self.way))
+            node = np.column_stack([points.node[near], np.full(len(near), self.n + k)])
+            share = np.column_stack([points.share[near], np.full(len(near), -1.0)])
+            normal = away[near] / np.maximum(distance[near], 1e-300)[:, None]
+            owner = np.full(len(near), -1 - k)
+            found.append(Walls(node, normal, np.full(len(near), ball.radius), owner, share))
+        return found
+
+    def misses(self, x: Array) -> bool:
+        """Whether points without a half-space are inside a ball at the end x (n, d) of a step."""
+        return self.depth(x) > TOUCHED * self.problem.mesh.size + 1e-7 * self.way if np.isfinite(self.way) else False
+
+    def depth(self, x: Array) -> float:
+        """How deep points of the curtain are inside balls, mm; 0 where none is."""
+        at = self.problem.disc.meeting.places(x[: self.n])
+        centres = x[self.n :]
+        return max(
+            [0.0]
+            + [b.radius - float(np.linalg.norm(at - c, axis=1).min()) for b, c in zip(self.balls, centres, strict=True)]
+        )
+
+    def check_start(self, x: Array) -> None:
+        """InputError for a ball that the curtain is inside of."""
+        at = self.problem.disc.meeting.places(x[: self.n])
+        for k, ball in enumerate(self.balls):
+            deep = ball.radius - float(np.linalg.norm(at - x[self.n + k], axis=1).min())
+            if deep > TOUCHED * self.problem.mesh.size:
+                raise InputError(
+                    f"{self.problem.scene.source}: [[body]] {ball.name}: the curtain is {deep:.4g} mm inside it at the "
+                    f"start; put it farther away"
+                )
+
+    def work(self, end: Stepped, x: Array) -> tuple[float, float]:
+        """Pushes times the moves of obstacles along them, and pushes times the gaps at the start x (n, d), N mm."""
+        if end.walls is None:
+            return 0.0, 0.0
+        moved, touched = 0.0, 0.0
+        for number in np.unique(end.walls.owner):
+            which = np.flatnonzero(end.walls.owner == number)
+            own, push = end.walls.only(which), end.result.wall_forces[which]
+            if number < 0:
+                touched += float(push @ (np.linalg.norm(own.places(x), axis=1) - own.offset))
+                continue
+            old: PlacedObstacle | None = self.before.get(int(number))
+            if old is None:
+                continue
+            moved += float(push @ (own.offset - old.offset(own.normal)))
+            touched += float(push @ old.gap(own.places(x)))
+        return moved, touched

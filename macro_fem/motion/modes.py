@@ -1,0 +1,182 @@
+"""Natural frequencies of small motions about a curtain at rest.
+
+With the line loads P = F S of the static answer a small motion w has the energy sum w_q S:(grad w^T grad w) / 2, for
+the locked state itself stores nothing, and the kinetic energy of the masses:
+
+    K w = omega^2 M w,   K the geometric stiffness of S,   M the masses of mesh and bars.
+
+A curtain in its plane is asked for motions across it, one component per node. In space w has three components and keeps
+to the tangent of the locked surface, S:(F^T grad w) = 0 at every point that carries load. Eigenpairs next to a shift
+below zero by Lanczos' method (scipy's `eigsh`).
+
+Columns that hang beside each other are not coupled where there is no line load across: their modes share one frequency
+and are counted once, with their number. A shape that alternates from node to node is none of the curtain but of its
+mesh, which shows in lumped and consistent masses that disagree (`RESOLVED`). Where the curtain is slack nothing but
+inertia resists, and modes that live there have frequencies near zero (`SLACK_HZ`). Both are left out, and so is motion
+in the plane of a plane curtain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import skfem
+import skfem.models.poisson
+from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from macro_fem.fem.assembly import stiffness
+from macro_fem.fem.sparsity import sparsity
+from macro_fem.motion.masses import mesh_masses, nodal_masses
+from macro_fem.scene.loads import FACET_ELEMENTS
+from macro_fem.solution import CurtainSolution
+from rve.common.errors import InputError, NotConverged
+from rve.common.types import Array
+
+CARRIES = 1e-6
+"""Points with a larger part of the largest line load than this are held on the locked surface."""
+SHIFT = 1e-2
+"""The shift is minus this part of g over the size, squared frequencies of a pendulum of that length."""
+SLACK_HZ = 1e-3
+"""Frequencies below this part of that pendulum's are those of slack parts."""
+RESOLVED = 0.9
+"""Consistent over lumped kinetic energy of a shape that the mesh resolves: 1 for a smooth one, 1/4 for the roughest."""
+ALIKE = 2e-2
+"""Relative difference of frequencies that count as one."""
+GRAVITY = 9810.0
+"""mm/s2."""
+ROUNDING = 1e-9
+"""Compliance of constraints relative to the stiffness: what repeats itself stays solvable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Natural frequencies (k,) in Hz, ascending and distinct; multiplicity (k,), how many modes share each; shapes
+    (k, n_nodes, 3), the largest displacement of each 1 mm.
+
+    left_out: what kinds of motion are not among them.
+    """
+
+    frequencies_Hz: Array
+    multiplicity: np.ndarray
+    shapes: Array
+    solution: CurtainSolution
+    left_out: str
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """Plain numbers for JSON."""
+        return {
+            "frequencies_Hz": self.frequencies_Hz.tolist(),
+            "multiplicity": self.multiplicity.tolist(),
+            "left_out": self.left_out,
+        }
+
+
+def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
+    """The `number` lowest natural frequencies of a curtain and their shapes.
+
+    InputError for a number that the mesh cannot tell, NotConverged for a static answer that is none.
+    """
+    if solution.status != "converged":
+        raise NotConverged(
+            f"the curtain at rest ended as {solution.status}, so that it has no modes: {solution.message}"
+        )
+    in_space = solution.problem.fem.d == 3
+    K, M, lumped, T = _in_space(solution) if in_space else _across(solution)
+    n = M.shape[0]
+    C = _constraints(solution, T) if in_space else sparse.csr_matrix((0, n))
+    most = (n - C.shape[0]) // 2
+    if not 1 <= number <= most:
+        raise InputError(f"number = {number}: a mesh of this size tells from 1 to {max(most, 0)} modes")
+    pendulum = GRAVITY / solution.problem.mesh.size
+    sigma = -SHIFT * pendulum
+    inverse = LinearOperator((n, n), matvec=_solver(K - sigma * M, C), dtype=np.float64)
+    asked, least = min(most, 3 * number + 8), SLACK_HZ**2 * pendulum
+    while True:
+        square, shape = eigsh(K, asked, M, sigma=sigma, OPinv=inverse, v0=np.linspace(1.0, 2.0, n), tol=1e-12)
+        order = np.argsort(square)
+        square, shape = square[order], shape[:, order]
+        ratio = (shape * (M @ shape)).sum(axis=0) / (shape * (lumped @ shape)).sum(axis=0)
+        told = _distinct(square, (square > least) & (ratio > RESOLVED))
+        if len(told[0]) > number or asked == most:
+            break
+        asked = min(most, 2 * asked)
+    is_coarse = len(told[0]) < number
+    if is_coarse:
+        told = _distinct(square, square > least)
+    frequency, first, multiplicity = (one[:number] for one in told)
+    if len(frequency) < number:
+        raise InputError(f"number = {number}: this mesh tells {len(frequency)} distinct modes, use more cells")
+    shapes = (T @ shape[:, first]).T.reshape(number, -1, 3 if in_space else 1)
+    if not in_space:
+        shapes = np.concatenate([np.zeros((*shapes.shape[:2], 2)), shapes], axis=2)
+    shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
+    left_out = "motion of slack parts, and motion that " + (
+        "leaves the locked surface" if in_space else "stays in its plane"
+    )
+    coarse = "; the mesh is too coarse for so many: the higher ones are its own, use more cells" if is_coarse else ""
+    return Modes(frequency, multiplicity, shapes, solution, left_out + coarse)
+
+
+def _distinct(square: Array, kept: np.ndarray) -> tuple[Array, np.ndarray, np.ndarray]:
+    """Distinct frequencies in Hz of the squared circular ones that are kept, where each is first, and how often."""
+    which = np.flatnonzero(kept)
+    frequency = np.sqrt(square[which]) / (2.0 * np.pi)
+    first = np.flatnonzero(np.diff(frequency, prepend=0.0) > ALIKE * frequency)
+    return frequency[first], which[first], np.diff(np.append(first, len(which)))
+
+
+def _across(solution: CurtainSolution) -> tuple[sparse.csc_matrix, ...]:
+    """Stiffness, consistent and lumped masses of motions across the plane; the matrix (n_nodes, n) from unknowns to
+    nodes."""
+    problem = solution.problem
+    fixed = np.asarray(problem.supports.mask.any(axis=1))
+    bars = problem.supports.bars
+    T = sparse.csc_matrix(sparse.eye(len(fixed)) if bars is None else bars)
+    moves = np.flatnonzero(~fixed & (np.diff(T.indptr) > 0))
+    T = T[:, moves]
+    return *(sparse.csc_matrix(T.T @ A @ T) for A in _scalar(solution)), T
+
+
+def _in_space(solution: CurtainSolution) -> tuple[sparse.csc_matrix, ...]:
+    """Stiffness, consistent and lumped masses of motions in space; the matrix (3 n_nodes, n) from unknowns to nodes."""
+    problem = solution.problem
+    T = sparse.csc_matrix(problem.fem.tied().tie)
+    return *(sparse.csc_matrix(T.T @ sparse.kron(A, sparse.eye(3)) @ T) for A in _scalar(solution)), T
+
+
+def _scalar(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
+    """The geometric stiffness, N/mm, and both masses, N s2/mm, of one component (n_nodes, n_nodes)."""
+    problem, disc, S = solution.problem, solution.problem.disc, solution.S
+    A = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)[:, None, :, None, :]
+    pattern = sparsity(disc, 1, np.ones(disc.n_nodes, bool))
+    lumped, mesh = sparse.diags(nodal_masses(problem)), sparse.diags(mesh_masses(problem))
+    unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, FACET_ELEMENTS[disc.element]()))
+    per_area = mesh_masses(problem).sum() / disc.cell_area.sum()
+    return pattern.full(stiffness(disc, pattern, A)), lumped - mesh + per_area * unit, lumped
+
+
+def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_matrix:
+    """Rows S:(F^T grad w) of the points that carry load, on the unknowns, each of length 1 on the nodes."""
+    disc, F, S = solution.problem.disc, solution.F, solution.S
+    size = S[:, 0] + S[:, 2]
+    q = np.flatnonzero(size > CARRIES * size.max(initial=0.0))
+    P = F[q] @ np.stack([S[q][:, [0, 1]], S[q][:, [1, 2]]], axis=1)
+    values = np.einsum("naB,nkB->nka", P, disc.grad[q])
+    values = values / np.sqrt((values**2).sum(axis=(1, 2)))[:, None, None]
+    column = 3 * disc.dofs[q][:, :, None] + np.arange(3)
+    row = np.broadcast_to(np.arange(len(q))[:, None, None], column.shape)
+    shape = (len(q), 3 * disc.n_nodes)
+    return sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=shape) @ T
+
+
+def _solver(A: sparse.spmatrix, C: sparse.spmatrix) -> Callable[[Array], Array]:
+    """The function that gives u of A u + C^T y = b, C u = 0; constraints that repeat each other do no harm."""
+    m = C.shape[0]
+    size = float(abs(A.diagonal()).max())
+    whole = sparse.bmat([[A, size * C.T], [size * C, -ROUNDING * size * sparse.eye(m)]], format="csc") if m else A
+    lu = splu(sparse.csc_matrix(whole))
+    return lambda b: np.asarray(lu.solve(np.concatenate([b.ravel(), np.zeros(m)]))[: b.size])

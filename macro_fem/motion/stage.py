@@ -1,0 +1,117 @@
+"""What acts on a curtain in motion at a moment: its supports and obstacles, weights, winds relative to the mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from homogenize import MembraneLaw
+from macro_fem.curtain import is_alike
+from macro_fem.drag import senses, wind_density, with_wind
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.motion.loose import with_loose_nodes
+from macro_fem.motion.masses import TONNE, nodal_masses
+from macro_fem.motion.scheme import Moment
+from macro_fem.motion.step import Forces
+from macro_fem.problem import CurtainProblem, make_problem
+from macro_fem.scene.loads import nodal_forces
+from macro_fem.scene.meshing.mesh import CurtainMesh
+from macro_fem.scene.moving import Ball, Thrown, at_time
+from macro_fem.scene.obstacles import unit
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Timed, Wind
+from macro_fem.solvers.cones import green_strain
+from rve.common.types import Array
+
+
+def scene_at(scene: Scene, t: float) -> Scene:
+    """The scene without its motion and bodies, as its histories say at the time t."""
+    items = tuple(at_time(item, t) if isinstance(item, Timed) else item for item in scene.items)
+    solver = replace(scene.solver, space=scene.solver.space or scene.in_space, bounds=False, adapt=0)
+    kept = tuple(item for item in items if not isinstance(item, Thrown))
+    return replace(scene, items=kept, motion=None, solver=solver)
+
+
+def let_go(scene: Scene, t: float) -> frozenset[int]:
+    """Numbers of the supports that have let go before the end of a step at t."""
+    times = [item.release for item in scene.support]
+    return frozenset(number for number, release in enumerate(times) if release is not None and release < t - 1e-12)
+
+
+class Stage:
+    """What acts on the curtain at the times of a run: problems are made anew only where something has changed."""
+
+    def __init__(self, scene: Scene, law: MembraneLaw, mesh: CurtainMesh) -> None:
+        self.scene, self.law, self.mesh = scene, law, mesh
+        self.changes = any(isinstance(item, Timed) and item.history for item in scene.items)
+        self.problem: CurtainProblem | None = None
+        self.fem: SupportedFem | None = None
+        self.released: frozenset[int] = frozenset()
+
+    def at(self, t: float) -> tuple[CurtainProblem, SupportedFem]:
+        """The problem at a time, and its discretisation with the nodes of bodies."""
+        released = let_go(self.scene, t)
+        if self.problem is None or self.fem is None or self.changes or released != self.released:
+            problem = make_problem(scene_at(self.scene, t), self.law, self.mesh, released=released)
+            count = len(self.scene.of(Thrown))
+            if self.problem is not None and self.fem is not None and is_alike(problem.fem, self.problem.fem):
+                x_held = np.vstack([problem.fem.x_held, np.zeros((count, problem.fem.d))])
+                self.fem = self.fem.moved(x_held)
+            else:
+                self.fem = with_loose_nodes(problem.fem, count)
+            self.problem, self.released = problem, released
+        return self.problem, self.fem
+
+
+def masses_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:
+    """Masses (n,) of nodes and bodies, N s2/mm."""
+    return np.append(nodal_masses(problem), [TONNE * ball.mass for ball in balls])
+
+
+def weights_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:
+    """Weights of nodes and bodies (n, d), N."""
+    scene = problem.scene
+    own = nodal_forces(scene, problem.mesh, problem.disc, problem.law.cell, 0.0)
+    g = np.array(scene.load.acceleration[: scene.d])
+    return np.vstack([own, *[ball.mass * g[None] for ball in balls]])
+
+
+def stored_energy(problem: CurtainProblem, F: Array) -> float:
+    """The stored energy of an elastic curtain, N mm."""
+    return float(problem.fem.weight @ problem.elastic_law.response(green_strain(F)).energy)
+
+
+def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, damping: float) -> Forces:
+    """Forces on nodes and bodies at the end of a step; winds with a speed by the velocity relative to the mesh."""
+    dead, n = weights_of(problem, balls), problem.disc.n_nodes
+    live, drag = np.zeros_like(dead), None
+    if problem.winds:
+        still = with_wind(problem, np.zeros((problem.disc.n_points, 3)))
+        live[:n] = still.force - dead[:n]
+        drag = np.zeros((len(dead), 3, 3))
+        for wind in problem.winds:
+            one = replace(problem, winds=(wind,))
+            pressed = with_wind(still, wind_density(one, now.x[:n], senses(one))).force - still.force
+            own, block = _relative(wind, pressed, now.v[:n])
+            live[:n] += own
+            drag[:n] += block
+    else:
+        live[:n] = problem.force - dead[:n]
+    return Forces(dead, live, drag, damping)
+
+
+def _relative(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
+    """The force (n, 3) of a wind on still nodes, and the blocks C (n, 3, 3) of -C v that the velocity relative to the
+    wind adds: (U - v.w) |U - v_n.w| / U^2 of the force, with the speed U along w and the last velocities v_n.
+
+    Of wind that follows, whose force is not along w, the last velocities count alone.
+    """
+    none = np.zeros((len(force), 3, 3))
+    if not wind.speed:
+        return force, none
+    U, w = 1e3 * wind.speed, unit(wind.direction)
+    share = np.abs(U - v @ w) / U
+    if wind.follows:
+        return (share * (U - v @ w) / U)[:, None] * force, none
+    return share[:, None] * force, (share / U)[:, None, None] * force[:, :, None] * w

@@ -1,0 +1,114 @@
+"""Pictures of a solved curtain: curtain.png, curtain.gif and curtain.html, in the plane or in space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from macro_fem.output import plots
+from macro_fem.output.space_view import Frame, draw_curtain, note, title
+from macro_fem.scene.schema import Scene
+from macro_fem.solution import CurtainSolution
+from rve.common.drawing.page import check_page, write_page
+from rve.common.drawing.space import FRONT, THREE_QUARTERS, check_render, compose, new_plotter, save_picture
+from rve.common.drawing.space import save_animation as save_frames
+from rve.common.errors import InputError, require
+from rve.common.files import check_out_file
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter
+
+PICTURE, ANIMATION, PAGE = "curtain.png", "curtain.gif", "curtain.html"
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Which pictures are wanted: curtain.png, curtain.gif of the load steps, curtain.html; where a `report` as PDF and
+    the outline of the flat sheet as `dxf` go."""
+
+    picture: bool = True
+    animation: bool = False
+    html: bool = False
+    report: Path | None = None
+    dxf: Path | None = None
+
+    def check_packages(self) -> None:
+        """InputError if a package is missing that pictures of every scene need."""
+        for name, instead in self._drawn():
+            require("matplotlib", "plots", name, instead)
+        if self.html:
+            check_page(PAGE, "leave out --html")
+        if self.report is not None:
+            require("matplotlib", "plots", "--report", "leave it out")
+        if self.dxf is not None:
+            require("ezdxf", "cad", "--dxf", "leave it out")
+
+    def check_paths(self, inputs: Sequence[Path | None]) -> None:
+        """InputError for a report or outline that cannot be written, or would overwrite one of `inputs`."""
+        for option, path, ending in (("--report", self.report, ".pdf"), ("--dxf", self.dxf, ".dxf")):
+            if path is None:
+                continue
+            check_out_file(path, option, inputs)
+            if path.suffix.lower() != ending:
+                raise InputError(f"{option} = {path}: give a name that ends in {ending}")
+
+    def check(self, scene: Scene) -> None:
+        """InputError, before anything is solved, for what is missing or makes no sense in this scene."""
+        self.check_packages()
+        if self.animation and scene.load.steps < 2:
+            raise InputError(
+                f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or leave out "
+                "--animation"
+            )
+        for name, instead in self._drawn() if scene.in_space else []:
+            check_render(name, instead)
+
+    def _drawn(self) -> list[tuple[str, str]]:
+        """Names of the wanted files, and what to do without each."""
+        asked = ((self.picture, PICTURE, "ask for --no-picture"), (self.animation, ANIMATION, "leave out --animation"))
+        return [(name, instead) for is_asked, name, instead in asked if is_asked]
+
+
+def write_pictures(
+    folder: Path, steps: Sequence[CurtainSolution], wanted: Pictures, error: Array | None = None
+) -> None:
+    """Write the wanted pictures into `folder`; `error`: density of the error of a plane curtain (n_cells,)."""
+    last = steps[-1]
+    in_space = last.problem.scene.in_space
+    if wanted.html:
+        write_curtain_page(folder / PAGE, last)
+    if wanted.picture and in_space:
+        save_picture(folder / PICTURE, draw_sides(last), title(last), note(last))
+    elif wanted.picture:
+        plots.save_picture(folder / PICTURE, last, error)
+    if wanted.animation:
+        save_frames(folder / ANIMATION, frames(steps) if in_space else plots.frames(steps))
+
+
+def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
+    """Write the curtain in space as one HTML file that turns in a browser; InputError if plotly is missing."""
+    check_page(str(path))
+    write_page(path, draw_curtain(solution), f"{title(solution)}\n{note(solution)}".strip())
+
+
+def draw_sides(solution: CurtainSolution) -> Plotter:
+    """A plotter with the curtain from the front and from three quarters."""
+    plotter = new_plotter(2)
+    for panel, direction in enumerate((FRONT, THREE_QUARTERS)):
+        plotter.subplot(0, panel)
+        draw_curtain(solution, plotter, direction=direction)
+    return plotter
+
+
+def frames(steps: Sequence[CurtainSolution]) -> Iterator[Figure]:
+    """Figures of all load steps in space with one scale of colours and one camera."""
+    frame, plotter = Frame.of(steps), new_plotter()
+    for step in steps:
+        draw_curtain(step, plotter, frame)
+        yield compose(plotter, f"{plots.progress(step)}\n{title(step)}", note(step))
+        plotter.clear_actors()
+    plotter.close()

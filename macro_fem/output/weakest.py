@@ -1,0 +1,101 @@
+"""The weakest link of a curtain, from its summary: the mesh, the ring at a hook, or the hook itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+_OF_FORCE = (
+    "triangles there are too large for an average over one cell of the rings, so for the mesh the factor is that of "
+    "the force at this point over the width of one cell"
+)
+"""What is said of a factor that follows from the force at a point."""
+
+
+class Link(NamedTuple):
+    """What may give way: at how many times the load, its name, and a sentence without end."""
+
+    factor: float
+    name: str
+    text: str
+
+
+def weakest(summary: dict[str, Any]) -> dict[str, Any]:
+    """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded.
+
+    >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
+    >>> known = {"utilisation_of_averages_max": 0.2, "utilisation_of_point_forces_max": 0.0}
+    >>> ring = {"utilisation_of_hook_rings_max": 0.4, "ring_at_hook": "ring at hook 3"}
+    >>> weakest({"support_forces": [hooks], **known, **ring})
+    {'weakest': 'ring at hook 3', 'weakest_factor': 2.5}
+    """
+    least = min(links(summary), default=None)
+    return {"weakest": least.name if least else None, "weakest_factor": least.factor if least else None}
+
+
+def links(summary: dict[str, Any]) -> list[Link]:
+    """The links of a curtain that are loaded and whose strength is known."""
+    used = [summary.get(f"utilisation_of_{what}_max") or 0.0 for what in ("averages", "point_forces", "hook_rings")]
+    mesh, ring = max(used[:2]), used[2]
+    found = [Link(1.0 / mesh, "mesh", _mesh(summary))] if mesh > 0.0 else []
+    found += [Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}")] if ring > 0.0 else []
+    return found + list(_hooks(summary["support_forces"]))
+
+
+def _mesh(summary: dict[str, Any]) -> str:
+    """Where the mesh gives first, if this place is told; else only its name."""
+    near, place = summary.get("first_yield_near"), summary.get("utilisation_max_at_mm")
+    mesh = max(summary["utilisation_of_averages_max"], summary["utilisation_of_point_forces_max"])
+    if near is None or place is None or mesh < (summary.get("utilisation_of_hook_rings_max") or 0.0):
+        return "the mesh"
+    return f"rings near {near}, at ({place[0]:g}, {place[1]:g}) mm"
+
+
+def _hooks(support_forces: list[dict[str, Any]]) -> Iterator[Link]:
+    """Each loaded support by hooks or runners that states a capacity."""
+    for number, support in enumerate(support_forces, 1):
+        capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
+        if capacity is not None and force > 0.0:
+            kind = "runner" if support["support"] == "track" else "hook"
+            of = f" of support {number}" if len(support_forces) > 1 else ""
+            text = f"{kind}s of support {number} bear up to {force:.4g} N of {capacity:g} N"
+            yield Link(capacity / force, f"{kind} capacity{of}", text)
+
+
+def holds_line(summary: dict[str, Any]) -> str:
+    """Whether the curtain holds, in one line: the factor, what gives first, what the other links bear.
+
+    >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
+    >>> known = {"utilisation_of_averages_max": 0.2, "utilisation_of_point_forces_max": 0.0, "strength_note": None}
+    >>> ring = {"utilisation_of_hook_rings_max": 0.4, "ring_at_hook": "ring at hook 3"}
+    >>> place = {"first_yield_near": "support 1 (hooks)", "utilisation_max_at_mm": [0.0, 80.0]}
+    >>> of = {"ring_material": "steel", "ring_yield_N_per_mm2": 235.0}
+    >>> print(holds_line({"support_forces": [hooks], **known, **ring, **place, **of}).replace("; ", ";\\n"))
+    holds with a factor 2.5;
+    the ring at hook 3 would yield first (steel, 235 N/mm2);
+    hooks of support 1 bear up to 10 N of 50 N;
+    the mesh yields at 5 times the load
+    """
+    found, is_coarse = sorted(links(summary)), bool(summary.get("utilisation_mesh_too_coarse"))
+    least = found[0].factor if found else float("inf")
+    if least < 1.0:
+        head = f"does not hold, factor {least:.3g}"
+    elif summary["strength_note"] is not None and summary.get("utilisation_max_at_mm") is None:
+        head = f"strength of the rings not known: {summary['strength_note']}"
+    else:
+        head = f"holds with a factor {'of at most ' if is_coarse else ''}{least:.3g}" if found else "no load"
+    parts = [head, *(_told(link, is_first=link is found[0], summary=summary) for link in found)]
+    if is_coarse:
+        parts.append("the mesh is too coarse there: the factor of the rings falls with refinement")
+    elif (summary.get("utilisation_of_point_forces_max") or 0.0) > (summary.get("utilisation_of_averages_max") or 0.0):
+        parts.append(_OF_FORCE)
+    return "; ".join(parts)
+
+
+def _told(link: Link, *, is_first: bool, summary: dict[str, Any]) -> str:
+    """A link in words."""
+    if "capacity" in link.name:
+        return link.text
+    if is_first:
+        return f"{link.text} would yield first ({summary['ring_material']}, {summary['ring_yield_N_per_mm2']:g} N/mm2)"
+    return f"{link.text} {'yields' if link.text.startswith('the ') else 'yield'} at {link.factor:.3g} times the load"

@@ -1,0 +1,234 @@
+"""A scene made discrete: mesh, supports, loads, law and obstacles of one load step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from homogenize import MembraneLaw
+from macro_fem.fem.discretization import Discretization, Points, discretize
+from macro_fem.fem.hung_law import HungLaw
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.scene.loads import nodal_forces, wind_per_area
+from macro_fem.scene.meshing.mesh import CurtainMesh
+from macro_fem.scene.obstacles import Body, Obstacle, PlacedObstacle, breadth, is_flat, placed, with_rounding
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
+from macro_fem.scene.tables import Wind
+from macro_fem.scene.tracks import check_tracks
+from macro_fem.solvers.cones import Cones
+from macro_fem.solvers.walls import TOUCHED, Walls
+from rve.common.errors import InputError
+from rve.common.types import Array
+
+THINNEST = 0.2
+"""Half the least width of a body over the longest side of a cell. Thinner bodies pass between the points that meet
+them."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurtainProblem:
+    """A scene made discrete at one load step: everything a solver needs."""
+
+    scene: Scene
+    mesh: CurtainMesh
+    disc: Discretization
+    law: HungLaw
+    supports: Supports
+    fem: SupportedFem
+    force: Array  # (n_nodes, d), N
+    factor: float = 1.0  # share of live loads and moves
+    cones: Cones | None = None  # half-spaces to begin with, instead of the law's own few
+    walls: Walls | None = None  # half-spaces that nodes stay inside of: floors, walls, tangent planes of bodies
+    bodies: tuple[PlacedObstacle, ...] = ()  # obstacles that are no half-spaces
+    winds: tuple[Wind, ...] = ()  # those whose force depends on the present shape
+    wind: Array | None = None  # (n_cells, d), N/mm2: what these press the cells with in `force`
+
+    @cached_property
+    def frame(self) -> Array:
+        """Where the reference axes point (d, 2) in a curtain that hangs flat, about: two orthogonal unit vectors.
+
+        In space these follow the supports and the resultant load, so that they turn with the scene.
+        """
+        if self.fem.d == 2:
+            return np.eye(2)
+        X, mask = self.disc.nodes, self.supports.mask
+        here = mask.any(axis=1) if mask.any() else np.ones(len(mask), bool)
+        total = float(np.linalg.norm(self.force, axis=1).sum())
+        load = self.force.T @ (X - X[here].mean(axis=0))
+        way = supported_map(self)[1] + load / (total * self.mesh.size or 1.0)
+        U, size, Vt = np.linalg.svd(way, full_matrices=False)
+        if size[1] < 1e-6 * size[0]:
+            U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
+        return np.asarray(U @ Vt)
+
+    @property
+    def where_wind(self) -> str:
+        """What sentences about its winds begin with."""
+        return f"{self.scene.source}: [load.wind]"
+
+    @cached_property
+    def elastic_law(self) -> HungLaw:
+        """The law of an elastic curtain, whose rings give by direction where the law knows it."""
+        return self.law.elastic()
+
+
+def make_problem(
+    scene: Scene,
+    law: MembraneLaw,
+    mesh: CurtainMesh,
+    factor: float = 1.0,
+    released: frozenset[int] | None = None,
+) -> CurtainProblem:
+    """The discrete problem of a scene on a mesh, live loads and moves scaled by `factor`; InputError as found.
+
+    released: numbers of supports that have let go, in a curtain in motion, which needs no pins; None for one at rest.
+    """
+    try:
+        disc = discretize(mesh.mesh, scene.mesh.element)
+    except ValueError as error:
+        raise InputError(f"{scene.source}: [mesh] {error}") from error
+    if scene.solver.kind == "elastic" and not law.compliance.any():
+        raise InputError(
+            f"{scene.source}: [solver] kind = 'elastic': a law of kind {law.name} is inextensible, use kind = 'rigid'"
+        )
+    force = nodal_forces(scene, mesh, disc, law.cell, factor)
+    supports = build_supports(scene, mesh, disc, factor, released or frozenset())
+    if released is None:
+        supports = pin_sliding(supports, disc, force, scene.source)
+    hung = HungLaw(law, scene.curtain.weave_angle)
+    if scene.solver.kind != "elastic" and released is None:
+        check_tracks(scene, mesh, hung)
+    fem = supports.fem(disc)
+    problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, factor)
+    winds = tuple(wind for wind in scene.of(Wind) if wind.is_shaped and fem.d == 3)
+    if winds:
+        flat = sum((wind_per_area(wind, scene, law.cell) for wind in winds if not wind.follows), np.zeros(3))
+        problem = replace(problem, winds=winds, wind=np.tile(factor * flat, (disc.n_cells, 1)))
+    return _with_obstacles(problem) if scene.obstacle else problem
+
+
+def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
+    """The problem with floors, walls and bodies; InputError for a support inside an obstacle."""
+    scene, fem = problem.scene, problem.fem
+    obstacles = placed_obstacles(problem)
+    for one in obstacles:
+        _check_is_met(one.obstacle, scene, problem.mesh)
+        _check_outside(one, problem)
+    points = problem.disc.hull.places(fem.reference)
+    flat = [tangent_walls(one, fem, one.normal(points)) for one in obstacles if is_flat(one.obstacle)]
+    bodies = tuple(one for one in obstacles if not is_flat(one.obstacle))
+    return replace(problem, walls=Walls.joined(flat), bodies=bodies)
+
+
+def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:
+    """The obstacles of the scene of a problem, as its mesh meets them."""
+    cell = float(np.sqrt(2.0 * problem.disc.cell_area.mean()))
+    met = [with_rounding(item, cell) for item in problem.scene.obstacle]
+    return [placed(number, item, problem.factor, problem.fem.d) for number, item in enumerate(met)]
+
+
+def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
+    """InputError for a support inside an obstacle that no way in which it may slide leads out of."""
+    scene, supports, disc = problem.scene, problem.supports, problem.disc
+    x = supports.positions
+    normal = one.normal(x)
+    walls = Walls(np.arange(disc.n_nodes), normal, one.offset(normal))
+    deep = np.where(walls.is_movable(problem.fem), 0.0, -walls.gap(x))
+    if deep.max(initial=0.0) <= TOUCHED * problem.mesh.size:
+        return
+    node = int(deep.argmax())
+    name = next(held.name for held in supports.held if node in held.nodes)
+    at = f" after {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
+    ways = [told(way) for way in supports.pins.direction[supports.pins.nodes == node] if abs(way @ normal[node]) > 1e-9]
+    slides = f", and nothing but that holds it along {ways[0]}: hold it there, outside" if ways else ""
+    raise InputError(
+        f"{scene.source}: [obstacle] {one.obstacle.name}: {name} is {deep[node]:.4g} mm inside it{at}{slides}"
+    )
+
+
+def _check_is_met(obstacle: Obstacle, scene: Scene, mesh: CurtainMesh) -> None:
+    """InputError for a body that is so thin that it would pass between the points of a cell."""
+    if is_flat(obstacle):
+        return
+    half, side = breadth(cast(Body, obstacle)), mesh.longest_side
+    if half < THINNEST * side:
+        raise InputError(
+            f"{scene.source}: [obstacle] {obstacle.name}: half its least width, {half:.4g} mm, is less than a fifth of "
+            f"the sides of cells, up to {side:.4g} mm, between which it would pass: use more cells"
+        )
+
+
+def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
+    """The points of a mesh that stay outside of an obstacle: those whose hull holds the mesh for a half-space, nodes
+    for a body, and for most bodies middles of sides and cells."""
+    if is_flat(obstacle):
+        return disc.hull
+    return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
+
+
+def tangent_walls(body: PlacedObstacle, fem: SupportedFem, normal: Array) -> Walls:
+    """The half-spaces of normals (m, d) that touch a body, at all points that meet it and can move."""
+    at = meeting_points(body.obstacle, fem.disc)
+    free = np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1))
+    own = at.only(free)
+    return Walls(own.node, normal[free], body.offset(normal[free]), np.full(len(free), body.number), own.share)
+
+
+def stabilising_tension(problem: CurtainProblem) -> float:
+    """The even tension in N/mm that opens out slack parts; see `scene.Solver`."""
+    return problem.scene.solver.stabilising_tension * float(np.abs(problem.force).sum()) / problem.mesh.size
+
+
+def tension_allowance(problem: CurtainProblem, tension: float) -> float:
+    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
+
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of Q:F over the area, where Q is the frame, two
+    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    """
+    half = np.array([[0.5, 0.0, 0.5]])
+    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
+    return tension * largest * float(problem.disc.weight.sum())
+
+
+def unit_tensors(problem: CurtainProblem) -> Array:
+    """The frame at every point (nq, d, 2): the unit tensor of a plane curtain."""
+    return np.broadcast_to(problem.frame, (problem.disc.n_points, problem.fem.d, 2))
+
+
+def gathered_start(problem: CurtainProblem) -> Array:
+    """Positions (n_nodes, d) of the curtain drawn up into a line through its supports: slack wherever it can be."""
+    X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
+    if problem.fem.d == 3:
+        middle, A = supported_map(problem)
+        U, size, Vt = np.linalg.svd(A, full_matrices=False)
+        return np.asarray(middle + X @ (U * np.minimum(size, 1.0) @ Vt).T)
+    start = np.empty_like(X)
+    for axis in range(2):
+        nodes = mask[:, axis]
+        if np.count_nonzero(nodes) and np.ptp(X[nodes, axis]) > 0.0:
+            slope = np.polyfit(X[nodes, axis], held[nodes, axis], 1)[0]
+            start[:, axis] = np.clip(slope, 0.0, 1.0) * (X[:, axis] - X[nodes, axis].mean()) + held[nodes, axis].mean()
+        else:
+            start[:, axis] = held[nodes, axis].mean() if nodes.any() else X[:, axis].mean()
+    return start
+
+
+def supported_map(problem: CurtainProblem) -> tuple[Array, Array]:
+    """The affine map X -> b + A X, b (d,) and A (d, 2), nearest to where the supports hold their points; A = 0 along
+    directions of which they say nothing."""
+    X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
+    d = held.shape[1]
+    b, A = np.zeros(d), np.zeros((d, 2))
+    for axis in range(d):
+        nodes = mask[:, axis]
+        if nodes.any():
+            centre, mean = X[nodes].mean(axis=0), held[nodes, axis].mean()
+            A[axis] = np.linalg.lstsq(X[nodes] - centre, held[nodes, axis] - mean, rcond=1e-9)[0]
+            b[axis] = mean - A[axis] @ centre
+        elif axis < 2:
+            b[axis] = X[:, axis].mean()
+    return b, A

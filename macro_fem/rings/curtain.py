@@ -1,0 +1,196 @@
+"""What `localize` needs of a solved curtain: the fields of its cells, and the rings that its summary names.
+
+Both come from an answer in memory, or from the files of `macro_fem run`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from macro_fem.fem.cells import as_triangles, recovered, triangle_areas
+from macro_fem.output.files import corner_positions
+from macro_fem.scene.meshing.places import counterclockwise
+from macro_fem.solution import CurtainSolution
+from rve import Cell, cell_of_sides
+from rve.common.errors import InputError
+from rve.common.files import check_belongs
+from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS, read_mesh_file
+from rve.common.reading import read_json_object
+from rve.common.rings import check_rings
+from rve.common.typed import Typed, read_typed
+from rve.common.types import Array
+
+CURTAIN_RECORD, CURTAIN_VTU = "summary.json", "curtain.vtu"
+"""The file that stands for a curtain's job and lists the others by their checksums, and the one with its fields."""
+MOST_NUMBER = 1e12
+"""Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
+SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
+
+
+@dataclass(frozen=True)
+class Told(Typed):
+    """What the summary of a curtain says: status of its solver, angle from the vertical to the weave's y axis, radii
+    and reference cell of its rings, None for a law without rings, and its supports."""
+
+    hang_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
+    rings: dict[str, Any] | None
+    status: str = "unknown"
+    support_forces: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def at_support(self) -> dict[str, str | float] | None:
+        """The support whose rings take most, and the force in N on one of them; None if the summary does not tell."""
+        told = [
+            (float(force), f"support {number} ({one.get('support')})")
+            for number, one in enumerate(self.support_forces, 1)
+            if isinstance(force := one.get("largest_force_per_ring_N"), int | float)
+        ]
+        force, name = max(told, key=lambda item: item[0], default=(0.0, ""))
+        return {"support": name, "force_N": force} if told else None
+
+    def cell(self, source: str) -> Cell:
+        """Rings, weave and grain, by the sides of the reference cell; InputError, which begins with `source`, where
+        the summary does not tell them or no weave has such a cell."""
+        rings = self.rings or {}
+        if missing := [key for key in SIDES if rings.get(key) is None]:
+            raise InputError(
+                f"{source}: does not tell {', '.join(missing)} of the rings; solve the curtain with a law that was "
+                "fitted to a table of rings"
+            )
+        r1, r2, b_x, b_y = (check_rings(rings, f"{source}: rings")[key] for key in SIDES)
+        try:
+            return cell_of_sides(r1, r2, (b_x, b_y))
+        except InputError as error:
+            raise InputError(f"{source}: rings: {error}; give a law of rings side by side") from error
+
+
+@dataclass(frozen=True)
+class Curtain:
+    """A solved curtain in its own axes, with what its summary tells; source: where it comes from.
+
+    X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner
+    numbers; cell (t,): cell of each triangle (quadrilaterals are cut in two); per cell the strain E (c, 3), the line
+    load S (c, 3) in N/mm averaged over neighbours, the largest principal line load (c,) and the state (c,): 0 slack,
+    1 drawn in one direction, 2 taut.
+    """
+
+    X: Array
+    x: Array
+    triangles: NDArray[np.intp]
+    cell: NDArray[np.intp]
+    E: Array
+    S: Array
+    line_load: Array
+    state: NDArray[np.intp]
+    told: Told = Told(0.0, None)
+    source: str = "a curtain in memory"
+
+    @property
+    def x_in_space(self) -> Array:
+        """Corners after deformation with three coordinates (p, 3), mm."""
+        return self.x if self.x.shape[1] == 3 else np.column_stack([self.x, np.zeros(len(self.x))])
+
+
+def curtain_of_cells(
+    X: Array, x: Array, cells: NDArray[np.intp], data: dict[str, Array], told: Told, source: str
+) -> Curtain:
+    """The curtain of a mesh of triangles (c, 3) or quadrilaterals (c, 4) with corners X (p, 2), x (p, 2 or 3).
+
+    data: fields of the cells by their names in curtain.vtu; S is averaged over neighbours. InputError for cells without
+    area.
+    """
+    triangles, cell = as_triangles(cells)
+    area = triangle_areas(X[triangles])
+    if not area.min() > 1e-12 * area.max():
+        raise InputError(f"{source}: cell {cell[int(np.argmin(area))]} has no area in the reference state")
+    S = recovered(cells, data[STRESS], np.asarray(np.bincount(cell, weights=area, minlength=len(cells)), dtype=float))
+    state = data[STATE].astype(int)
+    return Curtain(X, x, triangles, cell, data[STRAIN], S, data[LINE_LOAD_1], state, told, source)
+
+
+def curtain_of(solution: CurtainSolution, summary: dict[str, Any]) -> Curtain:
+    """The curtain of an answer in memory, without files: what curtain.vtu and summary.json hold."""
+    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
+    data = {
+        STRAIN: disc.cell_mean(solution.E),
+        STRESS: disc.cell_mean(solution.S),
+        LINE_LOAD_1: solution.principal()[0][:, 0],
+        STATE: solution.state(),
+    }
+    cells = counterclockwise(mesh.p.T, mesh.t.T)
+    told = read_told(summary, "the curtain's summary")
+    return curtain_of_cells(mesh.p.T, corner_positions(solution), cells, data, told, "a curtain in memory")
+
+
+def curtain_file(path: str | Path) -> Path:
+    """The VTU that `path` names: itself, or curtain.vtu in the folder `path`."""
+    return Path(path) / CURTAIN_VTU if Path(path).is_dir() else Path(path)
+
+
+def read_curtain(path: str | Path) -> Curtain:
+    """The curtain that `macro_fem run` wrote into a folder, or its VTU with summary.json beside it.
+
+    Points are the reference state and `displacement_mm` leads to the deformed one. InputError in one sentence for files
+    that are none, or not of the same run.
+    """
+    vtu = curtain_file(path)
+    _check_is_file(vtu)
+    mesh = read_mesh_file(vtu)
+    kinds = [block.type for block in mesh.cells]
+    if kinds not in (["triangle"], ["quad"]):
+        raise InputError(f"{vtu}: needs cells of one kind, triangle or quad, it has {kinds}")
+    cells = np.asarray(mesh.cells[0].data, dtype=np.intp)
+    found = {name: values[0] for name, values in mesh.cell_data.items()}
+    widths = {STRAIN: 3, STRESS: 3, LINE_LOAD_1: 1, STATE: 1}
+    data = {name: _field(vtu, found, name, (len(cells), width)) for name, width in widths.items()}
+    X = _field(vtu, {"points": mesh.points}, "points", mesh.points.shape)
+    x = X + _field(vtu, mesh.point_data, DISPLACEMENT, X.shape)
+    if not _is_plane(X):
+        raise InputError(f"{vtu}: its reference state is not plane, z reaches {np.abs(X[:, 2]).max():g} mm")
+    x = x[:, :2] if _is_plane(x) else x
+    told = _read_record(vtu)
+    return curtain_of_cells(X[:, :2], x, cells, data, told, str(vtu))
+
+
+def _read_record(vtu: Path) -> Told:
+    """What the summary beside a VTU tells."""
+    record = vtu.parent / CURTAIN_RECORD
+    _check_is_file(record)
+    known = read_json_object(record)
+    check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
+    return read_told(known, str(record))
+
+
+def _check_is_file(path: Path) -> None:
+    if not path.is_file():
+        raise InputError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'there is no such file'}")
+
+
+def read_told(summary: dict[str, Any], source: str) -> Told:
+    """What a summary tells of its curtain; InputError, which begins with `source`, for what does not fit."""
+    names = [item.name for item in fields(Told)]
+    return read_typed(Told, {key: summary[key] for key in names if key in summary}, f"{source}:")
+
+
+def _is_plane(points: Array) -> bool:
+    return bool(np.abs(points[:, 2]).max(initial=0.0) <= 1e-9 * np.abs(points).max(initial=0.0))
+
+
+def _field(path: Path, data: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+    """A field of a file in this shape, without the width if that is 1."""
+    if name not in data:
+        raise InputError(f"{path}: has no field {name}; is it the curtain.vtu of macro_fem run?")
+    found = np.asarray(data[name], dtype=float)
+    if found.size != np.prod(shape):
+        raise InputError(f"{path}: field {name} has {found.size} numbers, not {' times '.join(map(str, shape))}")
+    if not np.isfinite(found).all():
+        raise InputError(f"{path}: field {name} holds a number that is not finite")
+    if np.abs(found).max() > MOST_NUMBER:
+        raise InputError(f"{path}: field {name} reaches {np.abs(found).max():g}, at most {MOST_NUMBER:g} is allowed")
+    return found.reshape(shape if shape[1] > 1 else shape[0])

@@ -1,0 +1,144 @@
+"""A scene solved ring by ring: who is asked, the answer and its files."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from homogenize import MembraneLaw
+from macro_fem.answer import RECORD, Solution
+from macro_fem.output.files import rings as rings_of
+from macro_fem.output.supports import support_table
+from macro_fem.rings.ring_scene import RingScene
+from rve import Cell, FiniteSolution
+from rve.common.drawing.plane import new_axes, save_figure
+from rve.common.errors import InputError
+from rve.common.files import check_out_job, job, versions, write_text
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class EveryRing:
+    """Every ring answers, as a rigid body: `rings` are those of a cell, or those that a law was made of (None: r1 = 5,
+    r2 = 0.5 mm).
+
+    space: whether centres are free in space, or stay in the plane; start: the "slack" weave, or one that the membrane
+    of the law guides ("disk").
+    """
+
+    rings: Cell | MembraneLaw | None = None
+    space: bool = True
+    start: str = "slack"
+
+
+def or_none(value: float | Array) -> Any:
+    """The number, or list of numbers, None where it is not finite: JSON has neither nan nor inf."""
+    array = np.asarray(value)
+    return array.tolist() if np.isfinite(array).all() else None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EveryRingSolution(Solution):
+    """A scene solved ring by ring; start: "slack", or "disk" if a membrane guided the rings."""
+
+    scene: RingScene
+    found: FiniteSolution
+    start: str = "slack"
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
+        return summarize_rings(self.scene, self.found) | {"start": self.start}
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        picture: bool = True,
+        animation: bool = False,
+        html: bool = False,
+        inputs: Sequence[Path | None] = (),
+    ) -> dict[str, Any]:
+        """Write summary.json, support_forces.csv, rings.vtu, rings.png, with `html` rings.html; see `Solution.save`."""
+        if animation:
+            raise InputError("animation: every ring is solved in one step, there is nothing to animate")
+        check_out_job(folder, RECORD, inputs=inputs)
+        with job(folder, RECORD, inputs) as staged:
+            self.found.write_vtu(staged / "rings.vtu")
+            if picture:
+                save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)
+            if html:
+                self.write_html(staged / "rings.html")
+            write_text(staged / "support_forces.csv", support_table(self.summary["support_forces"]))
+            write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
+        return self.summary
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Every ring in the plane x, y, coloured by its largest contact force."""
+        return self.found.plot(ax)
+
+    def write_html(self, path: str | Path) -> None:
+        """See `Solution.write_html`."""
+        self.found.write_html(path)
+
+    def rings(self) -> FiniteSolution:
+        """Every ring."""
+        return self.found
+
+
+def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any]:
+    """The numbers of summary.json: lengths in mm, forces in N; null for forces and residual where there are none."""
+    has_forces = bool(np.isfinite(solution.contacts.force).all())
+    largest = float(solution.contacts.force.max(initial=0.0)) if has_forces else math.nan
+    return {
+        "status": solution.status,
+        "message": solution.message,
+        "ring_count": len(rings.mesh.X),
+        "centres": "space" if solution.is_space else "plane",
+        "mean_height_mm": solution.mean_height,
+        "lowest_point_mm": float(solution.centre[:, 1].min()),
+        "depth_mm": float(np.ptp(solution.centre[:, 2])),
+        "potential_N_mm": solution.potential,
+        "min_gap_mm": solution.contacts.min_gap_mm,
+        "notes": list(rings.notes),
+        "links": len(rings.mesh.linked),
+        "links_intact": solution.contacts.links_intact,
+        "kkt_residual": or_none(solution.kkt_residual),
+        "way_left_mm": solution.way_left_mm,
+        "contacts": int((solution.contacts.force > 1e-6 * largest).sum()) if has_forces else None,
+        "largest_contact_force_N": or_none(largest),
+        "total_load_N": solution.load.sum(axis=0).tolist(),
+        "support_forces": [
+            {
+                "support": name,
+                "force_N": or_none(solution.reaction[held].sum(axis=0)),
+                "largest_nodal_force_N": or_none(np.linalg.norm(solution.reaction[held], axis=1).max(initial=0.0)),
+                "points": [
+                    {"at_mm": X.tolist(), "force_N": or_none(f), "place_mm": x.tolist()}
+                    for X, f, x in zip(rings.mesh.X[held], solution.reaction[held], solution.centre[held], strict=True)
+                ],
+            }
+            for name, held in rings.groups
+        ],
+        "safety_factor": None,
+        "obstacles": [
+            {"obstacle": wall.name, "reaction_N": or_none(force)}
+            for wall, force in zip(solution.walls, solution.wall_force, strict=True)
+        ],
+        "hang_deg": rings.scene.curtain.weave_angle,
+        "rings": rings_of(rings.info),
+        "weave": rings.mesh.cell.weave.name,
+        "iterations": solution.iterations,
+        "wall_s": round(solution.wall_s, 3),
+        "versions": versions(),
+    }

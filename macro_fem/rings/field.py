@@ -1,0 +1,262 @@
+"""What `localize` returns: every ring of a curtain, with its files, its picture and its summary."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from macro_fem.rings.curtain import Curtain
+from macro_fem.rings.places import Rings
+from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
+from rve.common.drawing.page import check_page, write_page
+from rve.common.drawing.space import check_render, save_picture
+from rve.common.errors import require
+from rve.common.files import check_out_job, job, versions, write_text
+from rve.common.notebook import as_html
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pyvista import Plotter
+
+RECORD = "localize.json"
+"""The file that stands for the job; it lists the others by their checksums."""
+
+
+@dataclass(frozen=True)
+class WorstCell:
+    """The cell with the largest principal line load: number, pose, contact forces, turn (3, 3) into the curtain."""
+
+    number: int
+    states: NearestPoses
+    forces: CellForces
+    turn: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RingField:
+    """Every ring of a curtain, n rings in m cells of its mesh.
+
+    rings: places in mm and unit normals; states: poses of the m cells, and row (n,) the cell of each ring in it; fit:
+    gaps and links of the rings as placed; contact_force_N (n,): largest contact force on each ring; worst: the cell
+    with the largest principal line load; wall_s: seconds it took.
+    """
+
+    curtain: Curtain
+    cell: Cell
+    rings: Rings
+    states: NearestPoses
+    row: NDArray[np.intp]
+    fit: Fit
+    contact_force_N: Array
+    worst: WorstCell
+    wall_s: float
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @property
+    def centre_mm(self) -> Array:
+        """Centres (n, 3) in the axes of the curtain."""
+        return self.rings.centre
+
+    @property
+    def normal(self) -> Array:
+        """Unit normals (n, 3) in the axes of the curtain."""
+        return self.rings.normal
+
+    @property
+    def status(self) -> NDArray[np.str_]:
+        """How the pose of each ring relates to the strain of the curtain there, (n,): a key of `rve.POSE_MEANINGS`."""
+        return self.states.status[self.row]
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers of localize.json: lengths in mm, forces in N, line loads in N/mm."""
+        lines = {"worst_cell": _worst_lines(self.curtain, self.worst), "wall_s": self.wall_s, "versions": versions()}
+        return _summary(self) | lines
+
+    @property
+    def drawn(self) -> DrawnRings:
+        """The rings to draw, coloured by contact force."""
+        return DrawnRings(self.centre_mm, self.normal, self.cell.r1, self.cell.r2, self.contact_force_N)
+
+    @property
+    def data(self) -> dict[str, Array]:
+        """Numbers per ring, (n,) or (n, w), by their names in rings.vtu."""
+        return _ring_data(self)
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        picture: bool = True,
+        tubes: bool = False,
+        html: bool = False,
+        stl: bool = False,
+        inputs: Iterable[str | Path | None] = (),
+    ) -> dict[str, Any]:
+        """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
+
+        `tubes`: write tori instead of centre lines; `stl`: rings.stl, the surfaces of the rings, for CAD and printing;
+        `html`: rings.html, which turns in a browser. All files appear
+        together, and what they replace is gone (`rve.common.files`). InputError where they cannot be written or would
+        overwrite one of `inputs`, or if what a picture needs is missing.
+        """
+        if picture:
+            check_render("rings.png")
+        if html:
+            check_page("rings.html", "leave out --html")
+        inputs = list(inputs)
+        check_out_job(folder, RECORD, inputs=inputs)
+        with job(folder, RECORD, inputs) as staged:
+            self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
+            write_text(staged / "worst_cell.csv", forces_table(self.worst.forces, self.worst.turn))
+            write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
+            if stl:
+                self.drawn.write_stl(staged / "rings.stl")
+            if html:
+                self.write_html(staged / "rings.html")
+            if picture:
+                save_picture(staged / "rings.png", self.close_view(), self._title)
+        return self.summary
+
+    @property
+    def _title(self) -> str:
+        return f"{len(self)} rings, {self.fit.linked} of {self.fit.links} links intact as drawn"
+
+    def close_view(self) -> Plotter:
+        """All rings beside those around the cell with the largest line load, as a plotter of pyvista."""
+        worst = self.summary["worst_cell"]
+        reference = self.data["reference_mm"][:, :2]
+        at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
+        return self.drawn.draw_close_up(reference, at, np.array(worst["normal"]))
+
+    def view(self, plotter: Plotter | None = None) -> Plotter:
+        """All rings in space, coloured by contact force; tori where there are few of them, else their centre lines."""
+        return self.drawn.draw(plotter)
+
+    def write_html(self, path: str | Path) -> None:
+        """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
+        check_page(str(path))
+        write_page(path, self.view(), self._title)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""
+        require("matplotlib", "plots", "plot()", "read rings.vtu in another program")
+        return self.drawn.plot(ax)
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{count} {name}" for name, count in self.summary["cells_by_status"].items())
+        return (
+            f"RingField: {len(self)} rings in {len(self.states.E)} cells ({counts}), {self.fit.linked} of "
+            f"{self.fit.links} links intact, contact forces up to {self.summary['largest_contact_force_N']:.4g} N"
+        )
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
+        return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))
+
+
+def _ring_data(field: RingField) -> dict[str, Array]:
+    """Numbers per ring for the VTU; gaps are looked for up to NEAR r1 and given as that where they are larger."""
+    sites, states, row = field.rings.sites, field.states, field.row
+    names = list(POSE_MEANINGS)
+    code = np.array([names.index(str(status)) for status in states.status])
+    listed: dict[str, Any] = {
+        "ring": np.arange(len(row)),
+        "class_i_j": sites.index,
+        "macro_cell": sites.cell,
+        "state_0_slack_1_wrinkled_2_taut": field.curtain.state[sites.cell],
+        f"pose_{'_'.join(f'{i}_{name}' for i, name in enumerate(names))}": code[row],
+        "strain_short": states.short[row],
+        "strain_fold": states.fold[row],
+        "cell_gap_mm": states.gap_mm[row],
+        "drawn_gap_mm": _drawn_gap(field),
+        "broken_link": field.fit.broken.astype(int),
+        "contact_force_N": field.contact_force_N,
+        "reference_mm": np.column_stack([sites.X, np.zeros(len(sites.X))]),
+    }
+    return listed
+
+
+def _drawn_gap(field: RingField) -> Array:
+    """Smallest gap of each ring as placed (n,), mm, at most the distance that is searched."""
+    return np.minimum(field.fit.gap_mm, NEAR * field.cell.r1)
+
+
+def _summary(field: RingField) -> dict[str, Any]:
+    """The numbers of all rings, ready for JSON."""
+    cell, told, states, fit = field.cell, field.curtain.told, field.states, field.fit
+    force, status, gap = field.contact_force_N, field.status, _drawn_gap(field)
+    names, counts = np.unique(states.status, return_counts=True)
+    return {
+        "curtain": field.curtain.source,
+        "curtain_status": told.status,
+        "weave": cell.weave.name,
+        "grain": cell.grain,
+        "r1_mm": cell.r1,
+        "r2_mm": cell.r2,
+        "hang_deg": told.hang_deg,
+        "rings": len(force),
+        "cells": len(states.E),
+        "solves": states.solves,
+        "cells_by_status": {str(name): int(count) for name, count in zip(names, counts, strict=True)},
+        "meanings": {str(name): POSE_MEANINGS[str(name)] for name in names},
+        "largest_strain_short": float(states.short.max()),
+        "largest_strain_fold": float(states.fold.max()),
+        "smallest_gap_in_a_cell_mm": float(states.gap_mm.min()),
+        "drawn_gap_mm_quantiles_0_5_25_50": {
+            str(name): [float(x) for x in np.quantile(gap[status == name], [0.0, 0.05, 0.25, 0.5])]
+            for name in np.unique(status)
+        },
+        "links": fit.links,
+        "links_intact": fit.linked,
+        "largest_contact_force_N": float(force.max()),
+        "ring_at_support": told.at_support,
+    }
+
+
+def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
+    """What the summary says of the worst cell."""
+    forces = worst.forces
+    triangle = int(np.flatnonzero(curtain.cell == worst.number)[0])
+    return {
+        "cell": worst.number,
+        "reference_mm": curtain.X[curtain.triangles[triangle]].mean(axis=0).tolist(),
+        "largest_principal_line_load_N_per_mm": float(curtain.line_load[worst.number]),
+        "normal": worst.turn[:, 2].tolist(),
+        "pose": str(worst.states.status[0]),
+        "alpha_deg": forces.alpha_deg,
+        "beta_deg": forces.beta_deg,
+        "status": forces.status,
+        "contacts": len(forces.force),
+        "largest_force_N": float(forces.force.max(initial=0.0)),
+        "cauchy_line_load_11_12_22_N_per_mm": forces.s.tolist(),
+        "line_load_of_contacts_11_12_22_N_per_mm": forces.virial.tolist(),
+    }
+
+
+def forces_table(forces: CellForces, turn: Array) -> str:
+    """Contacts of one cell as CSV: rings, point, force, direction; turn (3, 3) leads into the axes of the curtain."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["a_class", "a_i", "a_j", "b_class", "b_i", "b_j", "x_mm", "y_mm", "z_mm", "force_N", "nx", "ny", "nz"]
+    )
+    columns = (forces.a, forces.b, forces.point @ turn.T, forces.force, forces.normal @ turn.T)
+    for a, b, point, force, normal in zip(*columns, strict=True):
+        numbers = [f"{x:.12g}" for x in (*point, force, *normal)]
+        writer.writerow([*map(int, a), *map(int, b), *numbers])
+    return text.getvalue()

@@ -1,0 +1,143 @@
+"""From a solved curtain to its rings: a curtain in memory or in files in, a `RingField` out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+
+from macro_fem.rings.curtain import Curtain, curtain_file, read_curtain
+from macro_fem.rings.field import RECORD, RingField, WorstCell
+from macro_fem.rings.frames import turns
+from macro_fem.rings.places import Sites, find_sites, place_rings
+from rve import (
+    Cell,
+    LockedArrangements,
+    PoseOptions,
+    axes_of_weave,
+    cauchy_of,
+    cell_forces,
+    fit_rings,
+    largest_forces,
+    locked_arrangements,
+    nearest_poses,
+)
+from rve.common.drawing.page import check_page
+from rve.common.drawing.space import check_render
+from rve.common.errors import InputError
+from rve.common.files import check_out_job
+from rve.common.progress import tell
+from rve.common.typed import Typed
+from rve.common.types import Array
+from rve.common.values import shown
+
+
+@dataclass(frozen=True)
+class LocalizeOptions(Typed):
+    """Which rings of a curtain are wanted.
+
+    window: only rings in x0, y0, x1, y1 (mm, before deformation); all if None. max_rings: more rings are refused,
+    because their files grow by 0.5 kB each. poses: options of the pose solver. InputError for values that make no
+    sense.
+    """
+
+    window: tuple[float, float, float, float] | None = None
+    max_rings: Annotated[int, Meta(ge=1, le=10**9)] = 100_000
+    poses: PoseOptions = field(default_factory=PoseOptions)
+
+    def check(self) -> None:
+        """InputError for a window that is no rectangle."""
+        ends = self.window
+        if ends is not None and not (np.isfinite(ends).all() and ends[0] < ends[2] and ends[1] < ends[3]):
+            self.refuse(f"window = {ends}: must be x0, y0, x1, y1 in mm with x0 < x1 and y0 < y1")
+
+
+def parse_window(text: str | None) -> tuple[float, float, float, float] | None:
+    """A window from "x0,y0,x1,y1" in mm, or None for None; InputError for other texts.
+
+    >>> parse_window("0,0,50,80.5")
+    (0.0, 0.0, 50.0, 80.5)
+    """
+    if text is None:
+        return None
+    try:
+        x0, y0, x1, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--window = {shown(text)}: write x0,y0,x1,y1 in mm") from None
+    return x0, y0, x1, y1
+
+
+def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = None) -> RingField:
+    """Every ring of a solved curtain: place, tilt, gaps, links and contact forces.
+
+    `curtain`: that of an answer (`answer.rings()` calls this), or the folder that `macro_fem run` wrote, or its
+    curtain.vtu. InputError in one sentence for files that are no curtain or not of one run, unknown rings, a window
+    without rings or too many of them. NotConverged if no locked state is found.
+    """
+    began = time.perf_counter()
+    options = options or LocalizeOptions()
+    curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
+    cell = curtain.told.cell(curtain.source)
+    locked = locked_arrangements(cell, options.poses)
+    axes = axes_of_weave(cell, curtain.told.hang_deg)
+    tell("rings in their cells")
+    sites = find_sites(curtain, cell, locked.sides, axes, options.window)
+    _check_count(curtain.source, sites, options)
+    used, row = np.unique(sites.cell, return_inverse=True)
+    states = nearest_poses(in_weave(curtain.E[used], axes), cell, options.poses, locked)
+    tell(f"{len(sites.X)} rings in their places")
+    rings = place_rings(curtain, sites, states, row, cell, axes)
+    tell(f"contact forces of {len(used)} cells")
+    loads = cauchy_of(in_weave(curtain.S[used], axes), states.E)
+    force = largest_forces(loads, cell, options.poses.direct)[row, sites.index[:, 0]]
+    worst = _solve_worst(curtain, cell, options.poses, locked, axes)
+    fit = fit_rings(sites.index, rings.centre, rings.normal, cell)
+    return RingField(curtain, cell, rings, states, row, fit, force, worst, round(time.perf_counter() - began, 3))
+
+
+def run_localize(
+    path: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, html: bool = False, **vtu: bool
+) -> dict[str, Any]:
+    """Rings of the curtain at `path`: rings.vtu, worst_cell.csv, localize.json and rings.png in `out`; the summary.
+
+    `vtu`: `tubes` and `stl` as of `RingField.save`.
+
+    Errors as in `localize` and `RingField.save`. What the picture needs and what `out` would overwrite is checked
+    before anything is solved.
+    """
+    if picture:
+        check_render("rings.png")
+    if html:
+        check_page("rings.html", "leave out --html")
+    inputs = [curtain_file(path)]
+    check_out_job(out, RECORD, inputs=inputs)
+    return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)
+
+
+def _check_count(source: str, sites: Sites, options: LocalizeOptions) -> None:
+    if not len(sites.X):
+        where = "" if options.window is None else f"--window = {','.join(f'{x:g}' for x in options.window)}: "
+        raise InputError(f"{where}not one ring of {source} lies there")
+    if len(sites.X) > options.max_rings:
+        raise InputError(
+            f"{source}: {len(sites.X)} rings are more than --max-rings = {options.max_rings}; ask for a --window"
+        )
+
+
+def in_weave(triples: Array, axes: Array) -> Array:
+    """Tensors (n, 3) of the curtain in the weave's own axes; `axes` (2, 2) leads from the weave to the curtain."""
+    full = np.stack([triples[:, [0, 1]], triples[:, [1, 2]]], axis=1)
+    turned = axes.T @ full @ axes
+    return np.stack([turned[:, 0, 0], turned[:, 0, 1], turned[:, 1, 1]], axis=1)
+
+
+def _solve_worst(curtain: Curtain, cell: Cell, how: PoseOptions, locked: LockedArrangements, axes: Array) -> WorstCell:
+    number = int(np.argmax(curtain.line_load))
+    states = nearest_poses(in_weave(curtain.E[[number]], axes), cell, how, locked)
+    s = cauchy_of(in_weave(curtain.S[[number]], axes), states.E)[0]
+    triangle = np.flatnonzero(curtain.cell == number)[:1]
+    return WorstCell(number, states, cell_forces(s, cell, how.direct), turns(curtain, triangle, states.E, axes)[0])

@@ -1,0 +1,241 @@
+"""A scene as a finite mesh of rings: its outline, loads and supports.
+
+Supports and live loads are those of a finite-element mesh with one cell per reference cell of the weave: what it holds
+or loads at a node goes to the nearest ring. A rectangle of whole cells has a ring at every such node. The weight of a
+ring is that of its share of the reference area.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_material
+from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.discretization import discretize
+from macro_fem.fem.space import in_space_of
+from macro_fem.scene.cables import Sliding
+from macro_fem.scene.loads import nodal_forces, weight_per_area
+from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.obstacles import is_flat
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.shapes import MeshFile, Rectangle
+from macro_fem.scene.sites import Held, edge_nodes
+from macro_fem.scene.sizes import check_sizes
+from macro_fem.scene.supports import build_supports, pin_sliding, told
+from macro_fem.scene.tables import Bar, Wind, in_3d
+from macro_fem.solution import CurtainSolution
+from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
+from rve.common.errors import InputError
+from rve.common.materials import material_of
+from rve.common.types import Array
+
+SLIDES = 1e-6
+"""Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""
+MOST_CELLS = 400_000
+"""Reference cells of a scene; more are refused, two rings each."""
+WHOLE, NEARLY_WHOLE = 1e-7, 0.02
+"""A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
+
+
+@dataclass(frozen=True, eq=False)
+class RingScene:
+    """A scene as a finite mesh: rings, dead forces (n, 3) in N, held coordinates (n, 3), their places (n, 3) in mm.
+
+    groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
+    walls: half-spaces that the rings stay out of. pins: rings held along directions in which the supports let the mesh
+    slide, so that it does not; they carry no force. notes: what of the scene was changed to fit
+    the rings. info: radii and reference cell of the rings.
+    """
+
+    scene: Scene
+    mesh: FiniteMesh
+    force: Array
+    held: np.ndarray
+    at: Array
+    groups: tuple[tuple[str, np.ndarray], ...]
+    pins: Sliding
+    walls: tuple[HalfSpace, ...] = ()
+    notes: tuple[str, ...] = ()
+    info: CellInfo | None = None
+
+    def solve(
+        self, *, space: bool, disk: CurtainSolution | None = None, options: FiniteOptions | None = None
+    ) -> FiniteSolution:
+        """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be, or where
+        walls push them along a direction in which nothing holds them.
+
+        Where the membrane `disk` of the scene is given it guides the rings while folds form.
+        """
+        if self.scene.in_space and not space:
+            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
+        guide = None if disk is None else disk.places(self.mesh.X)
+        if guide is not None and not self.scene.in_space:
+            guide[:, 2] = np.nan
+        try:
+            found = self.mesh.solve(
+                self.force,
+                self.held,
+                self.at,
+                space=space,
+                walls=self.walls,
+                guide=guide,
+                options=options,
+            )
+        except InputError as error:
+            raise InputError(f"{self.scene.source}: {error}") from error
+        return self._held_in_place(found)
+
+    def _held_in_place(self, found: FiniteSolution) -> FiniteSolution:
+        """The answer without the forces of pins; InputError where they are some."""
+        if not len(self.pins.nodes):
+            return found
+        forces = self.pins.along(found.reaction)
+        worst = int(np.abs(np.nan_to_num(forces)).argmax())
+        if found.status == "converged" and abs(forces[worst]) > SLIDES * np.abs(self.force).sum():
+            raise InputError(
+                f"{self.scene.source}: [obstacle]: nothing carries the force of {-forces[worst]:.6g} N along "
+                f"{told(self.pins.direction[worst])}, in which the supports let the rings slide: hold them there"
+            )
+        reaction = found.reaction.copy()
+        reaction[self.pins.nodes] -= forces[:, None] * self.pins.direction
+        return replace(found, reaction=reaction)
+
+
+def in_material(scene: Scene, cell: Cell) -> Cell:
+    """The rings of the material that the scene names, else of their own."""
+    metal = material_of(dict(scene.material), f"{scene.source}: [material]", base=cell.material)
+    return replace(cell, material=metal, density=metal.density_kg_per_mm3)
+
+
+def _find_info(scene: Scene, rings: Cell | MembraneLaw | None) -> CellInfo | None:
+    """Radii, reference cell and areal mass of rings."""
+    if isinstance(rings, Cell):
+        return cell_of(solve_table(in_material(scene, rings), ([0.0], [90.0])))
+    law = default_law() if rings is None else rings
+    return with_material(law, dict(scene.material), f"{scene.source}: [material]").cell
+
+
+def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingScene:
+    """The rings of a scene, see `EveryRing`; InputError for what a mesh of rings cannot be or hold.
+
+    >>> scene = Scene.rectangle(22.0, 12.646069623526).hung_by("top")
+    >>> rings = ring_scene(scene)
+    >>> len(rings.mesh.X), [len(held) for _, held in rings.groups]
+    (8, [3])
+    """
+    info = _find_info(scene, rings)
+    if info is None:
+        raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
+    if scene.motion is not None:
+        raise InputError(f"{scene.source}: [motion]: every ring is solved at rest only; leave it out")
+    if any(wind.follows for wind in scene.of(Wind)):
+        raise InputError(f"{scene.source}: follows = true of [load.wind]: is not for every ring")
+    round_ = [item.name for item in scene.obstacle if not is_flat(item)]
+    if round_:
+        raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
+    check_sizes(scene, info.r1_mm)
+    scene, notes = _in_whole_cells(scene, info)
+    mesh = _finite_mesh(scene, info)
+    return replace(_with_loads(_by_cells(scene, info), info, mesh), notes=notes, info=info)
+
+
+def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...]]:
+    """The scene with the sides of a rectangle that are nearly whole cells made whole, and what was changed.
+
+    Rings at the corners, which supports hold, are there only where the sides are whole cells.
+    """
+    curtain = scene.curtain
+    if not isinstance(curtain, Rectangle) or curtain.holes or curtain.weave_angle % 90.0:
+        return scene, ()
+    sides = (info.b_x_mm, info.b_y_mm) if curtain.weave_angle % 180.0 == 0.0 else (info.b_y_mm, info.b_x_mm)
+    notes = []
+    for name, side in zip(("width", "height"), sides, strict=True):
+        asked = getattr(curtain, name)
+        count = round(asked / side)
+        if count and NEARLY_WHOLE > abs(asked / side - count) > WHOLE:
+            notes.append(f"{name} = {asked:g} mm is taken as {count} whole cells of the weave, {count * side:.7g} mm")
+            whole: dict[str, Any] = {name: count * side}
+            curtain = replace(curtain, **whole)
+    return replace(scene, curtain=curtain), tuple(notes)
+
+
+def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
+    curtain, source = scene.curtain, scene.source
+    if isinstance(curtain, MeshFile):
+        raise InputError(f'{source}: [curtain] shape = "file": has no outline of its own, use shape = "outline"')
+    outline = curtain.corners(scene.mesh.cells)
+    spans = np.ptp(outline, axis=0)
+    count = float(spans.prod()) / (info.b_x_mm * info.b_y_mm)
+    if count > MOST_CELLS:
+        raise InputError(
+            f"{source}: [curtain]: {count:.3g} cells of the weave are more than {MOST_CELLS}; make it smaller"
+        )
+    cell = cell_of_sides(info.r1_mm, info.r2_mm, (info.b_x_mm, info.b_y_mm))
+    try:
+        return FiniteMesh.inside(cell, outline, [np.array(hole) for hole in curtain.holes], curtain.weave_angle)
+    except InputError as error:
+        raise InputError(f"{source}: [curtain]: {error}") from error
+
+
+def _by_cells(scene: Scene, info: CellInfo) -> Scene:
+    """The scene with one column of finite elements per reference cell of the weave."""
+    side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
+    width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
+    mesh = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")
+    return replace(scene, mesh=mesh)
+
+
+def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
+    fem = build_mesh(scene, info)
+    disc = discretize(fem.mesh, "P1")
+    weight = weight_per_area(scene, info)
+    everything = nodal_forces(scene, fem, disc, info)
+    supports = build_supports(scene, fem, disc)
+    if len(supports.sliding.nodes):
+        raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
+    supports = pin_sliding(supports, disc, everything, scene.source)
+    live = everything - load_vector(disc, weight)
+    ring = cKDTree(mesh.X).query(disc.nodes)[1]
+    n = len(mesh.X)
+    force = np.zeros((n, 3))
+    force[:, : scene.d] = mesh.area[:, None] * weight
+    np.add.at(force[:, : scene.d], ring, live)
+    held, way = np.zeros((n, 3), bool), np.zeros((n, 3))
+    for axis in range(scene.d):
+        nodes = np.flatnonzero(supports.fixed[:, axis])
+        held[ring[nodes], axis] = True
+        way[ring[nodes], axis] = (supports.positions - in_space_of(disc.nodes, scene.d))[nodes, axis]
+    if not scene.in_space:
+        held[:, 2] = held[:, 0] | held[:, 1]
+    at = np.column_stack([mesh.X, np.zeros(n)]) + way
+    pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
+    where = f"{scene.source}: [load.bar] edge"
+    lines = [ring[edge_nodes(fem, disc, bar.edge, where)] for bar in scene.of(Bar) if bar.straight]
+    bars = tuple(line[np.sort(np.unique(line, return_index=True)[1])] for line in lines)
+    mesh = replace(mesh, bars=bars)
+    return RingScene(scene, mesh, force, held, at, _groups(supports.held, ring), pins, _walls(scene))
+
+
+def _walls(scene: Scene) -> tuple[HalfSpace, ...]:
+    """Floors and walls of a scene at the end of their moves."""
+    out = []
+    for item in scene.obstacle:
+        m = item.normal(np.zeros((1, 3)))
+        offset = float(item.support(m)[0] + m[0] @ in_3d(item.move))
+        out.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
+    return tuple(out)
+
+
+def _groups(supports: tuple[Held, ...], ring: np.ndarray) -> tuple[tuple[str, np.ndarray], ...]:
+    """The rings of each support, each ring once."""
+    groups: list[tuple[str, np.ndarray]] = []
+    taken = np.zeros(0, int)
+    for one in supports:
+        mine = np.setdiff1d(np.unique(ring[one.nodes]), taken)
+        taken = np.concatenate([taken, mine])
+        groups.append((one.name, mine))
+    return tuple(groups)

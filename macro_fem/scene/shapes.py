@@ -1,0 +1,109 @@
+"""Shapes of the sheet, and the finite elements that it is divided into."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from macro_fem.scene.meshing.outline import regular_polygon
+from macro_fem.scene.tables import MAX_CORNERS, MAX_ENTRIES, Degrees, Length, Name, Polygon
+from rve.common.typed import Typed
+from rve.common.types import Array
+from rve.common.values import shown
+
+WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(Typed):
+    """The sheet. `weave_angle`: degrees from the vertical to the weave's y axis; "y" is read as 0, "x" as 90."""
+
+    kinds: ClassVar[dict[str, type[Shape]]] = {}
+    shape: ClassVar[str]
+    holes: Annotated[tuple[Polygon, ...], Meta(max_length=MAX_ENTRIES)] = ()
+    weave_angle: Degrees = 0.0
+    areal_mass: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+
+    def __init_subclass__(cls, shape: str, **more: Any) -> None:
+        """Make the shape known to scene files."""
+        super().__init_subclass__(**more)
+        cls.shape, Shape.kinds[shape] = shape, cls
+
+    def __post_init__(self) -> None:
+        """Axes of the weave become angles, then every field is checked."""
+        if isinstance(self.weave_angle, str):
+            if self.weave_angle not in WEAVE_ANGLES:
+                self.refuse(f"weave_angle = {shown(self.weave_angle)}: is neither 'x', 'y' nor a number of degrees")
+            object.__setattr__(self, "weave_angle", WEAVE_ANGLES[self.weave_angle])
+        super().__post_init__()
+
+    def check(self) -> None:
+        """BadField for too many corners."""
+        corners = len(getattr(self, "outline", ())) + sum(map(len, self.holes))
+        if corners > MAX_CORNERS:
+            self.refuse(f"outline and holes: have {corners} corners, at most {MAX_CORNERS} are allowed")
+
+    def corners(self, cells: int) -> Array:
+        """Corners (n, 2) of the outline in order; a round one has as many as fit `cells` along the width."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Rectangle(Shape, shape="rectangle"):
+    """A rectangle of mesh."""
+
+    width: Length
+    height: Length
+
+    def corners(self, cells: int) -> Array:
+        """Corners (4, 2)."""
+        W, H = self.width, self.height
+        return np.array([[0.0, 0.0], [W, 0.0], [W, H], [0.0, H]])
+
+
+@dataclass(frozen=True)
+class Disk(Shape, shape="disk"):
+    """A disk around (0, 0)."""
+
+    radius: Length
+
+    def corners(self, cells: int) -> Array:
+        """Corners (n, 2) of a polygon with the area of the disk."""
+        return regular_polygon(self.radius, max(8, math.ceil(math.pi * cells)))
+
+
+@dataclass(frozen=True)
+class Outline(Shape, shape="outline"):
+    """A polygon by its corners in order."""
+
+    outline: Polygon
+
+    def corners(self, cells: int) -> Array:
+        """Corners (n, 2)."""
+        return np.array(self.outline)
+
+
+@dataclass(frozen=True)
+class MeshFile(Shape, shape="file"):
+    """A mesh file, Gmsh's .msh or .vtu; its path begins at the folder of the scene file."""
+
+    file: Name
+
+    def check(self) -> None:
+        """BadField for holes, which the file has of its own."""
+        super().check()
+        if self.holes:
+            self.refuse('holes: are not used by shape = "file"')
+
+
+@dataclass(frozen=True)
+class Mesh(Typed):
+    """`cells` along the width. `pattern`: "aligned" has edges along both diagonal families of the weave."""
+
+    cells: Annotated[int, Meta(ge=1, le=20_000)] = 32
+    element: Literal["P1", "P2", "CR", "Q1", "Q2"] = "P1"
+    pattern: Literal["aligned", "crossed", "diagonal"] = "aligned"

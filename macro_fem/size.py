@@ -1,0 +1,217 @@
+"""The largest value of one quantity of a scene at which the curtain holds with a factor that is asked for."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homogenize import LawInterval, MembraneLaw
+from macro_fem.answer import Solution
+from macro_fem.demand.options import OnDemand
+from macro_fem.job import solve
+from macro_fem.output.files import json_text
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Bar, Item, Wind
+from rve.common.errors import InputError
+from rve.common.files import job, write_text
+from rve.common.progress import part_of
+from rve.common.values import shown
+
+VARY = ("pitch", "mass", "speed", "r2")
+"""What may be varied: the distance of hooks or runners, the mass of bars, the speed of the wind, the wire of rings."""
+COARSE, MOST = 5, 12
+"""Values of the first round, and most values between the last one of them that holds and the next."""
+CLOSE = 2e-3
+"""A factor this close above the one asked for, or a gap between values of this part of the range, ends the search."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One value that was tried: factors of the curtain, what gives first, and how the solver ended.
+
+    `factor` is the least of all links, rings and hooks; `safety_factor` that of the rings alone.
+    """
+
+    value: float
+    factor: float | None
+    safety_factor: float | None
+    weakest: str | None
+    status: str
+
+
+@dataclass(frozen=True)
+class Size:
+    """The largest `value` of what is varied at which the factor is at least the one asked for, and the `curve` of all
+    values that were tried, in order."""
+
+    vary: str
+    value: float
+    safety_factor: float | None
+    factor: float
+    weakest: str | None
+    factor_asked: float
+    curve: tuple[Row, ...]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What is printed as JSON."""
+        return asdict(self)
+
+    def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
+        """Write size.json, size.csv and size.png into `folder`; the record."""
+        with job(folder, "size.json") as staged:
+            text = io.StringIO()
+            table = csv.DictWriter(text, list(asdict(self.curve[0])), lineterminator="\n")
+            table.writeheader()
+            table.writerows(asdict(row) for row in self.curve)
+            write_text(staged / "size.csv", text.getvalue())
+            if picture:
+                _draw(staged / "size.png", self)
+            write_text(staged / "size.json", json_text(self.record))
+        return self.record
+
+
+def largest_that_holds(
+    scene: Scene,
+    who: MembraneLaw | LawInterval | OnDemand | None,
+    vary: str,
+    ends: tuple[float, float],
+    factor: float,
+) -> Size:
+    """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`.
+
+    A pitch has only values that divide the edge. The factor is taken to cross `factor` once between two values of the
+    first round, which are spread evenly. A value without an answer does not hold. InputError for a quantity that the
+    scene has not, ends out of order, and where no value holds.
+    """
+    low, high = ends
+    if not 0.0 < low < high < np.inf:
+        raise InputError(f"--from = {low:g}, --to = {high:g}: give two positive values, the smaller one first")
+    if not 0.0 < factor < np.inf:
+        raise InputError(f"--factor = {factor:g}: must be positive")
+    values = _pitches(scene, who, low, high) if vary == "pitch" else None
+    rows: dict[float, Row] = {}
+
+    def use(value: float) -> float:
+        """Asked over found factor: at most 1 where the curtain holds, infinite where there is no answer."""
+        if value not in rows:
+            share = min(len(rows) / (COARSE + MOST), 0.95)
+            with part_of(f"{vary} = {value:.6g}", share, share):
+                rows[value] = _row(scene, who, vary, value)
+        return factor / (rows[value].factor or 1e-300)
+
+    best = _continuous(use, np.linspace(low, high, COARSE).tolist()) if values is None else _discrete(use, values)
+    if best is None:
+        most = max(rows.values(), key=lambda row: row.factor or 0.0)
+        why = f"the largest factor is {most.factor:.3g}, at {most.value:g}" if most.factor else most.status
+        raise InputError(f"{scene.source}: no {vary} from {low:g} to {high:g} holds with a factor {factor:g}: {why}")
+    found = rows[best]
+    assert found.factor is not None
+    curve = tuple(rows[value] for value in sorted(rows))
+    return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve)
+
+
+def _continuous(use: Callable[[float], float], grid: list[float]) -> float | None:
+    """The last value with a use of at most 1: the use is nearly linear in what is varied, so it is interpolated."""
+    good = [i for i, value in enumerate(grid) if use(value) <= 1.0]
+    if not good or good[-1] == len(grid) - 1:
+        return grid[good[-1]] if good else None
+    low, high = grid[good[-1]], grid[good[-1] + 1]
+    for _ in range(MOST):
+        if use(low) > 1.0 - CLOSE or high - low < CLOSE * (grid[-1] - grid[0]):
+            break
+        # Aimed a little below 1, so that the values that are tried end on the side that holds.
+        way = (1.0 - 0.5 * CLOSE - use(low)) / (use(high) - use(low))
+        middle = low + (high - low) * min(max(way, 0.05), 0.95)
+        low, high = (middle, high) if use(middle) <= 1.0 else (low, middle)
+    return low
+
+
+def _discrete(use: Callable[[float], float], values: Sequence[float]) -> float | None:
+    """The same among values in order, by halving the numbers between."""
+    few = np.unique(np.linspace(0, len(values) - 1, COARSE).round().astype(int)).tolist()
+    good = [i for i in few if use(values[i]) <= 1.0]
+    if not good:
+        return None
+    low = good[-1]
+    high = next((i for i in few if i > low), low + 1)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if use(values[middle]) <= 1.0 else (low, middle)
+    return values[low]
+
+
+def _pitches(scene: Scene, who: Any, low: float, high: float) -> list[float]:
+    """The pitches from `low` to `high` that divide the edge of the first row of hooks, in order."""
+    told = _summary(scene, who, "pitch", high)["support_forces"]
+    row = next(one for one in told if one.get("pitch_mm") is not None)
+    length = row["pitch_mm"] * (row["nodes_held"] - 1)
+    counts = range(int(np.floor(length / low * (1.0 + 1e-9))), int(np.ceil(length / high * (1.0 - 1e-9))) - 1, -1)
+    found = [length / count for count in counts if count > 0]
+    if not found:
+        raise InputError(f"no pitch from {low:g} to {high:g} mm divides the edge of {length:g} mm: widen the range")
+    return found
+
+
+def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
+    """What the curtain bears at one value."""
+    try:
+        told = _summary(scene, who, vary, value)
+    except InputError as error:
+        return Row(value, None, None, None, str(error))
+    if told["status"] != "converged":
+        return Row(value, None, None, None, str(told["message"]))
+    worst = told.get("envelope", told)
+    return Row(value, worst["weakest_factor"], worst["safety_factor"], worst["weakest"], "converged")
+
+
+def _summary(scene: Scene, who: Any, vary: str, value: float) -> dict[str, Any]:
+    if vary == "r2":
+        if not isinstance(who, OnDemand):
+            raise InputError("--vary r2: needs the rings, by --rings R1,R2, since a law is of one wire")
+        who = replace(who, cell=replace(who.cell, r2=value))
+    else:
+        scene = _changed(scene, vary, value)
+    answer: Solution = solve(scene, who)
+    return answer.summary
+
+
+def _changed(scene: Scene, vary: str, value: float) -> Scene:
+    """The scene with the value in every part that has it."""
+
+    def has(item: Item) -> bool:
+        if vary == "pitch":
+            return bool(getattr(item, "has_hooks", False))
+        return isinstance(item, Bar) if vary == "mass" else isinstance(item, Wind) and item.speed is not None
+
+    if vary not in VARY:
+        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARY)}")
+    if not any(map(has, scene.items)):
+        what = {"pitch": "hooks or runners", "mass": "bar", "speed": "wind with a speed"}[vary]
+        raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
+    changes: Any = {vary: value} | ({"count": None} if vary == "pitch" else {})
+    items: list[Any] = list(scene.items)
+    return replace(scene, items=tuple(replace(item, **changes) if has(item) else item for item in items))
+
+
+def _draw(path: Path, size: Size) -> None:
+    """The factor over the value."""
+    from matplotlib.figure import Figure
+
+    known = [row for row in size.curve if row.factor is not None]
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    ax = figure.subplots()
+    ax.plot([row.value for row in known], [row.factor or 0.0 for row in known], "o-", color="#1f3a5f", ms=4)
+    ax.axhline(size.factor_asked, color="#bd1f01", lw=1.0, label=f"factor {size.factor_asked:g}")
+    ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g}")
+    unit = {"pitch": "mm", "mass": "kg", "speed": "m/s", "r2": "mm"}[size.vary]
+    ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives", ylim=(0.0, None))
+    ax.legend(frameon=False)
+    ax.grid(alpha=0.3)
+    figure.savefig(path, dpi=150)

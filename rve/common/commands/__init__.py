@@ -1,0 +1,1 @@
+"""How the commands of all packages read options, speak, end, and run for many inputs."""

@@ -1,0 +1,235 @@
+"""One command run for many inputs: side by side on this machine, or on the workers of a Dask scheduler.
+
+Each item is a command as a user would type it, with a record that it writes. A finished item is kept in a cache with
+the checksums of all files that it has read and written; the same sweep started again runs only the others. Items do not
+depend on each other, so that files are the same to the bit for any number of workers, and after one was killed.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rve.common.cache import Cache, open_cache
+from rve.common.commands.command_line import answer, say
+from rve.common.commands.workers import worker_pool
+from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
+from rve.common.files import check_out_folder, checksum, versions, write_text
+from rve.common.progress import tell
+from rve.common.reading import read_json_object, recorded_reads
+
+MARKS = ".sweep"
+"""Folder of what is known of finished items, inside that of the sweep."""
+RETRIES = 3
+"""How often an item is begun again whose worker was lost."""
+CONNECT_S = 10.0
+
+Columns = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class SweepItem:
+    """`python -m package arguments`, which writes the JSON `record`; paths are absolute."""
+
+    name: str
+    package: str
+    arguments: tuple[str, ...]
+    record: Path
+
+    @property
+    def question(self) -> dict[str, Any]:
+        """What the answer depends on beside the files that are read."""
+        return {"command": [self.package, *self.arguments], "versions": versions()}
+
+    @property
+    def written(self) -> dict[str, str]:
+        """Checksums of the record and of the files that it lists."""
+        names = (self.record.name, *read_json_object(self.record).get("files", {}))
+        return {str(self.record.parent / name): checksum(self.record.parent / name) for name in names}
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How an item ended: exit code, the sentence of one that failed, and the checksums of the files it has read."""
+
+    code: int
+    message: str
+    read: dict[str, str] = field(default_factory=dict)
+
+
+def run_item(package: str, arguments: tuple[str, ...]) -> Ended:
+    """Runs a command in this process; only a stop from outside is raised."""
+    try:
+        with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            main = import_module(f"{package}.cli").main
+            code = main.main(list(arguments), prog_name=package, standalone_mode=False)
+    except click.ClickException as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise error.__cause__ from None
+        return Ended(error.exit_code, error.format_message(), read)
+    return Ended(code if isinstance(code, int) else 0, "", read)
+
+
+def sweep(
+    items: Sequence[SweepItem],
+    out: Path,
+    *,
+    jobs: int = 1,
+    cluster: str | None = None,
+    done: Callable[[str], None] = lambda name: None,
+) -> list[Ended]:
+    """How each item ended, in their order; `done` is told the name of each as it ends.
+
+    jobs: processes on this machine; cluster: address of a Dask scheduler, whose workers see the folder `out` under the
+    same name. InputError if nothing answers there, or two items have one name. NotConverged if workers or scheduler
+    are lost for good. However it ends, what is finished is kept.
+    """
+    if cluster is not None:
+        require("distributed", "cluster", "--cluster", "use --jobs")
+        if jobs != 1:
+            raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
+    for name, count in Counter(item.name for item in items).items():
+        if count > 1:
+            raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
+    cache, ended = open_cache(out / MARKS, "--out"), {}
+    for number, item in enumerate(items):
+        if (found := cache.get(item.question)) is not None:
+            ended[number] = Ended(found["code"], found["message"])
+            done(item.name)
+    left = [number for number in range(len(items)) if number not in ended]
+    run = _on_cluster(items, left, cluster) if cluster is not None else _here(items, left, jobs)
+    kept = f"what is finished is kept in {out}, and the same command goes on from there"
+    try:
+        with noted_if_stopped(kept):
+            for number, how in run:
+                ended[number] = _kept(cache, items[number], how)
+                done(items[number].name)
+    except (BrokenProcessPool, ConnectionError) as error:
+        lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
+        raise NotConverged(f"{lost if isinstance(error, BrokenProcessPool) else error}; {kept}") from error
+    return [ended[number] for number in range(len(items))]
+
+
+def _kept(cache: Cache, item: SweepItem, how: Ended) -> Ended:
+    """How an item ended, kept if it wrote its record."""
+    if how.code not in (0, 1) or how.message:
+        return how
+    if not item.record.exists():
+        return Ended(1, f"{item.record} is not there; workers must see {item.record.parent} under the same name")
+    cache.put(item.question, {"code": how.code, "message": how.message}, how.read | item.written)
+    return how
+
+
+def _here(items: Sequence[SweepItem], left: list[int], jobs: int) -> Iterator[tuple[int, Ended]]:
+    if jobs == 1:
+        for number in left:
+            yield number, run_item(items[number].package, items[number].arguments)
+        return
+    with worker_pool(jobs) as pool:
+        futures = {pool.submit(run_item, items[n].package, items[n].arguments): n for n in left}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+
+
+def _on_cluster(items: Sequence[SweepItem], left: list[int], address: str) -> Iterator[tuple[int, Ended]]:
+    """ConnectionError with a sentence if the scheduler is lost."""
+    from distributed import Client
+    from distributed import as_completed as as_finished
+
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
+    with client:
+        packages, arguments = [items[n].package for n in left], [items[n].arguments for n in left]
+        futures = client.map(run_item, packages, arguments, pure=False, retries=RETRIES)
+        numbers = dict(zip((future.key for future in futures), left, strict=True))
+        for future in as_finished(futures):
+            if future.status in ("cancelled", "lost"):
+                raise ConnectionError(f"--cluster = {address}: the Dask scheduler was lost")
+            raised = future.exception()
+            lost = f"its workers were lost: {' '.join(str(raised).split())}"
+            yield numbers[future.key], future.result() if raised is None else Ended(1, lost)
+
+
+def absolute(words: Sequence[str]) -> list[str]:
+    """Options with the paths of those files that exist made absolute: `--law law.json` and `--law=law.json`."""
+    found = []
+    for word in words:
+        option, sign, path = word.rpartition("=")
+        found.append(f"{option}{sign}{Path(path).resolve()}" if path and Path(path).exists() else word)
+    return found
+
+
+def sweep_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options --out, --jobs and --cluster of a command that runs a sweep."""
+    for decorate in (
+        click.option("--cluster", metavar="ADDRESS", help="Dask scheduler to use, e.g. tcp://head:8786."),
+        click.option(
+            "--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes on this machine."
+        ),
+        click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
+    ):
+        command = decorate(command)
+    return command
+
+
+def run_sweep(items: Sequence[SweepItem], out: Path, columns: Columns, **how: Any) -> list[dict[str, Any]]:
+    """Runs a sweep, writes sweep.csv, says how it ended and returns its rows; exit code 1 if an item failed.
+
+    A row holds name, exit_code, what `columns` takes from the record, and message. Options that the command of an item
+    has not are refused before the first one runs.
+    """
+    for item in items:
+        name, *words = item.arguments
+        command = import_module(f"{item.package}.cli").main.commands[name]
+        command.make_context(f"{item.package} {name}", words)
+    check_out_folder(out, "--out")
+    finished: list[str] = []
+
+    def done(name: str) -> None:
+        finished.append(name)
+        tell(f"sweep, {len(finished)} of {len(items)} done", len(finished) / len(items))
+
+    tell(f"sweep, 0 of {len(items)} done", 0.0)
+    rows = []
+    for item, ended in zip(items, sweep(items, out, done=done, **how), strict=True):
+        record = read_json_object(item.record) if not ended.message and item.record.exists() else {}
+        rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
+    _write_rows(out / "sweep.csv", rows)
+    tell("")
+    failed = [row for row in rows if row["exit_code"] != 0]
+    for row in failed:
+        click.echo(f"{row['name']}: {row['message'] or 'not converged, see its record'}", err=True)
+    say(f"{len(rows) - len(failed)} of {len(rows)} done; written to {out / 'sweep.csv'}")
+    answer({"out": str(out), "done": len(rows) - len(failed), "items": rows})
+    if failed:
+        raise click.exceptions.Exit(1)
+    return rows
+
+
+def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def numbers_of(text: str, option: str) -> list[float]:
+    """Numbers with commas between them; InputError for others."""
+    try:
+        return [float(one) for one in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"{option} = {text!r}: is not a list of numbers with commas between them") from error

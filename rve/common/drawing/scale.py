@@ -1,0 +1,98 @@
+"""Scales of colours that matplotlib, pyvista and plotly share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap, Normalize
+
+OVER = "#d6004d"
+"""The colour of values above the scale."""
+TOP_SHARE = 0.995
+"""The scale of colours ends where this share of the values lies below."""
+NICE = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Colours of values from `low` to `top`; `largest` may be above `top`.
+
+    colours: a map of matplotlib, used up to the share `brightest`. spread: "even", "root" (colours change with the
+    square root, so that small values are told apart) or "log".
+    """
+
+    label: str
+    low: float
+    top: float
+    largest: float
+    spread: str = "even"
+    colours: str = "viridis"
+    brightest: float = 1.0
+    over: str = OVER
+
+    @classmethod
+    def of(cls, values: Array, label: str) -> Scale:
+        """From 0 to a round number that `TOP_SHARE` of the values do not exceed.
+
+        >>> scale = Scale.of(np.append(np.linspace(0.0, 0.9, 999), 7.0), "line load, N/mm")
+        >>> scale.top, scale.largest, scale.is_exceeded, scale.title
+        (1.0, 7.0, True, 'line load, N/mm; arrow: up to 7')
+        """
+        largest = float(np.max(values, initial=0.0))
+        bulk = float(np.quantile(values, TOP_SHARE)) if len(values) else 0.0
+        return cls(label, 0.0, rounded_up(bulk if bulk > 0.0 else largest), largest, "root")
+
+    @property
+    def is_exceeded(self) -> bool:
+        """Whether some values are above the scale."""
+        return self.largest > self.top * (1.0 + 1e-9)
+
+    @property
+    def title(self) -> str:
+        """The label, and the largest value if it is above the scale."""
+        return self.label + (f"; arrow: up to {self.largest:.3g}" if self.is_exceeded else "")
+
+    def colour_map(self) -> Colormap:
+        """The colours for matplotlib and pyvista."""
+        import matplotlib
+        from matplotlib.colors import ListedColormap
+
+        share = np.linspace(0.0, 1.0, 1024) ** (0.5 if self.spread == "root" else 1.0)
+        colours = matplotlib.colormaps[self.colours](self.brightest * share)
+        return ListedColormap(colours).with_extremes(over=self.over)
+
+    def norm(self) -> Normalize:
+        """The range for matplotlib."""
+        from matplotlib.colors import LogNorm, Normalize
+
+        return (LogNorm if self.spread == "log" else Normalize)(self.low, self.top)
+
+    def add_bar(self, ax: Axes, **style: Any) -> None:
+        """A bar of the colours beside `ax`."""
+        from matplotlib.cm import ScalarMappable
+
+        ends = (self.spread == "log", self.is_exceeded)
+        extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[ends]
+        assert ax.figure is not None
+        bar = ax.figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), ax=ax, extend=extend, **style)
+        bar.set_label(self.title)
+
+
+def rounded_up(value: float, steps: tuple[float, ...] = NICE) -> float:
+    """The smallest of `steps`, from 1 to 10, times a power of ten that is not below `value`; 1 for 0.
+
+    >>> rounded_up(0.0234), rounded_up(1200.0), rounded_up(0.0)
+    (0.025, 1500.0, 1.0)
+    """
+    if not value > 0.0:
+        return 1.0
+    power = int(np.floor(np.log10(value)))
+    step = next(step for step in steps if step >= value / 10.0**power * (1.0 - 1e-9))
+    return float(f"{step * 10.0**power:.6g}")

@@ -1,0 +1,199 @@
+"""Pictures in space: plotters of pyvista without a screen, written as PNG and GIF beneath title, bar and legend.
+
+Coordinates are mm and the second axis points up. The name of an actor is its text in the legend; names that begin with
+"_" are not in it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from ctypes import CDLL
+from ctypes.util import find_library
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rve.common.drawing.scale import Scale
+from rve.common.errors import InputError, require
+from rve.common.files import atomic_path
+from rve.common.progress import tell
+from rve.common.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter, PolyData
+
+PANEL = (1400, 1240)
+"""Pixels of a panel before matplotlib makes it smaller, which smooths edges."""
+FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
+FRAME_MS, LAST_MS = 120, 1500
+"""How long a frame of an animation is shown, and its last one."""
+MARGIN = 1.04
+MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
+FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
+
+
+def check_render(purpose: str, instead: str = "ask for --no-picture") -> None:
+    """InputError if pyvista is missing, or the system has no OpenGL that draws without a screen.
+
+    VTK ends the interpreter when the library of the last kind of window that it tries is missing.
+    """
+    require("pyvista", "three-d", purpose, instead)
+    try:
+        window: Any = new_plotter().render_window
+        if window.GetClassName() == "vtkOSOpenGLRenderWindow":
+            CDLL(find_library("OSMesa") or "libOSMesa.so")
+    except (ImportError, OSError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{purpose} needs OpenGL ({reason}): install libosmesa6, or {instead}") from error
+
+
+def new_plotter(panels: int = 1) -> Plotter:
+    """An empty plotter with panels side by side."""
+    import pyvista
+
+    pyvista.vtk_verbosity("off")  # else VTK says on standard error that there is no screen
+    size = [panels * PANEL[0], PANEL[1]]
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, panels), border=False, window_size=size, lighting="light kit")
+    plotter.set_background("white")  # type: ignore[arg-type]
+    return plotter
+
+
+def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **style: Any) -> None:
+    """Add a mesh in one colour, or coloured by its array `colour.label`; nothing if the mesh is empty."""
+    import pyvista
+
+    if not mesh.n_points:
+        return
+    style = MATT | {"name": name, "reset_camera": False, "render": False} | style
+    style |= {"render_lines_as_tubes": True, "smooth_shading": False} if mesh.n_lines else {}
+    if isinstance(colour, str):
+        plotter.add_mesh(mesh, color=colour, **style)
+        return
+    style |= {"above_color": colour.over} if colour.is_exceeded else {}
+    style |= {"scalars": colour.label, "clim": (colour.low, colour.top), "log_scale": colour.spread == "log"}
+    actor = plotter.add_mesh(mesh, cmap=colour.colour_map(), show_scalar_bar=False, **style)
+    pyvista.set_new_attribute(actor, "colour_scale", colour)
+
+
+def surface(points: Array, corners: Any) -> PolyData:
+    """Triangles (n, 3) or quadrilaterals (n, 4) of points (p, 3)."""
+    import pyvista
+
+    return pyvista.PolyData.from_regular_faces(points, corners)
+
+
+def lines(points: Array) -> PolyData:
+    """Lines (n, k, 3) of k points each."""
+    import pyvista
+
+    n, k = points.shape[:2]
+    cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)])
+    return pyvista.PolyData(points.reshape(-1, 3), lines=cells.ravel())
+
+
+def balls(points: Array, radius: float, **arrays: Array) -> PolyData:
+    """Balls around points (n, 3), with numbers (n,) by their names."""
+    import pyvista
+
+    middles = pyvista.PolyData(np.array(points, float).reshape(-1, 3))
+    for name, values in arrays.items():
+        middles[name] = values
+    ball = pyvista.Sphere(radius=radius, theta_resolution=16, phi_resolution=16)
+    return middles.glyph(geom=ball, scale=False, orient=False) if len(points) else middles
+
+
+def arrows(tails: Array, vectors: Array, least: float = 0.0) -> PolyData:
+    """Arrows from `tails` along `vectors` (n, 3); those not longer than `least` are left out."""
+    import pyvista
+
+    length = np.linalg.norm(vectors, axis=1)
+    drawn = length > max(least, 1e-12)
+    ends = pyvista.PolyData(np.array(tails[drawn], float).reshape(-1, 3))
+    if not drawn.any():
+        return ends
+    ends["along"], ends["length"] = vectors[drawn], length[drawn]
+    shape = pyvista.Arrow(tip_length=0.25, tip_radius=0.06, shaft_radius=0.022)
+    return ends.glyph(geom=shape, orient="along", scale="length")
+
+
+def look(plotter: Plotter, direction: Any, up: Any = (0.0, 1.0, 0.0), box: Array | None = None) -> None:
+    """Aim the camera of the active panel along `direction` so that the box (2, 3), by default all, fills the panel."""
+    box = np.reshape(plotter.renderer.bounds, (3, 2)).T if box is None else box
+    forward = np.array(direction) / np.linalg.norm(direction)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, forward), forward])
+    seen = np.array(list(product(*box.T))) @ axes.T
+    middle, half = 0.5 * (seen.min(axis=0) + seen.max(axis=0)), 0.5 * np.ptp(seen, axis=0)
+    camera = plotter.camera
+    camera.focal_point = middle @ axes
+    camera.position = (middle - [0.0, 0.0, 10.0 * np.linalg.norm(half)]) @ axes
+    camera.up = axes[1]
+    camera.parallel_projection = True
+    camera.parallel_scale = MARGIN * max(half[1], half[0] * PANEL[1] / PANEL[0], 1e-9)
+    plotter.renderer.camera_set = True
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def parts(plotter: Plotter, panel: int = 0) -> dict[str, tuple[PolyData, Any, Scale | None]]:
+    """Mesh, actor and scale of colours of each part of a panel by its name."""
+    found = plotter.renderers[panel].actors.items()
+    return {name: (one.mapper.dataset, one, getattr(one, "colour_scale", None)) for name, one in found}
+
+
+def compose(plotter: Plotter, title: str, note: str = "") -> Figure:
+    """The panels of a plotter beneath a title, above a bar of colours and a legend, as a matplotlib figure."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    panels = len(plotter.renderers)
+    figure = Figure(figsize=(6.8 * panels, 7.6), dpi=130)
+    figure.set_layout_engine("constrained", h_pad=0.1)
+    ax = figure.subplots()
+    ax.imshow(np.asarray(plotter.screenshot(return_img=True)), interpolation="antialiased")
+    ax.set_axis_off()
+    figure.suptitle(title, fontsize=15 if panels > 1 else 12)
+    shown = {name: part for panel in range(panels) for name, part in parts(plotter, panel).items()}
+    scales = {scale for *_, scale in shown.values() if scale is not None}
+    for scale in scales:
+        scale.add_bar(ax, location="bottom", shrink=0.5 if panels > 1 else 0.8, aspect=40, pad=0.01)
+    plain = {name: one for name, (_, one, scale) in shown.items() if scale is None and not name.startswith("_")}
+    marks = [Patch(color=one.prop.color.float_rgb, label=name) for name, one in plain.items()]
+    if marks or note:
+        columns = 4 if panels > 1 else 2
+        figure.legend(
+            handles=marks, loc="outside lower center", ncols=columns, frameon=False, title=note or None, fontsize=11
+        )
+    return figure
+
+
+def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str, note: str = "") -> None:
+    """Write the composed picture of a plotter as PNG, atomically."""
+    tell(f"drawing {Path(path).name}")
+    figure = compose(plotter, title, note)
+    plotter.close()
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def save_animation(path: str | os.PathLike[str], figures: Iterable[Figure]) -> None:
+    """Write figures of one size as an animation (GIF) that repeats, atomically."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    tell(f"drawing {Path(path).name}")
+    frames = []
+    for figure in figures:
+        figure.set_dpi(100)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        frames.append(np.asarray(canvas.buffer_rgba())[..., :3])
+    palette = Image.fromarray(np.concatenate([frame[::3, ::3] for frame in frames])).quantize(256, kmeans=2)
+    first, *rest = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    times = [FRAME_MS] * len(rest) + [LAST_MS]
+    with atomic_path(path) as temporary:
+        first.save(temporary, "GIF", save_all=True, append_images=rest, duration=times, loop=0)

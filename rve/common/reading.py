@@ -1,0 +1,146 @@
+"""Reading of JSON, TOML and text: files of a stated size at most, errors in one sentence, a list of what was read.
+
+Whoever gave a command the wrong file of these packages is told what that file is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from rve.common.errors import InputError
+from rve.common.files import TABLE_FORMAT, AnyPath
+
+MOST_JSON_BYTES = 32_000_000
+"""Parsing takes up to thirty times the bytes of a JSON file; a law of 5,000 half-spaces has 0.5 MB."""
+MOST_TOML_BYTES = 1_000_000
+MOST_CSV_BYTES = 200_000_000
+MOST_MESH_BYTES = 500_000_000
+
+_reads: ContextVar[dict[str, str] | None] = ContextVar("reads", default=None)
+
+
+@contextmanager
+def recorded_reads() -> Iterator[dict[str, str]]:
+    """The files that are read in the block: absolute path to the SHA-256 of the content."""
+    found: dict[str, str] = {}
+    token = _reads.set(found)
+    try:
+        yield found
+    finally:
+        _reads.reset(token)
+
+
+def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
+    """The content of a file of at most `most` bytes; InputError if it is larger or cannot be read."""
+    try:
+        with Path(path).open("rb") as file:
+            size = os.fstat(file.fileno()).st_size or most  # a pipe has no size of its own
+            content = file.read(min(size, most) + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, MemoryError) as error:  # a name with a null character
+        raise InputError(f"{str(path)[:200]!r}: cannot be read: {error or 'it does not fit into memory'}") from error
+    if len(content) > most:
+        raise InputError(f"{path}: is larger than {most:,} bytes, which is the most that is read")
+    found = _reads.get()
+    if found is not None:
+        found[os.path.abspath(path)] = sha256(content).hexdigest()
+    return content
+
+
+def read_text(path: str | os.PathLike[str], most: int, kind: str) -> str:
+    """The content of a UTF-8 file, a byte order mark removed; `kind` names what it should be, for the message."""
+    try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not {kind}: {error}") from error
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """The value in a JSON file; InputError if it is not JSON or nested too deeply."""
+    return _parse(path, MOST_JSON_BYTES, "JSON", json.loads)
+
+
+def read_json_object(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The object in a JSON file; InputError as in `read_json`, and if the file holds something else."""
+    found = read_json(path)
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: must hold one JSON object, not a {type(found).__name__}")
+    return found
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The tables of a TOML file; InputError if it is not TOML or nested too deeply."""
+    found: dict[str, Any] = _parse(path, MOST_TOML_BYTES, "TOML", tomllib.loads)
+    return found
+
+
+def _parse(path: str | os.PathLike[str], most: int, kind: str, parse: Any) -> Any:
+    text = read_text(path, most, kind)
+    try:
+        return parse(text)
+    except (RecursionError, MemoryError) as error:
+        raise InputError(f"{path}: is not {kind} that can be read: it is nested too deeply, or too large") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not {kind}: {error}") from error
+
+
+KINDS = {
+    "law": "a law, which macro_fem run takes as --law",
+    "table": "a strain-load table, which homogenize fit takes",
+    "record of a table": "the record beside a strain-load table, give homogenize fit the .csv of the same name",
+    "curtain": "the summary of a solved curtain, whose folder macro_fem localize takes",
+    "scene": "a scene, which macro_fem run takes",
+    "mesh": "a mesh or curtain in VTK's format, which macro_fem localize takes, or a scene as [curtain] file",
+}
+
+
+@contextmanager
+def expecting(kind: str, path: AnyPath) -> Iterator[None]:
+    """Within the block an InputError about a file that is of another kind says of which, and what takes it."""
+    try:
+        yield
+    except InputError as error:
+        found = kind_of_file(path)
+        if found is None or found == kind:
+            raise
+        raise InputError(f"{path}: is {KINDS[found]}, not a {kind}") from error
+
+
+def kind_of_file(path: AnyPath) -> str | None:
+    """The kind of a file among `KINDS` by its content; None for others."""
+    try:
+        with Path(path).open("rb") as file:
+            text = file.read(MOST_JSON_BYTES).decode("utf-8-sig")
+    except (OSError, ValueError, MemoryError):
+        return None
+    if text.lstrip().startswith("{"):
+        return _kind_of_record(text)
+    if "alpha_deg" in text.partition("\n")[0].split(","):
+        return "table"
+    if "<VTKFile" in text[:1000]:
+        return "mesh"
+    try:
+        return "scene" if "curtain" in tomllib.loads(text[:1_000_000]) else None
+    except (ValueError, RecursionError):
+        return None
+
+
+def _kind_of_record(text: str) -> str | None:
+    try:
+        record: Any = json.loads(text)
+    except (ValueError, RecursionError, MemoryError):
+        return None
+    if {"kind", "parameters"} <= record.keys():
+        return "law"
+    if "support_forces" in record:
+        return "curtain"
+    return "record of a table" if record.get("format") == TABLE_FORMAT else None

@@ -1,1 +1,0 @@
-"""Files: atomic writes, jobs of several files, reading with limits, VTU."""

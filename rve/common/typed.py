@@ -1,0 +1,187 @@
+"""Records whose fields are checked by their types, in Python and from files; a refusal is one sentence.
+
+A type is a Python type with a range, `Annotated[float, Meta(gt=0.0, le=1e6)]`; msgspec checks it. Both ends of a range
+keep out NaN and infinite numbers.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import types
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+
+from rve.common.errors import InputError
+from rve.common.values import shown, shown_key
+
+Record = TypeVar("Record", bound="Typed")
+NAMES = {
+    **{"float": "a number", "int": "a whole number", "str": "a text"},
+    **{"array": "a list", "object": "a table of names and values"},
+}
+"""What msgspec's types are called in messages."""
+RANGES = {">": "must be greater than", ">=": "must be at least", "<": "must be less than", "<=": "must be at most"}
+
+
+class BadField(InputError):
+    """A field that does not fit: `what` is wrong, without the name of the record or the table that has it."""
+
+    def __init__(self, what: str, where: str) -> None:
+        super().__init__(f"{where}: {what}")
+        self.what = what
+
+
+class Typed:
+    """Base of frozen dataclasses whose fields are checked by their types when a record is made.
+
+    >>> from dataclasses import dataclass
+    >>> import msgspec
+    >>> @dataclass(frozen=True)
+    ... class Steps(Typed):
+    ...     most: Annotated[int, msgspec.Meta(ge=1, le=100)] = 20
+    >>> Steps(most=0)
+    Traceback (most recent call last):
+    ...
+    rve.common.typed.BadField: Steps: most = 0: must be at least 1
+    """
+
+    def __new__(cls, *values: Any, **named: Any) -> Self:
+        """An empty record; InputError for a name that is no field."""
+        refuse_unknown(named, types_of(cls), f"{cls.__name__}:", "option")  # type: ignore[arg-type]
+        return super().__new__(cls)
+
+    def __post_init__(self) -> None:
+        """Check every field; BadField (an InputError) for the first one that does not fit."""
+        for name, kind in types_of(type(self)).items():  # type: ignore[arg-type]
+            try:
+                object.__setattr__(self, name, typed(getattr(self, name), kind, name))
+            except ValueError as error:
+                self.refuse(str(error))
+        self.check()
+
+    def check(self) -> None:
+        """BadField for fields that contradict each other."""
+
+    def refuse(self, what: str) -> None:
+        """Raise BadField."""
+        raise BadField(what, type(self).__name__) from None
+
+
+@cache
+def types_of(cls: Any) -> dict[str, Any]:
+    """The type of each field of a dataclass, with its range."""
+    hints = get_type_hints(cls, include_extras=True)
+    return {item.name: hints[item.name] for item in fields(cls) if item.init}
+
+
+def typed(value: Any, kind: Any, key: str) -> Any:
+    """A value as its type has it: whole numbers as floats, lists as tuples. ValueError: "key = value: what is wrong".
+
+    >>> typed([1, 2], tuple[float, float], "at")
+    (1.0, 2.0)
+    """
+    if isinstance(value, Typed):
+        return value
+    value = _plain(value)
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        what, _, path = str(error).partition(" - at `$")
+        path = path.rstrip("`")
+        for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", path):
+            value = value[name or int(number)]
+        raise ValueError(f"{key}{path} = {shown(value)}: {_words(what, value, kind)}") from None
+
+
+def read_typed(cls: type[Record], table: Any, where: str) -> Record:
+    """The record of a parsed table; InputError, which begins with `where`, for keys and values that do not fit."""
+    if not isinstance(table, dict):
+        raise InputError(f"{where} is not a table of names and values")
+    known = [item for item in fields(cls) if item.init]  # type: ignore[arg-type]
+    refuse_unknown(table, [item.name for item in known], where)
+    for item in known:
+        if item.name not in table and item.default is MISSING:
+            raise InputError(f"{where} {item.name}: is missing")
+    try:
+        return cls(**table)
+    except BadField as error:
+        raise InputError(f"{where} {error.what}") from None
+
+
+def read_entry(table: Mapping[str, Any], key: str, kind: Any, where: str = "") -> Any:
+    """table[key] as its type has it; InputError "where key = value: what is wrong" if it is missing or does not fit.
+
+    >>> read_entry({"r1_mm": 5}, "r1_mm", float, "law.json: cell")
+    5.0
+    """
+    if key not in table:
+        raise InputError(f"{where} {key}: is missing".lstrip())
+    try:
+        return typed(table[key], kind, f"{where} {key}".lstrip())
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, what: str = "key") -> None:
+    """InputError for the first key of a table that is not known, with the key that was probably meant."""
+    known = list(known)
+    for key, value in table.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            meant = f"did you mean {near[0]}? " if near else ""
+            named = f"{where} {shown_key(key)}" + (f" = {shown(value)}" if what == "key" else "")
+            raise InputError(f"{named}: unknown {what}; {meant}known are {', '.join(known) or 'none'}")
+
+
+def numbers_or_none(values: Iterable[float]) -> list[float | None]:
+    """Numbers for a JSON file, which knows no NaN: None in its place.
+
+    >>> numbers_or_none([1, math.nan])
+    [1.0, None]
+    """
+    return [None if math.isnan(x) else float(x) for x in values]
+
+
+def _plain(value: Any) -> Any:
+    """Lists and numbers of Python in place of those of numpy."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _words(what: str, value: Any, kind: Any) -> str:
+    """What msgspec says, in the words of a user."""
+    if (isinstance(value, float) and not math.isfinite(value)) or what == "Number out of range":
+        return "is not a finite number"
+    if found := re.match(r"Expected `(?:float|int)` ([<>]=?) (\S+)", what):
+        return f"{RANGES[found[1]]} {float(found[2]):g}"
+    if found := re.match(r"Expected `array` of length ([<>]?)=? ?(\d+)", what):
+        return f"must have { ({'>': 'at least ', '<': 'at most '}.get(found[1], '')) }{found[2]} entries"
+    if found := re.match(r"Object missing required field `(.*)`", what):
+        return f"{found[1]} is missing"
+    if what.startswith("Expected `str` of length"):
+        return "is empty"
+    words = _literals(kind)
+    if what.startswith("Invalid enum value") or (words and what.startswith("Expected `str")):
+        near = difflib.get_close_matches(str(value), words, 1)
+        return f"is not one of {', '.join(words)}" + (f"; did you mean {near[0]}?" if near else "")
+    if what.startswith("Expected `bool`"):
+        return "is neither true nor false"
+    names = [NAMES.get(name, name) for name in re.findall(r"`(.*?)`", what)[:1][0].split(" | ")]
+    return f"is not {' or '.join(name for name in names if name != 'null')}"
+
+
+def _literals(kind: Any) -> list[str]:
+    """The words that a type allows."""
+    if get_origin(kind) is Literal:
+        return list(get_args(kind))
+    if get_origin(kind) in (Annotated, Union, types.UnionType):
+        return [word for part in get_args(kind) for word in _literals(part)]
+    return []

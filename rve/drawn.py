@@ -1,0 +1,199 @@
+"""Rings in space: as points and surfaces, in VTU files, and in pictures of the plane and of space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.drawing.plane import new_axes
+from rve.common.drawing.scale import Scale, rounded_up
+from rve.common.drawing.space import THREE_QUARTERS, add, lines, look, new_plotter, surface
+from rve.common.meshes import write_mesh_file
+from rve.common.types import Array
+from rve.geometry.circles import tangent_frame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pyvista import Plotter, PolyData
+
+ALONG, AROUND = 24, 8
+"""Points along and around the wire of a ring in files: lines of 100,000 rings stay below 60 MB."""
+LEAST = 3e-3
+"""The scale of contact forces begins at this part of its top end."""
+MOST_TUBES, MOST_POINTS = 1000, 300_000
+"""Of a view this number of rings have the thickness of the wire; more are lines with this many points together."""
+MOST_DRAWN = 2_500_000
+"""Points of all tori of a picture together; many rings have coarser ones."""
+CLOSE = 8.0
+"""Half of the side of the close-up, in r1."""
+WINDOW, NO_FORCE = "#009e73", "#808890"
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnRings:
+    """Rings to draw: centre (n, 3) in mm, unit normal (n, 3), radii r1 and r2 in mm, and the force (n,) in N by which
+    they are coloured; None for grey rings."""
+
+    centre: Array
+    normal: Array
+    r1: float
+    r2: float
+    force: Array | None = None
+
+    def circles(self, count: int) -> tuple[Array, Array]:
+        """Points (n, count, 3) of the centre circles, and the unit vectors from the centre to them."""
+        e1, e2 = tangent_frame(self.normal)
+        t = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)[None, :, None]
+        out = np.cos(t) * e1[:, None] + np.sin(t) * e2[:, None]
+        return self.centre[:, None] + self.r1 * out, out
+
+    def closed_circles(self, count: int) -> Array:
+        """Points (n, count + 1, 3) of the centre circles, the last one that of the beginning."""
+        line = self.circles(count)[0]
+        return np.concatenate([line, line[:, :1]], axis=1)
+
+    def tubes(self, along: int, around: int) -> tuple[Array, NDArray[np.intp]]:
+        """Points (p, 3) and quadrilaterals (n, along * around, 4) of tori."""
+        line, out = self.circles(along)
+        v = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)[:, None]
+        points = line[:, :, None] + self.r2 * (np.cos(v) * out[:, :, None] + np.sin(v) * self.normal[:, None, None])
+        here = np.arange(along)[:, None] * around + np.arange(around)
+        ahead = np.roll(here, -1, axis=0)
+        quads = np.stack([here, ahead, np.roll(ahead, -1, axis=1), np.roll(here, -1, axis=1)], axis=2).reshape(-1, 4)
+        first = along * around * np.arange(len(self.centre))
+        return points.reshape(-1, 3), quads[None] + first[:, None, None]
+
+    def tori(self, along: int, around: int, **numbers: Array) -> PolyData:
+        """The tori as a mesh of pyvista with numbers (n,) per ring by their names."""
+        points, quads = self.tubes(along, around)
+        mesh = surface(points, quads.reshape(-1, 4))
+        for name, values in numbers.items():
+            mesh[name] = np.repeat(values, along * around)
+        return mesh
+
+    def write_vtu(self, path: Path, data: Mapping[str, Array], *, tubes: bool = False, real: type = np.float32) -> None:
+        """A VTU of the centre circles, each a line of `ALONG` cells, or of the tori, by meshio.
+
+        data: numbers per ring (n,) or (n, w), which each cell of a ring has; real: type of numbers that are not whole.
+        """
+        import meshio
+
+        if tubes:
+            points, quads = self.tubes(ALONG, AROUND)
+            kind, cells = "quad", quads
+        else:
+            points, first = self.circles(ALONG)[0].reshape(-1, 3), np.arange(len(self.centre) * ALONG)
+            ahead = np.roll(first.reshape(-1, ALONG), -1, axis=1).ravel()
+            kind, cells = "line", np.stack([first, ahead], axis=1).reshape(-1, ALONG, 2)
+        each = {
+            name: [np.repeat(_compact(np.asarray(values), real), cells.shape[1], axis=0)]
+            for name, values in data.items()
+        }
+        blocks = [(kind, cells.reshape(-1, cells.shape[2]).astype(np.int32))]
+        write_mesh_file(path, meshio.Mesh(points.astype(real), blocks, cell_data=each))
+
+    def write_stl(self, path: Path, along: int = 48, around: int = 16) -> None:
+        """A binary STL of the tori, closed surfaces of triangles whose normals point outwards, by meshio."""
+        import meshio
+
+        points, quads = self.tubes(along, around)
+        a, b, c, d = quads.reshape(-1, 4).T
+        triangles = np.stack([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)], axis=1).reshape(-1, 3)
+        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
+
+    def plot(self, ax: Axes | None = None, *, width: float = 0.7) -> Axes:
+        """Centre lines of the rings seen along z, on `ax` or axes of their own."""
+        from matplotlib.collections import LineCollection
+
+        ax = new_axes(7.0, 6.0) if ax is None else ax
+        drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors="0.5")
+        if self.force is not None:
+            scale = force_scale(self.force)
+            drawn.set(array=np.maximum(self.force, scale.low), cmap=scale.colour_map(), norm=scale.norm())
+            scale.add_bar(ax, shrink=0.75, pad=0.02)
+        ax.add_collection(drawn)
+        ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(self.centre)} rings")
+        ax.autoscale_view()
+        return ax
+
+    def draw(self, plotter: Plotter | None = None) -> Plotter:
+        """Draw the rings in space: tori where there are few, else centre lines. The plotter, by default a new one."""
+        plotter = new_plotter() if plotter is None else plotter
+        scale = NO_FORCE if self.force is None else force_scale(self.force)
+        values = {} if self.force is None else {force_scale(self.force).label: self.force}
+        count = len(self.centre)
+        if count <= MOST_TUBES:
+            mesh, style = self.tori(20, 6, **values), {}
+        else:
+            points = int(np.clip(MOST_POINTS // count, 8, ALONG))
+            mesh, style = lines(self.closed_circles(points)), {"line_width": 2}
+            for name, numbers in values.items():
+                mesh[name] = np.repeat(numbers, points + 1)
+        add(plotter, "rings", mesh, scale, **style)
+        look(plotter, THREE_QUARTERS)
+        return plotter
+
+    def draw_close_up(self, reference: Array, at: int, sheet_normal: Array) -> Plotter:
+        """A plotter with two panels: all rings, and those around ring number `at` from near, by their forces.
+
+        reference (n, 2): places in the reference state, mm; sheet_normal (3,): of the sheet at that ring.
+        """
+        centre, force = self.centre, np.zeros(len(self.centre)) if self.force is None else self.force
+        axes, middle = axes_of_sheet(sheet_normal), middle_of_close_up(centre, reference, at, CLOSE * self.r1)
+        half, scale, plotter = CLOSE * self.r1, force_scale(force), new_plotter(2)
+        corners = middle + half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]]) @ axes.T
+        plotter.subplot(0, 0)
+        # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
+        thick = max(self.r2, 0.6e-3 * float(np.ptp(centre, axis=0).max()))
+        along, around = (24, 6) if len(centre) < 6000 else (int(np.clip(MOST_DRAWN // (3 * len(centre)), 8, 14)), 3)
+        add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
+        add(plotter, "close-up at the largest line load", lines(corners[None]), WINDOW, line_width=6)
+        look(plotter, (0.0, 0.0, -1.0) if is_plane(centre) else THREE_QUARTERS)
+        plotter.subplot(0, 1)
+        near = (np.abs(centre - middle) < 1.7 * half).all(axis=1)
+        close = replace(self, centre=centre[near], normal=self.normal[near])
+        add(plotter, "rings near by", close.tori(36, 12, **{scale.label: force[near]}), scale)
+        right, up, to_viewer = axes.T
+        seen = 0.9 * corners + 0.1 * middle
+        from_below = -(0.6 * right - 2.2 * up + 4.2 * to_viewer)  # and from the side: one sees how the rings lie
+        look(plotter, from_below, up, np.stack([seen.min(axis=0), seen.max(axis=0)]))
+        return plotter
+
+
+def _compact(values: Array, real: type) -> Array:
+    return values.astype(np.int32 if np.issubdtype(values.dtype, np.integer) else real)
+
+
+def force_scale(force: Array) -> Scale:
+    """Colours of contact forces (n,) in N by their logarithm; 0.2 % of the rings are above its round top end."""
+    top, largest = rounded_up(max(float(np.quantile(force, 0.998)), 1e-12)), float(force.max(initial=0.0))
+    label = "largest contact force on the ring, N"
+    return Scale(label, LEAST * top, top, largest, "log", "plasma", brightest=0.8, over="#000000")
+
+
+def is_plane(centre: Array) -> bool:
+    """Whether rings at `centre` (n, 3) lie in the plane z = 0, but for what their centres leave it by in a cell."""
+    return bool(np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max())
+
+
+def middle_of_close_up(centre: Array, reference: Array, at: int, half: float) -> Array:
+    """The middle of the close-up. The worst ring `at` is often in a corner: the window stays inside the curtain."""
+    places = centre if is_plane(centre) else reference
+    low, high = places.min(axis=0), places.max(axis=0)
+    edge = np.minimum(0.85 * half, 0.5 * (high - low))
+    middle = np.clip(places[at], low + edge, high - edge)
+    return middle if is_plane(centre) else centre[np.argmin(((reference - middle) ** 2).sum(axis=1))]
+
+
+def axes_of_sheet(normal: Array) -> Array:
+    """Columns (3, 3): to the right, up and towards the viewer, for a sheet with this normal seen from its front."""
+    front = normal if normal[2] >= 0.0 else -normal
+    upward = np.array([0.0, 1.0, 0.0]) if abs(front[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
+    up = upward - (upward @ front) * front
+    up /= np.linalg.norm(up)
+    return np.stack([np.cross(up, front), up, front], axis=1)

@@ -1,0 +1,179 @@
+"""Steps of the interior-point method: Newton direction, feasible step length, forces at the new contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rve.common.records import Flags, Index
+from rve.common.types import Array
+from rve.equilibrium.system import Equations, System
+from rve.geometry.contacts import CellContacts, parallel_clearance
+from rve.geometry.pose import Pose, moved
+
+LARGEST_CORRECTION = 0.1
+"""Largest coordinate change by one second-order correction, in r1 or radians."""
+
+
+def carry_forces(old: CellContacts, lam: Array, new: CellContacts, mu: Array) -> Array:
+    """Contact forces for new contacts: the force of a pair of rings is handed on in full.
+
+    Contacts that have one nearest successor each keep their forces. Where minima merge, split, appear or vanish, the
+    force of the pair is shared out as on the central path, in proportion to 1/gap. New pairs start at mu/gap.
+    """
+    share = np.where(new.present, 1.0 / np.maximum(new.gap, 1e-14), 0.0)
+    between = new.rho[:, :, :, None] - old.rho[:, :, None, :]
+    distance = np.sqrt(np.einsum("npijx,npijx->npij", between, between))
+    distance = np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
+    heir = distance.argmin(axis=2)
+    slots = np.arange(distance.shape[2])[:, None]
+    gives = (slots == heir[:, :, None, :]) & old.present[:, :, None, :]
+    one_to_one = (gives.sum(axis=3) == new.present).all(axis=2)[..., None]
+    total = lam.sum(axis=2, keepdims=True)
+    shared = total * share / np.maximum(share.sum(axis=2, keepdims=True), 1e-300)
+    kept = (gives * lam[:, :, None, :]).sum(axis=3)
+    out = np.where(one_to_one, kept, np.where(total > 0.0, shared, mu[:, None, None] * share))
+    return np.where(new.present, np.maximum(out, 1e-16), 0.0)
+
+
+def newton_direction(
+    system: System, gap: Array, lam: Array, mu: Array, present: Flags, step: Array
+) -> tuple[Array, Array]:
+    """Primal-dual Newton step (dq (n, m), dlam (n, c)) for r = 0, lam gap = mu, no longer than `step`.
+
+    Eliminating dlam leaves K dq = r + G^T (mu - lam gap)/gap with K = -J + G^T diag(lam/gap) G. Where the symmetric
+    part of K is indefinite, or the step too long, a multiple of the identity is added.
+    """
+    n, m = system.r.shape
+    target = np.where(present, (mu[:, None] - lam * gap) / gap, 0.0)
+    K, ratio = barrier_stiffness(system, gap, lam, present)
+    rhs = system.r + np.matmul(system.G.transpose(0, 2, 1), target[..., None])[..., 0]
+    broken = ~(np.isfinite(K).all(axis=(1, 2)) & np.isfinite(rhs).all(axis=1))
+    K[broken], rhs[broken] = np.eye(m), 0.0  # no step: the case stalls and is tried again from another start
+    lowest = np.linalg.eigvalsh(0.5 * (K + K.transpose(0, 2, 1)))[:, 0]
+    noise = 1e-15 * np.abs(K).max(axis=(1, 2))
+    shift = np.where(lowest <= noise, 1.2 * np.abs(lowest) + np.maximum(1e-10, noise), 0.0)
+    dq = np.zeros((n, m))
+    todo = np.arange(n)
+    for _ in range(14):
+        shifted = K[todo] + shift[todo, None, None] * np.eye(m)
+        dq[todo] = np.linalg.solve(shifted, rhs[todo, :, None])[..., 0]
+        todo = todo[np.abs(dq[todo]).max(axis=1) > step[todo]]
+        if not len(todo):
+            break
+        first = 0.017 / step[todo] * np.linalg.norm(rhs[todo], axis=1)
+        shift[todo] = np.maximum(first, 2.5 * shift[todo])
+    return dq, np.where(present, target - ratio * np.matmul(system.G, dq[..., None])[..., 0], 0.0)
+
+
+def barrier_stiffness(system: System, gap: Array, lam: Array, present: Flags) -> tuple[Array, Array]:
+    """K = -J + G^T diag(lam/gap) G (n, m, m) and the ratios lam/gap (n, c), zero in empty slots."""
+    ratio = np.where(present, lam / gap, 0.0)
+    return -system.J + np.matmul(system.G.transpose(0, 2, 1) * ratio[:, None, :], system.G), ratio
+
+
+@dataclass(frozen=True)
+class Valley:
+    """What second-order corrections of a step need of the poses where it begins: contacts, gradients G (n, c, m), gap
+    and ratio lam/gap (n, c), positive stiffness K (n, m, m); count: corrections per step.
+
+    Where rings slide along a curved valley, gaps change by the square of the step while the valley is as wide as
+    mu/lam. A correction brings the gaps back to their linear prediction, in the metric K.
+    """
+
+    contacts: CellContacts
+    G: Array
+    gap: Array
+    ratio: Array
+    K: Array
+    count: int
+
+    @staticmethod
+    def of(system: System, contacts: CellContacts, gap: Array, lam: Array, count: int) -> Valley | None:
+        """The valley of these poses, None for no corrections."""
+        if not count:
+            return None
+        K, ratio = barrier_stiffness(system, gap, lam, contacts.present.reshape(gap.shape))
+        return Valley(contacts, system.G, gap, ratio, positive_stiffness(K), count)
+
+    def correct(
+        self, rows: Index, step: Array, pose: Pose, equations: Equations, reach: float
+    ) -> tuple[Pose, CellContacts]:
+        """Corrected poses and their contacts of these rows, whose uncorrected steps (k, m) led to `pose`."""
+        contacts, G = equations.contacts(pose, reach), self.G[rows]
+        predicted = self.gap[rows] + np.matmul(G, step[..., None])[..., 0]
+        for _ in range(self.count):
+            reached = gaps_of(self.contacts.take(rows), contacts).reshape(predicted.shape)
+            short = np.where(np.isfinite(reached), predicted - reached, 0.0)
+            push = np.matmul(G.transpose(0, 2, 1), (self.ratio[rows] * short)[..., None])
+            back = np.clip(np.linalg.solve(self.K[rows], push)[..., 0], -LARGEST_CORRECTION, LARGEST_CORRECTION)
+            pose = moved(pose, equations.displacement(back, pose))
+            contacts = equations.contacts(pose, reach)
+        return pose, contacts
+
+
+def gaps_of(old: CellContacts, new: CellContacts) -> Array:
+    """Gaps (n, p, SLOTS) of the new contacts nearest to the old ones, nan where a pair has none any more."""
+    between = new.rho[:, :, :, None] - old.rho[:, :, None, :]
+    distance = np.sqrt(np.einsum("npijx,npijx->npij", between, between))
+    distance = np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
+    nearest = np.take_along_axis(new.gap, distance.argmin(axis=2), axis=2)
+    return np.where(np.isfinite(distance.min(axis=2)), nearest, np.nan)
+
+
+def positive_stiffness(K: Array) -> Array:
+    """The symmetric part of K, raised by a multiple of the identity where it is indefinite."""
+    K = 0.5 * (K + K.transpose(0, 2, 1))
+    finite = np.isfinite(K).all(axis=(1, 2), keepdims=True)
+    K = np.where(finite, K, np.eye(K.shape[1]))
+    lowest = np.linalg.eigvalsh(K)[:, 0]
+    shift = np.where(lowest <= 0.0, 1.2 * np.abs(lowest) + 1e-10, 1e-14)
+    return np.asarray(K + shift[:, None, None] * np.eye(K.shape[1]))
+
+
+def accept_step(
+    pose: Pose,
+    contacts: CellContacts,
+    dq: Array,
+    radius: Array,
+    equations: Equations,
+    reach: float,
+    valley: Valley | None,
+) -> tuple[Pose, CellContacts, Array]:
+    """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m), within `radius` (n,), that keeps gaps
+    positive and links intact; its contacts and the share (n,) of dq. With a valley, steps are corrected."""
+    first, before = pose, contacts
+    length = np.minimum(1.0, radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
+    floor = 0.01 * before.min_gap
+
+    def look(rows: Index) -> tuple[Pose, CellContacts, Flags]:
+        here, step = first.take(rows), length[rows, None] * dq[rows]
+        pose = moved(here, equations.displacement(step, here))
+        if valley is None:
+            contacts = equations.contacts(pose, reach)
+        else:
+            pose, contacts = valley.correct(rows, step, pose, equations, reach)
+        apart = np.ones(len(rows), dtype=bool)
+        # Shorter steps cannot carry a ring through a wire.
+        far = np.abs(step).max(axis=1) > (0.2 * equations.wire if valley is None else 0.0)
+        long = np.flatnonzero(far)
+        if len(long):
+            way = parallel_clearance(here.take(long), pose.take(long), equations.weave, equations.wire)
+            apart[long] = way > -equations.wire
+        return pose, contacts, contacts.links_intact & (contacts.min_gap >= floor[rows]) & apart
+
+    pose, contacts, good = look(np.arange(len(dq)))
+    bad = np.flatnonzero(~good)
+    for _ in range(30):
+        if not len(bad):
+            break
+        length[bad] *= 0.5
+        part, found, good = look(bad)
+        pose, contacts = pose.put(bad, part), contacts.put(bad, found)
+        bad = bad[~good]
+    if len(bad):
+        length[bad] = 0.0
+        pose = pose.put(bad, first.take(bad))
+        contacts = contacts.put(bad, before.take(bad))
+    return pose, contacts, length

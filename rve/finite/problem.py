@@ -1,0 +1,153 @@
+"""What a finite mesh is asked for: its forces, what holds it, where it starts, and its equations without units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csr_matrix, lil_matrix
+from scipy.sparse.csgraph import connected_components
+
+from rve.common.errors import InputError
+from rve.common.types import Array
+from rve.finite.layout import FiniteMesh
+from rve.finite.records import FiniteOptions, Task
+from rve.finite.touching import Placed, find_touching
+from rve.finite.walls import HalfSpace
+
+_TINY = 1e-9
+_MOST = 0.25
+"""Largest disturbance of the start over its least gap: near jamming there is less room than was asked for."""
+_CLEAR = 0.3
+"""Distance in r1 of the start from half-spaces that would cut it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a mesh is asked for, see `FiniteMesh.solve`; force, held, at, guide (n, 3) in N and mm.
+
+    Where the mesh is not in space the plane keeps the third coordinate of all rings."""
+
+    mesh: FiniteMesh
+    force: Array
+    held: NDArray[np.bool_]
+    at: Array
+    is_space: bool
+    walls: tuple[HalfSpace, ...] = ()
+    guide: Array | None = None
+
+    def check(self) -> None:
+        """InputError for arrays of other shapes, no load, or a piece that nothing holds against its load."""
+        mesh, force, n = self.mesh, self.force, len(self.mesh.X)
+        guide = self.at if self.guide is None else self.guide
+        for name, array in (("force", force), ("held", self.held), ("at", self.at), ("guide", guide)):
+            if array.shape != (n, 3):
+                raise InputError(f"{name}: has shape {array.shape}, it must be ({n}, 3), one row per ring")
+        if not (np.isfinite(force).all() and np.isfinite(self.at[self.held]).all()):
+            raise InputError("force and places must be finite numbers")
+        if np.isinf(guide).any():
+            raise InputError("guide: places must be finite numbers, or nan for none")
+        if not np.abs(force).sum() > 0.0:
+            raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
+        for bar in self.mesh.bars:
+            self._check_bar(bar)
+        graph = coo_matrix((np.ones(len(mesh.linked)), mesh.linked.T), shape=(n, n))
+        count, label = connected_components(graph, directed=False)
+        for piece in range(count):
+            self._check_piece(np.flatnonzero(label == piece))
+
+    def _check_bar(self, rings: NDArray[np.intp]) -> None:
+        """InputError for rings of a bar that are held, on another bar, or on no line."""
+        others = [bar for bar in self.mesh.bars if bar is not rings]
+        if self.held[rings].any() or any(np.isin(rings, bar).any() for bar in others):
+            raise InputError("a ring of a straight bar is held or has a second bar; leave one of them out")
+        X = self.mesh.X[rings]
+        across = X - X[0] - along(X)[:, None] * (X[-1] - X[0])
+        if len(rings) < 2 or np.abs(across).max() > 1e-4 * self.mesh.cell.r1:
+            raise InputError("the rings of a straight bar lie on no line; let the outline be whole cells of the weave")
+
+    def tie(self, free: NDArray[np.bool_]) -> csr_matrix | None:
+        """Free coordinates (k,) of the u that bars leave: x = (1 - s) x_first + s x_last for the rings between."""
+        if not self.mesh.bars:
+            return None
+        number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
+        T = lil_matrix((int(free.sum()), int(free.sum())))
+        T.setdiag(1.0)
+        between = []
+        for bar in self.mesh.bars:
+            s = along(self.mesh.X[bar])
+            for ring, share in zip(bar[1:-1], s[1:-1], strict=True):
+                for axis in np.flatnonzero(free[ring, :3]):
+                    row = number[ring, axis]
+                    T[row, row] = 0.0
+                    T[row, number[bar[0], axis]], T[row, number[bar[-1], axis]] = 1.0 - share, share
+                    between.append(row)
+        return csr_matrix(T)[:, np.setdiff1d(np.arange(T.shape[1]), between)]
+
+    def _check_piece(self, rings: NDArray[np.intp]) -> None:
+        for axis in range(3):
+            push = float(self.force[rings, axis].sum())
+            is_kept = axis == 2 and not self.is_space
+            stopped = any(wall.unit[axis] * push < 0.0 for wall in self.walls)
+            if abs(push) > _TINY * np.abs(self.force).sum() and not (
+                self.held[rings, axis].any() or stopped or is_kept
+            ):
+                x, y = self.mesh.X[rings].mean(axis=0)
+                raise InputError(
+                    f"nothing carries the force of {push:.6g} N along {'xyz'[axis]} on the piece around "
+                    f"({x:g}, {y:g}) mm, it would move for ever; hold one of its rings"
+                )
+
+    def start(self, options: FiniteOptions) -> Placed:
+        """The slack weave, as near to the held places as a translation brings it; in space with a disturbance in z.
+
+        Half-spaces that it cuts begin farther back.
+        """
+        mesh, r1 = self.mesh, self.mesh.cell.r1
+        centre, normal = mesh.slack()
+        for axis in range(3 if self.is_space else 2):
+            rows = self.held[:, axis]
+            if rows.any():
+                centre[:, axis] += (self.at[rows, axis] - centre[rows, axis]).mean()
+        x = centre / r1
+        if self.is_space:
+            clear = find_touching(Placed(x, normal), mesh.linked, mesh.cell.wire, options.disturbance / _MOST)
+            most = min(options.disturbance, _MOST * float(clear.deepest.min(initial=np.inf)))
+            shift = most * np.random.default_rng(options.seed).uniform(-1.0, 1.0, len(x))
+            x[:, 2] += np.where(self.held[:, 2], 0.0, shift)
+        for bar in self.mesh.bars:
+            x[bar] = x[bar[0]] + along(mesh.X[bar])[:, None] * (x[bar[-1]] - x[bar[0]])
+        places, units = self.planes()
+        for place, m in zip(places, units, strict=True):
+            lowest = float(((x - place) @ m - np.sqrt(1.0 - np.minimum((normal @ m) ** 2, 1.0))).min())
+            place += min(0.0, lowest - _CLEAR) * m
+        return Placed(np.concatenate([x, places]), np.concatenate([normal, units]), len(self.walls))
+
+    def planes(self) -> tuple[Array, Array]:
+        """Points (k, 3) in units of r1, r2 off the half-spaces, and unit normals (k, 3)."""
+        units = np.array([wall.unit for wall in self.walls]).reshape(-1, 3)
+        cell = self.mesh.cell
+        off = np.array([wall.offset + cell.r2 for wall in self.walls]) / cell.r1
+        return off[:, None] * units, units
+
+    def task(self) -> tuple[Task, float]:
+        """The equations without units, half-spaces as held rows after the rings; the unit of force in N."""
+        mesh, r1, n, k = self.mesh, self.mesh.cell.r1, len(self.mesh.X), len(self.walls)
+        unit = np.abs(self.force).sum() * float(np.hypot(*np.ptp(mesh.X, axis=0))) / (len(mesh.linked) * r1)
+        free = np.zeros((n + k, 5), dtype=bool)
+        free[:n] = True
+        kept = self.held | np.array([False, False, not self.is_space])
+        free[:n, :3] = ~kept
+        at = self.at if self.is_space else self.at * [1.0, 1.0, 0.0]
+        force = np.concatenate([self.force / unit, np.zeros((k, 3))])
+        held = np.concatenate([kept, np.ones((k, 3), dtype=bool)])
+        guide = None if self.guide is None else np.concatenate([self.guide / r1, np.full((k, 3), np.nan)])
+        at = np.concatenate([at / r1, self.planes()[0]])
+        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=self.tie(free)), unit
+
+
+def along(X: Array) -> Array:
+    """How far points (k, 2) are from the first to the last, as parts (k,) of that way."""
+    way = X[-1] - X[0]
+    return np.asarray((X - X[0]) @ way / (way @ way))

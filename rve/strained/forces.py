@@ -1,0 +1,141 @@
+"""Contact forces of rings under the line load of a curtain: N, where, and that they add up to the line load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.errors import NotConverged
+from rve.common.progress import part_of
+from rve.common.tensor import WEIGHT, eigenvalues
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient
+from rve.solve import BLOCK, locked_block
+
+
+def cauchy_of(S: Array, E: Array) -> Array:
+    """Cauchy line loads s = F S F^T / J (n, 3) of second Piola-Kirchhoff line loads S at strains E, in the frame of the
+    rotation rule (5)."""
+    F = deformation_gradient(E)
+    full = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)
+    s = F @ full @ F.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None]
+    return np.stack([s[:, 0, 0], s[:, 0, 1], s[:, 1, 1]], axis=1)
+
+
+def directions(s: Array) -> tuple[Array, Array, Array]:
+    """Angles alpha, beta in degrees and size (n,) of line loads s (n, 3); compressive components are set to zero.
+
+    beta lies between 0 and 45 degrees: the first principal load is the larger one.
+    """
+    s2, s1 = (np.maximum(value, 0.0) for value in eigenvalues(s))
+    alpha = 0.5 * np.degrees(np.arctan2(s[:, 1], 0.5 * (s[:, 0] - s[:, 2])))
+    return alpha, np.degrees(np.arctan2(s2, s1)), np.hypot(s1, s2)
+
+
+@dataclass(frozen=True)
+class CellForces:
+    """Contacts of one locked cell: rings a and b (m, 3) as (class, i, j), point (m, 3) in mm from the centre of ring
+    (0, 0, 0), normal (m, 3) from a to b, force (m,) in N that b feels along it; branch (m, 3) in mm from centre to
+    centre, area in mm2, line load s (3,) in N/mm. In the frame of the rotation rule (5) of the weave."""
+
+    a: NDArray[np.intp]
+    b: NDArray[np.intp]
+    point: Array
+    normal: Array
+    force: Array
+    branch: Array
+    area: float
+    s: Array
+    status: str
+    alpha_deg: float
+    beta_deg: float
+
+    @property
+    def virial(self) -> Array:
+        """Line load (3,) in N/mm that the contacts add up to: - sum of force x branch over the area of the cell."""
+        pull = -self.force[:, None] * self.normal[:, :2]
+        sums = pull.T @ self.branch[:, :2] / self.area
+        return np.array([sums[0, 0], 0.5 * (sums[0, 1] + sums[1, 0]), sums[1, 1]])
+
+
+def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> CellForces:
+    """Contacts and their forces in the locked cell under one line load s (3,) in N/mm, in weave axes.
+
+    `status` is "converged" or the name of a failure; there are no contacts then.
+    """
+    alpha, beta, size = directions(s[None])
+    found = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions())[0].found
+    status = str(found.status[0])
+    load = size[0] * cauchy_line_load(alpha, beta)[0]
+    con, pose, pairs = found.contacts, found.pose, cell.weave.pairs
+    lam = found.lam[0][con.present[0]]
+    pair = con.minima.pair
+    works = (lam > 1e-9) & (status == "converged")
+    a, b, i, j = pairs[pair[works]].T
+    zero = np.zeros_like(a)
+    start = pose.centres[0, a]
+    branch = pose.centres[0, b] + i[:, None] * pose.a1[0] + j[:, None] * pose.a2[0] - start
+    rho = 0.5 * (con.minima.rho_a + con.minima.rho_b)[works]
+    flat = np.column_stack([branch, np.zeros(len(branch))])
+    point = cell.r1 * (np.column_stack([start, np.zeros(len(start))]) + rho + 0.5 * flat)
+    a1, a2 = pose.a1[0], pose.a2[0]
+    return CellForces(
+        np.stack([a, zero, zero], axis=1),
+        np.stack([b, i, j], axis=1),
+        point,
+        con.minima.normal[works],
+        lam[works] * size[0] * cell.r1,
+        cell.r1 * flat,
+        cell.r1**2 * float(a1[0] * a2[1] - a1[1] * a2[0]),
+        load,
+        status,
+        float(alpha[0]),
+        float(beta[0]),
+    )
+
+
+def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, step: float = 2.0) -> Array:
+    """Largest contact force (n, K) in N on a ring of each class under the line loads s (n, 3) in N/mm, in weave axes.
+
+    Directions are rounded to `step` degrees, so that many cells share a solve; the smaller load is at least tan(step/2)
+    of the larger one, where the locked state is unique. A direction that is not solved takes the nearest that is.
+    """
+    alpha, beta, size = directions(s)
+    out = np.zeros((len(s), cell.weave.classes))
+    loaded = np.flatnonzero(size > 0.0)
+    if not len(loaded):
+        return out
+    rounded = np.stack([step * np.round(alpha[loaded] / step), step * np.round(beta[loaded] / step)], axis=1)
+    rounded[:, 0] = np.mod(rounded[:, 0] + 90.0, 180.0) - 90.0
+    rounded[:, 1] = np.maximum(rounded[:, 1], 0.5 * step)
+    keys, back = np.unique(rounded, axis=0, return_inverse=True)
+    unit = np.full((len(keys), cell.weave.classes), np.nan)
+    for first in range(0, len(keys), BLOCK):
+        rows = slice(first, first + BLOCK)
+        with part_of(f"contact forces of {len(keys)} loads", first / len(keys), min(1.0, (first + BLOCK) / len(keys))):
+            found = locked_block(keys[rows, 0], keys[rows, 1], replace(cell, grain="y"), options or DirectOptions())[
+                0
+            ].found
+        unit[rows] = _largest(found, cell)
+    good = np.flatnonzero(np.isfinite(unit).all(axis=1))
+    if not len(good):
+        raise NotConverged(f"contact forces: none of {len(keys)} load directions of the curtain was solved")
+    loads = cauchy_line_load(*keys.T)
+    for row in np.flatnonzero(~np.isfinite(unit).all(axis=1)):
+        unit[row] = unit[good[np.argmin((loads[good] - loads[row]) ** 2 @ WEIGHT)]]
+    out[loaded] = size[loaded, None] * cell.r1 * unit[back.ravel()]
+    return out
+
+
+def _largest(found: Equilibrium, cell: Cell) -> Array:
+    """Largest force (n, K) on a ring of each class in units of s r1; nan where a case has not converged."""
+    per_pair = np.where(found.contacts.present, found.lam, 0.0).max(axis=2)
+    out = np.zeros((len(per_pair), cell.weave.classes))
+    for ring in range(cell.weave.classes):
+        mine = (cell.weave.pairs[:, :2] == ring).any(axis=1)
+        out[:, ring] = per_pair[:, mine].max(axis=1)
+    return np.where((found.status == "converged")[:, None], out, np.nan)

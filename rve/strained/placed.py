@@ -1,0 +1,99 @@
+"""Rings of a weave in space: the axes of the weave, where rings of a cell are, how they fit their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+from rve.geometry.cell import Cell
+from rve.geometry.circles import are_linked, dot, local_minima
+from rve.geometry.pose import Pose
+
+_CHUNK = 100_000
+"""Pairs measured together: keeps the arrays of samples below 100 MB."""
+NEAR = 0.5
+"""Gaps between placed rings are searched up to this many r1."""
+
+
+def axes_of_weave(cell: Cell, hang_deg: float) -> Array:
+    """Matrix (2, 2) from the weave's own axes to those of the curtain; a reflection if the grain is x."""
+    angle = np.radians(hang_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    if hang_deg % 90.0 == 0.0:
+        turn = np.round(turn)
+    return turn @ np.eye(2)[::-1] if cell.grain == "x" else turn
+
+
+def shares(pose: Pose) -> Array:
+    """Centres of all classes but the first as shares (n, K - 1, 2) of the two lattice vectors."""
+    A = np.stack([pose.a1, pose.a2], axis=2)
+    return np.asarray(np.linalg.solve(A[:, None], pose.centres[:, 1:, :, None])[..., 0])
+
+
+def reference_shares(cell: Cell) -> Array:
+    """Shares (K, 2) of the sides of the reference cell in the centres of its rings."""
+    weave = cell.weave
+    pose = Pose(weave.start_lattice[None], weave.start_centres[None], weave.start_normals[None])
+    return np.concatenate([np.zeros((1, 2)), shares(pose)[0]])
+
+
+def offsets(pose: Pose, cell: Cell) -> Array:
+    """How far in mm the rings of poses are from their lattice points (n, K, 2), in weave axes."""
+    off = np.concatenate([np.zeros((len(pose.a1), 1, 2)), shares(pose)], axis=1) - reference_shares(cell)
+    return np.asarray(cell.r1 * (off[..., :1] * pose.a1[:, None] + off[..., 1:] * pose.a2[:, None]))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How placed rings fit.
+
+    gap_mm (n,): smallest gap to any neighbour, negative where they overlap, inf where none is near; links,
+    linked: number of pairs that the weave links, and of those that interlink; broken (n,): rings that lost a link.
+    """
+
+    gap_mm: Array
+    links: int
+    linked: int
+    broken: NDArray[np.bool_]
+
+
+def fit_rings(index: NDArray[np.intp], centre: Array, normal: Array, cell: Cell) -> Fit:
+    """Gaps between all rings that may touch, and whether the pairs that the weave links interlink, as placed.
+
+    index (n, 3): class and lattice point i, j of each ring; centre (n, 3) in mm; unit normal (n, 3).
+    """
+    low = index[:, 1:].min(axis=0) - 1
+    shape = (cell.weave.classes, *(index[:, 1:].max(axis=0) - low + 2))
+    table = np.full(shape, -1)
+    table[index[:, 0], index[:, 1] - low[0], index[:, 2] - low[1]] = np.arange(len(index))
+    gap, broken = np.full(len(index), np.inf), np.zeros(len(index), dtype=bool)
+    links = linked = 0
+    for (a, b, i, j), is_link in zip(cell.weave.pairs, cell.weave.linked, strict=True):
+        first = np.flatnonzero(index[:, 0] == a)
+        to = index[first, 1:] + (i, j) - low
+        there = ((to >= 0) & (to < shape[1:])).all(axis=1)
+        first, to = first[there], to[there]
+        second = table[b, to[:, 0], to[:, 1]]
+        first, second = first[second >= 0], second[second >= 0]
+        for k in range(0, len(first), _CHUNK):
+            one, two = first[k : k + _CHUNK], second[k : k + _CHUNK]
+            d = (centre[two] - centre[one]) / cell.r1
+            _lower(gap, one, two, d, normal, cell)
+            if is_link:
+                holds = are_linked(d, normal[one], normal[two], 1.0)
+                links, linked = links + len(holds), linked + int(holds.sum())
+                broken[one[~holds]] = broken[two[~holds]] = True
+    return Fit(gap, links, linked, broken)
+
+
+def _lower(gap: Array, one: NDArray[np.intp], two: NDArray[np.intp], d: Array, normal: Array, cell: Cell) -> None:
+    """Lowers the gaps (n,) of rings `one` and `two` to those between them; d (m, 3) from centre to centre in r1."""
+    reach = 2.0 * cell.wire + NEAR
+    near = np.flatnonzero(dot(d, d) < (2.0 + reach) ** 2)
+    found = local_minima(d[near], normal[one[near]], normal[two[near]], 1.0, reach=reach)
+    size = cell.r1 * found.distance - 2.0 * cell.r2
+    for rings in (one, two):
+        np.minimum.at(gap, rings[near[found.pair]], size)

@@ -1,0 +1,199 @@
+"""The admissible pose of the cell at a given strain that is nearest to the locked poses.
+
+The strain E* of a curtain leaves offset and tilts of the rings open. They are chosen as near as contacts allow to an
+arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so that a locked
+strain gives its own locked state). The springs of `springs` and the interior-point method of `equilibrium` find it:
+gaps stay positive and links intact in every iterate, so that every pose is admissible, converged or not.
+
+The rings cannot always have the strain E*. It may lie outside what rings reach in tension, because the law has an error
+or is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane. There it hangs in
+folds, E* = E - fold with a positive semidefinite fold, and the flat pose E with the least fold is given: `fold`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from rve.common.errors import NotConverged
+from rve.common.progress import part_of
+from rve.common.tensor import WEIGHT, eigenvalues
+from rve.common.typed import Typed
+from rve.common.types import Array
+from rve.equilibrium.interior_point import DirectOptions, follow
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.contacts import CellContacts, find_contacts
+from rve.geometry.kinematics import lattice_strain
+from rve.geometry.pose import Pose, mirrored
+from rve.solve import locked_block, reference_sides
+from rve.strained.placed import shares
+from rve.strained.springs import Spring
+
+_BLOCK = 1024
+"""Cells solved together: larger blocks need more memory, smaller ones more time."""
+POSE_MEANINGS = {
+    "met": "the rings have the strain of the curtain, within the tolerance",
+    "beyond": "the curtain is stretched further than rigid rings reach; the nearest pose is drawn",
+    "folded": "the curtain is drawn together further than rings can be in a plane; it hangs in folds there",
+    "stalled": "the springs did not settle; an admissible pose from on the way is drawn",
+}
+"""Statuses of poses, and what they mean."""
+
+
+Part = Annotated[float, Meta(gt=0.0, le=1.0)]
+Angles = Annotated[tuple[Annotated[float, Meta(ge=-90.0, le=90.0)], ...], Meta(min_length=1, max_length=1000)]
+
+
+@dataclass(frozen=True)
+class PoseOptions(Typed):
+    """How poses are found; InputError for values out of range.
+
+    tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4. ladder:
+    stages, each started from the one before, with the weights of a fold and of the arrangement against strain that
+    rings fall short of, and the first and last complementarity. Stiff springs come first: with weak ones from the start
+    some cells lock on the way. merge: strains that agree to this are one solve. states: angles alpha and beta, degrees,
+    of the locked states that arrangements are interpolated between; more states cost time once per curtain. direct:
+    options of the interior-point method.
+    """
+
+    tolerance: Annotated[float, Meta(gt=0.0, le=1.0)] = 1e-3
+    ladder: Annotated[tuple[tuple[Part, Part, Part, Part], ...], Meta(min_length=1, max_length=100)] = (
+        (1e-2, 3e-1, 3e-2, 1e-3),
+        (1e-2, 1e-2, 1e-3, 1e-5),
+        (1e-2, 1e-4, 1e-5, 1e-7),
+        (1e-3, 1e-5, 1e-7, 1e-9),
+        (1e-3, 1e-6, 1e-9, 1e-11),
+    )
+    merge: Annotated[float, Meta(gt=0.0, le=1e-2)] = 1e-6
+    states: tuple[Angles, Angles] = (
+        (-45.0, -30.0, -15.0, 0.0, 15.0, 30.0),
+        (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
+    )
+    direct: DirectOptions = field(default_factory=DirectOptions)
+
+
+@dataclass(frozen=True)
+class LockedArrangements:
+    """Locked poses of a cell, their strains E (m, 3), and the reference sides in r1 of the strain, in weave axes."""
+
+    pose: Pose
+    E: Array
+    sides: tuple[float, float]
+
+    def arrangement(self, E: Array) -> Array:
+        """Rows (n, 3 + 2 (K - 1) + 3 K) of the springs that pull to strains E (n, 3) and the arrangement there."""
+        square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
+        weight = 1.0 / (square + 1e-16) ** 2
+        weight /= weight.sum(axis=1, keepdims=True)
+        share = np.einsum("nm,mkx->nkx", weight, shares(self.pose))
+        normal = np.einsum("nm,mkx->nkx", weight, self.pose.normals)
+        normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+        return np.concatenate([E, share.reshape(len(E), -1), normal.reshape(len(E), -1)], axis=1)
+
+
+@dataclass(frozen=True)
+class NearestPoses:
+    """Admissible poses at n strains, in weave axes.
+
+    pose: in units of r1; E (n, 3): the strain of the rings; short, fold (n,): what they lack of the target and what
+    they have beyond it, largest principal value of each; gap_mm (n,): smallest gap, >= 0; status (n,): `POSE_MEANINGS`.
+    """
+
+    pose: Pose
+    E: Array
+    short: Array
+    fold: Array
+    gap_mm: Array
+    status: NDArray[np.str_]
+    solves: int
+
+    def take(self, rows: NDArray[np.intp]) -> NearestPoses:
+        """The poses of these rows."""
+        columns = (self.E[rows], self.short[rows], self.fold[rows], self.gap_mm[rows], self.status[rows])
+        return NearestPoses(self.pose.take(rows), *columns, self.solves)
+
+
+def weave_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
+    """Sides of the reference cell in r1 along and across the weave's own axes, whatever the grain."""
+    b_x, b_y = reference_sides(cell, options)
+    along, across = (b_y, b_x) if cell.grain == "x" else (b_x, b_y)
+    return along / cell.r1, across / cell.r1
+
+
+def locked_arrangements(cell: Cell, options: PoseOptions) -> LockedArrangements:
+    """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
+    alpha, beta = (x.ravel() for x in np.meshgrid(*map(np.array, options.states), indexing="ij"))
+    found = locked_block(alpha.astype(float), beta, replace(cell, grain="y"), options.direct)[0].found
+    good = np.flatnonzero(found.status == "converged")
+    if not len(good):
+        raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
+    sides = weave_sides(cell, options.direct)
+    pose = found.pose.take(good)
+    return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
+
+
+def nearest_poses(
+    E: Array, cell: Cell, options: PoseOptions | None = None, states: LockedArrangements | None = None
+) -> NearestPoses:
+    """Admissible poses of the cell nearest to the strains E (n, 3), in weave axes; `states` if they are known already.
+
+    >>> import numpy as np
+    >>> found = nearest_poses(np.array([[0.0, 0.0, 0.0], [0.75, 0.0, -0.5]]), Cell())
+    >>> found.status.tolist(), bool(found.gap_mm.min() >= 0.0)
+    (['met', 'folded'], True)
+    """
+    options = options or PoseOptions()
+    states = states or locked_arrangements(cell, options)
+    E = np.asarray(E, dtype=float).reshape(-1, 3)
+    # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
+    flip = (E[:, 1] < 0.0) & (cell.weave.is_mirrored and cell.weave.classes == 2)
+    upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
+    _, first, back = np.unique(np.round(upright / options.merge), axis=0, return_index=True, return_inverse=True)
+    targets = upright[first]
+    blocks = []
+    for i in range(0, len(targets), _BLOCK):
+        with part_of(f"rings in {len(targets)} strains", i / len(targets), min(1.0, (i + _BLOCK) / len(targets))):
+            blocks.append(_settled(targets[i : i + _BLOCK], cell, options, states))
+    pose = Pose(*(np.concatenate([getattr(p, name) for p, _, _ in blocks]) for name in vars(blocks[0][0])))
+    gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
+    known = np.concatenate([settled for _, _, settled in blocks])
+    rings = lattice_strain(pose.lattice, states.sides)[0]
+    low, high = eigenvalues(rings - targets)
+    short, fold = np.maximum(-low, 0.0), np.maximum(high, 0.0)
+    far = np.where(fold > options.tolerance, "folded", "beyond")
+    status = np.where(np.maximum(short, fold) <= options.tolerance, "met", np.where(known, far, "stalled"))
+    found = NearestPoses(pose, rings, short, fold, cell.r1 * gap, status, len(targets)).take(back.ravel())
+    rows = np.flatnonzero(flip)
+    found.E[rows, 1] *= -1.0
+    return replace(found, pose=found.pose.put(rows, mirrored(found.pose.take(rows))))
+
+
+def _settled(
+    E: Array, cell: Cell, options: PoseOptions, states: LockedArrangements
+) -> tuple[Pose, CellContacts, NDArray[np.bool_]]:
+    """Poses, their contacts, and whether one of the last three stages of the ladder has converged; a block of strains.
+
+    At the edge of what rings reach, the end of the path may be degenerate (contacts without force). A stage that stalls
+    keeps the pose of the stage before; its error of the strain is in the result.
+    """
+    rows = states.arrangement(E)
+    start, good = None, np.zeros(len(E), dtype=bool)
+    for stage, (fold, weak, first, last) in enumerate(options.ladder):
+        springs = Spring(states.sides, fold, weak)
+        # Weak springs leave weak contact forces, whose curvature counts all the same.
+        equations = replace(Equations.of(cell.weave, cell.wire, load=springs), idle_curvature=True)
+        quick = replace(
+            options.direct, mu_start=first, mu_end=last, tolerance=max(last, 1e-9), attempts=1, max_iterations=50
+        )
+        with part_of(f"stage {stage + 1}", stage / len(options.ladder), (stage + 1) / len(options.ladder)):
+            found = follow(rows, equations, quick, start)
+        start = found.pose
+        if stage >= len(options.ladder) - 3:
+            good |= found.status == "converged"
+    contacts = find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach)
+    return found.pose, contacts, good

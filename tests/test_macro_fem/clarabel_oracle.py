@@ -1,0 +1,260 @@
+"""The rigid curtain as a cone program solved by clarabel: an independent oracle for `macro_fem.solvers.central_path`.
+
+    minimise -l.z   subject to   ||F_q(z) L_i||_F <= c_i,   S_i = L_i L_i^T,   c_i^2 = 2 h_i + tr S_i
+
+Second-order cones of dimension 1 + d rank S_i, at every point for the half-spaces the law starts with; those that the
+answer violates are added and the program is solved again (cutting planes). clarabel's homogeneous embedding needs no
+interior point and returns a certificate when there is no admissible state. P. J. Goulart, Y. Chen, arXiv 2405.12762.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from homogenize import MembraneLaw
+from macro_fem.curtain import make_solution
+from macro_fem.fem.assembly import internal_force
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.problem import CurtainProblem, stabilising_tension, unit_tensors
+from macro_fem.solution import CurtainSolution
+from macro_fem.solvers.cone_program import REACH, Iteration
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
+from macro_fem.solvers.path_result import PathResult
+from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
+from macro_fem.solvers.walls import WallRows, Walls, all_forces, rows_of
+from rve.common.progress import tell
+from rve.common.types import Array
+
+FLAT = 1e-12
+"""Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
+
+
+ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+
+
+@dataclass(frozen=True)
+class ClarabelOptions:
+    """When to stop."""
+
+    gap: float = 1e-10
+    """Relative gap that clarabel is asked for."""
+    feasibility: float = 1e-10
+    """Relative residuals that clarabel is asked for. Smaller ones take more iterations."""
+    violation: float = 1e-8
+    """Violation of the law (strain) that ends the cutting planes. Smaller ones take more rounds."""
+    max_rounds: int = 30
+    """Programs solved at most, each with the half-spaces that the one before violated."""
+    attained: Accuracy = ATTAINED
+    """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
+
+
+def curtain_by_clarabel(problem: CurtainProblem) -> CurtainSolution:
+    """The rigid curtain of a problem whose supports can move farther apart, with status and numbers like our own."""
+    load = problem.force + internal_force(problem.disc, stabilising_tension(problem) * unit_tensors(problem))
+    found = solve_clarabel(problem.fem, problem.law, problem.fem.gather(load), problem.mesh.size, walls=problem.walls)
+    return make_solution(problem, found, FREE, None)
+
+
+def solve_clarabel(
+    fem: SupportedFem,
+    law: MembraneLaw,
+    load: Array,
+    size: float,
+    options: ClarabelOptions = ClarabelOptions(),
+    walls: Walls | None = None,
+) -> PathResult:
+    """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `PathResult`.
+
+    `walls` are half-spaces on nodes, further linear rows of the program.
+    """
+    total = load_scale(load, fem.weight)
+    F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), rows_of(fem, walls, size)
+    task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, wall_matrix(rows, fem.n))
+    cones = first_cones(law, len(fem.weight))
+    history: list[Iteration] = []
+    tell("clarabel, round 1")
+    found = _solve(task, cones, options)
+    while True:
+        if found.is_refuted:
+            stop = "blocked" if task.A.shape[0] else "infeasible"
+            break
+        S, h, g = law_cut(law, green_strain(fem.gradient(found.z)))
+        new = np.flatnonzero(g < -options.violation)
+        history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
+        if not found.is_solved or not len(new):
+            stop = "closed" if found.is_solved else "stalled"
+            break
+        if len(history) == options.max_rounds:
+            stop = "iterations"
+            break
+        cones, _ = with_cuts(cones, new, S[new], h[new])
+        tell(f"clarabel, round {len(history) + 1}")
+        found = _solve(task, cones, options)
+    record = _record(stop, law, task, cones, found, options, history)
+    return record if walls is None else replace(record, wall_forces=all_forces(walls, fem, rows, found.u))
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What stays the same in all rounds: B and the part F0 of the flat gradients that supports impose, half-spaces on
+    nodes and their matrix A (m, n)."""
+
+    fem: SupportedFem
+    load: Array
+    size: float
+    total: float
+    B: sparse.csr_matrix
+    F0: Array
+    rows: WallRows
+    A: sparse.csr_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Unknowns z (n,), multipliers lam (nc,) and u (m,) in N/mm and the stress P (nq, d, 2) of clarabel's last iterate.
+
+    Its bounds and unbalanced forces are computed from these, whatever clarabel says of them; `is_solved` and
+    `is_refuted` are what it says.
+    """
+
+    z: Array
+    lam: Array
+    u: Array
+    P: Array
+    dual: float
+    gap: float
+    unbalanced: float
+    is_solved: bool
+    is_refuted: bool
+
+
+def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
+    """B (nq d 2, n): free unknowns to flat deformation gradients."""
+    disc, d = fem.disc, fem.d
+    n_points, n_local = disc.n_points, disc.dofs.shape[1]
+    point = np.repeat(np.arange(n_points), n_local)
+    scalar = [
+        sparse.csr_matrix((disc.grad[:, :, j].ravel(), (point, disc.dofs.ravel())), shape=(n_points, disc.n_nodes))
+        for j in range(2)
+    ]
+    rows, columns, values = [], [], []
+    for a in range(d):
+        for j in range(2):
+            entry = scalar[j].tocoo()
+            rows.append((entry.row * d + a) * 2 + j)
+            columns.append(entry.col * d + a)
+            values.append(entry.data)
+    shape = (n_points * d * 2, disc.n_nodes * d)
+    full = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+    if fem.tie is not None:
+        return (full @ fem.tie).tocsr()
+    return full[:, np.flatnonzero(fem.free)]
+
+
+def wall_matrix(rows: WallRows, n: int) -> sparse.csr_matrix:
+    """A (m, n): free unknowns to the slacks of half-spaces on nodes."""
+    if rows.fem is None or rows.walls is None:
+        return sparse.csr_matrix((0, n))
+    fem, walls, d = rows.fem, rows.walls, rows.fem.d
+    row = np.repeat(np.arange(len(walls)), d * walls.node.shape[1])
+    column = (walls.node[:, :, None] * d + np.arange(d)).ravel()
+    entry = (walls.share[:, :, None] * walls.normal[:, None, :]).ravel() / rows.size
+    full = sparse.csr_matrix((entry, (row, column)), shape=(len(walls), fem.x_held.size))
+    return (full @ fem.tied().tie).tocsr()
+
+
+def square_roots(S: Array) -> tuple[Array, np.ndarray]:
+    """L (n, 2, 2) with L L^T = S for triples S (n, 3), larger column first, and the ranks (n,) 1 or 2."""
+    values, vectors = np.linalg.eigh(np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1))
+    values = values[:, ::-1]
+    return vectors[:, :, ::-1] * np.sqrt(np.maximum(values, 0.0))[:, None, :], 1 + (values[:, 1] > FLAT)
+
+
+def _solve(task: _Task, cones: Cones, options: ClarabelOptions) -> _Found:
+    """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
+    fem, B, size = task.fem, task.B, task.size
+    d = fem.d
+    L, rank = square_roots(cones.S)
+    dimension = 1 + d * rank
+    start = np.concatenate([[0], np.cumsum(dimension)])
+    c = np.sqrt(2.0 * cones.size)
+    rows, columns, values = [], [], []
+    for k in range(2):
+        use = np.flatnonzero(rank > k)
+        for a in range(d):
+            for j in range(2):
+                rows.append(start[use] + 1 + k * d + a)
+                columns.append((cones.point[use] * d + a) * 2 + j)
+                values.append(L[use, j, k])
+    shape = (int(start[-1]), B.shape[0])
+    M = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+    b = M @ task.F0
+    b[start[:-1]] = c
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = options.gap
+    settings.tol_feas = options.feasibility
+    A = sparse.vstack([-size * (M @ B), -size * task.A]).tocsc()
+    zero = np.zeros(fem.n)
+    b = np.concatenate([b, task.rows.slack(zero)])
+    kinds = [clarabel.SecondOrderConeT(int(n)) for n in dimension]
+    if task.A.shape[0]:
+        kinds.append(clarabel.NonnegativeConeT(task.A.shape[0]))
+    answer = clarabel.DefaultSolver(
+        sparse.csc_matrix((fem.n, fem.n)), -task.load / task.total, A, b, kinds, settings
+    ).solve()
+    is_refuted = str(answer.status) in ("PrimalInfeasible", "AlmostPrimalInfeasible")
+    x, z = np.array(answer.x), np.array(answer.z)
+    if is_refuted or not (np.isfinite(x).all() and np.isfinite(z).all()):
+        x, z = np.zeros(fem.n), np.zeros(len(b))
+    y, push = np.split(task.total * size * z, [int(start[-1])])
+    w_head, w_tail = y[start[:-1]], np.where(np.isin(np.arange(len(y)), start[:-1]), 0.0, y)
+    flat = -np.asarray(M.T @ w_tail)  # w P at the points
+    weight = fem.weight[:, None, None]
+    P = flat.reshape(-1, d, 2) / weight
+    z = size * x
+    unbalanced = float(np.abs(task.load - fem.force(P) + task.A.T @ push).sum()) / task.total
+    dual = -float(w_head @ c) + float(flat @ task.F0) - float(push @ task.rows.slack(zero))
+    dual -= REACH * unbalanced * task.total * size
+    return _Found(
+        z=z,
+        lam=w_head / fem.weight[cones.point] / c,
+        u=push / task.rows.v,
+        P=P,
+        dual=dual,
+        gap=(-float(task.load @ z) - dual) / (task.total * size),
+        unbalanced=unbalanced,
+        is_solved=str(answer.status) in ("Solved", "AlmostSolved"),
+        is_refuted=is_refuted,
+    )
+
+
+def _record(
+    stop: str,
+    law: MembraneLaw,
+    task: _Task,
+    cones: Cones,
+    found: _Found,
+    options: ClarabelOptions,
+    history: list[Iteration],
+) -> PathResult:
+    fem = task.fem
+    room = min(least_slack(law, green_strain(fem.gradient(found.z))), task.rows.slack(found.z).min(initial=np.inf))
+    return PathResult(
+        stop=stop,
+        evidence=Evidence(found.gap, found.unbalanced, -float(room)),
+        asked=options.attained,
+        z=found.z,
+        lam=found.lam,
+        y_tail=np.zeros((len(found.lam), 2 * fem.d)),
+        cones=cones,
+        P=found.P,
+        primal=-float(task.load @ found.z),
+        dual=found.dual,
+        history=tuple(history),
+        reach=Reach(0.0, 1.0) if found.is_refuted else FREE,
+    )

@@ -1,0 +1,709 @@
+"""Back to the rings: poses against locked states, geometry against affine curtains, forces against statics."""
+
+import csv
+import json
+import sys
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from macro_fem import read_scene, solve
+from macro_fem.cli import main
+from macro_fem.rings.curtain import Curtain, Told, curtain_of, curtain_of_cells, read_curtain
+from macro_fem.rings.frames import turns
+from macro_fem.rings.places import find_sites, place_rings
+from rve.common.drawing.space import parts
+from rve.common.errors import InputError
+from rve.common.meshes import LINE_LOAD_1, STATE, STRAIN, STRESS
+from rve.drawn import ALONG, AROUND, CLOSE, DrawnRings, axes_of_sheet
+from rve.equilibrium.interior_point import DirectOptions
+from rve.geometry.cell import Cell
+from rve.geometry.contacts import find_contacts
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
+from rve.geometry.pose import Pose, mirrored
+from rve.geometry.weave import SIX_IN_ONE
+from rve.solve import locked_block
+from rve.strained.forces import cauchy_of, cell_forces, directions, largest_forces
+from rve.strained.placed import axes_of_weave, fit_rings, shares
+from rve.strained.poses import PoseOptions, locked_arrangements, nearest_poses
+
+CELL, OPTIONS = Cell(), PoseOptions()
+WEIGHTS = np.array([1.0, 2.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def states():
+    return locked_arrangements(CELL, OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def table(states):
+    """Locked states of loads that lie between those that arrangements are interpolated from: pose, E, S."""
+    alpha, beta = (x.ravel() for x in np.meshgrid([-38.0, -7.0, 5.0, 22.0, 40.0], [5.0, 25.0, 50.0, 65.0, 85.0]))
+    block, _ = locked_block(alpha, beta, CELL, OPTIONS.direct)
+    found, s = block.found, block.s
+    E = lattice_strain(found.pose.lattice, states.sides)[0]
+    return found.pose, E, second_pk(deformation_gradient(E), s), s
+
+
+def fit_of(rings, cell):
+    return fit_rings(rings.sites.index, rings.centre, rings.normal, cell)
+
+
+def is_admissible(found, cell):
+    contacts = find_contacts(found.pose, cell.weave, cell.wire, 0.6)
+    assert contacts.min_gap.min() >= -1e-9
+    assert contacts.links_intact.all()
+    np.testing.assert_allclose(contacts.min_gap * cell.r1, found.gap_mm, atol=1e-12)
+
+
+def test_a_locked_strain_gives_back_the_locked_rings(states, table):
+    pose, E, _, _ = table
+    found = nearest_poses(E, CELL, OPTIONS, states)
+    assert (found.status == "met").all()
+    assert np.abs(found.E - E).max() < 1e-4
+    assert np.abs(shares(found.pose) - shares(pose)).max() < 1e-4
+    # The tilts of rings that slide on each other are softer than the strain: 1e-4 of strain turns them by 1e-2.
+    assert np.abs(found.pose.normals - pose.normals).max() < 1e-2
+    is_admissible(found, CELL)
+    again = nearest_poses(states.E, CELL, OPTIONS, states)
+    assert np.abs(again.E - states.E).max() < 1e-4
+    assert np.abs(again.pose.normals - states.pose.normals).max() < 2e-3
+
+
+def test_too_large_a_strain_comes_back_to_the_locked_state_it_left_along_the_normal(states, table):
+    """Springs find by projection on the admissible strains what line loads find by equilibrium."""
+    _, E, S, _ = table
+    normal = S / np.sqrt(S**2 @ WEIGHTS)[:, None]
+    found = nearest_poses(E + 0.02 * normal, CELL, OPTIONS, states)
+    assert (found.status == "beyond").all()
+    assert np.abs(found.E - E).max() < 5e-6
+    largest = 0.5 * (normal[:, 0] + normal[:, 2]) + np.hypot(0.5 * (normal[:, 0] - normal[:, 2]), normal[:, 1])
+    np.testing.assert_allclose(found.short, 0.02 * largest, atol=1e-6)
+    assert found.fold.max() < 1e-6
+    is_admissible(found, CELL)
+
+
+def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, table):
+    _, E, _, _ = table
+    rng = np.random.default_rng(5)
+    share = rng.dirichlet(np.ones(len(E)), 20)
+    inside = nearest_poses(0.9 * share @ E, CELL, OPTIONS, states)
+    assert (inside.status == "met").all()
+    assert np.maximum(inside.short, inside.fold).max() < 1e-3
+    wild = nearest_poses(rng.uniform(-0.5, 0.8, (20, 3)) * [1.0, 0.5, 1.0], CELL, OPTIONS, states)
+    is_admissible(wild, CELL)
+    assert np.isfinite(wild.E).all()
+    assert {"beyond", "folded"} <= set(wild.status)
+
+
+def test_a_mesh_drawn_together_hangs_in_folds(states):
+    """Pulled along x the mesh can be no wider than locked: what the curtain lacks in width is the fold, to 2e-3."""
+    pose = locked_block(np.array([0.0]), np.array([2.0]), CELL, OPTIONS.direct)[0].found.pose
+    E = lattice_strain(pose.lattice, states.sides)[0]
+    found = nearest_poses(E - [0.0, 0.0, 0.03], CELL, OPTIONS, states)
+    assert found.status.tolist() == ["folded"]
+    assert found.fold[0] == pytest.approx(0.03, abs=2e-3)
+    assert found.short[0] < 1e-3
+    is_admissible(found, CELL)
+
+
+def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, table):
+    _, E, _, _ = table
+    found, image = (nearest_poses(E * [1.0, sign, 1.0], CELL, OPTIONS, states) for sign in (1.0, -1.0))
+    assert np.abs(found.E * [1.0, -1.0, 1.0] - image.E).max() < 1e-12
+    assert np.abs(found.pose.normals * [-1.0, 1.0, 1.0] - image.pose.normals).max() < 1e-12
+    assert found.solves < len(E) + 1
+    is_admissible(image, CELL)
+
+
+def test_company_does_not_matter(states, table):
+    _, E, _, _ = table
+    together = nearest_poses(E[:6], CELL, OPTIONS, states)
+    alone = nearest_poses(E[4:5], CELL, OPTIONS, states)
+    assert np.abs(together.pose.normals[4] - alone.pose.normals[0]).max() < 1e-9
+
+
+def sheet(F, E, S, turn):
+    """A square of 8 triangles with uniform deformation F and strain E in weave axes, everything turned by `turn`."""
+    x, y = np.meshgrid(np.linspace(-40.0, 40.0, 3), np.linspace(-40.0, 40.0, 3))
+    X = np.column_stack([x.ravel(), y.ravel()])
+    squares = np.array([[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]])
+    triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    own = np.tile(E, (8, 1))
+    loads = np.full(8, 1.0)
+    return Curtain(
+        X @ turn.T, X @ F.T @ turn.T, triangles, np.arange(8), own, np.tile(S, (8, 1)), loads, np.full(8, 2, dtype=int)
+    )
+
+
+@pytest.mark.parametrize("hang", [0.0, 90.0, 33.0])
+@pytest.mark.parametrize("grain", ["x", "y"])
+def test_a_uniform_curtain_gets_the_rings_of_one_locked_cell(states, table, hang, grain):
+    """Every gap and every link of hundreds of rings in space, for a strained, sheared, turned sheet of turned weave."""
+    _, E, S, _ = table
+    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    angle = np.radians(20.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    F = turn @ deformation_gradient(found.E)[0]
+    cell = replace(CELL, grain=grain)
+    axes = axes_of_weave(cell, hang)
+    curtain = sheet(F, E[3], S[3], axes)
+    sites = find_sites(curtain, cell, states.sides, axes)
+    rings = place_rings(curtain, sites, found, np.zeros(len(sites.X), dtype=int), cell, axes)
+    density = 2.0 / (25.0 * states.sides[0] * states.sides[1])
+    assert len(sites.X) == pytest.approx(80.0**2 * density, rel=0.15)
+    fit = fit_of(rings, cell)
+    assert fit.links == fit.linked > 100
+    assert not fit.broken.any()
+    assert fit.gap_mm.min() == pytest.approx(found.gap_mm[0], abs=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(rings.normal, axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("hang", [0.0, 33.0, -20.0])
+@pytest.mark.parametrize("grain", ["x", "y"])
+def test_the_grain_runs_where_the_weave_is_turned_to(states, grain, hang):
+    """A weave turned by `hang`: rings interlace along the turned x or y axis, and lean along it, b_y apart."""
+    cell = replace(CELL, grain=grain)
+    turned = np.radians(hang) + (0.0 if grain == "x" else 0.5 * np.pi)
+    along = np.array([np.cos(turned), np.sin(turned)])
+    axes = axes_of_weave(cell, hang)
+    flat = sheet(np.eye(2), np.zeros(3), np.zeros(3), np.eye(2))
+    sites = find_sites(flat, cell, states.sides, axes)
+    at = {tuple(index): X for index, X in zip(sites.index.tolist(), sites.X, strict=True)}
+    step = at[0, 0, 1] - at[0, 0, 0]
+    np.testing.assert_allclose(step, 5.0 * states.sides[1] * along, atol=1e-9)
+    rest = nearest_poses(np.zeros((1, 3)), cell, OPTIONS, states)
+    normal = place_rings(flat, sites, rest, np.zeros(len(sites.X), dtype=int), cell, axes).normal[:, :2]
+    assert np.abs(normal @ along).min() > 0.3
+    assert np.abs(normal @ [-along[1], along[0]]).max() < 1e-3
+
+
+def test_a_ring_taken_out_of_the_net_is_missed(states, table):
+    """Four links lost, five rings concerned, and a ring pushed through its neighbour's wire has a negative gap."""
+    _, E, S, _ = table
+    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    curtain = sheet(deformation_gradient(found.E)[0], E[3], S[3], np.eye(2))
+    sites = find_sites(curtain, CELL, states.sides, np.eye(2))
+    rings = place_rings(curtain, sites, found, np.zeros(len(sites.X), dtype=int), CELL, np.eye(2))
+    whole = fit_of(rings, CELL)
+    inner = int(np.argmin((sites.X**2).sum(axis=1)))
+    out = rings.centre.copy()
+    out[inner, 2] += 15.0
+    apart = fit_of(replace(rings, centre=out), CELL)
+    assert (whole.linked - apart.linked, int(apart.broken.sum())) == (4, 5)
+    near = rings.centre.copy()
+    near[inner, 2] += 0.3
+    assert fit_of(replace(rings, centre=near), CELL).gap_mm[inner] < -0.05
+
+
+def test_neighbouring_cells_meet_whatever_their_strains(states, table):
+    """Centres follow the deformation of the curtain, which is continuous, and not the strain of each cell."""
+    _, E, S, _ = table
+    flat = sheet(np.eye(2), np.zeros(3), S[0], np.eye(2))
+    bent = replace(flat, x=flat.X + 0.1 * np.abs(flat.X[:, :1]) * [0.0, 1.0])  # linear in every triangle
+    sites = find_sites(bent, CELL, states.sides, np.eye(2))
+    found = nearest_poses(E[:8], CELL, OPTIONS, states)
+    rings = place_rings(bent, sites, found, sites.cell, CELL, np.eye(2))
+    expected = sites.X + 0.1 * np.abs(sites.X[:, :1]) * [0.0, 1.0]
+    np.testing.assert_allclose(rings.centre[:, :2], expected, atol=1e-3)
+
+
+def in_space(curtain, places):
+    """The curtain with its corners at `places` (p, 3)."""
+    return replace(curtain, x=places)
+
+
+@pytest.mark.parametrize(("grain", "hang"), [("y", 0.0), ("x", 33.0)])
+def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, grain, hang):
+    """Centres, normals and the frame of the worst cell follow a rotation of space; gaps and links stay."""
+    _, E, S, _ = table
+    cell = replace(CELL, grain=grain)
+    axes = axes_of_weave(cell, hang)
+    found = nearest_poses(E[:8], cell, OPTIONS, states)
+    flat = sheet(deformation_gradient(E[3:4])[0], E[3], S[3], axes)
+    sites = find_sites(flat, cell, states.sides, axes)
+    Q = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    Q *= np.linalg.det(Q)
+    turned = in_space(flat, flat.x_in_space @ Q.T + [3.0, 50.0, -70.0])
+    rings = place_rings(flat, sites, found, sites.cell, cell, axes)
+    moved = place_rings(turned, sites, found, sites.cell, cell, axes)
+    np.testing.assert_allclose(moved.centre, rings.centre @ Q.T + [3.0, 50.0, -70.0], atol=1e-10)
+    np.testing.assert_allclose(moved.normal, rings.normal @ Q.T, atol=1e-12)
+    here = turns(flat, sites.triangle, found.E[sites.cell], axes)
+    np.testing.assert_allclose(turns(turned, sites.triangle, found.E[sites.cell], axes), Q @ here, atol=1e-12)
+    np.testing.assert_allclose(fit_of(moved, cell).gap_mm, fit_of(rings, cell).gap_mm, atol=1e-9)
+
+
+def fine_sheet(F, count):
+    """A square of 2 count^2 triangles with uniform deformation F."""
+    x, y = np.meshgrid(np.linspace(-40.0, 40.0, count + 1), np.linspace(-40.0, 40.0, count + 1))
+    X = np.column_stack([x.ravel(), y.ravel()])
+    i, j = np.meshgrid(np.arange(count), np.arange(count))
+    a = (i + (count + 1) * j).ravel()
+    triangles = np.concatenate([np.stack([a, a + 1, a + count + 2], 1), np.stack([a, a + count + 2, a + count + 1], 1)])
+    n = len(triangles)
+    rest = (np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.full(n, 2, dtype=int))
+    return Curtain(X, X @ F.T, triangles, np.arange(n), *rest)
+
+
+def test_a_sheet_bent_to_a_cylinder_keeps_its_links(states, table):
+    """Normals of the sheet are those of the cylinder, and all rings that were linked in the plane are linked on it."""
+    _, E, _, _ = table
+    found = nearest_poses(E[3:4], CELL, OPTIONS, states)
+    flat = fine_sheet(deformation_gradient(found.E)[0], 16)
+    radius = 80.0
+    angle = flat.x[:, 0] / radius
+    bent = in_space(flat, np.column_stack([radius * np.sin(angle), flat.x[:, 1], radius * np.cos(angle)]))
+    sites = find_sites(bent, CELL, states.sides, np.eye(2))
+    row = np.zeros(len(sites.X), dtype=int)
+    plane, rings = (place_rings(one, sites, found, row, CELL, np.eye(2)) for one in (flat, bent))
+    normal = turns(bent, sites.triangle, found.E[row], np.eye(2))[:, :, 2]
+    outwards = rings.centre * [1.0, 0.0, 1.0]
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    assert (normal * outwards).sum(axis=1).min() > np.cos(0.06)  # half a facet is 0.05 wide at most
+    before, after = fit_of(plane, CELL), fit_of(rings, CELL)
+    assert before.links == after.links == before.linked == after.linked > 150
+    assert not after.broken.any()
+
+
+def test_a_cell_drawn_to_a_line_takes_the_normal_of_its_neighbours():
+    """A crease of no width between two halves of a sheet at right angles stands between their normals."""
+    X = np.array([[0.0, 0.0], [0.0, 9.0], [5.0, 0.0], [5.0, 9.0], [6.0, 0.0], [6.0, 9.0], [11.0, 0.0], [11.0, 9.0]])
+    triangles = np.array([[0, 2, 1], [2, 3, 1], [2, 4, 3], [4, 5, 3], [4, 6, 5], [6, 7, 5]])
+    x = np.column_stack([np.minimum(X[:, 0], 5.0), X[:, 1], -np.maximum(X[:, 0] - 6.0, 0.0)])
+    n = len(triangles)
+    curtain = Curtain(X, x, triangles, np.arange(n), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.ones(n, int))
+    normal = turns(curtain, np.arange(n), np.zeros((n, 3)), np.eye(2))[:, :, 2]
+    np.testing.assert_allclose(normal[:2], [[0.0, 0.0, 1.0]] * 2, atol=1e-12)
+    np.testing.assert_allclose(normal[4:], [[1.0, 0.0, 0.0]] * 2, atol=1e-12)
+    assert np.abs(normal[2:4, 1]).max() < 1e-12
+    assert normal[2:4, [0, 2]].min() > 0.1
+
+
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.48, -0.6, 0.64]])
+def test_a_close_up_looks_at_the_sheet_from_its_front(normal):
+    """The axes of the picture are a rotation whose third one is the normal, towards the viewer."""
+    axes = axes_of_sheet(np.array(normal))
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert abs(axes[:, 2] @ normal) == pytest.approx(1.0)
+    assert axes[2, 2] >= 0.0
+    assert axes[1, 1] >= -1e-12  # up stays up
+
+
+@pytest.mark.parametrize("count", [5, 1001])
+def test_rings_of_a_page_are_tori_if_few_and_lines_if_many(count):
+    rng = np.random.default_rng(3)
+    centre, normal = rng.normal(size=(count, 3)) * 99.0, rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    force = np.linspace(0.0, 7.0, count)
+    rings, _, scale = parts(DrawnRings(centre, normal, 5.0, 0.5, force).draw())["rings"]
+    each = rings.points.reshape(count, -1, 3)
+    if count > 1000:
+        np.testing.assert_allclose(each[:, 0], each[:, -1], atol=1e-4)
+        each = each[:, :-1]
+        np.testing.assert_allclose(np.linalg.norm(each - centre[:, None], axis=2), 5.0, atol=1e-4)
+    assert (rings[scale.label].reshape(count, -1) == force[:, None]).all()
+    np.testing.assert_allclose(each.mean(axis=1), centre, atol=1e-4)
+    assert (scale.spread, scale.largest) == ("log", 7.0)
+
+
+def test_the_close_up_shows_the_rings_around_its_window_in_their_own_thickness():
+    i, j = np.divmod(np.arange(10_000), 100)
+    centre = 10.0 * np.column_stack([i, j, np.zeros(len(i))]).astype(float)
+    normal, force = np.tile([0.0, 0.0, 1.0], (len(centre), 1)), np.linspace(0.1, 5.0, len(centre))
+    middle, at = np.array([500.0, 500.0, 0.0]), 50 * 100 + 50
+    plotter = DrawnRings(centre, normal, 4.0, 0.1, force).draw_close_up(centre[:, :2], at, np.array([0.0, 0.0, 1.0]))
+    (everything, _, scale), (window, *_) = parts(plotter, 0).values()
+    ((near, *_),) = parts(plotter, 1).values()
+    is_near = (np.abs(centre - middle) < 1.7 * CLOSE * 4.0).all(axis=1)
+    assert set(np.unique(near[scale.label])) == set(force[is_near])
+    assert set(np.unique(everything[scale.label])) == set(force)
+    assert near.points[:, 2].max() == pytest.approx(0.1)
+    assert everything.points[:, 2].max() == pytest.approx(0.6e-3 * 990.0 * np.sin(np.pi / 3.0 * 1.0), rel=1e-6)
+    assert np.ptp(window.points, axis=0).tolist() == [2.0 * CLOSE * 4.0, 2.0 * CLOSE * 4.0, 0.0]
+
+
+def test_every_lattice_point_belongs_to_one_triangle():
+    curtain = sheet(np.eye(2), np.zeros(3), np.zeros(3), np.eye(2))
+    sites = find_sites(curtain, CELL, (2.0, 2.0), np.eye(2))
+    assert len(np.unique(sites.index, axis=0)) == len(sites.index)
+    # Points (10 i, 10 j) with |x|, |y| <= 40, and those shifted by half a cell.
+    assert (sites.index[:, 0] == 0).sum() == 81
+    assert (sites.index[:, 0] == 1).sum() == 64
+    window = find_sites(curtain, CELL, (2.0, 2.0), np.eye(2), (0.0, 0.0, 10.0, 20.0))
+    assert (window.index[:, 0] == 0).sum() == 6
+
+
+def test_contact_forces_add_up_to_the_line_load_and_balance_every_ring(table):
+    _, _, _, s = table
+    for load in 3.7 * s[::4]:
+        found = cell_forces(load, CELL)
+        assert found.status == "converged"
+        np.testing.assert_allclose(found.virial, load, atol=1e-8 * np.abs(load).max())
+        push = found.force[:, None] * found.normal
+        # Contacts are listed once per lattice: ring a feels -push, ring b, seen from its own centre, +push.
+        centre_a = (found.a[:, 0] == 1)[:, None] * _centre_of_second(found)
+        arm_a = found.point - centre_a
+        arm_b = arm_a - found.branch
+        for ring in (0, 1):
+            a, b = found.a[:, 0] == ring, found.b[:, 0] == ring
+            np.testing.assert_allclose(push[b].sum(axis=0) - push[a].sum(axis=0), 0.0, atol=1e-8)
+            moment = np.cross(arm_b, push)[b].sum(axis=0) - np.cross(arm_a, push)[a].sum(axis=0)
+            np.testing.assert_allclose(moment, 0.0, atol=1e-7)
+
+
+def _centre_of_second(found):
+    """Centre of ring (1, 0, 0) from ring (0, 0, 0): the branch of their contact."""
+    row = np.flatnonzero((found.a == 0).all(axis=1) & (found.b == [1, 0, 0]).all(axis=1))[0]
+    return found.branch[row]
+
+
+def test_forces_of_rounded_directions_are_those_of_the_cell():
+    loads = np.array([2.0 * cauchy_line_load([30.0], [20.0])[0], [0.0, 0.0, 0.0], cauchy_line_load([30.0], [20.4])[0]])
+    largest = largest_forces(loads, CELL)
+    exact = cell_forces(loads[0], CELL)
+    assert largest[0].max() == pytest.approx(exact.force.max(), rel=1e-8)
+    assert np.all(largest[1] == 0.0)
+    np.testing.assert_allclose(largest[2], 0.5 * largest[0], rtol=1e-12)
+
+
+def test_directions_are_those_of_the_load(table):
+    _, _, S, s = table
+    alpha, beta, size = directions(1.5 * s)
+    np.testing.assert_allclose(size[:, None] * cauchy_line_load(alpha, beta), 1.5 * s, atol=1e-14)
+    _, E, _, _ = table
+    np.testing.assert_allclose(cauchy_of(S, E), s, atol=1e-12)
+
+
+def test_six_in_one_has_poses_too():
+    cell = Cell(8.0, 1.0, SIX_IN_ONE)
+    states = locked_arrangements(cell, OPTIONS)
+    found = nearest_poses(states.E[:12], cell, OPTIONS, states)
+    assert (found.status == "met").all()
+    is_admissible(found, cell)
+
+
+def test_vtu_of_rings_is_read_by_others(tmp_path):
+    import pyvista
+
+    centre = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
+    normal = np.array([[0.0, 0.6, 0.8], [0.0, 0.0, 1.0]])
+    data = {"ring": np.array([0, 1]), "N": np.array([0.5, 2.0]), "ij": np.array([[0, 1], [2, 3]])}
+    rings = DrawnRings(centre, normal, 5.0, 0.5)
+    rings.write_vtu(tmp_path / "lines.vtu", data)
+    lines = pyvista.read(tmp_path / "lines.vtu")
+    assert lines.n_cells == 2 * ALONG
+    assert lines.cell_data["N"].tolist() == [0.5] * ALONG + [2.0] * ALONG
+    assert lines.cell_data["ij"].tolist() == [[0, 1]] * ALONG + [[2, 3]] * ALONG
+    assert lines.compute_cell_sizes()["Length"].sum() == pytest.approx(4.0 * np.pi * 5.0, rel=0.01)  # closed
+    points = np.asarray(lines.points).reshape(2, ALONG, 3)
+    np.testing.assert_allclose(np.linalg.norm(points - centre[:, None], axis=2), 5.0, atol=1e-5)
+    rings.write_vtu(tmp_path / "tubes.vtu", data, tubes=True)
+    surface = pyvista.read(tmp_path / "tubes.vtu").extract_surface(algorithm="dataset_surface").triangulate()
+    assert surface.volume == pytest.approx(2 * 2 * np.pi**2 * 5.0 * 0.5**2, rel=0.12)
+    read = meshio.read(tmp_path / "tubes.vtu")
+    assert read.cells_dict["quad"].shape == (2 * ALONG * AROUND, 4)
+
+
+def test_tubes_lie_on_the_torus():
+    points, quads = DrawnRings(np.array([[1.0, 2.0, 3.0]]), np.array([[0.0, 0.6, 0.8]]), 5.0, 0.5).tubes(12, 6)
+    d = points - [1.0, 2.0, 3.0]
+    height = d @ [0.0, 0.6, 0.8]
+    around = np.sqrt((d**2).sum(axis=1) - height**2) - 5.0
+    np.testing.assert_allclose(np.hypot(around, height), 0.5, atol=1e-12)
+    assert sorted(np.bincount(quads.ravel())) == [4] * 72
+
+
+# The whole way, by the command line.
+
+
+def curtain_folder(folder, scene):
+    """The files of macro_fem for a scene."""
+    from macro_fem.cli import main as macro_fem
+
+    (folder / "scene.toml").write_text(scene)
+    arguments = ["run", str(folder / "scene.toml"), "--out", str(folder), "--no-picture"]
+    assert CliRunner().invoke(macro_fem, arguments).exit_code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def hung(tmp_path_factory):
+    """A small curtain hung by its corners."""
+    scene = '[curtain]\nwidth = 70.0\nheight = 60.0\n[mesh]\ncells = 4\n[support]\nkind = "corners"\n'
+    return curtain_folder(tmp_path_factory.mktemp("hung"), scene)
+
+
+@pytest.mark.parametrize("weave", ["y", "x"])
+def test_a_hanging_strip_has_the_rings_of_one_locked_cell(tmp_path, weave):
+    """Hung along y from the held top, or along x from a rail, the strain is one locked state everywhere.
+
+    Every drawn ring then clears its neighbours by what its cell allows, and the rings of the top carry the weight.
+    """
+    kind = "top" if weave == "y" else "rail"
+    curtain = f"[curtain]\nwidth = 50.0\nheight = 60.0\nweave_angle = {90.0 if weave == 'x' else 0.0}\n"
+    scene = f'{curtain}[mesh]\ncells = 4\n[support]\nkind = "{kind}"\n'
+    folder = curtain_folder(tmp_path, scene)
+    result = run(folder / "curtain.vtu", "--out", folder / "rings", "--no-picture")
+    assert result.exit_code == 0, result.output
+    summary = json.loads((folder / "rings" / "localize.json").read_text())
+    assert list(summary["cells_by_status"]) == ["met"]
+    assert summary["links_intact"] == summary["links"] > 30
+    assert summary["drawn_gap_mm_quantiles_0_5_25_50"]["met"][0] > -1e-3
+    sheet_load = json.loads((folder / "summary.json").read_text())["total_load_N"][1] / -50.0
+    largest = summary["worst_cell"]["largest_principal_line_load_N_per_mm"]
+    assert 0.7 * sheet_load < largest < sheet_load
+    pull = summary["worst_cell"]["cauchy_line_load_11_12_22_N_per_mm"]
+    # A pull along one axis of the weave: per reference length it is the line load above.
+    assert abs(pull[1]) < 1e-2 * max(pull)
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["localize", *(str(a) for a in arguments)])
+
+
+def test_rings_of_a_curtain_from_the_command_line(hung, tmp_path):
+    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--no-picture")
+    assert result.exit_code == 0, result.output
+    out = tmp_path / "rings"
+    assert {p.name for p in out.iterdir()} == {"rings.vtu", "worst_cell.csv", "localize.json"}
+    summary = json.loads((out / "localize.json").read_text())
+    assert summary["rings"] == pytest.approx(70.0 * 60.0 * 2.0 / (11.0 * 12.646), rel=0.15)
+    assert summary["smallest_gap_in_a_cell_mm"] >= 0.0
+    assert 0.9 * summary["links"] < summary["links_intact"] <= summary["links"]
+    assert sum(summary["cells_by_status"].values()) == summary["cells"] <= 64
+    assert summary["largest_strain_short"] < 2e-3
+    worst = summary["worst_cell"]
+    np.testing.assert_allclose(
+        worst["line_load_of_contacts_11_12_22_N_per_mm"], worst["cauchy_line_load_11_12_22_N_per_mm"], atol=1e-8
+    )
+    with (out / "worst_cell.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == worst["contacts"] > 0
+    assert max(float(row["force_N"]) for row in rows) == pytest.approx(worst["largest_force_N"])
+    import pyvista
+
+    drawn = pyvista.read(out / "rings.vtu")
+    assert drawn.n_cells == ALONG * summary["rings"]
+    x = np.asarray(drawn.points)[:, 0]
+    # The curtain and its lattice are symmetric, so the rings are.
+    assert x.min() + x.max() == pytest.approx(70.0, abs=0.1)
+
+
+def test_a_window_and_the_picture(hung, tmp_path):
+    result = run(hung / "curtain.vtu", "--out", tmp_path, "--window", "0,20,40,60", "--tubes")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "rings.png").read_bytes()[:4] == b"\x89PNG"
+    summary = json.loads((tmp_path / "localize.json").read_text())
+    points = meshio.read(tmp_path / "rings.vtu").points
+    assert len(points) == summary["rings"] * ALONG * AROUND
+    assert points[:, 0].max() < 60.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--window", "0,0,1"], "--window"),
+        (["--window", "5000,5000,6000,6000"], "not one ring"),
+        (["--max-rings", "3"], "--max-rings"),
+        (["--window", "0,0,nan,9"], "window"),
+    ],
+)
+def test_bad_options_end_in_one_sentence(hung, tmp_path, arguments, words):
+    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", *arguments)
+    assert_one_sentence(result, words)
+    assert not (tmp_path / "rings").exists()
+
+
+def assert_one_sentence(result, words):
+    assert result.exit_code == 2, result.output
+    message = result.stderr.strip()
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+    assert words in message
+
+
+def spoiled(hung, folder, change):
+    data = meshio.read(hung / "curtain.vtu")
+    change(data)
+    data.write(folder / "curtain.vtu")
+    known = json.loads((hung / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({key: known[key] for key in known if key != "files"}))
+    return folder / "curtain.vtu"
+
+
+def test_bad_files_end_in_one_sentence(hung, tmp_path):
+    out = tmp_path / "rings"
+    assert_one_sentence(run(tmp_path / "none.vtu", "--out", out), "none.vtu")
+    (tmp_path / "words.vtu").write_text("no curtain")
+    assert_one_sentence(
+        run(tmp_path / "words.vtu", "--out", out), "words.vtu: cannot be read as VTU: it is damaged or of another kind"
+    )
+    assert_one_sentence(run(tmp_path, "--out", out), "curtain.vtu: there is no such file")
+    half = (hung / "curtain.vtu").read_bytes()
+    (tmp_path / "half.vtu").write_bytes(half[: len(half) // 2])
+    assert_one_sentence(run(tmp_path / "half.vtu", "--out", out), "half.vtu")
+    for change, words in (
+        (lambda data: data.cell_data.pop("E_11_12_22"), "E_11_12_22"),
+        (lambda data: data.point_data.pop("displacement_mm"), "displacement_mm"),
+        (lambda data: data.cell_data["S_11_12_22_N_per_mm"][0].__setitem__((0, 0), np.nan), "S_11_12_22"),
+        (lambda data: data.points.__setitem__((0, 0), np.inf), "not finite"),
+        (lambda data: data.points.__setitem__((0, 2), 1.0), "not plane"),
+        (lambda data: data.points.__setitem__(slice(None), 0.0), "no area"),
+    ):
+        assert_one_sentence(run(spoiled(hung, tmp_path, change), "--out", out), words)
+    assert not out.exists()
+
+
+def test_the_summary_beside_the_curtain(hung, tmp_path):
+    vtu = tmp_path / "curtain.vtu"
+    vtu.write_bytes((hung / "curtain.vtu").read_bytes())
+    out = tmp_path / "rings"
+    assert_one_sentence(run(vtu, "--out", out), "summary.json: there is no such file")
+    for text, words in (
+        ("{", "JSON"),
+        ("[1]", "one JSON object"),
+        ('{"hang_deg": 0, "rings": 3}', "rings = 3"),
+        ('{"rings": {"r1_mm": 5}}', "hang_deg: is missing"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": 5}}', "does not tell r2_mm, b_x_mm, b_y_mm of the rings"),
+        ('{"hang_deg": NaN, "rings": null}', "hang_deg = nan: is not a finite number"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": "a", "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.6}}', "r1_mm = 'a'"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": "a", "b_y_mm": 12.6}}', "b_x_mm = 'a'"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": NaN}}', "b_y_mm = nan"),
+        ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 14.0}}', "of no known weave"),
+    ):
+        (tmp_path / "summary.json").write_text(text)
+        assert_one_sentence(run(vtu, "--out", out), words)
+
+
+def test_a_folder_that_cannot_be_made(hung, tmp_path):
+    (tmp_path / "file").write_text("here already")
+    assert_one_sentence(run(hung / "curtain.vtu", "--out", tmp_path / "file" / "rings", "--no-picture"), "--out")
+
+
+def test_reading_keeps_tension_tensile(hung):
+    curtain = read_curtain(hung / "curtain.vtu")
+    mean, radius = (
+        0.5 * (curtain.S[:, 0] + curtain.S[:, 2]),
+        np.hypot(0.5 * (curtain.S[:, 0] - curtain.S[:, 2]), curtain.S[:, 1]),
+    )
+    assert (mean - radius).min() > -1e-9
+    with pytest.raises(InputError, match="nowhere"):
+        read_curtain(hung / "nowhere.vtu")
+
+
+def test_a_pose_in_a_mirror_keeps_its_links(states):
+    pose = Pose(states.pose.lattice, states.pose.centres, states.pose.normals)
+    contacts = find_contacts(mirrored(pose), CELL.weave, CELL.wire, 0.6)
+    assert contacts.links_intact.all()
+    np.testing.assert_allclose(contacts.min_gap, find_contacts(pose, CELL.weave, CELL.wire, 0.6).min_gap, atol=1e-12)
+
+
+def test_a_missing_renderer_is_named_and_leaves_no_file(hung, tmp_path, monkeypatch):
+    (tmp_path / "pyvista.py").write_text("raise RuntimeError('no screen')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "pyvista", raising=False)
+    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--window", "0,0,30,30")
+    assert result.exit_code == 2
+    assert "rings.png needs OpenGL (no screen)" in result.stderr
+    assert not (tmp_path / "rings").exists()
+
+
+def test_a_curtain_of_another_run_is_not_taken_for_that_of_the_summary(hung, tmp_path):
+    for name in ("curtain.vtu", "summary.json"):
+        (tmp_path / name).write_bytes((hung / name).read_bytes())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert set(summary["files"]) >= {"curtain.vtu"}
+    vtu = tmp_path / "curtain.vtu"
+    vtu.write_text(vtu.read_text() + "\n")
+    words = "does not belong to"
+    assert_one_sentence(run(vtu, "--out", tmp_path / "rings", "--no-picture"), words)
+    assert not (tmp_path / "rings").exists()
+
+
+def test_line_loads_are_averaged_by_area():
+    """Two triangles, the second of three times the area: their shared corners see (1 * 4 + 3 * 8) / 4 = 7."""
+    X = np.array([[0.0, 0], [1, 0], [0, 1], [3, 1]])
+    loads = np.array([[4.0, 0, 0], [8.0, 0, 0]])
+    data = {STRAIN: np.zeros((2, 3)), STRESS: loads, LINE_LOAD_1: loads[:, 0], STATE: np.ones(2)}
+    curtain = curtain_of_cells(X, X, np.array([[0, 1, 2], [1, 3, 2]]), data, Told(0.0, None), "two")
+    np.testing.assert_allclose(curtain.S[:, 0], [(4 + 7 + 7) / 3, (7 + 8 + 7) / 3])
+
+
+def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
+    for name in ("curtain.vtu", "summary.json"):
+        (tmp_path / name).write_bytes((hung / name).read_bytes())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    for status, is_said in ((summary["status"], False), ("iterations", True)):
+        (tmp_path / "summary.json").write_text(json.dumps(summary | {"status": status}))
+        done = run(tmp_path, "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")
+        assert done.exit_code == 0, done.output
+        assert ("not solved: its status is iterations" in done.output) is is_said
+        assert json.loads((tmp_path / "rings" / "localize.json").read_text())["curtain_status"] == status
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(30.0, 4.0), (20.0, 30.0), (0.0, 80.0)])
+def test_the_largest_force_is_that_of_the_cell(alpha, beta):
+    """At (30, 4) the two contacts of a pair carry forces ten times apart: the larger one counts."""
+    s = 0.7 * cauchy_line_load([alpha], [beta])
+    assert largest_forces(s, CELL).max() == pytest.approx(cell_forces(s[0], CELL).force.max(), rel=1e-6)
+
+
+def test_forces_of_a_cell_take_their_options():
+    s = cauchy_line_load([20.0], [30.0])[0]
+    assert cell_forces(s, CELL, DirectOptions(max_iterations=2, attempts=1)).status == "stalled"
+    assert cell_forces(s, CELL).status == "converged"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"ladder": ()}, "ladder = .*at least 1 entries"),
+        ({"ladder": ((1e-2, 1e-2, 1e-3),)}, r"ladder\[0\] = "),
+        ({"states": ((0.0,), (2.0,), (3.0,))}, "states = "),
+        ({"merge": -1.0}, "merge = -1.0"),
+    ],
+)
+def test_options_of_poses_refuse_what_makes_no_sense(options, words):
+    with pytest.raises(InputError, match=words):
+        PoseOptions(**options)
+
+
+def test_the_ring_at_a_hook_is_told_beside_the_forces_away_from_supports(tmp_path):
+    """A heavy bar on two corners: its rings take half of the load each, or a part of it; cells of rings take less."""
+    scene = """[curtain]\nwidth = 120.0\nheight = 100.0\n[mesh]\ncells = 8\n[support]\nkind = "corners"
+rings_per_hook = {rings}\n[load.bar]\nmass = 3.0\n"""
+    for rings in (1, 2):
+        (tmp_path / str(rings)).mkdir()
+        folder = curtain_folder(tmp_path / str(rings), scene.format(rings=rings))
+        (corners,) = json.loads((folder / "summary.json").read_text())["support_forces"]
+        result = run(folder, "--out", folder / "rings", "--no-picture")
+        assert result.exit_code == 0, result.output
+        found = json.loads((folder / "rings" / "localize.json").read_text())
+        force = max(np.hypot(*one["force_N"]) for one in corners["points"]) / rings
+        assert found["ring_at_support"]["support"] == "support 1 (corners)"
+        assert found["ring_at_support"]["force_N"] == pytest.approx(force, rel=1e-12)
+        assert force > 0.5 * 3.0 * 9.81 / rings
+        away = f"forces between rings away from supports: at most {found['worst_cell']['largest_force_N']:.4g} N"
+        assert away in result.output
+        assert f"the ring at support 1 (corners) that takes most is pulled by {force:.4g} N" in result.output
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+def test_a_curtain_in_memory_is_that_of_its_file(element, tmp_path):
+    """One element of every kind: corners, and strain, line load and state of cells."""
+    tables = {"curtain": {"width": 100, "height": 80}, "support": {"kind": "top"}}
+    answer = solve(read_scene(tables | {"mesh": {"cells": 2, "element": element}}))
+    answer.save(tmp_path, picture=False)
+    read, known = read_curtain(tmp_path), curtain_of(answer.loaded, answer.summary)
+    assert (read.source, known.source) == (str(tmp_path / "curtain.vtu"), "a curtain in memory")
+    assert read.told == known.told
+    for key in ("X", "x", "triangles", "cell", "E", "S", "line_load", "state"):
+        values = getattr(read, key)
+        np.testing.assert_allclose(getattr(known, key), values, rtol=1e-12, atol=1e-12, err_msg=key)

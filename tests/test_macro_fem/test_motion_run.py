@@ -1,0 +1,329 @@
+"""Scenes in motion from their files to their results, and against closed forms."""
+
+import csv
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.interpolate import CubicSpline
+
+import macro_fem
+from homogenize import default_law
+from macro_fem.cli import main
+from macro_fem.curtain import solve_scene
+from macro_fem.motion import files, run
+from macro_fem.motion.account import kinetic_energy
+from macro_fem.motion.files import COLUMNS, account_error, row
+from macro_fem.motion.modes import find_modes
+from macro_fem.motion.run import solve_motion
+from macro_fem.motion.scheme import Moment
+from macro_fem.motion.stage import masses_of, scene_at
+from macro_fem.rings.ring_scene import ring_scene
+from macro_fem.scene.schema import read_scene
+from rve.common.errors import InputError
+
+G = 9810.0
+SHEET = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": 4}, "solver": {"space": True}}
+TOP = {"kind": "top"}
+BALL = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [200.0, 200.0, 9.0]}
+LET_GO = """
+[curtain]
+width = 400.0
+height = 400.0
+[mesh]
+cells = 4
+[solver]
+space = true
+[[support]]
+kind = "point"
+at = [0.0, 400.0]
+[[support]]
+kind = "point"
+at = [400.0, 400.0]
+release = 0.01
+[motion]
+duration = 0.06
+step = 0.01
+"""
+
+
+def moved(tables):
+    """The run of a scene, its rows, and the names of its columns; every step is solved and its account closes."""
+    found = solve_motion(read_scene(SHEET | tables), default_law())
+    assert found.status == "converged", found.message
+    rows = np.array([row(found, frame) for frame in found.frames])
+    assert account_error(rows) < 1e-8
+    assert rows[:, -1].max() < 1e-6
+    largest = np.abs(rows[:, 5:12] - rows[0, 5:12]).max()
+    for name in ("lost_by_locking_N_mm", "lost_by_damping_N_mm"):
+        assert np.diff(rows[:, COLUMNS.index(name)]).min() > -1e-8 * largest
+    return found, dict(zip(COLUMNS, rows.T, strict=True))
+
+
+def test_a_sheet_let_go_falls_freely():
+    _, told = moved({"support": TOP | {"release": 0.0}, "motion": {"duration": 0.06, "step": 0.01}})
+    t, fallen = told["t_s"][-1], told["mean_y_mm"][0] - told["mean_y_mm"][-1]
+    start = 0.75 * (1.0 - 3.0**-6) * 0.01**2 * G  # what Euler's first step goes too far
+    assert fallen - start == pytest.approx(0.5 * G * t * t, rel=1e-8)
+    assert told["support_force_N"][1:] == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_corner_let_go_swings_about_the_other():
+    supports = [{"kind": "point", "at": [0.0, 400.0]}, {"kind": "point", "at": [400.0, 400.0], "release": 0.0}]
+    found, told = moved({"support": supports, "motion": {"duration": 0.1, "step": 0.01}})
+    assert told["mean_x_mm"][-1] < told["mean_x_mm"][0] - 1.0
+    assert np.abs(found.frames[-1].moment.x[:, 2]).max() < 1e-6
+    corner = np.linalg.norm(found.frames[0].problem.disc.nodes - [0.0, 400.0], axis=1).argmin()
+    assert found.frames[-1].moment.x[corner] == pytest.approx([0.0, 400.0, 0.0], abs=1e-9)
+
+
+def test_a_gust_pushes_as_its_history_says():
+    wind = {"pressure": 2.0, "direction": [0.0, 0.0, 1.0], "history": [[0.0, 0.0], [0.02, 1.0], [0.04, 0.0]]}
+    free = TOP | {"release": 0.0}
+    found, told = moved({"support": free, "load": {"wind": wind}, "motion": {"duration": 0.06, "step": 0.0025}})
+    mass = 1e-9 * default_law().cell.areal_mass_kg_per_m2 * 400.0**2
+    n = found.frames[0].problem.disc.n_nodes
+    masses = masses_of(found.frames[-1].problem, ())
+    momentum = float(masses @ found.frames[-1].moment.v[:n, 2])
+    assert momentum == pytest.approx(2e-6 * 400.0**2 * 0.02, rel=2e-2)  # pressure times area times mean time
+    assert masses.sum() == pytest.approx(mass, rel=1e-9)
+    assert told["work_N_mm"][-1] > 0.0
+
+
+def test_a_falling_sheet_comes_to_rest_on_the_floor():
+    tables = {
+        "support": TOP | {"release": 0.0},
+        "obstacle": {"kind": "floor", "height": -20.0},
+        "motion": {"duration": 0.45, "step": 0.015, "scheme": "euler"},
+    }
+    _, told = moved(tables)
+    assert told["lowest_point_mm"].min() > -20.0 - 1e-6
+    assert told["kinetic_N_mm"][-1] < 1e-3 * told["kinetic_N_mm"].max()
+    assert told["mean_y_mm"][-1] == pytest.approx(-20.0, abs=1.0)
+
+
+def test_a_ball_thrown_into_a_loose_sheet_keeps_momentum():
+    body = {"kind": "sphere", "radius": 80.0, "mass": 0.3, "at": [200.0, 200.0, 85.0], "velocity": [0.0, 0.0, -2000.0]}
+    motion = {"duration": 0.03, "step": 0.005, "start": "reference"}
+    load = {"gravity": 0.0}
+    found, _ = moved({"support": TOP | {"release": 0.0}, "body": body, "load": load, "motion": motion})
+    masses = masses_of(found.frames[0].problem, found.bodies)
+    momenta = np.array([masses @ frame.moment.v for frame in found.frames])
+    assert np.abs(momenta - momenta[0]).max() < 1e-10 * np.abs(momenta[0]).max()
+    assert found.frames[-1].moment.v[-1, 2] > -1950.0
+
+
+def test_a_history_draws_the_curtain_along_its_track():
+    track = {"kind": "track", "radius": 600.0, "fullness": 1.3, "height": 500.0, "count": 5, "drawn": 1.0}
+    scene = read_scene(
+        SHEET | {"support": track | {"history": [[0.0, 1.0], [0.2, 0.5]]}, "motion": {"duration": 0.2, "step": 0.02}}
+    )
+    assert scene_at(scene, 0.1).support[0].drawn == pytest.approx(0.75)
+    found = solve_motion(scene, default_law())
+    assert found.status == "converged"
+    wide = [
+        np.ptp(frame.problem.supports.positions[frame.problem.supports.mask.any(axis=1), 0]) for frame in found.frames
+    ]
+    assert wide[-1] == pytest.approx(0.5 * wide[0], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        ({"motion": {"duration": 0.1}}, "nothing holds"),
+        ({"support": TOP, "motion": {}}, "duration"),
+        ({"support": TOP, "motion": {"duration": float("nan")}}, "duration"),
+        ({"support": TOP, "motion": {"duration": 1.0, "step": 2.0}}, "longer than the duration"),
+        (
+            {"support": TOP, "motion": {"duration": 1.0}, "body": BALL | {"mass": -1.0}},
+            "mass",
+        ),
+        (
+            {"support": TOP, "motion": {"duration": 1.0}, "body": BALL},
+            "inside it at the start",
+        ),
+        ({"support": TOP | {"history": [[1.0, 0.0], [0.5, 1.0]]}, "motion": {"duration": 1.0}}, "does not come after"),
+        ({"support": TOP | {"history": [[0.0, float("nan")]]}, "motion": {"duration": 1.0}}, "history"),
+        ({"support": TOP | {"release": 0.1}}, "has no effect without \\[motion\\]"),
+        ({"support": TOP, "motion": {"duration": 1.0}, "mesh": {"cells": 4, "element": "P2"}}, "motion needs one of"),
+    ],
+)  # fmt: skip
+def test_senseless_scenes_are_refused_in_a_sentence(tables, words):
+    with pytest.raises(InputError, match=words):
+        solve_motion(read_scene(SHEET | tables), default_law())
+
+
+def test_solvers_at_rest_refuse_motion():
+    scene = read_scene(SHEET | {"support": TOP, "motion": {"duration": 1.0}})
+    with pytest.raises(InputError, match=r"\[motion\]"):
+        macro_fem.solve(scene)
+    with pytest.raises(InputError, match=r"\[motion\]"):
+        ring_scene(scene)
+
+
+def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
+    """A longer run in one, and in two with --continue, differ by the accuracy of a step only."""
+    whole, part = tmp_path / "whole.toml", tmp_path / "part.toml"
+    whole.write_text(LET_GO)
+    part.write_text(LET_GO.replace("0.06", "0.03"))
+    for scene, out, more in ((whole, "one", ()), (part, "two", ()), (whole, "two", ("--continue",))):
+        asked = ["run", str(scene), "--out", str(tmp_path / out), "--no-picture", *more]
+        result = CliRunner().invoke(main, asked)
+        assert result.exit_code == 0, result.output
+    tables = [list(csv.reader((tmp_path / out / "motion.csv").read_text().splitlines())) for out in ("one", "two")]
+    assert tables[0][0] == tables[1][0] == list(COLUMNS)
+    one, two = (np.array(table[1:], float) for table in tables)
+    assert one.shape == (7, 14)
+    assert np.abs(one[:, :5] - two[:, :5]).max() < 1e-5
+    summary = json.loads((tmp_path / "two" / "summary.json").read_text())
+    assert summary["reached_s"] == pytest.approx(0.06)
+    assert {"motion.csv", "motion.pvd", "motion.npz", "motion_0006.vtu"} <= set(summary["files"])
+    again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
+    assert again.exit_code == 2
+    assert "longer duration" in again.output
+
+
+def test_a_stopped_run_keeps_its_steps_and_ends_with_130(tmp_path, monkeypatch):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(LET_GO)
+    told = []
+
+    def stop(work, share=None):
+        told.append(work)
+        if len(told) > 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "tell", stop)
+    result = CliRunner().invoke(main, ["run", str(scene), "--out", str(tmp_path / "out"), "--no-picture"])
+    assert result.exit_code == 130
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == "stopped"
+    assert summary["steps"] == 2
+
+
+def test_another_scene_does_not_go_on(tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(LET_GO.replace("0.06", "0.02"))
+    files.run_motion(scene, None, tmp_path / "out", picture=False)
+    scene.write_text(LET_GO.replace("cells = 4", "cells = 5"))
+    with pytest.raises(InputError, match="another scene or law"):
+        files.run_motion(scene, None, tmp_path / "out", picture=False, goes_on=True)
+    with pytest.raises(InputError, match="there is no run"):
+        files.run_motion(scene, None, tmp_path / "none", picture=False, goes_on=True)
+
+
+def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text("[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n")
+    asked = ["modes", str(scene), "--number", "2", "--out", str(tmp_path / "out"), "--no-picture"]
+    result = CliRunner().invoke(main, asked)
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["frequencies_Hz"] == pytest.approx(
+        [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)], rel=1e-2
+    )
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["modes.json", "modes.vtu"]
+
+
+def thrown(tables, velocity, duration, step):
+    """The run of a scene that begins with these velocities (n_nodes, 3) in mm/s."""
+    scene = read_scene(tables | {"motion": tables.get("motion", {}) | {"duration": duration, "step": step}})
+    first = next(run.motion_frames(scene, default_law()))
+    energy = kinetic_energy(masses_of(first.problem, ()), velocity)
+    first = replace(first, account=replace(first.account, kinetic=energy), pace=run.Pace(step))
+    found = solve_motion(scene, default_law(), replace(first, moment=Moment(0.0, first.moment.x, velocity)))
+    assert found.status == "converged", found.message
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [0.0, 60.0])
+def test_a_bar_dropped_into_an_elastic_strip_swings_as_one_mass(speed):
+    """T = 2 pi sqrt(m/k), peak m g + sqrt((m g)^2 + k m v^2) with v where the strip is not yet stretched.
+
+    The run begins at rest's place with the speed that the bar has there.
+    """
+    length, mass = 1000.0, 0.02
+    tables = {
+        "curtain": {"width": 125.0, "height": length},
+        "mesh": {"cells": 1},
+        "support": TOP,
+        "solver": {"kind": "elastic"},
+    }
+    hung = [
+        solve_scene(read_scene(tables | {"load": {"bar": {"mass": 1e3 * share * mass}}}), default_law())
+        for share in (0.9, 1.1)
+    ]
+    k = 0.2 * mass * G / (hung[0].x[:, 1].min() - hung[1].x[:, 1].min())
+    tables["load"] = {"bar": {"mass": 1e3 * mass}}
+    own = 1e-9 * default_law().cell.areal_mass_kg_per_m2 * 125.0 * length
+    moving = mass + own / 3.0
+    period = 2.0 * np.pi * np.sqrt(moving / k)
+    X = hung[0].problem.disc.nodes
+    drop = mass * G / k
+    velocity = np.column_stack([0.0 * X[:, 0], -(length - X[:, 1]) / length])
+    begin = np.sqrt(speed**2 + k * drop**2 / moving)
+    found = thrown(tables, begin * velocity, 1.2 * period, period / 80)
+    y = np.array([frame.moment.x[:, 1].min() for frame in found.frames])
+    t = np.array([frame.moment.t for frame in found.frames])
+    crossing = CubicSpline(t, y - y[0]).roots(extrapolate=False)
+    assert crossing[2] == pytest.approx(period, rel=1e-2)
+    peak = max(frame.supports[:, 1].sum() for frame in found.frames) - found.frames[0].supports[:, 1].sum()
+    assert peak == pytest.approx(np.sqrt((mass * G) ** 2 + k * moving * speed**2), rel=1e-2)
+
+
+@pytest.mark.slow
+def test_a_hanging_chain_swings_with_its_frequency_to_second_order():
+    tables = {"curtain": {"width": 125.0, "height": 1000.0}, "mesh": {"cells": 2}, "support": TOP}
+    modes = find_modes(solve_scene(read_scene(tables), default_law()), 1)
+    period, shape = 1.0 / modes.frequencies_Hz[0], modes.shapes[0]
+    errors, kept = [], []
+    for steps in (25, 50, 100):
+        velocity = 2.0 * 2.0 * np.pi / period * shape
+        found = thrown(tables | {"solver": {"space": True}}, velocity, 1.55 * period, period / steps)
+        weight = masses_of(found.frames[0].problem, ()) * shape[:, 2]
+        z = np.array([weight @ frame.moment.x[:, 2] for frame in found.frames]) / (weight @ shape[:, 2])
+        path = CubicSpline([frame.moment.t for frame in found.frames], z)
+        crossing = [t for t in path.roots(extrapolate=False) if t > 0.1 * period]
+        errors.append((crossing[2] - crossing[0]) / period - 1.0)
+        kept.append(np.abs(path(path.derivative().roots(extrapolate=False)))[:3])
+    assert 3.0 < (errors[0] - errors[1]) / (errors[1] - errors[2]) < 5.0
+    assert abs(errors[2]) < 2.5e-3
+    assert kept[2][2] == pytest.approx(kept[2][0], rel=1e-3)
+
+
+def test_the_work_of_a_moved_support_closes_the_account():
+    tables = {
+        "curtain": {"width": 200.0, "height": 200.0},
+        "mesh": {"cells": 4},
+        "support": {"kind": "top", "move": [30.0, 20.0], "history": [[0.0, 0.0], [0.04, 1.0]]},
+        "motion": {"duration": 0.06, "step": 0.01},
+    }
+    found = solve_motion(read_scene(tables), default_law())
+    accounts = [frame.account for frame in found.frames]
+    size = max(abs(one.work) + one.kinetic for one in accounts)
+    assert accounts[-1].work > 0.1 * size
+    assert max(abs(one.balance - accounts[0].balance) for one in accounts) < 1e-8 * size
+    assert all(b.lost_by_locking >= a.lost_by_locking - 1e-9 * size for a, b in pairwise(accounts))
+
+
+def test_the_page_of_a_motion_has_a_slider_and_what_stands_still_once(tmp_path):
+    import re
+
+    (tmp_path / "scene.toml").write_text(LET_GO)
+    words = ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o"), "--no-picture", "--html"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "o" / "motion.html").read_text()
+    steps = json.loads(re.search(r'"sliders":\[\{.*?"steps":(\[.*?\}\])\}', text)[1])
+    assert [one["label"] for one in steps] == [f"{0.01 * k:.3f} s" for k in range(7)]
+    shown = np.array([one["args"][0]["visible"] for one in steps])
+    assert shown.any(axis=1).all()  # something at every moment, and no trace that is never shown
+    assert shown.any(axis=0).all()
+    assert (shown.sum(axis=0) == 7).any()
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert 0.0 <= summary["peak_line_load_at_s"] <= 0.06
+    assert summary["peak_utilisation"] > 0.0

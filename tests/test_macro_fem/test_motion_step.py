@@ -1,0 +1,175 @@
+"""One implicit step of a curtain: momentum, the energy account, rest, free fall, and the matrix of loose bodies."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from homogenize import default_law, elastic_law
+from macro_fem.fem.assembly import internal_force, load_vector
+from macro_fem.fem.discretization import discretize
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
+from macro_fem.motion.loose import with_loose_nodes
+from macro_fem.motion.scheme import Moment, difference
+from macro_fem.motion.step import Forces, Moving, solve_step
+from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
+from macro_fem.solvers.cones import green_strain
+from macro_fem.solvers.inertia import Inertia
+from macro_fem.solvers.walls import WallRows, Walls
+
+BALL = 0.5e-3
+"""Mass in N s2/mm of the ball: 0.5 kg."""
+
+
+def free_sheet(
+    cells: int = 5, side: float = 300.0, *, balls: int = 0, elastic: bool = False
+) -> tuple[Moving, np.ndarray]:
+    """A square sheet that nothing holds, with balls of 0.5 kg, and its nodes in the reference state (n, 3)."""
+    law = elastic_law(default_law()) if elastic else default_law()
+    scene = read_scene(
+        {"curtain": {"width": side, "height": side}, "mesh": {"cells": cells}, "support": {"kind": "top"}}
+    )
+    mesh = build_mesh(scene, law.cell)
+    disc = discretize(mesh.mesh, "P1")
+    n = disc.n_nodes
+    fem = with_loose_nodes(SupportedFem(disc, np.zeros((n, 3)), np.ones(3 * n, bool)), balls)
+    mass = 1e-9 * law.cell.areal_mass_kg_per_m2 * load_vector(disc, np.array([1.0]))[:, 0]
+    mass = np.append(mass, np.full(balls, BALL))
+    compliance = law.compliance if elastic else np.zeros((3, 3))
+    return Moving(fem, law, mass, compliance, mesh.size), np.column_stack([disc.nodes, np.zeros(n)])
+
+
+def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, accounts: list[Account], tangents=None):
+    """The next moment and account, appended; the step."""
+    now, before = moments[-1], moments[-2] if len(moments) > 1 else None
+    change = difference(now, before, h)
+    end = solve_step(moving, change, forces, now.x, None, tangents)
+    assert end.result.converged, end.result.message
+    F = [moving.fem.gradient(moving.fem.unknowns(x)) for x in (now.x, end.x)]
+    P, w = end.result.P, moving.fem.weight
+    stored = 0.0
+    if moving.compliance.any():
+        psi = [moving.law.response(green_strain(one)).energy for one in F]
+        stored = float(w @ (psi[1] - psi[0]))
+    touched = 0.0
+    if end.walls is not None:
+        n = len(now.x) - 1
+        touched = float(end.result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - end.walls.offset))
+    held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
+    worked = Worked(held, float((w[:, None, None] * P * (F[1] - F[0])).sum()), stored, 0.0, touched)
+    accounts.append(next_account(accounts[-1], moving, change, now, forces, end, worked))
+    moments.append(Moment(now.t + h, end.x, change.velocity(end.x)))
+    return end
+
+
+def ball_tangents(n: int, radius: float):
+    """Half-spaces of a ball of this radius, the last of n + 1 nodes, at all n others."""
+
+    def tangents(x: np.ndarray) -> Walls:
+        away = x[:n] - x[n]
+        normal = away / np.linalg.norm(away, axis=1)[:, None]
+        pairs = np.column_stack([np.arange(n), np.full(n, n)])
+        return Walls(pairs, normal, np.full(n, radius), share=np.tile([1.0, -1.0], (n, 1)))
+
+    return tangents
+
+
+@pytest.mark.parametrize("elastic", [False, True], ids=["rigid", "elastic"])
+def test_a_thrown_ball_and_a_free_sheet_keep_momentum_and_close_the_account(elastic):
+    moving, X = free_sheet(balls=1, elastic=elastic)
+    x = np.vstack([X, [140.0, 170.0, 41.0]])
+    v = np.zeros_like(x)
+    v[-1] = [200.0, 0.0, -3000.0]
+    nothing = Forces(np.zeros_like(x), np.zeros_like(x))
+    moments, accounts = [Moment(0.0, x, v)], [Account(kinetic=kinetic_energy(moving.mass, v))]
+    p = moving.mass @ v
+    for _ in range(4):
+        end = advance(moving, moments, nothing, 4e-3, accounts, ball_tangents(len(X), 40.0))
+        now = moments[-1]
+        assert np.abs(moving.mass @ now.v - p).max() < 1e-10 * np.abs(p).max()
+        assert abs(accounts[-1].balance / accounts[0].balance - 1.0) < 1e-8
+        assert np.linalg.norm(now.x[:-1] - now.x[-1], axis=1).min() > 40.0 - 1e-6
+        assert accounts[-1].lost_by_locking >= accounts[-2].lost_by_locking - 1e-8 * accounts[0].kinetic
+        assert end.pushes[:-1].sum(axis=0) == pytest.approx(-end.pushes[-1], abs=1e-12 * np.abs(end.pushes).sum())
+    assert moments[-1].v[-1, 2] > -2950.0  # the sheet has slowed it down
+
+
+def test_a_free_sheet_falls_like_a_stone_after_the_first_step():
+    moving, X = free_sheet()
+    g = np.array([0.0, -9810.0, 500.0])
+    weight = Forces(moving.mass[:, None] * g, np.zeros_like(X))
+    moments, accounts, h = [Moment(0.0, X, np.zeros_like(X))], [Account()], 0.01
+    for _ in range(6):
+        advance(moving, moments, weight, h, accounts)
+    t = moments[-1].t
+    start = 0.75 * (1.0 - 3.0**-6) * h * h * g  # Euler's first step goes h^2 g / 2 too far, of which BDF2 keeps 3/2
+    way = (moving.mass @ (moments[-1].x - X)) / moving.mass.sum() - start
+    assert way == pytest.approx(0.5 * t * t * g, rel=1e-8)
+    assert moving.mass @ moments[-1].v / moving.mass.sum() == pytest.approx(t * g, rel=1e-8)
+
+
+def test_rest_stays_rest():
+    moving, X = free_sheet()
+    still = Forces(np.zeros_like(X), np.zeros_like(X))
+    moments, accounts = [Moment(0.0, 0.9 * X, np.zeros_like(X))], [Account()]
+    for _ in range(3):
+        advance(moving, moments, still, 0.01, accounts)
+    assert np.abs(moments[-1].x - 0.9 * X).max() < 1e-10
+
+
+def test_damping_takes_what_its_formula_says():
+    moving, X = free_sheet()
+    v = np.tile([0.0, 0.0, 1000.0], (len(X), 1))
+    damped = Forces(np.zeros_like(X), np.zeros_like(X), damping=4.0)
+    moments, accounts = [Moment(0.0, X, v)], [Account(kinetic=kinetic_energy(moving.mass, v))]
+    for _ in range(20):
+        advance(moving, moments, damped, 5e-3, accounts)
+    assert moments[-1].v[:, 2] == pytest.approx(1000.0 * np.exp(-4.0 * 0.1), rel=2e-3)
+    assert accounts[-1].balance == pytest.approx(accounts[0].balance, rel=1e-8)
+    assert accounts[-1].lost_by_damping == pytest.approx(accounts[0].kinetic * (1.0 - np.exp(-8.0 * 0.1)), rel=2e-2)
+
+
+@pytest.mark.parametrize("is_tied", [False, True])
+def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
+    rng = np.random.default_rng(3)
+    moving, X = free_sheet(cells=2)
+    fem = moving.fem.tied() if is_tied else moving.fem
+    loose = with_loose_nodes(fem, 2)
+    n, m = len(X), 5
+    node = np.column_stack([rng.integers(0, n, m), n + rng.integers(0, 2, m)])
+    walls = Walls(node, rng.normal(size=(m, 3)), np.zeros(m), share=np.tile([1.0, -1.0], (m, 1)))
+    rows, W = WallRows(loose, walls, 1.0), rng.normal(size=(n + 2, 3, 3))
+    W = W @ W.transpose(0, 2, 1)
+    inertia = Inertia(loose, W, rng.normal(size=(n + 2, 3)))
+    weight = rng.uniform(0.1, 1.0, m)
+    tangent = np.tile(np.eye(6).reshape(3, 2, 3, 2), (len(loose.weight), 1, 1, 1, 1))
+    solve = loose.factorize(tangent, inertia.added(rows.added(weight)))
+    A = np.stack([rows.change(e) for e in np.eye(loose.n)], axis=1)
+    B = np.stack([loose.gradient_change(e).ravel() for e in np.eye(loose.n)], axis=1)
+    K = B.T @ (np.repeat(loose.weight, 6)[:, None] * B) + A.T @ ((rows.v * weight)[:, None] * A)
+    K = K + sparse.block_diag(list(W)).toarray()
+    b = rng.normal(size=loose.n)
+    assert K @ solve(b) == pytest.approx(b, abs=1e-9)
+    assert inertia.deficit(b) == pytest.approx(0.5 * b @ np.linalg.solve(sparse.block_diag(list(W)).toarray(), b))
+
+
+def test_an_answer_of_a_step_has_a_gap_and_no_better_neighbour():
+    rng = np.random.default_rng(5)
+    moving, X = free_sheet(cells=3)
+    v = rng.normal(scale=2000.0, size=X.shape)
+    change = difference(Moment(0.0, X, v), None, 0.02)
+    forces = Forces(np.zeros_like(X), np.zeros_like(X))
+    end = solve_step(moving, change, forces, X, None)
+    assert 0.0 <= end.result.evidence.gap < 1e-8
+
+    def value(x):
+        return 0.5 * float((moving.mass[:, None] * (x - change.x_hat) ** 2).sum()) / change.beta_h**2
+
+    better = 0
+    for _ in range(200):
+        x = end.x + rng.uniform(0.0, 1.0) * (X * rng.uniform(0.5, 1.0) - end.x)
+        x = x + rng.normal(scale=3.0, size=x.shape)
+        E = green_strain(moving.fem.gradient(moving.fem.unknowns(x)))
+        better += bool(moving.law.cut(E).violation.max() <= 0.0 and value(x) < value(end.x))
+    assert not better

@@ -1,0 +1,125 @@
+"""Sizes that rings cannot resolve, pitches that do not fit and files of the wrong kind are told in a user's words."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import macro_fem
+import rve
+from homogenize import default_law, fit_table
+from macro_fem.cli import main
+from macro_fem.rings.ring_scene import ring_scene
+from rve.cli import main as rve_main
+from rve.common.errors import InputError
+
+LAW = default_law()
+B_X, B_Y = LAW.cell.b_x_mm, LAW.cell.b_y_mm
+
+
+def command(group, *arguments):
+    return CliRunner().invoke(group, [str(one) for one in arguments])
+
+
+@pytest.mark.parametrize(
+    ("shape", "items", "words"),
+    [
+        (macro_fem.Rectangle(3.0, 2.5), [macro_fem.Top()], "[curtain] width = 3: is less than"),
+        (macro_fem.Rectangle(3000.0, 2.5), [macro_fem.Top()], "did you mean 2500?"),
+        (macro_fem.Disk(1.2), [macro_fem.Top()], "[curtain] radius = 1.2: is less than the diameter of a ring, 10 mm"),
+        (macro_fem.Rectangle(3000.0, 2500.0), [macro_fem.Hooks(pitch=0.2)], "(hooks) pitch = 0.2"),
+        (
+            macro_fem.Rectangle(300.0, 250.0),
+            [macro_fem.Top(), macro_fem.Sphere(centre=(0.0, 0.0, 50.0), radius=0.05)],
+            "(sphere) width = 0.1: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 100?",
+        ),
+    ],
+)
+def test_metres_are_refused_with_the_value_in_mm(shape, items, words):
+    scene = macro_fem.Scene(shape, items, mesh=macro_fem.Mesh(cells=4))
+    with pytest.raises(InputError) as error:
+        macro_fem.solve(scene, LAW)
+    assert words in str(error.value)
+
+
+def test_rings_of_microns_and_kilometres_are_refused(tmp_path):
+    for r1, meant in (("0.006", "6"), ("6000", "6")):
+        found = command(rve_main, "table", "--r1", r1, "--r2", "0.0006", "--out", tmp_path / "t.csv")
+        assert (found.exit_code, f"did you mean {meant}?" in found.output) == (2, True)
+    found = command(main, "run", "scene.toml", "--rings", "0.006,0.0006", "--out", tmp_path / "out")
+    assert (found.exit_code, "did you mean 6?" in found.output) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("keys", "count", "asked"), [("pitch = 129", 24, 129.0), ("count = 24", 24, None), ("pitch = 125", 25, 125.0)]
+)
+def test_the_pitch_that_fits_is_told(tmp_path, keys, count, asked):
+    """A pitch of 129 mm does not divide 3000 mm: 23 spaces of 130.4 mm."""
+    (tmp_path / "scene.toml").write_text(
+        f"[curtain]\nwidth = 3000\nheight = 500\n[mesh]\ncells = 24\n[support]\nkind = 'hooks'\n{keys}\n"
+    )
+    found = command(main, "run", tmp_path / "scene.toml", "--out", tmp_path / "out", "--no-picture")
+    assert found.exit_code == 0, found.output
+    (hooks,) = json.loads((tmp_path / "out" / "summary.json").read_text())["support_forces"]
+    assert hooks["pitch_mm"] == pytest.approx(3000.0 / (count - 1))
+    assert hooks["pitch_asked_mm"] == asked
+    x = [point["at_mm"][0] for point in hooks["points"]]
+    assert np.diff(x) == pytest.approx(hooks["pitch_mm"])
+    assert f"hooks: {count}, {hooks['pitch_mm']:g} mm apart" in found.output
+    assert ("does not divide" in found.output) == (asked == 129.0)
+    assert found.output.startswith("no --law: rings of r1 = 5 mm and r2 = 0.5 mm, 4-in-1, steel")
+
+
+def test_nearly_whole_cells_keep_the_rings_at_the_corners():
+    """75.9 mm are six cells of 12.646 mm: the corner rings must not go, nor the support move by 1.9 mm."""
+    exact, rounded = (
+        ring_scene(macro_fem.Scene(macro_fem.Rectangle(6 * B_X, height), [macro_fem.Corners()]), LAW)
+        for height in (6 * B_Y, 75.9)
+    )
+    assert exact.notes == ()
+    assert "height = 75.9 mm is taken as 6 whole cells" in rounded.notes[0]
+    assert len(rounded.mesh.X) == len(exact.mesh.X)
+    for (_, one), (_, other) in zip(exact.groups, rounded.groups, strict=True):
+        assert rounded.mesh.X[other] == pytest.approx(exact.mesh.X[one])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    rve.solve_table(rve.Cell(r1=5, r2=0.5), rve.grid(45.0)).save(folder / "table.csv")
+    LAW.save(folder / "law.json")
+    (folder / "scene.toml").write_text("[curtain]\nwidth = 300\nheight = 200\n[support]\nkind = 'top'\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("law", "told"),
+    [
+        ("table.csv", "a strain-load table, which homogenize fit"),
+        ("table.json", "the record beside a strain-load table"),
+        ("scene.toml", "a scene"),
+    ],
+)
+def test_a_wrong_file_as_law_is_named(files, tmp_path, law, told):
+    found = command(main, "run", files / "scene.toml", "--law", files / law, "--out", tmp_path / "out")
+    assert found.exit_code == 2
+    assert f"{law}: is {told}" in found.output
+    assert "not a law" in found.output
+
+
+def test_a_law_as_table_or_scene_is_named(files, tmp_path):
+    with pytest.raises(InputError, match="is a law, which macro_fem run takes as --law, not a table"):
+        fit_table(files / "law.json")
+    found = command(main, "run", files / "law.json", "--out", tmp_path / "out")
+    assert (found.exit_code, "is a law, which macro_fem run takes as --law, not a scene" in found.output) == (2, True)
+
+
+def test_elastic_rings_on_demand_are_refused_in_the_words_of_the_user(files, tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text((files / "scene.toml").read_text() + "[solver]\nkind = 'elastic'\n")
+    found = command(main, "run", scene, "--rings", "5,0.5", "--no-cache", "--out", tmp_path / "out", "--no-picture")
+    assert found.exit_code == 2
+    assert "--rings" in found.output
+    assert "kind = 'rigid' or 'auto', not 'elastic'" in found.output
+    assert "adapt" not in found.output
