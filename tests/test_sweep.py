@@ -126,6 +126,16 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path):
     assert mass() == pytest.approx(8.0 * first)
 
 
+def test_a_stop_while_a_result_is_kept_begins_no_further_item(tmp_path):
+    def stop(name):
+        raise KeyboardInterrupt
+
+    items = table_items(tmp_path, [5.0], [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2], ["4-in-1"], "y", GRID)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(items, tmp_path, jobs=2, done=stop)
+    assert 0 < len(list(tmp_path.glob("*.csv"))) < len(items)  # pool of two, and what lay ready for it
+
+
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code, jobs):

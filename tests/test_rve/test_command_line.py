@@ -86,7 +86,7 @@ def test_a_disk_that_is_full_is_a_sentence_and_old_files_stay(tmp_path):
         process.communicate()
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     before = {path: path.read_bytes() for path in files}
-    assert len(before) == 7  # table, sidecar, law, scene; summary, support forces, VTU
+    assert len(before) == 8  # table, sidecar, law, scene; summary, support forces, order, VTU
     for command in runs:
         process = started(*command, limit=200)
         _, errors = process.communicate()

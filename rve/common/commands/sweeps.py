@@ -10,10 +10,10 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -111,7 +111,7 @@ def sweep(
     run = _on_cluster(items, left, cluster) if cluster is not None else _here(items, left, jobs)
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
     try:
-        with noted_if_stopped(kept):
+        with noted_if_stopped(kept), closing(run):
             for number, how in run:
                 ended[number] = _kept(cache, items[number], how)
                 done(items[number].name)
@@ -131,7 +131,7 @@ def _kept(cache: Cache, item: SweepItem, how: Ended) -> Ended:
     return how
 
 
-def _here(items: Sequence[SweepItem], left: list[int], jobs: int) -> Iterator[tuple[int, Ended]]:
+def _here(items: Sequence[SweepItem], left: list[int], jobs: int) -> Generator[tuple[int, Ended]]:
     if jobs == 1:
         for number in left:
             yield number, run_item(items[number].package, items[number].arguments)
@@ -142,7 +142,7 @@ def _here(items: Sequence[SweepItem], left: list[int], jobs: int) -> Iterator[tu
             yield futures[future], future.result()
 
 
-def _on_cluster(items: Sequence[SweepItem], left: list[int], address: str) -> Iterator[tuple[int, Ended]]:
+def _on_cluster(items: Sequence[SweepItem], left: list[int], address: str) -> Generator[tuple[int, Ended]]:
     """ConnectionError with a sentence if the scheduler is lost."""
     from distributed import Client
     from distributed import as_completed as as_finished

@@ -13,12 +13,12 @@ from multiprocessing import active_children, get_context, parent_process
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes that end when an error leaves the block, and when this process ends, however it does."""
+    """Worker processes that end when the block is left early, and when this process ends, however it does."""
     before = active_children()
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         yield pool
-    except (Exception, KeyboardInterrupt):
+    except BaseException:  # GeneratorExit, too: a stop between two results closes the generator that holds the pool
         pool.shutdown(wait=False, cancel_futures=True)
         for child in active_children():
             if child not in before:
