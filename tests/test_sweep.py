@@ -133,7 +133,7 @@ def test_a_stop_while_a_result_is_kept_begins_no_further_item(tmp_path):
     items = table_items(tmp_path, [5.0], [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2], ["4-in-1"], "y", GRID)
     with pytest.raises(KeyboardInterrupt):
         sweep(items, tmp_path, jobs=2, done=stop)
-    assert 0 < len(list(tmp_path.glob("*.csv"))) < len(items)  # pool of two, and what lay ready for it
+    assert 0 < len(list(tmp_path.glob("*.csv"))) <= 4  # not what lay ready for the workers: six would be written
 
 
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
