@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
+from scipy.special import ellipk
 
 import macro_fem
 from homogenize import default_law
@@ -293,6 +294,33 @@ def test_a_hanging_chain_swings_with_its_frequency_to_second_order():
     assert 3.0 < (errors[0] - errors[1]) / (errors[1] - errors[2]) < 5.0
     assert abs(errors[2]) < 2.5e-3
     assert kept[2][2] == pytest.approx(kept[2][0], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_taut_strip_with_a_bar_swings_as_a_pendulum_of_large_amplitude():
+    """T = 4 sqrt(l/g) K(sin^2(60 deg / 2)); of a straight strip m with a mass M at its end l = L (M + m/3) / (M + m/2)."""
+    bar, aim = 20.0, np.radians(60.0)
+    tables = {"curtain": {"width": 125.0, "height": 1000.0}, "mesh": {"cells": 1}, "support": TOP}
+    tables |= {"load": {"bar": {"mass": bar}}, "solver": {"space": True}}
+    own = default_law().cell.areal_mass_kg_per_m2 * 0.125
+    x = solve_scene(read_scene(tables), default_law()).x
+    top, low = x[:, 1].max(), x[:, 1].argmin()
+    length = (top - x[low, 1]) * (bar + own / 3.0) / (bar + own / 2.0)
+    period = 4.0 * np.sqrt(length / G) * ellipk(np.sin(0.5 * aim) ** 2)
+    velocity = np.zeros_like(x)
+    velocity[:, 2] = np.sqrt(2.0 * G / length * (1.0 - np.cos(aim))) * (top - x[:, 1])
+    late, low_by = [], []
+    for steps in (50, 100, 200):
+        found = thrown(tables, velocity, 1.05 * period, period / steps)
+        path = CubicSpline(*np.array([(frame.moment.t, frame.moment.x[low, 2]) for frame in found.frames]).T)
+        crossing = [t for t in path.roots(extrapolate=False) if t > 0.05 * period]
+        late.append(abs(crossing[1] / period - 1.0))
+        swing = np.abs(path(path.derivative().roots(extrapolate=False))).max()
+        low_by.append(abs(swing / ((top - x[low, 1]) * np.sin(aim)) - 1.0))
+    assert late[0] > 3.0 * late[1]
+    assert late[2] < 2e-3
+    assert low_by[0] > 3.0 * low_by[1] > 9.0 * low_by[2]
+    assert low_by[2] < 3e-3
 
 
 def test_the_work_of_a_moved_support_closes_the_account():

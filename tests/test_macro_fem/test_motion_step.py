@@ -95,6 +95,48 @@ def test_a_thrown_ball_and_a_free_sheet_keep_momentum_and_close_the_account(elas
     assert moments[-1].v[-1, 2] > -2950.0  # the sheet has slowed it down
 
 
+def angular_momenta(
+    moving: Moving, x: np.ndarray, v: np.ndarray, h: float, *, tangents=None, euler=False
+) -> np.ndarray:
+    """Angular momenta (steps + 1, 3) about the origin over 48 ms in which nothing acts."""
+    nothing = Forces(np.zeros_like(x), np.zeros_like(x))
+    moments, accounts = [Moment(0.0, x, v)], [Account(kinetic=kinetic_energy(moving.mass, v))]
+    for _ in range(round(0.048 / h)):
+        known = moments[-1:] if euler else moments[-2:]
+        advance(moving, known, nothing, h, accounts, tangents)
+        moments.append(known[-1])
+        assert not euler or accounts[-1].kinetic <= accounts[-2].kinetic + 1e-9 * accounts[0].kinetic
+    return np.array([(moving.mass[:, None] * np.cross(one.x, one.v)).sum(axis=0) for one in moments])
+
+
+def test_angular_momentum_of_a_tumbling_sheet_is_kept_to_second_order():
+    moving, X = free_sheet(3)
+    x = X - (moving.mass @ X) / moving.mass.sum()
+    v = np.cross([8.0, 5.0, 0.0], x)
+    v[:, 2] += 300.0 * np.cos(2.0 * np.pi * x[:, 0] / 300.0)
+    errors = []
+    for h in (4e-3, 2e-3, 1e-3):
+        kept = angular_momenta(moving, x, v, h)
+        errors.append(np.abs(kept - kept[0]).max() / np.abs(kept[0]).max())
+    assert errors[0] / errors[1] > 3.0
+    assert errors[1] / errors[2] > 3.0
+    assert errors[2] < 5e-4
+
+
+def test_angular_momentum_through_the_impact_of_a_ball_is_kept_to_first_order_and_energy_only_falls():
+    moving, X = free_sheet(balls=1)
+    x = np.vstack([X, [140.0, 170.0, 41.0]])
+    x = x - (moving.mass @ x) / moving.mass.sum()
+    v = np.zeros_like(x)
+    v[-1] = [200.0, 0.0, -3000.0]
+    errors = []
+    for h in (4e-3, 2e-3):
+        kept = angular_momenta(moving, x, v, h, tangents=ball_tangents(len(X), 40.0), euler=True)
+        errors.append(np.abs(kept - kept[0]).max() / np.abs(kept[0]).max())
+    assert errors[0] / errors[1] > 1.7
+    assert errors[1] < 0.03
+
+
 def test_a_free_sheet_falls_like_a_stone_after_the_first_step():
     moving, X = free_sheet()
     g = np.array([0.0, -9810.0, 500.0])
