@@ -5,11 +5,10 @@ import re
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import benchmarks.__main__ as command
 from benchmarks.frame import Curve, Diagram, Section, svg, table, write
-from benchmarks.measure import at_most, outcomes
+from benchmarks.measure import at_most
 
 CURVES = (Curve("first", (1.0, 2.0, 3.0), (1e-3, math.nan, 1e-5)), Curve("second", (1.0, 2.0), (1e-2, 1e-4)))
 DIAGRAM = Diagram("ladder", "Error against time", "time (s)", "error", CURVES)
@@ -22,10 +21,6 @@ def test_decades_bound_from_above(x, said):
     assert at_most(x) == said
 
 
-def test_outcomes_begin_with_what_converged():
-    assert outcomes(np.array(["stalled", "converged", "compressive"])) == "1 converged, 1 compressive, 1 stalled"
-
-
 def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
     rows = [{"method": "a", "error": 1e-20, "ok": np.True_, "s": 2.0, "_x": 1}, {"method": "b"}]
     made = table("Runs", rows, {"error": "decade 1e-12", "s": ".1f"})
@@ -34,12 +29,6 @@ def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
     for rows, forms in (([{"a": 1}, {"b": 2}], {}), ([{"a": 1}], {"b": ".1f"})):
         with pytest.raises(ValueError, match="no columns \\['b'\\]"):
             table("Runs", rows, forms)
-
-
-@pytest.mark.parametrize("diagram", [DIAGRAM, BARS])
-def test_pictures_are_the_same_twice(diagram):
-    assert svg(diagram) == svg(diagram)
-    assert svg(diagram).count("second") == 1
 
 
 def test_a_section_takes_its_place_and_leaves_the_others(tmp_path):
@@ -56,30 +45,7 @@ def test_a_section_takes_its_place_and_leaves_the_others(tmp_path):
     assert (tmp_path / "report_ladder.svg").read_text() == svg(DIAGRAM)
 
 
-def test_cells_with_bars_stay_one_cell(tmp_path):
-    write(tmp_path / "report.md", "rings", SECTION, 1.0)
-    assert "| a \\| b | 1,234 |" in (tmp_path / "report.md").read_text()
-
-
 @pytest.mark.parametrize("key", command.SECTIONS)
 def test_every_section_can_be_run_and_its_page_is_there(key):
     assert callable(command.measure_of(key))
     assert command.SECTIONS[key].exists()
-
-
-def test_a_stopped_run_goes_on_with_what_is_not_of_this_commit(tmp_path, monkeypatch):
-    measured = []
-
-    def measure(full):
-        measured.append(full)
-        return SECTION
-
-    monkeypatch.setattr(command, "measure_of", lambda key: measure)
-    monkeypatch.setattr(command, "SECTIONS", {"rings": tmp_path / "a.md", "law": tmp_path / "b.md"})
-    monkeypatch.setattr("benchmarks.frame.commit", lambda: "abc")
-    monkeypatch.setattr(command, "commit", lambda: "abc")
-    for arguments, count in ((["law", "--full"], 1), ([], 2), ([], 2), (["rings"], 3)):
-        done = CliRunner().invoke(command.main, arguments)
-        assert done.exit_code == 0, done.output
-        assert len(measured) == count
-    assert measured == [True, False, False]

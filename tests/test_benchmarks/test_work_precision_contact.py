@@ -1,10 +1,8 @@
 """The contact search of the report: a reference that shares nothing with ours, scores that see what is missed."""
 
-import numpy as np
 import pytest
 
 from benchmarks.work_precision.contact import (
-    Found,
     brute_force,
     degenerate_pairs,
     golden_section,
@@ -44,20 +42,6 @@ def test_projection_converges_but_misses(pairs, reference):
     assert many.error < 1e-3 * few.error
     assert many.missed > 2
     assert many.missed <= few.missed
-
-
-def test_scores_count(reference):
-    same = score(reference, reference)
-    assert (same.error, same.missed, same.wrong) == (0.0, 0, 0)
-    first = reference.pair < 10
-    twice = Found(*(np.concatenate([part, part[first]]) for part in vars(reference).values()))
-    assert score(twice, reference).wrong == first.sum()
-    none = Found(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
-    lost = score(none, reference)
-    assert (lost.missed, lost.deepest) == (lost.all, len(np.unique(reference.pair)))
-    assert np.isnan(lost.error)
-    shifted = Found(reference.pair, reference.point, reference.distance + 1e-3)
-    assert score(shifted, reference).error == pytest.approx(1e-3)
 
 
 DISTANCE = {

@@ -1,19 +1,8 @@
 """Curtain and chain sections: the reference lies between bounds, ladders end, and what is recommended holds."""
 
-import math
-
-import pytest
-
 from benchmarks.measure import ROOT
 from benchmarks.work_precision import chain, curtain
 from examples.curtain import SETTINGS
-
-
-def test_refusals_stay_in_the_ladder_and_end_it():
-    runs = curtain.climb(curtain.net_problem(), curtain.Way("P1", solver="bogus"), [4, 8], 0.0)
-    assert len(runs) == 1
-    assert math.isnan(runs[0][curtain.ERROR])
-    assert "rigid" in runs[0]["status"]
 
 
 def test_the_net_is_exact_with_aligned_triangles_and_from_above_without():
@@ -24,12 +13,6 @@ def test_the_net_is_exact_with_aligned_triangles_and_from_above_without():
     )
     assert abs(aligned[curtain.ERROR]) < 1e-7
     assert diagonal[curtain.ERROR] > 1e-3
-
-
-def test_order_of_a_known_ladder():
-    runs = [{"unknowns": n, curtain.ERROR: 3.0 / n} for n in (100, 400, 1600)]
-    assert curtain.order(runs) == pytest.approx(2.0)
-    assert math.isnan(curtain.order(runs[:1]))
 
 
 def test_coarse_certified_interval_holds_the_extrapolated_height():

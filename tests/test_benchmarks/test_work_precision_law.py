@@ -14,11 +14,8 @@ from benchmarks.work_precision.law import (
     H_MEAN,
     H_MOST,
     errors_of,
-    kind_table,
     made,
-    near_surface,
     parameters,
-    seconds_per_point,
     spacing_rows,
     spacing_table,
     unseen_directions,
@@ -38,15 +35,6 @@ def unseen():
 @pytest.fixture(scope="module")
 def coarse():
     return solve_table(Cell(), loads(15.0))
-
-
-def test_directions_are_unseen_and_their_own(unseen, coarse):
-    again = solve_table(Cell(), (unseen.alpha_deg[:3], unseen.beta_deg[:3]))
-    np.testing.assert_allclose(again.E, unseen.E[:3], atol=1e-12)
-    assert unseen.converged.all()
-    assert len(coarse) == 4 * 7
-    apart = np.hypot(unseen.alpha_deg[:, None] - coarse.alpha_deg, unseen.beta_deg[:, None] - coarse.beta_deg).min()
-    assert apart > 0.0
 
 
 def test_errors_fall_with_the_rows_and_stay_inside_the_bounds(unseen, coarse):
@@ -75,16 +63,6 @@ def test_errors_do_not_depend_on_the_size_of_the_load(coarse, unseen):
     assert seven[H_MOST] == pytest.approx(one[H_MOST], rel=1e-9)
 
 
-def test_points_lie_beyond_the_surface_by_their_offset(coarse):
-    law, _ = made(coarse)
-    E = rows_from_table(coarse).E
-    X = near_surface(law, E, 1e-3, 500)
-    beyond = law.cut(X).violation
-    assert beyond.min() > -1e-9
-    assert 2e-4 < np.median(beyond) < 2e-3
-    assert seconds_per_point(law, E, 1e-3, 500) > 0.0
-
-
 def test_a_finer_resolution_has_more_half_spaces_within_the_bounds(coarse, unseen):
     plain, fine = made(coarse)[0], made(coarse, resolution=GRADED_RESOLUTION)[0]
     assert parameters(fine) > parameters(plain)
@@ -92,10 +70,3 @@ def test_a_finer_resolution_has_more_half_spaces_within_the_bounds(coarse, unsee
     h = fine.support(unseen.S)
     assert (h >= bounds.lower(unseen.S) - 1e-12).all()
     assert (h <= bounds.upper(unseen.S) + 1e-12).all()
-
-
-def test_the_baseline_without_a_law_is_named(coarse):
-    inside = unseen_directions(5)
-    note = kind_table([], coarse, inside).note
-    assert "linear mean" in note
-    assert "cubic mean" in note

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.work_precision.nested import ERROR, HEIGHT, SOLVES, _end, answered, curtain, nested, on_demand
+from benchmarks.work_precision.nested import HEIGHT, answered, curtain, nested, on_demand
 from homogenize import read_law_interval
 from rve import Cell
 
@@ -16,12 +16,6 @@ def test_rows_are_joined_with_the_largest_work_that_is_known():
     known = read_law_interval()
     assert (both.h <= known.outer.support(both.S) + 1e-9).all()
     assert (both.h >= known.inner.support(both.S) - 2e-5).all()
-
-
-def test_the_conclusion_is_made_of_the_rows():
-    rows = [{"method": "nested", SOLVES: 1000, ERROR: 1e-7}, {"method": "on demand", SOLVES: 30, ERROR: 2e-4}]
-    assert "33 times fewer" in _end(rows)
-    assert "no run on demand" in _end(rows[:1])
 
 
 @pytest.mark.slow
