@@ -2,31 +2,28 @@
 
 import pytest
 
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from rve.common.meshes import read_mesh_file
-from tests.fuzz.targets import TARGETS, msh_41
-
-MESHES = [name for name in TARGETS if name.startswith(("msh", "vtu"))]
+from tests.squares import MSH, mesh_of, write_square
 
 
-def mesh_of(folder):
-    tables = {"curtain": {"shape": "file", "file": next(folder.iterdir()).name}, "support": {"kind": "top"}}
-    return build_mesh(read_scene(tables, folder / "scene.toml"), None)
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_every_offered_format_gives_the_same_square(name, tmp_path):
-    TARGETS[name].make(tmp_path)
+@pytest.mark.parametrize(
+    ("name", "kind", "how"),
+    [
+        ("a.msh", "triangle", {}),
+        ("a.vtu", "triangle", {"binary": False}),
+        ("a.vtu", "quad", {"compression": "zlib"}),
+    ],
+)
+def test_every_offered_format_gives_the_same_square(name, kind, how, tmp_path):
+    write_square(tmp_path / name, kind, **how)
     mesh = mesh_of(tmp_path).mesh
-    assert mesh.p.shape[1] == 16
-    assert mesh.p.max() == 3.0
-    assert mesh.t.shape[1] == (9 if mesh.t.shape[0] == 4 else 18)
+    assert (mesh.p.shape[1], mesh.p.max()) == (16, 3.0)
+    assert mesh.t.shape[1] == (9 if kind == "quad" else 18)
 
 
 def test_lines_keep_their_physical_group(tmp_path):
-    (tmp_path / "mesh.msh").write_text(msh_41())
+    (tmp_path / "mesh.msh").write_text(MSH)
     found = mesh_of(tmp_path)
     upper = found.mesh.p[:, found.mesh.facets[:, found.edges["upper"]]]
     assert upper.shape == (2, 2, 3)
@@ -34,7 +31,7 @@ def test_lines_keep_their_physical_group(tmp_path):
 
 
 def test_a_line_in_two_groups_belongs_to_both(tmp_path):
-    text = msh_41().replace("0 1 7 0\n", "0 2 7 9 0\n").replace("2\n1 7", '3\n1 9 "rail"\n1 7')
+    text = MSH.replace("0 1 7 0\n", "0 2 7 9 0\n").replace("2\n1 7", '3\n1 9 "rail"\n1 7')
     (tmp_path / "mesh.msh").write_text(text)
     edges = mesh_of(tmp_path).edges
     assert len(edges["rail"]) == 3
@@ -52,8 +49,8 @@ def test_a_line_in_two_groups_belongs_to_both(tmp_path):
     ],
 )
 def test_what_is_wrong_with_a_gmsh_file_is_one_sentence(tmp_path, old, new, words):
-    assert old in msh_41()
-    (tmp_path / "mesh.msh").write_text(msh_41().replace(old, new, 1))
+    assert old in MSH
+    (tmp_path / "mesh.msh").write_text(MSH.replace(old, new, 1))
     with pytest.raises(InputError, match=rf"mesh\.msh: cannot be read as MSH: .*{words}"):
         read_mesh_file(tmp_path / "mesh.msh")
 
