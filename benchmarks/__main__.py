@@ -8,11 +8,12 @@ from time import perf_counter
 
 import click
 
-from benchmarks.frame import Section, commit, find, write
+from benchmarks.frame import Section, find, write
 from benchmarks.measure import ROOT
+from benchmarks.numerics import fingerprint
 
 PAGES = {
-    "docs/reports/work_precision.md": ("rve", "contact", "law", "curtain", "nested", "chain"),
+    "docs/reports/work_precision.md": ("rve", "contact", "law", "curtain", "nested", "chain", "in_motion"),
     "docs/reports/stability.md": ("extremes",),
     "docs/reports/omissions.md": ("motion", "rings", "curtains"),
     "docs/reports/every_ring.md": ("disk", "cell", "generic", "starts", "growth"),
@@ -32,29 +33,42 @@ def measure_of(key: str) -> Callable[[bool], Section]:
     return measure
 
 
-def commit_of(key: str) -> str:
-    """The commit that a section was measured from, "-" if it is not there."""
+def numerics_of(key: str) -> str:
+    """The fingerprint of what a section measures, as the code is now."""
+    return fingerprint(measure_of(key).__module__)
+
+
+def measured(key: str) -> str:
+    """The fingerprint of what a section was measured with, "-" if it is not there."""
     page = SECTIONS[key]
     found = find(key).search(page.read_text(encoding="utf-8")) if page.exists() else None
-    commits = re.findall(r"Commit (.+?)\.", found[2]) if found else []
-    return commits[-1] if commits else "-"
+    marks = re.findall(r"Numerics (\w+)\.", found[2]) if found else []
+    return marks[-1] if marks else "-"
+
+
+def stale() -> list[str]:
+    """Sections whose numerics have changed since they were measured."""
+    return [key for key in SECTIONS if measured(key) != numerics_of(key)]
 
 
 @click.command(help=__doc__)
 @click.argument("names", nargs=-1, type=click.Choice(list(SECTIONS)), metavar="[SECTION]...")
 @click.option("--full", is_flag=True, help="More and finer cases, hours.")
-@click.option("--list", "lists", is_flag=True, help="Name the sections, their pages and the commits they are of.")
+@click.option("--list", "lists", is_flag=True, help="Name the sections, their pages, and which are stale.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the pages, in place of docs.")
 def main(names: tuple[str, ...], full: bool, lists: bool, out: Path | None) -> None:
-    """Measures the named sections; by default all that are not of this commit, so that a stopped run goes on."""
+    """Measures the named sections; by default those whose numerics have changed, so that a stopped run goes on."""
+    old = stale() if lists or not names else []
     if lists:
         for key, page in SECTIONS.items():
-            click.echo(f"{key:10} {page.relative_to(ROOT)}  {commit_of(key)}")
+            click.echo(f"{key:10} {page.relative_to(ROOT)}{'  stale' if key in old else ''}")
         return
-    for key in names or [key for key in SECTIONS if commit_of(key) != commit()]:
+    for key in names or old:
         began = perf_counter()
         section = measure_of(key)(full)
-        write(out / SECTIONS[key].name if out else SECTIONS[key], key, section, perf_counter() - began)
+        write(
+            out / SECTIONS[key].name if out else SECTIONS[key], key, section, perf_counter() - began, numerics_of(key)
+        )
         click.echo(f"{key}: {perf_counter() - began:.1f} s")
 
 

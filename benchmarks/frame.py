@@ -118,13 +118,13 @@ def curves(rows: Sequence[Row], by: str, x: str, y: str) -> tuple[Curve, ...]:
     )
 
 
-def markdown(section: Section, stem: str, seconds: float) -> str:
-    """The section; its pictures are `stem_key.svg` beside the page."""
+def markdown(section: Section, stem: str, seconds: float, numerics: str) -> str:
+    """The section; its pictures are `stem_key.svg` beside the page, `numerics` the fingerprint of what it measures."""
     parts = [f"## {section.title}" if section.title else "", section.text]
     parts += [f"![{diagram.title}]({stem}_{diagram.key}.svg)" for diagram in section.diagrams]
     parts += [table_text(one) for one in section.tables]
     parts += [f"**Conclusion.** {section.conclusion}"] if section.conclusion else []
-    return "\n\n".join([*filter(None, parts), f"*{seconds:.0f} s. {machine()}*"])
+    return "\n\n".join([*filter(None, parts), f"*{seconds:.0f} s. {machine()} Numerics {numerics}.*"])
 
 
 def table_text(one: Table) -> str:
@@ -139,7 +139,7 @@ def find(key: str) -> re.Pattern[str]:
     return re.compile(rf"(<!-- section: {key} -->\n)(.*?)(\n<!-- end of section -->)", re.DOTALL)
 
 
-def write(page: Path, key: str, section: Section, seconds: float) -> None:
+def write(page: Path, key: str, section: Section, seconds: float, numerics: str) -> None:
     """Puts the section in its place in the page, or at its end, and its pictures beside the page."""
     page.parent.mkdir(parents=True, exist_ok=True)
     before = page.read_text(encoding="utf-8") if page.exists() else f"# {page.stem}\n"
@@ -147,7 +147,7 @@ def write(page: Path, key: str, section: Section, seconds: float) -> None:
         before += f"\n<!-- section: {key} -->\n\n<!-- end of section -->\n"
     for diagram in section.diagrams:
         write_text(page.parent / f"{page.stem}_{diagram.key}.svg", svg(diagram))
-    body = markdown(section, page.stem, seconds)
+    body = markdown(section, page.stem, seconds, numerics)
     write_text(page, find(key).sub(lambda found: f"{found[1]}\n{body}\n{found[3]}", before))
 
 

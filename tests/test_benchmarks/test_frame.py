@@ -9,6 +9,7 @@ import pytest
 import benchmarks.__main__ as command
 from benchmarks.frame import Curve, Diagram, Section, svg, table, write
 from benchmarks.measure import at_most
+from benchmarks.numerics import fingerprint
 
 CURVES = (Curve("first", (1.0, 2.0, 3.0), (1e-3, math.nan, 1e-5)), Curve("second", (1.0, 2.0), (1e-2, 1e-4)))
 DIAGRAM = Diagram("ladder", "Error against time", "time (s)", "error", CURVES)
@@ -33,10 +34,10 @@ def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
 
 def test_a_section_takes_its_place_and_leaves_the_others(tmp_path):
     page = tmp_path / "report.md"
-    write(page, "rings", SECTION, 1.0)
-    write(page, "law", Section("Law", "", ()), 2.0)
+    write(page, "rings", SECTION, 1.0, "abc")
+    write(page, "law", Section("Law", "", ()), 2.0, "abc")
     page.write_text(page.read_text().replace("# report", "# By hand"))
-    write(page, "rings", Section("New", r"\1 stays", ()), 3.0)
+    write(page, "rings", Section("New", r"\1 stays", ()), 3.0, "abc")
     text = page.read_text()
     assert text.startswith("# By hand\n")
     assert re.findall(r"^## (.*)$", text, re.MULTILINE) == ["New", "Law"]
@@ -49,3 +50,32 @@ def test_a_section_takes_its_place_and_leaves_the_others(tmp_path):
 def test_every_section_can_be_run_and_its_page_is_there(key):
     assert callable(command.measure_of(key))
     assert command.SECTIONS[key].exists()
+
+
+def test_a_fingerprint_follows_numbers_and_not_words(tmp_path, monkeypatch):
+    file = tmp_path / "rve" / "one.py"
+    file.parent.mkdir()
+    monkeypatch.setattr("benchmarks.numerics.ROOT", tmp_path)
+    found = []
+    for text in ("x = 1.0\n", '"""What x is."""\n\nx = 1.0  # mm\n', "x = 2.0\n"):
+        file.write_text(text)
+        fingerprint.cache_clear()
+        found.append(fingerprint("rve.one"))
+    assert found[0] == found[1] != found[2]
+
+
+def test_what_is_not_of_todays_numerics_is_stale_and_made_anew(tmp_path, monkeypatch):
+    measured = []
+    monkeypatch.setattr(command, "measure_of", lambda key: lambda full: measured.append(key) or SECTION)
+    monkeypatch.setattr(command, "SECTIONS", {"rings": tmp_path / "a.md", "law": tmp_path / "b.md"})
+    for now, arguments, made in (
+        ("a1", ["law"], ["law"]),
+        ("a1", [], ["rings"]),
+        ("a1", [], []),
+        ("b2", [], ["rings", "law"]),
+    ):
+        monkeypatch.setattr(command, "fingerprint", lambda module, now=now: now)
+        measured.clear()
+        command.main.main(arguments, standalone_mode=False)
+        assert measured == made
+    assert command.stale() == []
