@@ -1,7 +1,7 @@
 """Error against run time of curtains in motion: BDF2, Euler's method, and steps chosen by the run, in four scenes.
 
-Positions of all nodes at the end, against BDF2 with steps four times as short as the shortest shown: of a curtain let go
-at a corner, blown at by a gust, shaken by its rail, and of a net that a ball strikes.
+Positions of all nodes at the end, against BDF2 with steps four times as short as the shortest shown: of a curtain let
+go at a corner, blown at by a gust, shaken by its rail, and of a net that a ball strikes.
 """
 
 from collections.abc import Sequence
@@ -72,8 +72,8 @@ def measure(full: bool) -> Section:
     ]
     title = "Curtains in motion: error against run time"
     text = (
-        f"A sheet of {SIDE:g} x {SIDE:g} mm, {cells} cells across, in space, rigid law. Error: root mean square over all "
-        f"nodes at the end, against BDF2 with {4 * steps[-1]} steps, on the same mesh: it is that of the steps alone."
+        f"A sheet of {SIDE:g} x {SIDE:g} mm, {cells} cells across, in space, rigid law. Error: root mean square over "
+        f"all nodes at the end, against BDF2 with {4 * steps[-1]} steps on the same mesh: that of the steps alone."
     )
     forms = {MEAN: ".2f", SECONDS: ".1f", ERROR: ".1e"}
     picture = Diagram("motion", title, SECONDS, ERROR, tuple(curves))
