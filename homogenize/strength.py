@@ -20,9 +20,9 @@ from homogenize.directions import Directions, tensile_part
 from rve import cauchy_line_load
 from rve.common.errors import InputError
 from rve.common.materials import Material, Stress, read_material
-from rve.common.notebook import as_html
 from rve.common.rings import read_joint
 from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
+from rve.common.texts import as_html
 from rve.common.typed import Typed, numbers_or_none, read_entry, read_typed
 from rve.common.types import Array
 

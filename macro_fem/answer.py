@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from macro_fem.output.supports import support_rows
 from macro_fem.solvers.status import Status
 from rve.common.errors import require
-from rve.common.notebook import as_html
+from rve.common.texts import as_html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

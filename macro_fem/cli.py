@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.commands.command_line import Group, answer, feature_lines, no_picture, options, say, say_next
+from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
 from rve.common.commands.sweeps import run_sweep, sweep_options
 from rve.common.errors import InputError
 from rve.common.files import beside
 from rve.common.reading import read_json_object
+from rve.common.texts import json_text
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
@@ -65,74 +65,44 @@ def run(
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
     supports at the largest stretch of the mesh); 2: bad input.
     """
-    from macro_fem.combinations import combination_lines
     from macro_fem.demand.options import begin_with, ring_options
     from macro_fem.job import run_scene
-    from macro_fem.order import order_lines
-    from macro_fem.output.intervals import interval_line
     from macro_fem.output.pictures import Pictures
-    from macro_fem.output.supports import hooks_lines
-    from macro_fem.output.weakest import holds_line
     from macro_fem.scene.schema import load_scene
+    from macro_fem.told import curtain_lines, default_law_lines, motion_lines
 
     Pictures(picture, animation, html).check_packages()
     asked = begin_with(ring_options(**rings), law_path, table)
-    if load_scene(scene).motion is not None:
+    drawn = {"picture": picture, "animation": animation, "html": html}
+    if load_scene(scene).motion is None:
+        if goes_on:
+            raise InputError("--continue: is for a scene with [motion]")
+        law = law_path if asked is None else None
+        summary = run_scene(scene, law, out, on_demand=asked, report=report, dxf=dxf, **drawn)
+        say(*([] if asked else default_law_lines(law_path)), *curtain_lines(summary, out, explain=explain))
+    else:
+        from macro_fem.motion.files import run_motion
+
         if asked is not None:
             raise InputError("--table and --rings: a curtain in motion takes a law, by --law")
         if report is not None or dxf is not None:
             raise InputError("--report and --dxf: are for a curtain at rest; leave them out for a scene with [motion]")
-        _run_motion(scene, law_path, out, picture=picture, animation=animation, html=html, goes_on=goes_on)
-        return
-    if goes_on:
-        raise InputError("--continue: is for a scene with [motion]")
-    law = law_path if asked is None else None
-    files = {"picture": picture, "animation": animation, "html": html, "report": report, "dxf": dxf}
-    summary = run_scene(scene, law, out, on_demand=asked, **files)
-    if asked is None:
-        _say_default_law(law_path)
-    say(f"{summary['status']}: {summary['message']}")
-    say(
-        f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
-        f"largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
-    )
-    say(
-        f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
-        f"{summary['wall_s']:.2f} s; written to {out}"
-    )
-    say(*hooks_lines(summary), *order_lines(summary["order"]))
-    if summary["status"] == "converged":
-        say(holds_line(summary))
-        say(*filter(None, [summary["support_forces_note"]]))
-    say(*combination_lines(summary))
-    if "ring_solves" in summary:
-        say(interval_line(summary))
-    if explain:
-        say(*feature_lines(summary["features"]))
-    answer(summary)
-    if summary["status"] != "converged":
-        raise click.exceptions.Exit(1)
-    _say_next_of_curtain(out, summary)
-
-
-def _run_motion(scene: Path, law_path: Path | None, out: Path, **asked: bool) -> None:
-    """Solve a scene in motion and say how it ended."""
-    from macro_fem.motion.files import run_motion
-
-    _say_default_law(law_path)
-    summary = run_motion(scene, law_path, out, **asked)
-    say(f"{summary['status']}: {summary['message']}")
-    say(
-        f"{summary['reached_s']:g} s in {summary['steps']} steps, peak support force "
-        f"{summary['peak_support_force_N']:.4g} N at {summary['peak_support_force_at_s']:.4g} s, lowest point "
-        f"{summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}"
-    )
+        say(*default_law_lines(law_path))
+        summary = run_motion(scene, law_path, out, goes_on=goes_on, **drawn)
+        say(*motion_lines(summary, out))
     answer(summary)
     if summary["status"] == "stopped":
-        law = () if law_path is None else ("--law", law_path)
-        say_next("macro_fem", "run", scene, *law, "--out", out, "--continue", why="go on from there")
+        law_words = () if law_path is None else ("--law", law_path)
+        say_next("macro_fem", "run", scene, *law_words, "--out", out, "--continue", why="go on from there")
         raise click.exceptions.Exit(130)
-    if summary["status"] != "converged":
+    _fail_unless(summary["status"] == "converged")
+    if "order" in summary:
+        _say_next_of_curtain(out, summary)
+
+
+def _fail_unless(converged: bool) -> None:
+    """Exit code 1 for an answer that has not converged."""
+    if not converged:
         raise click.exceptions.Exit(1)
 
 
@@ -153,8 +123,8 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     """
     from homogenize import interval_or_law
     from macro_fem.demand.options import begin_with, ring_options
+    from macro_fem.many.size import largest_that_holds
     from macro_fem.scene.schema import load_scene
-    from macro_fem.size import largest_that_holds
     from rve.common.errors import require
     from rve.common.files import check_out_job
 
@@ -198,27 +168,13 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
 
     The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
     """
-    from macro_fem.sweep import scene_columns, scene_items
+    from macro_fem.many.sweep import scene_columns, scene_items
 
     scenes = list(takewhile(lambda one: not one.startswith("-"), arguments))
     items = scene_items([Path(one) for one in scenes], out, arguments[len(scenes) :])
     finished = run_sweep(items, out, scene_columns, jobs=jobs, cluster=cluster)
     first = out / finished[0]["name"]
     _say_next_of_curtain(first, read_json_object(first / "summary.json"))
-
-
-def _say_default_law(given: Path | None) -> None:
-    """Which rings are taken where no law is given."""
-    if given is None:
-        from homogenize import default_law
-
-        law = default_law()
-        assert law.cell is not None
-        assert law.strength is not None
-        say(
-            f"no --law: rings of r1 = {law.cell.r1_mm:g} mm and r2 = {law.cell.r2_mm:g} mm, 4-in-1, "
-            f"{law.strength.material.name} unless the scene has a [material]"
-        )
 
 
 def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
@@ -256,26 +212,12 @@ def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
     from macro_fem.job import run_rings
+    from macro_fem.told import default_law_lines, every_ring_lines
 
     summary = run_rings(scene, law_path, out, space=space, start=start, picture=picture, html=html)
-    _say_default_law(law_path)
-    say(f"{summary['status']}: {summary['message']}")
-    say(*summary["notes"])
-    say(
-        f"{summary['ring_count']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
-        f"{summary['lowest_point_mm']:.3f} mm"
-    )
-    if summary["status"] == "out-of-reach":
-        say(f"supports are up to {summary['way_left_mm']:.3f} mm from their places")
-    else:
-        say(f"largest contact force {summary['largest_contact_force_N']:.4g} N, residual {summary['kkt_residual']:.1e}")
-    say(
-        f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations, "
-        f"{summary['wall_s']:.2f} s; written to {out}"
-    )
+    say(*default_law_lines(law_path), *every_ring_lines(summary, out))
     answer(summary)
-    if summary["status"] != "converged":
-        raise click.exceptions.Exit(1)
+    _fail_unless(summary["status"] == "converged")
     law = () if law_path is None else ("--law", law_path)
     say_next(
         "macro_fem", "compare", scene, *law, *(() if space else ("--plane",)), why="beside the membrane of the law"
@@ -292,20 +234,19 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
     """
     from homogenize import load_law
     from macro_fem.job import compare as solve_both
-    from macro_fem.rings.compare import side_by_side
     from macro_fem.scene.schema import load_scene
+    from macro_fem.told import default_law_lines, side_by_side
     from rve.common.files import check_out_file, write_text
 
     if out is not None:
         check_out_file(out, inputs=[scene, law_path])
-    _say_default_law(law_path)
+    say(*default_law_lines(law_path))
     law = None if law_path is None else load_law(law_path)
     summary = solve_both(load_scene(scene), law, space=space, start=start).summary
     answer(summary, "\n".join(side_by_side(summary)))
     if out is not None:
-        write_text(out, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    if {summary["disk"]["status"], summary["rings"]["status"]} != {"converged"}:
-        raise click.exceptions.Exit(1)
+        write_text(out, json_text(summary))
+    _fail_unless({summary["disk"]["status"], summary["rings"]["status"]} == {"converged"})
 
 
 @main.command(epilog="Example: macro_fem localize curtain --out rings --window 0,0,100,100 --tubes")
@@ -320,21 +261,10 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
 def localize(curtain: Path, out: Path, window: str | None, max_rings: int, **files: bool) -> None:
     """Every ring of CURTAIN, the folder of a run: rings.vtu, rings.png, worst_cell.csv, localize.json."""
     from macro_fem.rings.localize import LocalizeOptions, parse_window, run_localize
+    from macro_fem.told import ring_field_lines
 
     found = run_localize(curtain, out, LocalizeOptions(parse_window(window), max_rings), **files)
-    by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
-    say(f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}")
-    say(f"{found['links_intact']} of {found['links']} links intact as drawn")
-    if found["curtain_status"] not in ("converged", "unknown"):
-        say(f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)")
-    worst = found["worst_cell"]
-    say(
-        f"forces between rings away from supports: at most {worst['largest_force_N']:.4g} N, of {worst['contacts']} "
-        f"contacts in cell {worst['cell']}, which has the largest line load"
-    )
-    if held := found["ring_at_support"]:
-        say(f"the ring at {held['support']} that takes most is pulled by {held['force_N']:.4g} N")
-    say(*(f"{name}: {text}" for name, text in found["meanings"].items() if name != "met"))
+    say(*ring_field_lines(found, out))
     answer(found)
     words = ["--out", beside(out, "tubes"), *([] if window is None else ["--window", window])]
     say_next("macro_fem", "localize", curtain, *words, "--tubes", "--no-picture", why="wires for ParaView")

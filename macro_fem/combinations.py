@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from math import sqrt
@@ -15,6 +13,7 @@ from homogenize import CellInfo
 from macro_fem.scene.loads import areal_mass
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Bar, Combination, LiveLoad, Wind
+from rve.common.texts import csv_text
 
 
 def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> Scene:
@@ -87,22 +86,5 @@ def _most(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> list[dict[s
 
 def envelope_table(summary: Mapping[str, Any]) -> str:
     """The largest force of each held point as CSV."""
-    text = io.StringIO()
     rows = summary["envelope"]["support_forces"]
-    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
-
-
-def combination_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Each combination in a line, the one that governs last."""
-    lines = []
-    for row in summary.get("combinations", ()):
-        named = ", ".join(f"{value:g} {name}" for name, value in row["factors"].items() if value != 1.0)
-        holds = "" if row["weakest_factor"] is None else f", factor {row['weakest_factor']:.3g} ({row['weakest']})"
-        lines.append(
-            f"combination {row['name']} ({named or 'all loads as they are'}): {row['status']}, "
-            f"largest force {row['largest_force_N']:.4g} N{holds}"
-        )
-    return [*lines, f"governing combination: {summary['envelope']['governing']}"] if lines else []
+    return csv_text(list(rows[0]), (row.values() for row in rows))

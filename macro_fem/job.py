@@ -28,10 +28,10 @@ from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.rings.compare import Comparison
 from macro_fem.rings.every_ring import EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
+from macro_fem.scene.checks import check_scene, check_sizes, check_solver
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import Scene, check_scene, check_solver, load_scene
+from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.scene.shapes import MeshFile
-from macro_fem.scene.sizes import check_sizes
 from macro_fem.solution import CurtainSolution
 from rve import Cell
 from rve.common.drawing.page import check_page

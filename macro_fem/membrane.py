@@ -13,10 +13,9 @@ from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.combinations import envelope, envelope_table
 from macro_fem.elastic_forces import with_forces
-from macro_fem.order import order, order_table
+from macro_fem.order import order
 from macro_fem.output import obstacles
-from macro_fem.output.explain import features
-from macro_fem.output.files import summarize, write_series, write_summary, write_vtu
+from macro_fem.output.files import features, summarize, write_series, write_summary, write_vtu
 from macro_fem.output.intervals import bounds_summary, interval_summary
 from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
 from macro_fem.rings.curtain import curtain_of
@@ -29,6 +28,7 @@ from macro_fem.solvers.status import Status
 from rve.common.errors import require
 from rve.common.files import check_out_file, check_out_job, job, write_text
 from rve.common.progress import tell
+from rve.common.texts import csv_text
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class MembraneSolution(Solution):
             tell("files and pictures")
             write_pictures(staged, self._shown, wanted, density)
             write_summary(staged, summary)
-            write_text(staged / "order.csv", order_table(summary["order"]))
+            write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
             if self.combinations:
                 write_text(staged / "envelope.csv", envelope_table(summary))
         return summary

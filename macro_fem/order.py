@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from typing import Any
 
@@ -45,27 +43,3 @@ def _counts(area: float, summary: dict[str, Any]) -> dict[str, int | None]:
         return {"cells": None, "rings": None}
     cells = area / (summary["rings"]["b_x_mm"] * summary["rings"]["b_y_mm"] * math.prod(cell.weave.repeat))
     return {"cells": round(cells), "rings": round(cells * cell.weave.classes)}
-
-
-def order_table(record: dict[str, Any]) -> str:
-    """The order sheet as CSV of one row.
-
-    >>> print(order_table({"cells": 9, "hook_pitch_mm": None}), end="")
-    cells,hook_pitch_mm
-    9,
-    """
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([record.keys(), record.values()])
-    return text.getvalue()
-
-
-def order_lines(record: dict[str, Any]) -> list[str]:
-    """The order sheet in three lines."""
-    rings = "" if record["rings"] is None else f"{record['rings']} rings in {record['cells']} cells, "
-    pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
-    return [
-        f"order: mesh of {record['mesh_width_mm']:g} x {record['mesh_height_mm']:g} mm, width by height, pulled along "
-        "its grain",
-        f"  {rings}{record['mass_kg']:.4g} kg; {record['hooks']} single points to hang by{pitch}",
-        f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm",
-    ]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import InputError
-from rve.common.notebook import as_html
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
+from rve.common.texts import as_html
 from rve.common.types import Array
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, unit_loads

@@ -24,8 +24,8 @@ from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
 from rve.common.errors import InputError
-from rve.common.notebook import as_html
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
+from rve.common.texts import as_html
 from rve.common.typed import Typed
 from rve.common.types import Array
 

@@ -12,7 +12,7 @@ from homogenize.laws.report import ErrorReport, report_from_dict
 from homogenize.strength import Strength
 from rve.common.errors import require
 from rve.common.files import write_text
-from rve.common.notebook import as_html
+from rve.common.texts import as_html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

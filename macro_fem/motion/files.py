@@ -3,9 +3,6 @@ which the run goes on."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -22,14 +19,15 @@ from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
 from macro_fem.motion.shown import as_solution, chosen
 from macro_fem.motion.views import check_views, write_views
 from macro_fem.output import strength
-from macro_fem.output.files import collection, versions, write_vtu
+from macro_fem.output.files import collection, write_vtu
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.schema import load_scene
 from macro_fem.scene.shapes import MeshFile
 from rve.common.errors import InputError
-from rve.common.files import check_out_job, job, write_text
+from rve.common.files import check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
 from rve.common.progress import tell
+from rve.common.texts import csv_text, json_text
 from rve.common.types import Array
 
 RECORD = "summary.json"
@@ -82,11 +80,11 @@ def run_motion(
     shown = chosen((*before[:-1], *run.frames))
     summary = summarize_motion(run, rows) | {"frames": len(shown)}
     with job(out, RECORD, inputs) as folder:
-        write_text(folder / "motion.csv", table(COLUMNS, rows[:, : len(COLUMNS)].tolist()))
+        write_text(folder / "motion.csv", csv_text(COLUMNS, rows[:, : len(COLUMNS)].tolist()))
         write_frames(folder, run, shown)
         write_kept(folder / KEPT, scene, law, shown, rows)
         write_views(folder, run, shown, Pictures(picture, animation, html))
-        write_text(folder / RECORD, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        write_text(folder / RECORD, json_text(summary))
     return summary
 
 
@@ -105,13 +103,6 @@ def peaks(run: MotionRun, frame: MotionFrame) -> list[float]:
     used = strength.utilisation(solution)
     load = float(solution.principal()[0].max(initial=0.0))
     return [load, np.nan if used is None else float(used.max(initial=0.0))]
-
-
-def table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """CSV with a line of names."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
-    return text.getvalue()
 
 
 def write_frames(folder: Path, run: MotionRun, frames: Sequence[MotionFrame]) -> None:
@@ -133,7 +124,7 @@ def write_frames(folder: Path, run: MotionRun, frames: Sequence[MotionFrame]) ->
     write_text(folder / "motion.pvd", collection(entries))
     if run.bodies:
         names = ("t_s", "body", "x_mm", "y_mm", "z_mm", "v_x_mm_per_s", "v_y_mm_per_s", "v_z_mm_per_s")
-        write_text(folder / "bodies.csv", table(names, places))
+        write_text(folder / "bodies.csv", csv_text(names, places))
 
 
 def _write_bodies(path: Path, x: Array, v: Array, radius: list[float]) -> None:
@@ -183,7 +174,7 @@ def summarize_motion(run: MotionRun, rows: Array) -> dict[str, Any]:
         "element": last.problem.disc.element,
         "law": last.problem.law.name,
         "wall_s": run.wall_s,
-        "versions": versions(),
+        "versions": versions("scikit-fem", "scikit-sparse"),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,15 @@ from macro_fem.fem.cells import as_triangles
 from macro_fem.fem.space import padded
 from macro_fem.motion.modes import Modes, find_modes
 from macro_fem.motion.stage import scene_at
-from macro_fem.output.files import VTU_CELLS, corner_positions, versions
+from macro_fem.output.files import VTU_CELLS, corner_positions
 from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.schema import load_scene
 from macro_fem.scene.shapes import MeshFile
 from rve.common.drawing.scale import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
-from rve.common.files import check_out_job, job, write_text
+from rve.common.files import check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
+from rve.common.texts import json_text
 from rve.common.types import Array
 
 RECORD = "modes.json"
@@ -49,12 +49,16 @@ def run_modes(
     found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))
     modes = find_modes(found, number)
     summary = modes.summary | {"forces_by": forces_by(found), "cells": found.problem.disc.n_cells}
-    summary |= {"law": found.problem.law.name, "wall_s": found.wall_s, "versions": versions()}
+    summary |= {
+        "law": found.problem.law.name,
+        "wall_s": found.wall_s,
+        "versions": versions("scikit-fem", "scikit-sparse"),
+    }
     with job(out, RECORD, inputs) as folder:
         write_shapes(folder / "modes.vtu", modes)
         if picture:
             draw_shapes(folder / "modes.png", modes)
-        write_text(folder / RECORD, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        write_text(folder / RECORD, json_text(summary))
     return summary
 
 

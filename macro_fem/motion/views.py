@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from macro_fem.motion.run import MotionFrame, MotionRun
 from macro_fem.motion.shown import as_solution, chosen
@@ -18,7 +18,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.page import check_page, write_moments
 from rve.common.drawing.plane import new_figure, save_figure
-from rve.common.drawing.space import check_render, compose, new_plotter, save_animation, save_picture
+from rve.common.drawing.space import FRAME_MS, check_render, compose, new_plotter, save_animation, save_picture
 from rve.common.errors import require
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wan
     if animation:
         steps = told(run, chosen(tuple(frames), IMAGES))
         save_animation(folder / "motion.gif", _images(steps) if in_space else plane_images(steps))
-        if shutil.which("ffmpeg"):
-            _save_film(folder / "motion.gif", folder / "motion.mp4")
+        _save_film(folder / "motion.gif", folder / "motion.mp4")
 
 
 Told = list[tuple[str, CurtainSolution]]
@@ -77,10 +76,21 @@ def _save_panels(path: Path, steps: Told) -> None:
 
 
 def _save_film(gif: Path, film: Path) -> None:
-    """An animation as MP4 that browsers and presentations play, by ffmpeg; sides of H.264 are even."""
-    even = "scale=trunc(iw/2)*2:trunc(ih/2)*2"
-    words = ["ffmpeg", "-loglevel", "error", "-i", str(gif), "-pix_fmt", "yuv420p", "-vf", even, str(film)]
-    subprocess.run(words, check=True, stdin=subprocess.DEVNULL)
+    """An animation as MP4, which browsers and presentations play, where ffmpeg is installed."""
+    from matplotlib.animation import FFMpegWriter
+    from matplotlib.figure import Figure
+    from PIL import Image, ImageSequence
+
+    if not FFMpegWriter.isAvailable():
+        return
+    writer = FFMpegWriter(fps=round(1000 / FRAME_MS), codec="h264")
+    with Image.open(gif) as images:
+        figure = Figure(figsize=(images.width / 100, images.height / 100))
+        with writer.saving(figure, str(film), dpi=100):
+            for image in ImageSequence.Iterator(images):
+                figure.clear()
+                figure.figimage(np.asarray(image.convert("RGB")))
+                writer.grab_frame()
 
 
 def _drawn(steps: Told) -> Iterator[tuple[str, Plotter]]:

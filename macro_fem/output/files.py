@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import platform
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -26,8 +24,9 @@ from macro_fem.output.weakest import weakest
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.meshing.places import counterclockwise
+from macro_fem.scene.tables import Bar
 from macro_fem.solution import CurtainSolution
-from rve.common.files import write_text
+from rve.common.files import versions, write_text
 from rve.common.meshes import (
     DIRECTION_1,
     DISPLACEMENT,
@@ -38,10 +37,8 @@ from rve.common.meshes import (
     STRESS,
     write_mesh_file,
 )
+from rve.common.texts import json_text
 from rve.common.types import Array
-
-if TYPE_CHECKING:
-    pass
 
 VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
 
@@ -50,21 +47,6 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """summary.json in `folder`, where numbers that are not finite are null, and support_forces.csv beside it."""
     write_text(folder / "summary.json", json_text(summary))
     write_text(folder / "support_forces.csv", support_table(summary["support_forces"]))
-
-
-def json_text(record: dict[str, Any]) -> str:
-    """A record as JSON, null for numbers that are not finite."""
-    return json.dumps(_finite(record), indent=2, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return value if not isinstance(value, float) or np.isfinite(value) else None
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
@@ -114,7 +96,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
         "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
         "wall_s": solution.wall_s,
-        "versions": versions(),
+        "versions": versions("scikit-fem", "scikit-sparse"),
     }
 
 
@@ -145,17 +127,30 @@ def masses(solution: CurtainSolution) -> dict[str, Any]:
     return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that were used."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    found = {"python": platform.python_version()}
-    for package in ("ring-mesh", "numpy", "scipy", "scikit-fem", "scikit-sparse"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "absent"
-    return found
+def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[dict[str, Any]]:
+    """Rows of feature, used and why; `bounds`, `picture`: whether the curtain was bounded, is drawn."""
+    problem, settling = solution.problem, solution.settling
+    scene, solver = problem.scene, problem.scene.solver
+    bars = any(bar.straight for bar in scene.of(Bar))
+    lines = any(held.slide is not None for held in problem.supports.held)
+    ties = ["a bar keeps an edge straight"] * bars + ["an edge slides on a sloping line"] * lines
+    asked = "[solver] bounds or adapt" if solver.bounds or solver.adapt > 0 else "not asked for"
+    rows = [
+        ("third-coordinate", scene.space_reason, "all loads and supports lie in the plane, and so does the answer"),
+        ("ties", " and ".join(ties), "no straight bar and no sloping line"),
+    ]
+    if problem.walls is not None:
+        rows.append(("half-spaces-on-nodes", f"{len(problem.walls)} linear cones keep obstacles clear", ""))
+    if settling is not None:
+        still = f"forces of {settling.misfit:.1e} of the load still turn"
+        rows.append(("rounds", f"{settling.rounds} convex solves: bodies or wind on the present shape; {still}", ""))
+    table = [{"feature": name, "used": bool(why), "why": why or why_not} for name, why, why_not in rows]
+    if solution.second_step is not None:
+        used, why = solution.second_step
+        table.append({"feature": "elastic-forces", "used": used, "why": why})
+    second = f"{asked}: a second, equilibrated solution and an error map"
+    table.append({"feature": "bounds", "used": bounds, "why": second})
+    return [*table, {"feature": "picture", "used": picture, "why": "curtain.png" if picture else "--no-picture"}]
 
 
 def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:

@@ -66,15 +66,3 @@ def interval_summary(level: Level) -> dict[str, Any]:
         f"mesh_part_{unit}": (bounds.gap - (law or 0.0)) / per,
         "interval": f"of the {of}; holds for the continuous curtain and {for_what}",
     }
-
-
-def interval_line(summary: dict[str, Any]) -> str:
-    """Interval of the answer, its parts, and what the rings were asked."""
-    what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
-    low, high = summary[f"{what}_interval_{unit}"]
-    law, mesh = summary[f"law_part_{unit}"], summary[f"mesh_part_{unit}"]
-    name, shown = what.replace("_", " "), unit.replace("_", " ")
-    return (
-        f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; "
-        f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
-    )

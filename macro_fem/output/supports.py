@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from macro_fem.scene.meshing.places import HookRow
 from macro_fem.scene.sites import Held
 from macro_fem.scene.tables import Support
 from macro_fem.solution import CurtainSolution
+from rve.common.texts import csv_text
 from rve.common.types import Array
 
 
@@ -77,24 +76,6 @@ def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:
     return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
 
 
-def hooks_lines(summary: dict[str, Any]) -> list[str]:
-    """How far apart the hooks and runners of each support are, and whether that is what the scene asks for.
-
-    >>> one = {"support": "hooks", "nodes_held": 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
-    >>> hooks_lines({"support_forces": [one]})
-    ['hooks: 24, 130.435 mm apart; pitch = 129 does not divide the edge, count = 24 asks for these']
-    """
-    lines = []
-    for one in summary["support_forces"]:
-        if "pitch_mm" not in one:
-            continue
-        pitch, asked, count = one["pitch_mm"], one["pitch_asked_mm"], one["nodes_held"]
-        differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
-        note = f"; pitch = {asked:g} does not divide the edge, count = {count} asks for these" if differs else ""
-        lines.append(f"{one['support']}: {count}, {pitch:g} mm apart{note}")
-    return lines
-
-
 def support_table(supports: list[dict[str, Any]]) -> str:
     """The forces of supports point by point as CSV: number and name of the support, reference position, force.
 
@@ -104,10 +85,7 @@ def support_table(supports: list[dict[str, Any]]) -> str:
     support_number,support,x_mm,y_mm,force_x_N,force_y_N
     1,top,0.0,9.0,0.5,2.0
     """
-    text = io.StringIO()
-    columns, rows = support_rows(supports)
-    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
-    return text.getvalue()
+    return csv_text(*support_rows(supports))
 
 
 def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:

@@ -110,24 +110,3 @@ class Comparison:
         away = ours.reshape(n, 6) - theirs
         own = area[there] @ (away[there] ** 2).sum(axis=1)
         return float(np.sqrt(own / (area[there] @ (theirs[there] ** 2).sum(axis=1))))
-
-
-def side_by_side(summary: dict[str, Any]) -> list[str]:
-    """Lines of text: a table of both, and the distances."""
-    keys = ("status", "unknowns", "potential_N_mm", "mean_height_mm", "lowest_point_mm", "support_forces_N", "wall_s")
-    lines = [f"{'':<20}{'disk':>28}{'rings':>28}"]
-    lines += [f"{key:<20}{_text(summary['disk'][key]):>28}{_text(summary['rings'][key]):>28}" for key in keys]
-    lines += [f"{key}: {value:.6g}" for key, value in summary.items() if isinstance(value, float)]
-    return lines
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        return "; ".join("-" if force is None else _force(*force) for force in value)
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _force(x: float, y: float, z: float = 0.0) -> str:
-    """Components with three digits; the third one only where there is one beside the others."""
-    is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
-    return " ".join(f"{one:.3g}" for one in ((x, y) if is_flat else (x, y, z)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from rve import Cell, FiniteSolution
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.errors import InputError
 from rve.common.files import check_out_job, job, versions, write_text
+from rve.common.texts import json_text
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class EveryRingSolution(Solution):
             if html:
                 self.write_html(staged / "rings.html")
             write_text(staged / "support_forces.csv", support_table(self.summary["support_forces"]))
-            write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
+            write_text(staged / RECORD, json_text(self.summary))
         return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -140,5 +140,5 @@ def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any
         "weave": rings.mesh.cell.weave.name,
         "iterations": solution.iterations,
         "wall_s": round(solution.wall_s, 3),
-        "versions": versions(),
+        "versions": versions("scikit-fem", "scikit-sparse"),
     }

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +18,7 @@ from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.space import check_render, save_picture
 from rve.common.errors import require
 from rve.common.files import check_out_job, job, versions, write_text
-from rve.common.notebook import as_html
+from rve.common.texts import as_html, csv_text, json_text
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -121,7 +118,7 @@ class RingField:
         with job(folder, RECORD, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", forces_table(self.worst.forces, self.worst.turn))
-            write_text(staged / RECORD, json.dumps(self.summary, indent=2, allow_nan=False) + "\n")
+            write_text(staged / RECORD, json_text(self.summary))
             if stl:
                 self.drawn.write_stl(staged / "rings.stl")
             if html:
@@ -250,13 +247,7 @@ def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
 
 def forces_table(forces: CellForces, turn: Array) -> str:
     """Contacts of one cell as CSV: rings, point, force, direction; turn (3, 3) leads into the axes of the curtain."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["a_class", "a_i", "a_j", "b_class", "b_i", "b_j", "x_mm", "y_mm", "z_mm", "force_N", "nx", "ny", "nz"]
-    )
+    names = ["a_class", "a_i", "a_j", "b_class", "b_i", "b_j", "x_mm", "y_mm", "z_mm", "force_N", "nx", "ny", "nz"]
     columns = (forces.a, forces.b, forces.point @ turn.T, forces.force, forces.normal @ turn.T)
-    for a, b, point, force, normal in zip(*columns, strict=True):
-        numbers = [f"{x:.12g}" for x in (*point, force, *normal)]
-        writer.writerow([*map(int, a), *map(int, b), *numbers])
-    return text.getvalue()
+    rows = zip(*columns, strict=True)
+    return csv_text(names, ([*a, *b, *(f"{x:.12g}" for x in (*at, force, *way))] for a, b, at, force, way in rows))

@@ -4,32 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
 from macro_fem.scene import support_kinds, tracks
+from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.dxf import read_outline
 from macro_fem.scene.moving import Motion, Thrown
-from macro_fem.scene.obstacles import Obstacle, Start, is_flat
+from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
 from macro_fem.scene.tables import (
     MAX_ENTRIES,
-    NO_MOVE,
     Combination,
     Item,
     LiveLoad,
     Load,
     Solver,
     Support,
-    Wind,
-    in_3d,
     leaves_plane,
 )
 from rve.common.errors import InputError
 from rve.common.materials import described
-from rve.common.notebook import as_html
 from rve.common.reading import expecting, read_toml
+from rve.common.texts import as_html
 from rve.common.typed import Typed, read_typed, refuse_unknown
 from rve.common.values import shown
 
@@ -242,89 +239,3 @@ def _entries(tables: Any, where: str) -> list[Any]:
     if len(tables) > MAX_ENTRIES:
         raise InputError(f"{where}: has {len(tables)} entries, at most {MAX_ENTRIES} are allowed")
     return tables
-
-
-def check_scene(scene: Scene) -> None:
-    """InputError for records that contradict each other, and for keys that change nothing."""
-    source, load = scene.source, scene.load
-    _check_motion(scene)
-    _check_combinations(scene)
-    if not scene.support and scene.motion is None:
-        raise InputError(f"{source}: [support]: is missing, so nothing holds the curtain")
-    if scene.mesh.pattern != "aligned" and (not isinstance(scene.curtain, Rectangle) or scene.curtain.holes):
-        what = f'shape = "{scene.curtain.shape}"' if not isinstance(scene.curtain, Rectangle) else "holes"
-        raise InputError(f"{source}: [mesh] pattern = {scene.mesh.pattern!r}: has no effect with {what}")
-    for item in scene.support:
-        _check_held(item, scene)
-    follows = any(wind.follows for wind in scene.of(Wind))
-    if scene.start is not None and not follows and all(map(is_flat, scene.obstacle)):
-        raise InputError(f"{source}: [start]: has no effect without bodies and following pressure")
-    moves = any(any(getattr(item, "move", ())) for item in scene.items)
-    if load.steps > 1 and not moves and not any(item.grows for item in scene.of(LiveLoad)):
-        raise InputError(f"{source}: [load] steps = {load.steps}: has no effect without live loads and moves")
-    check_solver(scene, source)
-
-
-def _check_motion(scene: Scene) -> None:
-    """InputError for histories that do not go on in time, and for keys that need [motion]."""
-    for item in scene.items:
-        history, release = getattr(item, "history", ()), getattr(item, "release", None)
-        if scene.motion is None:
-            for key, value in (("history", history), ("release", release)):
-                if value:
-                    raise InputError(f"{scene.source}: {item.where} {key}: has no effect without [motion] duration")
-            if isinstance(item, Thrown):
-                raise InputError(f"{scene.source}: {item.where}: moves over time; give [motion] duration, in s")
-        for before, after in pairwise(history):
-            if after[0] <= before[0]:
-                raise InputError(
-                    f"{scene.source}: {item.where} history: {after[0]:g} s does not come after {before[0]:g} s"
-                )
-    if scene.motion is not None and scene.load.steps > 1:
-        raise InputError(f"{scene.source}: [load] steps = {scene.load.steps}: has no effect in motion, use history")
-
-
-def _check_combinations(scene: Scene) -> None:
-    """InputError for combinations of one name, of loads that are not there, or of a scene in motion."""
-    names = [one.name for one in scene.combination]
-    kinds = {"name", "weight"} | {item.kind for item in scene.of(LiveLoad)}
-    for number, one in enumerate(scene.combination):
-        where = f"{scene.source}: [combination] {one.name}"
-        if one.name in names[:number]:
-            raise InputError(f"{where}: is the name of two combinations")
-        if scene.motion is not None:
-            raise InputError(f"{where}: has no effect with [motion]; give the factored loads")
-        for item in fields(one):
-            if item.name not in kinds and getattr(one, item.name) != 1.0:
-                raise InputError(f"{where}: {item.name}: has no effect, as the scene has no [load.{item.name}]")
-
-
-def _check_held(item: Support, scene: Scene) -> None:
-    """InputError for a move along what is not held, and for a component that the scene has not."""
-    held, move = getattr(item, "held", "both"), getattr(item, "move", NO_MOVE)
-    for axis, way in zip("xyz", in_3d(move), strict=True):
-        if way != 0.0 and held != "both" and axis not in held:
-            raise InputError(
-                f"{scene.source}: {item.where} move = {list(move)}: has no effect along {axis}, as held = {held!r}"
-            )
-    if held == "z" and not scene.in_space:
-        raise InputError(f"{scene.source}: {item.where} held = 'z': holds nothing, as the scene lies in the plane")
-
-
-def check_solver(scene: Scene, source: str | Path, by: str = "[solver] bounds and adapt:") -> None:
-    """InputError if the solver does not go with the mesh or the shape; `by`: the words that asked for bounds."""
-    element, shape, solver = scene.mesh.element, scene.curtain, scene.solver
-    if element in ("Q1", "Q2") and (not isinstance(shape, Rectangle | MeshFile) or shape.holes):
-        raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
-    if not (solver.bounds or solver.adapt):
-        return
-    where = f"{source}: {by}"
-    if solver.kind == "elastic":
-        raise InputError(f"{where} need rings that lock, [solver] kind = 'rigid' or 'auto', not 'elastic'")
-    if any(wind.follows for wind in scene.of(Wind)):
-        raise InputError(f"{where} do not go with following pressure, no dead load")
-    bodies = [item.name for item in scene.obstacle if not is_flat(item)]
-    if bodies:
-        raise InputError(f"{where} do not go with {bodies[0]}: outside a body the problem is not convex")
-    if element != "P1":
-        raise InputError(f"{where} need element = 'P1', not {element!r}")

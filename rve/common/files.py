@@ -173,10 +173,10 @@ def _is_same(one: Path, other: Path) -> bool:
         return False
 
 
-def versions() -> dict[str, str]:
-    """Versions of what has computed a result."""
+def versions(*more: str) -> dict[str, str]:
+    """Versions of what has computed a result; `more` packages besides those of every result."""
     out = {"python": platform.python_version()}
-    for name in ("ring-mesh", "numpy", "scipy"):
+    for name in ("ring-mesh", "numpy", "scipy", *more):
         try:
             out[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rve.common.drawing.page import check_page, write_page
 from rve.common.errors import require
-from rve.common.notebook import as_html
+from rve.common.texts import as_html
 from rve.common.types import Array
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread

@@ -8,7 +8,6 @@ import numpy as np
 
 from rve.common.errors import InputError
 from rve.common.materials import STEEL, Material, named_material
-from rve.common.notebook import as_html
 from rve.common.rings import (
     LEAST_KG_PER_MM3,
     LEAST_MM,
@@ -17,6 +16,7 @@ from rve.common.rings import (
     STEEL_KG_PER_MM3,
     ring_volume,
 )
+from rve.common.texts import as_html
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 from dataclasses import asdict
@@ -17,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from rve.common.errors import require
 from rve.common.files import check_out_job, job, versions, write_text
+from rve.common.texts import csv_text
 from rve.common.types import Array
 from rve.directions import grid
 from rve.paper.dynamics import StewartTrinkleOptions
@@ -88,15 +87,7 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
-def _csv(header: list[str], rows: list[list[object]]) -> str:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return out.getvalue()
-
-
-def cases_csv(study: Study) -> str:
+def casescsv_text(study: Study) -> str:
     """One line per case: steps, times, residual, strains of both methods."""
     header = (
         "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22,E11_direct,E12_direct,E22_direct,unique"
@@ -107,17 +98,17 @@ def cases_csv(study: Study) -> str:
         row: list[object] = [i + 1, float(study.alpha_deg[i]), float(study.beta_deg[i]), int(rest.steps[i])]
         row += [int(rest.rejected[i]), float(rest.time[i]), float(rest.R[i]), str(rest.status[i])]
         rows.append([*row, *map(float, study.E[i]), *direct, int(study.table.unique[i])])
-    return _csv(header.split(","), rows)
+    return csv_text(header.split(","), rows)
 
 
-def history_csv(study: Study, case: int) -> str:
+def historycsv_text(study: Study, case: int) -> str:
     """One line per accepted step of a case: time, step, strain, R, kinetic energy."""
     h = study.history
     rows = np.flatnonzero(h.case == case)
     E = history_strain(study, rows)
     values = np.column_stack([h.time[rows], h.h[rows], E, h.R[rows], h.kinetic[rows], h.side[rows]])
     header = "time_s,h_s,E11,E12,E22,R,kinetic_kg_mm2_per_s2,side_contacts"
-    return _csv(header.split(","), values.tolist())
+    return csv_text(header.split(","), values.tolist())
 
 
 def run(
@@ -146,11 +137,11 @@ def _write(study: Study, folder: Path) -> None:
     """Every table and picture of a study."""
     from rve.study.figures import draw_all
 
-    write_text(folder / "cases.csv", cases_csv(study))
+    write_text(folder / "cases.csv", casescsv_text(study))
     for pair in ((0.0, 0.0), (45.0, 90.0)):
         case = study.case(*pair)
         if case is not None:
-            write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", history_csv(study, case))
+            write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", historycsv_text(study, case))
     rows = comparison(study)
     write_text(folder / "comparison.md", markdown(rows))
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}

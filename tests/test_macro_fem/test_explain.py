@@ -10,7 +10,7 @@ from homogenize.io import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import CurtainOptions, solve_problem
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.output.explain import features
+from macro_fem.output.files import features
 from macro_fem.problem import gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import macro_fem
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.size import _continuous, _discrete
+from macro_fem.many.size import _continuous, _discrete
 from rve.common.errors import InputError
 
 HOOKS = """
@@ -112,7 +112,7 @@ def test_combinations_without_sense_are_one_sentence(table, words, tmp_path):
     assert done.exit_code == 2
     assert words in done.stderr
     with pytest.raises(InputError, match="every ring"):
-        solve(hung(combination=(Combination("a"),)), macro_fem.EveryRing(macro_fem.size.Bar))
+        solve(hung(combination=(Combination("a"),)), macro_fem.EveryRing(macro_fem.many.size.Bar))
 
 
 @pytest.mark.parametrize("asked", [0.31, 2.0, 7.7])

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
+from macro_fem.scene.checks import check_mesh_size
 from macro_fem.scene.meshing.edges import facets_between, inherited_edges, named_edges
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
@@ -30,7 +31,6 @@ from macro_fem.scene.meshing.places import (
 )
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sizes import check_mesh_size
 from macro_fem.scene.tables import PatchLoad
 from rve.common.errors import InputError
 from rve.common.types import Array

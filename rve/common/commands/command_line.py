@@ -13,8 +13,6 @@ out the sentences, `--json` prints the record in their place.
 from __future__ import annotations
 
 import errno
-import json
-import math
 import os
 import shlex
 import signal
@@ -32,6 +30,7 @@ import click
 from rve.common.errors import InputError, NotConverged, require
 from rve.common.files import check_out_file
 from rve.common.progress import shown, tell
+from rve.common.texts import json_text
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
@@ -136,17 +135,9 @@ def answer(record: Mapping[str, Any], text: str | None = None, *, always: bool =
     finite become null. Else `text`, which is what was asked for and is printed with --quiet too.
     """
     if always or _asked("--json"):
-        _print(json.dumps(_without_nan(record), indent=2, allow_nan=False))
+        _print(json_text(record).rstrip())
     elif text is not None:
         _print(text)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _without_nan(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _print(text: str, *, err: bool = False) -> None:

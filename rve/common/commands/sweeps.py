@@ -7,7 +7,6 @@ depend on each other, so that files are the same to the bit for any number of wo
 
 from __future__ import annotations
 
-import csv
 import io
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
@@ -28,6 +27,7 @@ from rve.common.errors import InputError, NotConverged, noted_if_stopped, requir
 from rve.common.files import check_out_folder, checksum, versions, write_text
 from rve.common.progress import tell
 from rve.common.reading import read_json_object, recorded_reads
+from rve.common.texts import csv_text
 
 MARKS = ".sweep"
 """Folder of what is known of finished items, inside that of the sweep."""
@@ -207,7 +207,9 @@ def run_sweep(items: Sequence[SweepItem], out: Path, columns: Columns, **how: An
     for item, ended in zip(items, sweep(items, out, done=done, **how), strict=True):
         record = read_json_object(item.record) if not ended.message and item.record.exists() else {}
         rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
-    _write_rows(out / "sweep.csv", rows)
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    text = csv_text(names, ([row.get(key, "") for key in names] for row in rows))
+    write_text(out / "sweep.csv", text)
     tell("")
     failed = [row for row in rows if row["exit_code"] != 0]
     for row in failed:
@@ -217,14 +219,6 @@ def run_sweep(items: Sequence[SweepItem], out: Path, columns: Columns, **how: An
     if failed:
         raise click.exceptions.Exit(1)
     return rows
-
-
-def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
 
 
 def numbers_of(text: str, option: str) -> list[float]:

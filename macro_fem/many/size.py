@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,12 +13,12 @@ from homogenize import LawInterval, MembraneLaw
 from macro_fem.answer import Solution
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
-from macro_fem.output.files import json_text
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve.common.errors import InputError
 from rve.common.files import job, write_text
 from rve.common.progress import part_of
+from rve.common.texts import csv_text, json_text
 from rve.common.values import shown
 
 VARY = ("pitch", "mass", "speed", "r2")
@@ -66,11 +64,8 @@ class Size:
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
         with job(folder, "size.json") as staged:
-            text = io.StringIO()
-            table = csv.DictWriter(text, list(asdict(self.curve[0])), lineterminator="\n")
-            table.writeheader()
-            table.writerows(asdict(row) for row in self.curve)
-            write_text(staged / "size.csv", text.getvalue())
+            rows = [asdict(row) for row in self.curve]
+            write_text(staged / "size.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
             if picture:
                 _draw(staged / "size.png", self)
             write_text(staged / "size.json", json_text(self.record))

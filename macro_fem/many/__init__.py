@@ -1,0 +1,1 @@
+"""Many scenes: sweeps over scene files, and the largest value of one quantity with which a curtain holds."""

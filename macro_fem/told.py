@@ -1,0 +1,170 @@
+"""Sentences that the commands print, made from the records that they write."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from macro_fem.output.weakest import holds_line
+from rve.common.commands.command_line import feature_lines
+
+
+def default_law_lines(given: Path | None) -> list[str]:
+    """Which rings are taken where no law is `given`."""
+    if given is not None:
+        return []
+    from homogenize import default_law
+
+    law = default_law()
+    assert law.cell is not None
+    assert law.strength is not None
+    return [
+        f"no --law: rings of r1 = {law.cell.r1_mm:g} mm and r2 = {law.cell.r2_mm:g} mm, 4-in-1, "
+        f"{law.strength.material.name} unless the scene has a [material]"
+    ]
+
+
+def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
+    """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
+    yield f"{summary['status']}: {summary['message']}"
+    yield (
+        f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
+        f"largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
+    )
+    yield (
+        f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
+        f"{summary['wall_s']:.2f} s; written to {out}"
+    )
+    yield from hooks_lines(summary)
+    yield from order_lines(summary["order"])
+    if summary["status"] == "converged":
+        yield holds_line(summary)
+        yield from filter(None, [summary["support_forces_note"]])
+    yield from combination_lines(summary)
+    if "ring_solves" in summary:
+        yield interval_line(summary)
+    if explain:
+        yield from feature_lines(summary["features"])
+
+
+def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
+    """How a curtain in motion ended, and its peaks."""
+    return [
+        f"{summary['status']}: {summary['message']}",
+        f"{summary['reached_s']:g} s in {summary['steps']} steps, peak support force "
+        f"{summary['peak_support_force_N']:.4g} N at {summary['peak_support_force_at_s']:.4g} s, lowest point "
+        f"{summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}",
+    ]
+
+
+def every_ring_lines(summary: dict[str, Any], out: Path) -> list[str]:
+    """How a curtain solved ring by ring ended, and its numbers."""
+    if summary["status"] == "out-of-reach":
+        left = f"supports are up to {summary['way_left_mm']:.3f} mm from their places"
+    else:
+        left = (
+            f"largest contact force {summary['largest_contact_force_N']:.4g} N, residual {summary['kkt_residual']:.1e}"
+        )
+    return [
+        f"{summary['status']}: {summary['message']}",
+        *summary["notes"],
+        f"{summary['ring_count']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
+        f"{summary['lowest_point_mm']:.3f} mm",
+        left,
+        f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations, "
+        f"{summary['wall_s']:.2f} s; written to {out}",
+    ]
+
+
+def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
+    """How the rings of a curtain fit, and the forces between them."""
+    by_status = ", ".join(f"{count} {name}" for name, count in found["cells_by_status"].items())
+    yield f"{found['rings']} rings in {found['cells']} cells ({by_status}), {found['wall_s']:.1f} s; in {out}"
+    yield f"{found['links_intact']} of {found['links']} links intact as drawn"
+    if found["curtain_status"] not in ("converged", "unknown"):
+        yield f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)"
+    worst = found["worst_cell"]
+    yield (
+        f"forces between rings away from supports: at most {worst['largest_force_N']:.4g} N, of {worst['contacts']} "
+        f"contacts in cell {worst['cell']}, which has the largest line load"
+    )
+    if held := found["ring_at_support"]:
+        yield f"the ring at {held['support']} that takes most is pulled by {held['force_N']:.4g} N"
+    yield from (f"{name}: {text}" for name, text in found["meanings"].items() if name != "met")
+
+
+def hooks_lines(summary: dict[str, Any]) -> list[str]:
+    """How far apart the hooks and runners of each support are, and whether that is what the scene asks for.
+
+    >>> one = {"support": "hooks", "nodes_held": 24, "pitch_mm": 130.4348, "pitch_asked_mm": 129.0}
+    >>> hooks_lines({"support_forces": [one]})
+    ['hooks: 24, 130.435 mm apart; pitch = 129 does not divide the edge, count = 24 asks for these']
+    """
+    lines = []
+    for one in summary["support_forces"]:
+        if "pitch_mm" not in one:
+            continue
+        pitch, asked, count = one["pitch_mm"], one["pitch_asked_mm"], one["nodes_held"]
+        differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
+        note = f"; pitch = {asked:g} does not divide the edge, count = {count} asks for these" if differs else ""
+        lines.append(f"{one['support']}: {count}, {pitch:g} mm apart{note}")
+    return lines
+
+
+def order_lines(record: dict[str, Any]) -> list[str]:
+    """The order sheet in three lines."""
+    rings = "" if record["rings"] is None else f"{record['rings']} rings in {record['cells']} cells, "
+    pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
+    return [
+        f"order: mesh of {record['mesh_width_mm']:g} x {record['mesh_height_mm']:g} mm, width by height, pulled along "
+        "its grain",
+        f"  {rings}{record['mass_kg']:.4g} kg; {record['hooks']} single points to hang by{pitch}",
+        f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm",
+    ]
+
+
+def combination_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Each combination in a line, the one that governs last."""
+    lines = []
+    for row in summary.get("combinations", ()):
+        named = ", ".join(f"{value:g} {name}" for name, value in row["factors"].items() if value != 1.0)
+        holds = "" if row["weakest_factor"] is None else f", factor {row['weakest_factor']:.3g} ({row['weakest']})"
+        lines.append(
+            f"combination {row['name']} ({named or 'all loads as they are'}): {row['status']}, "
+            f"largest force {row['largest_force_N']:.4g} N{holds}"
+        )
+    return [*lines, f"governing combination: {summary['envelope']['governing']}"] if lines else []
+
+
+def interval_line(summary: dict[str, Any]) -> str:
+    """Interval of the answer, its parts, and what the rings were asked."""
+    what, unit = ("mean_height", "mm") if "mean_height_interval_mm" in summary else ("potential", "N_mm")
+    low, high = summary[f"{what}_interval_{unit}"]
+    law, mesh = summary[f"law_part_{unit}"], summary[f"mesh_part_{unit}"]
+    name, shown = what.replace("_", " "), unit.replace("_", " ")
+    return (
+        f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; "
+        f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
+    )
+
+
+def side_by_side(summary: dict[str, Any]) -> list[str]:
+    """Lines of text: a table of both, and the distances."""
+    keys = ("status", "unknowns", "potential_N_mm", "mean_height_mm", "lowest_point_mm", "support_forces_N", "wall_s")
+    lines = [f"{'':<20}{'disk':>28}{'rings':>28}"]
+    lines += [f"{key:<20}{_text(summary['disk'][key]):>28}{_text(summary['rings'][key]):>28}" for key in keys]
+    lines += [f"{key}: {value:.6g}" for key, value in summary.items() if isinstance(value, float)]
+    return lines
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "; ".join("-" if force is None else _force(*force) for force in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _force(x: float, y: float, z: float = 0.0) -> str:
+    """Components with three digits; the third one only where there is one beside the others."""
+    is_flat = abs(z) <= 1e-6 * max(abs(x), abs(y))
+    return " ".join(f"{one:.3g}" for one in ((x, y) if is_flat else (x, y, z)))
