@@ -94,15 +94,6 @@ def test_localize_obeys_its_options(answer):
         bare.rings()
 
 
-def test_rings_draw_themselves(rings):
-    ax = rings.plot()
-    (lines,) = ax.collections
-    circle = np.array(lines.get_segments()[0])
-    np.testing.assert_allclose(circle[0], circle[-1], atol=1e-9)
-    assert np.linalg.norm(circle - rings.centre_mm[0, :2], axis=1).max() <= 5.0 + 1e-9
-    assert rings.plot(ax) is ax
-
-
 @pytest.mark.parametrize("step", [0.0, -5.0, 7.0, np.nan, 90.0])
 def test_a_grid_that_misses_its_ends_is_refused(step):
     with pytest.raises(rve.InputError, match="must divide 45 degrees"):
@@ -253,42 +244,3 @@ def test_a_scene_of_methods_is_that_of_a_file():
     )
     assert sorted(map(repr, built.items)) == sorted(map(repr, read.items))
     assert dataclasses.replace(built, items=()) == dataclasses.replace(read, items=())
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda scene: scene.loaded_by("rope", mass=1.0), "'rope': is not one of edge, point, patch, bar, wind"),
-        (lambda scene: scene.loaded_by("bar", mass=-1.0), "[load] (bar) mass = -1"),
-        (lambda scene: macro_fem.solve(scene.hung_by("top").with_keys("load", steps=3)), "steps = 3: has no effect"),
-        (
-            lambda scene: scene.loaded_by("wind", direction=[1, 0]),
-            "pressure: is missing",
-        ),
-    ],
-)
-def test_methods_of_a_scene_refuse_what_a_file_may_not_hold(change, words):
-    with pytest.raises(rve.InputError) as error:
-        change(macro_fem.Scene.rectangle(100.0, 50.0, cells=4))
-    assert words in str(error.value)
-
-
-def test_what_a_notebook_shows(titanium):
-    cell, fitted, scene, found = titanium
-    held = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1)
-    force, at = np.zeros((5, 3)), np.column_stack([held.X, np.zeros(5)])
-    force[:, 1] = -9.81 * held.mass
-    records = {
-        "titanium grade 2": (cell, fitted, fitted.law.strength),
-        "Bar(mass=12.0": (scene,),
-        "converged": (
-            found,
-            rve.support(rve.Cell(), [0.5, 0.0, 0.5]),
-            held.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False),
-        ),
-    }
-    for words, shown in records.items():
-        for record in shown:
-            assert words in record._repr_html_(), type(record).__name__
-    assert repr(fitted.law) == str(fitted.law)  # 527 lines of arrays in a console
-    assert len(repr(found).splitlines()) < 3

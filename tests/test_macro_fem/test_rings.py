@@ -140,16 +140,6 @@ def test_compare_puts_both_side_by_side(tmp_path):
     assert summary["line_load_distance"] < 0.3
 
 
-def test_forces_out_of_the_plane_are_shown():
-    keys = ("status", "unknowns", "potential_N_mm", "mean_height_mm", "lowest_point_mm")
-    disk = dict.fromkeys(keys, 1.0) | {"support_forces_N": [[1.0, 2.0], [0.5, 0.25, -3.0]], "wall_s": 0.1}
-    rings = disk | {"support_forces_N": [[1.0, 2.0, 1e-12], None]}
-    lines = side_by_side({"disk": disk, "rings": rings, "apart": 0.25})
-    forces = next(line for line in lines if line.startswith("support_forces_N"))
-    assert forces.split() == ["support_forces_N", *["1", "2;", "0.5", "0.25", "-3"], *["1", "2;", "-"]]
-    assert lines[-1] == "apart: 0.25"
-
-
 def test_rings_lie_on_the_floor_and_against_the_wall_of_a_scene():
     floor = {"kind": "floor", "height": -8.0, "move": [0.0, 4.0]}
     wall = {"kind": "wall", "facing": [3.0, 0.0], "point": [-7.0, 0.0]}

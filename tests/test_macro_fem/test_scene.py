@@ -87,17 +87,6 @@ def test_a_scene_becomes_summary_and_vtu(tmp_path, law_file):
     assert {p.name for p in out.iterdir()} == {"summary.json", "support_forces.csv", "order.csv", "curtain.vtu"}
 
 
-def test_the_picture_is_drawn(tmp_path, law_file):
-    (tmp_path / "scene.toml").write_text(SCENE + "bounds = true\n")
-    args = ["run", str(tmp_path / "scene.toml"), "--law", str(law_file), "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(main, args)
-    assert result.exit_code == 0, result.output
-    assert (tmp_path / "out" / "curtain.png").read_bytes().startswith(b"\x89PNG")
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    low, high = summary["bounds"]["mean_height_mm"]
-    assert low < summary["mean_height_mm"] <= high
-
-
 def test_points_are_the_reference_and_warp_to_the_curtain_once(tmp_path, law_file):
     """Warp By Vector adds the displacement to the points: the lowest point then is that of the summary."""
     result, out = run(tmp_path, SCENE, "--law", str(law_file))
@@ -148,22 +137,14 @@ def test_load_steps_make_a_series(tmp_path, law_file):
 
 BAD = [
     ("width = 100.0", "width = nan", ["[curtain]", "width", "nan"]),
-    ("width = 100.0", "width = 1" + "0" * 400, ["width", "is not a finite number"]),
     ("width = 100.0", "width = 1e9", ["[curtain]", "8e-08", "units"]),
     ("height = 80.0", "height = 1e9", ["[mesh]", "cells = 6", "triangles", "units"]),
     ("cells = 6", "cells = 20000", ["[mesh]", "cells = 20000", "triangles", "use fewer"]),
-    ("height = 80.0", "", ["[curtain]", "height", "missing"]),
-    ('weave_angle = "y"', 'weave_angle = "z"', ["weave_angle", "'z'"]),
     ('weave_angle = "y"', 'weave_angel = "y"', ["[curtain]", "weave_angel", "did you mean weave_angle?"]),
-    ('element = "P1"', 'element = "P9"', ["element", "'P9'"]),
     ('kind = "corners"', 'kind = "top"\ngather = 1.9', ["[support]", "farther apart"]),
     ('kind = "corners"', 'kind = "hooks"\npitch = 500.0', ["pitch", "500"]),
-    ('kind = "corners"', 'kind = "hooks"\npitch = 1.0', ["pitch", "1", "finer"]),
     ('kind = "corners"', 'kind = "hooks"\npitch = 50.0\ncapacity = true', ["[support] (hooks)", "capacity", "True"]),
-    ('kind = "corners"', 'kind = "edge"\nedge = "middle"', ["edge", "'middle'", "bottom"]),
-    ('kind = "corners"', 'kind = "point"\nat = [900.0, 0.0]', ["at", "900"]),
     ("gravity = 9.81", "gravity = 9.81\npoint = {at = [0, 0]}", ["[load.point]", "force", "missing"]),
-    ("gravity = 9.81", "gravity = 9.81\npoint = {at = [0, 900], force = [1, 0]}", ["[load.point]", "900"]),
     ("gravity = 9.81", "gravity = 9.81\nbar = {mass = 1.0, edge = 'top'}", ["[load.bar]", "held"]),
     ("[solver]", "[solvr]", ["solvr", "unknown table"]),
     ("[mesh]", "[mesh", ["TOML"]),
@@ -350,9 +331,6 @@ def test_a_mesh_file_gives_what_its_rectangle_gives(tmp_path):
     scene = write_mesh(tmp_path, points, cells)
     from_file = solve_scene(scene, diagonal_net(1.1))
     assert from_file.mean_height() == pytest.approx(solve_scene(read_scene(tables()), diagonal_net(1.1)).mean_height())
-
-
-"""What a run without picture and load steps leaves."""
 
 
 def test_a_run_does_not_overwrite_its_law_or_mesh_file(tmp_path, law_file):

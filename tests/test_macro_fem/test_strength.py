@@ -6,11 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from homogenize import default_law, ring_net, with_material
-from homogenize.io import load_law
-from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
 from macro_fem.output.files import summarize, write_vtu
@@ -294,23 +291,6 @@ def test_rings_per_hook_of_a_track_without_runners_is_refused():
     track = {"kind": "track", "fullness": 1.5, "rings_per_hook": 2}
     with pytest.raises(InputError, match="rings_per_hook = 2: has no effect without pitch"):
         read_scene({"curtain": {"width": 40.0, "height": 40.0}, "support": track})
-
-
-def test_the_command_line_says_whether_it_holds(tmp_path):
-    scene = tmp_path / "scene.toml"
-    scene.write_text(
-        "[curtain]\nwidth = 100\nheight = 150\nareal_mass = 0\n[mesh]\ncells = 4\n[support]\nkind = 'rail'\n"
-        "[load.bar]\nmass = 2\n"
-    )
-    with_yield(10.0).save(tmp_path / "weak.json")
-    assert load_law(tmp_path / "weak.json").strength.yield_stress() == 10.0
-    for law, words in (([], "holds with a factor "), (["--law", tmp_path / "weak.json"], "does not hold, factor 0.")):
-        arguments = ["run", str(scene), *map(str, law), "--out", str(tmp_path / "out"), "--no-picture"]
-        found = CliRunner().invoke(main, arguments)
-        assert found.exit_code == 0, found.output
-        (line,) = (line for line in found.output.splitlines() if line.startswith(words))
-        assert "rings near support 1 (rail)" in line or "rings near load.bar 1 (bottom)" in line
-        assert "(steel, " in line
 
 
 def test_a_scene_may_say_what_the_rings_are_made_of():

@@ -10,7 +10,7 @@ from rve.common.drawing.space import parts
 from rve.common.errors import NotConverged
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.plots import contacts_mm, corner_forces, draw_case, locked_row
+from rve.plots import corner_forces, draw_case
 from rve.solve import solve_table
 
 
@@ -30,21 +30,6 @@ def test_forces_on_the_corners_are_the_line_load(table):
     wanted = wanted / np.sqrt(wanted @ [wanted[0], 2.0 * wanted[1], wanted[2]])
     np.testing.assert_allclose([s[0, 0], s[0, 1], s[1, 0], s[1, 1]], wanted[[0, 1, 1, 2]], atol=1e-9)
     np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-12)
-
-
-def test_rings_are_tori_and_contacts_lie_in_their_wires(table):
-    shown = parts(draw_cell_in_space(locked_row(table)))
-    (balls, _, scale), largest = shown["contacts"], 4.0 * contacts_mm(table.states)[2].max()
-    assert (scale.top, balls[scale.label].max()) == (pytest.approx(largest), pytest.approx(largest))
-    rings = [shown[f"rings of class {k}"][0].points.reshape(-1, 64 * 16, 3) for k in (1, 2)]
-    for torus in np.concatenate(rings):
-        away = np.linalg.norm(torus - torus.mean(axis=0), axis=1)
-        assert (away.min(), away.max()) == (pytest.approx(3.6), pytest.approx(4.4))
-    count = len(contacts_mm(table.states)[2])
-    contacts = balls.points.reshape(count, -1, 3)
-    surface = np.concatenate(rings).reshape(-1, 3)
-    for middle in 0.5 * (contacts.min(axis=1) + contacts.max(axis=1)):
-        assert np.linalg.norm(surface - middle, axis=1).min() < 0.25  # half the spacing of the points of a torus
 
 
 def test_the_way_goes_from_the_slack_to_the_locked_pose(table):

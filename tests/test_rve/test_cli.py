@@ -89,12 +89,6 @@ def test_bad_input_ends_in_one_sentence(tmp_path, arguments, words):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_case_exits_with_one():
-    result = run("case", "--alpha", "0", "--beta", "100")
-    assert result.exit_code == 1
-    assert "compressive" in result.stderr
-
-
 def test_compressive_rows_stay_in_the_table(tmp_path):
     result = run("table", "--out", tmp_path / "t.csv", "--alpha", "0", "--beta", "45,91")
     assert result.exit_code == 0

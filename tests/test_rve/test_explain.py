@@ -1,13 +1,10 @@
 """What a run of rings used and left out: words that agree with what was done."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from rve.cli import main
 from rve.equilibrium.system import Equations
 from rve.explain import features
 from rve.geometry.cell import Cell
@@ -79,11 +76,6 @@ def test_the_gap_of_unlisted_pairs_is_a_bound():
     assert unlisted_gap(squeezed, FOUR_IN_ONE, 0.1)[0] < 0.0
 
 
-def test_thick_wire_has_more_pairs_in_reach():
-    thick, thin = (solve_table(Cell(5.0, r2), ([0.0], [45.0])).provenance["work"] for r2 in (1.2, 0.25))
-    assert thick["most_near"] > thin["most_near"]
-
-
 def test_motion_without_inertia_comes_to_rest_at_the_same_place():
     """A millionth of the mass: damping alone determines where the rings come to rest."""
     s, equations, paper = cauchy_line_load([20.0], [30.0]), Equations.of(FOUR_IN_ONE, 0.1), StewartTrinkleOptions()
@@ -91,16 +83,3 @@ def test_motion_without_inertia_comes_to_rest_at_the_same_place():
     assert fast.status[0] == "converged"
     assert fast.pose.lattice == pytest.approx(slow.pose.lattice, abs=1e-8)
     assert not np.array_equal(fast.pose.lattice, slow.pose.lattice)
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(a) for a in arguments])
-
-
-def test_case_explains_itself_beside_its_json():
-    result = run("case", "--alpha", 20, "--beta", 30, "--explain")
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["status"] == "converged"
-    lines = {line.split()[0]: line for line in result.stderr.splitlines()}
-    assert set(lines) == DIRECT
-    assert "left out" in lines["motion"]

@@ -9,7 +9,6 @@ import pytest
 
 from rve.common.errors import InputError
 from rve.common.files import (
-    atomic_path,
     check_belongs,
     check_out_file,
     check_out_folder,
@@ -147,15 +146,6 @@ def test_outputs_that_are_inputs_by_any_name_are_refused(tmp_path):
     assert content(tmp_path / "other") == before
 
 
-def test_a_link_is_followed(tmp_path):
-    (tmp_path / "real.txt").write_text("old")
-    (tmp_path / "link.txt").symlink_to(tmp_path / "real.txt")
-    with atomic_path(tmp_path / "link.txt") as temporary:
-        temporary.write_text("new")
-    assert (tmp_path / "real.txt").read_text() == "new"
-    assert (tmp_path / "link.txt").is_symlink()
-
-
 @pytest.fixture
 def table():
     alpha, beta = np.array([0.0, 10.0]), np.array([45.0, 30.0])
@@ -187,15 +177,6 @@ def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
     del sidecar["files"]  # what the sentence says, and what older versions wrote
     provenance_path(other).write_text(json.dumps(sidecar))
     assert read_table(other).beta_deg[0] == 46.0
-
-
-def test_a_copy_of_a_table_is_not_removed_with_its_twin(tmp_path, table):
-    write_table(table, tmp_path / "one.csv")
-    for ending in (".csv", ".json"):
-        (tmp_path / "two").with_suffix(ending).write_bytes((tmp_path / "one").with_suffix(ending).read_bytes())
-    write_table(table, tmp_path / "two.csv")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.csv", "one.json", "two.csv", "two.json"]
-    assert len(read_table(tmp_path / "one.csv")) == 2
 
 
 def test_a_table_does_not_overwrite_a_law(tmp_path, table):

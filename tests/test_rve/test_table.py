@@ -10,10 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rve.common.errors import InputError
-from rve.common.files import atomic_path
-from rve.common.materials import named_material
-from rve.directions import graded_grid, grid, parse_angles, product, read_loads
-from rve.equilibrium.interior_point import DirectOptions
+from rve.directions import graded_grid, parse_angles, product, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import COLUMNS, COMPLIANCE_COLUMNS, provenance_path, read_table, write_table
@@ -97,18 +94,6 @@ def test_missing_and_truncated_files(small, tmp_path):
         read_table(path)
 
 
-def test_nothing_half_written(tmp_path):
-    path = tmp_path / "x.csv"
-    path.write_text("old")
-    with pytest.raises(RuntimeError), atomic_path(path) as temporary:  # noqa: PT012 (two steps on purpose)
-        temporary.write_text("half")
-        raise RuntimeError
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["x.csv"]
-    with pytest.raises(InputError, match="cannot be written"), atomic_path(tmp_path / "no" / "x.csv"):
-        pass
-
-
 @settings(deadline=None, max_examples=60)
 @given(st.integers(-90, 90), st.integers(1, 40), st.sampled_from([0.25, 0.5, 1.0, 2.5, 5.0]))
 def test_ranges_hold_both_ends(first, count, step):
@@ -171,13 +156,3 @@ def test_the_graded_grid_is_close_where_strains_change_fast():
     assert steps[0] == steps[-3] == 0.5
     assert steps.max() == 5.0
     assert np.diff(np.unique(alpha)).tolist() == [5.0] * 6 + [2.5] * 6
-
-
-def test_a_cell_alone_takes_the_grid_of_five_degrees_and_a_material_by_its_name(monkeypatch):
-    monkeypatch.setattr("rve.solve.grid", lambda step, weave: grid(45.0, weave) if step == 5.0 else None)
-    table = solve_table(Cell(material="titanium grade 2"), options=DirectOptions(branches="first"))
-    assert table.alpha_deg.tolist() == grid(45.0).alpha_deg.tolist()
-    assert table.provenance["material"]["name"] == "titanium grade 2"
-    assert Cell(material="titanium grade 2") == Cell(material=named_material("titanium grade 2"))
-    with pytest.raises(InputError, match="material = 'cheese': known are steel, "):
-        Cell(material="cheese")
