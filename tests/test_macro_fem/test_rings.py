@@ -10,7 +10,6 @@ import macro_fem
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.rings.ring_scene import ring_scene
-from macro_fem.told import side_by_side
 from rve import Cell, InputError
 
 B_X, B_Y = 11.0, 12.646069623526
