@@ -1,15 +1,12 @@
 """The whole chain, as the README runs it, on a coarse curtain."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
 
-from examples.curtain import SETTINGS, Setting, extrapolated, main, run, setting_for
-from examples.which_wire import main as wires
+from examples.curtain import Setting, run
 from examples.which_wire import run as run_wires
 from homogenize.query.answers import strain_answer
 from macro_fem import read_scene
@@ -60,28 +57,6 @@ def test_the_law_predicts_loads_off_the_grid(chain):
     np.testing.assert_allclose(predicted[unique], truth.E[unique], atol=5e-3)
 
 
-def test_accuracy_chooses_the_cheapest_setting_that_holds_it():
-    assert [setting_for(a) for a in (1.0, 1e-2, 9e-3, 1e-3, 2e-4, 1e-4)] == [
-        SETTINGS[a] for a in (1e-2, 1e-2, 1e-3, 1e-3, 1e-4, 1e-4)
-    ]
-    assert extrapolated(3.0, 2.0) == 1.0
-    assert extrapolated(3.0) == 3.0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["--accuracy", "1e-3", "--cells", "8"], "not both"),
-        (["--cells", "0"], "range"),
-    ],
-)
-def test_what_no_setting_holds_is_refused(arguments, word, tmp_path):
-    done = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
-    assert done.exit_code == 2
-    assert word in done.output
-    assert not (tmp_path / "out").exists()
-
-
 def strip(mass):
     """A weightless strip that bears a bar, free to narrow: S22 alone, known in closed form."""
     return read_scene(
@@ -113,12 +88,3 @@ def test_the_factor_of_a_wire_is_that_of_its_table_row(tmp_path):
     assert {key: written[key] for key in answer} == answer
     assert len(pd.read_csv(tmp_path / "wires" / "wires.csv")) == 2
     assert (tmp_path / "wires" / "wires.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("words", "message"), [(["--material", "mithril"], "known are steel"), (["--diameters", "thick"], "thick")]
-)
-def test_bad_wires_are_one_sentence(words, message, tmp_path):
-    scene = str(Path(__file__).parents[1] / "examples" / "shop_front.toml")
-    result = CliRunner().invoke(wires, [scene, "--out", str(tmp_path / "w"), *words])
-    assert (result.exit_code, message in result.stderr) == (2, True)

@@ -68,15 +68,3 @@ def test_the_areal_mass_of_the_scene_wins_and_the_summary_says_so(titanium):
     assert (summary["areal_mass_kg_per_m2"], summary["areal_mass_from"]) == (4.0, "scene")
     assert summary["mass_kg"] == pytest.approx(4.0 * 0.06, rel=1e-9)
     assert summary["total_load_N"] == pytest.approx([0.0, -9.81 * 4.0 * 0.06], rel=1e-9)
-
-
-def test_one_case_says_what_its_rings_weigh():
-    found = json.loads(run(rve, "case", "--alpha", 0, "--beta", 90, "--density", TITANIUM))
-    assert found["areal_mass_kg_per_m2"] == pytest.approx(AREAL_MASS, rel=1e-6)
-
-
-@pytest.mark.parametrize("density", ["7.85", "7.85e-6", "-7850", "nan", "inf"])
-def test_a_density_in_other_units_is_refused(density):
-    result = CliRunner().invoke(rve, ["case", "--alpha", "0", "--beta", "90", "--density", density])
-    assert result.exit_code == 2
-    assert "--density" in result.stderr

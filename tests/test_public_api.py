@@ -94,12 +94,6 @@ def test_localize_obeys_its_options(answer):
         bare.rings()
 
 
-@pytest.mark.parametrize("step", [0.0, -5.0, 7.0, np.nan, 90.0])
-def test_a_grid_that_misses_its_ends_is_refused(step):
-    with pytest.raises(rve.InputError, match="must divide 45 degrees"):
-        rve.grid(step)
-
-
 @pytest.mark.slow
 def test_the_lines_of_the_readme_run():
     """In an interpreter of their own they print the mean height."""
@@ -166,44 +160,6 @@ def test_every_notebook_is_run_by_a_test_and_is_a_page():
     text = Path(__file__).read_text("utf-8")
     assert all(f'executed("{name}.ipynb")' in text for name in names)
     assert all(f"notebooks/{name}" in (ROOT / "docs" / "index.md").read_text("utf-8") for name in names)
-
-
-@pytest.fixture(scope="module")
-def titanium():
-    """Rings of another size and metal, and the curtain of 3 m x 2.5 m that hangs by hooks and bears a hem bar."""
-    cell = rve.Cell(r1=6.0, r2=0.6, material=rve.named_material("titanium grade 2"))
-    table = rve.with_rings(rve.solve_table(cell, rve.grid(15.0)), cell)
-    fitted = homogenize.fit(table)
-    scene = (
-        macro_fem.Scene.rectangle(3000.0, 2500.0, cells=15).hung_by("hooks", pitch=200.0).loaded_by("bar", mass=12.0)
-    )
-    return cell, fitted, scene, macro_fem.solve(scene, fitted.law)
-
-
-@pytest.mark.slow
-def test_an_own_curtain_from_python(titanium, tmp_path):
-    """Its hooks carry its weight and the bar's, its factor is in N/mm over N/mm, and pictures go on the user's axes."""
-    import matplotlib.pyplot as plt
-
-    _, fitted, scene, found = titanium
-    assert found.status == "converged"
-    forces = found.support_forces()
-    assert list(forces.columns) == ["support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N"]
-    assert forces.x_mm.tolist() == pytest.approx(np.linspace(0.0, 3000.0, 16).tolist())
-    weight = 9.81 * (fitted.law.cell.areal_mass_kg_per_m2 * 3.0 * 2.5 + 12.0)
-    assert forces.force_y_N.sum() == pytest.approx(weight, rel=1e-6)
-    assert forces.force_x_N.sum() == pytest.approx(0.0, abs=1e-6 * weight)
-    found.save(tmp_path / "out", picture=False)
-    written = pd.read_csv(tmp_path / "out" / "support_forces.csv")
-    pd.testing.assert_frame_equal(forces, written, check_dtype=False)
-    assert found.safety_factor == json.loads((tmp_path / "out" / "summary.json").read_text())["safety_factor"]
-    doubled = macro_fem.solve(scene.with_keys("load", gravity=2.0 * 9.81), fitted.law)
-    assert doubled.safety_factor == pytest.approx(0.5 * found.safety_factor, rel=1e-3)  # rigid rings: loads scale
-    figure, (one, other) = plt.subplots(1, 2)
-    assert found.plot(one) is one
-    assert found.plot_utilisation(other) is other
-    assert "titanium grade 2" in fitted._repr_html_()
-    plt.close(figure)
 
 
 def test_a_scene_of_methods_is_that_of_a_file():

@@ -1,13 +1,12 @@
 """The frame of the reports: rows become tables, a section takes its place in a page, every section can be run."""
 
 import math
-import re
 
 import numpy as np
 import pytest
 
 import benchmarks.__main__ as command
-from benchmarks.frame import Curve, Diagram, Section, svg, table, write
+from benchmarks.frame import Curve, Diagram, Section, table
 from benchmarks.measure import at_most
 from benchmarks.numerics import fingerprint
 
@@ -30,20 +29,6 @@ def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
     for rows, forms in (([{"a": 1}, {"b": 2}], {}), ([{"a": 1}], {"b": ".1f"})):
         with pytest.raises(ValueError, match="no columns \\['b'\\]"):
             table("Runs", rows, forms)
-
-
-def test_a_section_takes_its_place_and_leaves_the_others(tmp_path):
-    page = tmp_path / "report.md"
-    write(page, "rings", SECTION, 1.0, "abc")
-    write(page, "law", Section("Law", "", ()), 2.0, "abc")
-    page.write_text(page.read_text().replace("# report", "# By hand"))
-    write(page, "rings", Section("New", r"\1 stays", ()), 3.0, "abc")
-    text = page.read_text()
-    assert text.startswith("# By hand\n")
-    assert re.findall(r"^## (.*)$", text, re.MULTILINE) == ["New", "Law"]
-    assert "\\1 stays" in text
-    assert text.count("<!-- end of section -->") == 2
-    assert (tmp_path / "report_ladder.svg").read_text() == svg(DIAGRAM)
 
 
 @pytest.mark.parametrize("key", command.SECTIONS)

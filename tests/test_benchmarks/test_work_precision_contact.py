@@ -3,11 +3,9 @@
 import pytest
 
 from benchmarks.work_precision.contact import (
-    brute_force,
     degenerate_pairs,
     golden_section,
     newton,
-    projection,
     random_pairs,
     score,
 )
@@ -29,19 +27,6 @@ def test_newton_and_golden_sections_agree(pairs, reference):
     assert got.missed <= 1
     assert got.wrong == got.deepest == 0
     assert got.error < 1e-12
-
-
-def test_brute_force_is_of_second_order(pairs, reference):
-    errors = [score(brute_force(pairs, n), reference).error for n in (256, 1024, 4096)]
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.6)
-    assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.6)
-
-
-def test_projection_converges_but_misses(pairs, reference):
-    few, many = (score(projection(pairs, n), reference) for n in (5, 400))
-    assert many.error < 1e-3 * few.error
-    assert many.missed > 2
-    assert many.missed <= few.missed
 
 
 DISTANCE = {

@@ -1,7 +1,6 @@
 """The command line: answers on real input, and one sentence with exit code 2 on bad input."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -133,17 +132,3 @@ def test_a_law_file_that_is_not_understood_is_refused(change, words, tmp_path):
     assert refused(run("support", path, "--S", "1,0,0"), path, *words)
     path.write_text("{")
     assert refused(run("support", path, "--S", "1,0,0"), path, "not JSON")
-
-
-def test_no_command_overwrites_what_it_reads(tmp_path):
-    for name, source in (("t.csv", TABLE), ("t.json", TABLE.with_suffix(".json")), ("law.json", DEFAULT_LAW)):
-        (tmp_path / name).write_bytes(source.read_bytes())
-    table, law = tmp_path / "t.csv", tmp_path / "law.json"
-    os.link(table, tmp_path / "hard.csv")
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    for out in ("t.json", "t.csv", "hard.csv"):
-        assert refused(run("fit", table, "--out", tmp_path / out), "would overwrite", out)
-    assert refused(run("fit", TABLE, "--out", tmp_path / "t.json"), "is the sidecar file of a table")
-    assert refused(run("export", law, "--out", law), "would overwrite")
-    assert refused(run("plot", law, "--table", table, "--out", law), "is a file, not a folder")
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

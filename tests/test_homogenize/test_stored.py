@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from homogenize import CellInfo, fit_table, load_law, ring_net
+from homogenize import fit_table, load_law
 from homogenize.io import DEFAULT_LAW
 from homogenize.query.answers import strain_answer
 from rve.common.errors import InputError
@@ -39,12 +39,6 @@ def test_a_report_that_is_none_is_refused(tmp_path):
         law = load_law(tmp_path / "law.json")  # the mechanics do not depend on it
         with pytest.raises(InputError, match=words):
             _ = law.report
-
-
-def test_a_law_without_a_fit_has_no_report():
-    net = ring_net(CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785))
-    assert net.report is None
-    assert str(net) == "NetLaw: net, r1 = 5 mm, r2 = 0.5 mm"
 
 
 def test_a_law_shows_itself_in_a_notebook(fitted):

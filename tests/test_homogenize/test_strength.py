@@ -143,24 +143,6 @@ def test_the_command_prints_both_loads(law, tmp_path):
         assert name in failed.stderr
 
 
-def test_the_fit_prints_the_error_between_rows(table, tmp_path):
-    b = {"r1_mm": 5.0, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 12.646}
-    replace(table, provenance=table.provenance | b).save(tmp_path / "t.csv")
-    result = CliRunner().invoke(main, ["fit", str(tmp_path / "t.csv"), "--out", str(tmp_path / "law.json")])
-    assert result.exit_code == 0, result.output
-    line = next(line for line in result.output.splitlines() if line.startswith("strength of welded rings of steel"))
-    assert "121 loads; relative error at 97 rows left out: first yield max 0.0" in line
-    assert line == load_law(tmp_path / "law.json").strength.text()
-
-
-def test_a_law_without_strength_says_what_to_do(table, tmp_path):
-    plain = replace(table, strength=None)
-    fit(plain).law.save(tmp_path / "old.json")
-    found = CliRunner().invoke(main, ["strength", str(tmp_path / "old.json"), "--S", "1,0,1"])
-    assert found.exit_code == 2
-    assert "make the table again with rve table --rings" in found.stderr
-
-
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
@@ -172,12 +154,6 @@ def test_a_law_without_strength_says_what_to_do(table, tmp_path):
 def test_damaged_strengths_are_refused(strength, key, value, message):
     with pytest.raises(InputError, match=message):
         read_strength(json.loads(json.dumps(strength.to_dict())) | {key: value}, "law.json: strength")
-
-
-def test_loads_on_one_side_have_no_surface(strength):
-    some = S[S[:, 0] > 0.6]
-    with pytest.raises(InputError, match="all sides"):
-        Strength(some, some, *asked(some).T, some[:, 0], Material()).utilisation(S)
 
 
 def test_a_material_without_yield_needs_one(strength):

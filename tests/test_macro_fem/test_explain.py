@@ -64,17 +64,6 @@ def test_ties_are_told():
     assert not said(solve_problem(problem(support="top")))["ties"]["used"]
 
 
-def test_nodes_that_may_leave_the_plane_stay_in_it_and_a_push_takes_them_out():
-    rest = solve_problem(problem(space=True))
-    assert rest.status == "converged"
-    assert said(rest)["third-coordinate"]["why"] == "[solver] space = true asks for it"
-    assert np.abs(rest.x[:, 2]).max() < 1e-6 * rest.problem.mesh.size
-    pushed = solve_problem(problem(load={"gravity": [0.0, -9.81, -4.9]}))
-    assert pushed.status == "converged"
-    assert said(pushed)["third-coordinate"]["used"]
-    assert np.abs(pushed.x[:, 2]).max() > 0.1 * pushed.problem.mesh.height
-
-
 def test_all_half_spaces_from_the_start_give_the_same_potential():
     plane = problem(cells=3)
     facets, points = LAW.facets(), plane.disc.n_points
@@ -92,15 +81,3 @@ def test_half_spaces_of_a_turned_law():
         facets = law.facets()
         worst = (E @ (facets.S * [1.0, 2.0, 1.0]).T - facets.h).max(axis=1)
         assert worst == pytest.approx(law.cut(E).violation, abs=1e-12)
-
-
-def test_idle_half_spaces_change_the_way_and_not_the_answer():
-    plane = problem(cells=8)
-    load = plane.fem.gather(plane.force) + plane.fem.force(stabilising_tension(plane) * unit_tensors(plane))
-    start = plane.fem.unknowns(gathered_start(plane))
-    how = (PathOptions(), PathOptions(pruned_at=()))
-    plain, other = (solve_path(plane.fem, LAW, load, start, plane.mesh.size, one) for one in how)
-    assert plain.converged
-    assert other.converged
-    assert abs(other.primal - plain.primal) < 3e-9 * float(np.abs(plane.force).sum()) * plane.mesh.size
-    assert len(other.cones) > len(plain.cones)

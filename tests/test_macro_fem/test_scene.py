@@ -200,21 +200,6 @@ def test_an_areal_mass_must_come_from_somewhere():
         solve_scene(read_scene(tables(curtain={"width": 10.0, "height": 10.0})), diagonal_net())
 
 
-def test_a_straight_bar_stays_straight_and_carries_its_weight():
-    bar = tables(support={"kind": "corners"}, load={"bar": {"mass": 3.0}})
-    solution = solve_scene(read_scene(bar), diagonal_net(1.1))
-    disc = solution.problem.disc
-    hem = np.flatnonzero(np.isclose(disc.nodes[:, 1], 0.0))
-    x = solution.x[hem[np.argsort(disc.nodes[hem, 0])]]
-    assert np.diff(x, axis=0) == pytest.approx(
-        np.broadcast_to((x[-1] - x[0]) / (len(x) - 1), (len(x) - 1, 2)), abs=1e-9
-    )
-    loose = {**bar, "load": {"bar": {"mass": 3.0, "straight": False}}}
-    assert solve_scene(read_scene(loose), diagonal_net(1.1)).primal < solution.primal
-    total = 3.0 * 9.81 + 1e-6 * 9.81 * 8000.0
-    assert solution.reactions[:, 1].sum() == pytest.approx(total, rel=1e-4)
-
-
 def test_outline_with_a_hole_has_its_area_and_edges(tmp_path):
     text = """
 [curtain]

@@ -113,13 +113,3 @@ def test_a_law_as_table_or_scene_is_named(files, tmp_path):
         fit_table(files / "law.json")
     found = command(main, "run", files / "law.json", "--out", tmp_path / "out")
     assert (found.exit_code, "is a law, which macro_fem run takes as --law, not a scene" in found.output) == (2, True)
-
-
-def test_elastic_rings_on_demand_are_refused_in_the_words_of_the_user(files, tmp_path):
-    scene = tmp_path / "scene.toml"
-    scene.write_text((files / "scene.toml").read_text() + "[solver]\nkind = 'elastic'\n")
-    found = command(main, "run", scene, "--rings", "5,0.5", "--no-cache", "--out", tmp_path / "out", "--no-picture")
-    assert found.exit_code == 2
-    assert "--rings" in found.output
-    assert "kind = 'rigid' or 'auto', not 'elastic'" in found.output
-    assert "adapt" not in found.output

@@ -49,11 +49,6 @@ def test_bad_values_are_one_sentence(given, message):
         assert f"--{name}" in result.stderr
 
 
-def test_strengths_of_a_file_that_contradict_each_other_name_the_file():
-    with pytest.raises(InputError, match=r"^table.json: ultimate_N_per_mm2 = 1: is less than"):
-        read_material(asdict(Material()) | {"ultimate_N_per_mm2": 1.0}, "table.json:")
-
-
 def test_a_cell_has_one_density():
     assert Cell(material=named_material("titanium grade 2")).density == 4.51e-6
     assert Cell(density=8e-6).material == Material(density_kg_per_mm3=8e-6)

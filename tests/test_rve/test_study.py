@@ -6,22 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from rve.common.errors import InputError
 from rve.common.progress import heard_by
 from rve.directions import grid
-from rve.geometry.cell import Cell
 from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 from rve.study import comparison as study
 
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
-
-
-def test_the_grid_is_that_of_the_paper():
-    alpha, beta = grid()
-    assert len(alpha) == 190
-    assert (alpha[0], beta[0]) == (0.0, 0.0)
-    assert (alpha[189], beta[189]) == (45.0, 90.0)
-    assert beta[1] == 5.0
 
 
 def test_one_command_writes_every_table_and_picture(tmp_path):
@@ -56,11 +46,6 @@ def test_side_contacts_are_timed():
     first, last = study.side_contact_times(found, 0)  # side neighbours touch in the reference state
     assert 0.0 < first <= last < found.rest.time[0]
     assert all(np.isnan(study.side_contact_times(found, 1)))
-
-
-def test_another_grain_is_refused():
-    with pytest.raises(InputError, match="grain = 'x'"):
-        study.solve_study(np.array([0.0]), np.array([45.0]), Cell(grain="x"))
 
 
 @pytest.mark.slow
