@@ -2,6 +2,12 @@ C     Membrane law of a ring mesh: strains lock on a convex polyhedron,
 C     the energy beyond it is half the squared distance in the metric of
 C     the stiffness.  Units: N, mm.  Generated, do not edit:
 C     @TITLE@
+C     In the input, for a thickness of 1 mm (density in t/mm3):
+C     *MATERIAL, NAME=ABAQUSNL_RINGS
+C     *USER MATERIAL, CONSTANTS=3
+C     1., 1., 0.
+C     *DENSITY
+C     @DENSITY@
 C
       SUBROUTINE UMAT(STRESS,STATEV,DDSDDE,SSE,SPD,SCD,RPL,DDSDDT,
      1 DRPLDE,DRPLDT,STRAN,DSTRAN,TIME,DTIME,TEMP,DTEMP,PREDEF,DPRED,
@@ -15,70 +21,150 @@ C
      1 SPD,SCD,RPL,DDSDDT(*),DRPLDE(*),DRPLDT,STRAN(*),DSTRAN(*),
      2 TIME(2),DTIME,TEMP,DTEMP,PREDEF(*),DPRED(*),PROPS(NPROPS),
      3 COORDS(3),DROT(3,3),PNEWDT,CELENT,DFGRD0(3,3),DFGRD1(3,3)
-      DOUBLE PRECISION E(3),S(3),C(3,3),F(2,2),SM(2,2),T(2,2),J,SCALE
-      DOUBLE PRECISION CT(2,2,2,2),CS(2,2,2,2),D(2,2),V
-      INTEGER A,B,I,K,L,M,N,IP,Q,IERR,IA(3),IB(3)
-      DATA IA /1,2,1/, IB /1,2,2/
-      IF (NTENS.NE.3.OR.NPROPS.LT.1) THEN
-        WRITE(*,*) 'UMAT: needs NTENS = 3 and PROPS(1) = thickness'
+      INTEGER HALVES
+      PARAMETER (HALVES=@M@)
+      DOUBLE PRECISION E(3),S(3),C(3,3),F(3,3),SM(3,3),T(3,3),J,SCALE
+      DOUBLE PRECISION CT(3,3,3,3),CS(3,3,3,3),D(3,3),P(4,HALVES),R(3,3)
+      DOUBLE PRECISION V,G,THICK,SLACK,OVER
+      INTEGER A,B,I,K,L,M,N,ND,IP,Q,IERR,IA(6),IB(6),IX(6)
+      COMMON /RMTAB/ P,R
+      DATA IA /1,2,3,1,1,2/, IB /1,2,3,2,3,3/
+      IF ((NTENS.NE.3.AND.NTENS.NE.6).OR.NPROPS.LT.1) THEN
+        WRITE(*,*) 'UMAT: needs NTENS = 3 or 6, PROPS(1) = thickness'
         PNEWDT = 0.25D0
         RETURN
       END IF
       SCALE = 1.0D0/PROPS(1)
+      SLACK = 0.0D0
       IF (NPROPS.GE.2) SCALE = SCALE*PROPS(2)
-      DO 10 I=1,2
-      DO 10 K=1,2
-   10 F(I,K) = DFGRD1(I,K)
-      J = F(1,1)*F(2,2)-F(1,2)*F(2,1)
-      E(1) = 0.5D0*(F(1,1)**2+F(2,1)**2-1.0D0)
-      E(2) = 0.5D0*(F(1,1)*F(1,2)+F(2,1)*F(2,2))
-      E(3) = 0.5D0*(F(1,2)**2+F(2,2)**2-1.0D0)
+      IF (NPROPS.GE.3) SLACK = PROPS(3)/PROPS(1)*0.01D0**(KSTEP-1)
+      DO 10 I=1,6
+   10 IX(I) = I
+      IF (NTENS.EQ.3) THEN
+C       plane stress: F in the frame of the weave
+        ND = 2
+        IX(3) = 4
+        DO 12 I=1,2
+        DO 12 K=1,2
+   12   F(I,K) = DFGRD1(I,K)
+        J = F(1,1)*F(2,2)-F(1,2)*F(2,1)
+      ELSE
+C       CalculiX: frame without rotation, F = U = exp(log. strain)
+        ND = 3
+        CALL RMEXP(STRAN,DSTRAN,F)
+        J = EXP(STRAN(1)+STRAN(2)+STRAN(3)
+     1   +DSTRAN(1)+DSTRAN(2)+DSTRAN(3))
+      END IF
+      DO 14 I=1,ND
+      DO 14 K=1,ND
+      D(I,K) = 0.0D0
+      IF (I.EQ.K) D(I,K) = 1.0D0
+      T(I,K) = 0.0D0
+      SM(I,K) = -0.5D0*D(I,K)
+      DO 14 L=1,ND
+   14 SM(I,K) = SM(I,K)+0.5D0*F(L,I)*F(L,K)
+      E(1) = SM(1,1)
+      E(2) = SM(1,2)
+      E(3) = SM(2,2)
       CALL RMLAW(E,S,C,SSE,IERR)
       IF (IERR.NE.0) THEN
         WRITE(*,*) 'UMAT: closest point not found, element ',NOEL
         PNEWDT = 0.25D0
         RETURN
       END IF
-      SSE = SSE*SCALE
-      SM(1,1) = S(1)*SCALE
-      SM(1,2) = S(2)*SCALE
-      SM(2,1) = SM(1,2)
-      SM(2,2) = S(3)*SCALE
-C     dS_AB/dE_CD from the tensor components (11,12,22); the column of
-C     C for E12 stands for both E12 and E21
-      DO 20 A=1,2
-      DO 20 B=1,2
-      DO 20 M=1,2
-      DO 20 N=1,2
-      V = C(A+B-1,M+N-1)*SCALE
-      IF (M.NE.N) V = 0.5D0*V
+      SSE = SSE*SCALE+0.5D0*SLACK*(E(1)**2+2.0D0*E(2)**2+E(3)**2)
+C     dS_AB/dE_CD, in the plane from the tensor components (11,12,22):
+C     the column of C for E12 stands for both E12 and E21.  Across the
+C     thickness a stiffness of its own, which nothing in the plane feels
+      THICK = SCALE*(R(1,1)**2+R(3,3)**2)
+      DO 20 A=1,ND
+      DO 20 B=1,ND
+      DO 20 M=1,ND
+      DO 20 N=1,ND
+      G = 0.5D0*(D(A,M)*D(B,N)+D(A,N)*D(B,M))
+      IF (MAX(A,B).EQ.3) THEN
+        V = THICK*G
+      ELSE IF (MAX(M,N).EQ.3) THEN
+        V = 0.0D0
+      ELSE
+        V = C(A+B-1,M+N-1)*SCALE
+        IF (M.NE.N) V = 0.5D0*V
+        V = V+SLACK*G
+      END IF
    20 CT(A,B,M,N) = V
-      DO 40 I=1,2
-      DO 40 K=1,2
-      T(I,K) = 0.0D0
-      D(I,K) = 0.0D0
-      IF (I.EQ.K) D(I,K) = 1.0D0
-      DO 30 A=1,2
-      DO 30 B=1,2
+      DO 25 I=1,ND
+      DO 25 K=1,ND
+      IF (MAX(I,K).EQ.3) THEN
+        SM(I,K) = THICK*SM(I,K)
+      ELSE
+        SM(I,K) = S(I+K-1)*SCALE+SLACK*SM(I,K)
+      END IF
+   25 CONTINUE
+      DO 30 I=1,ND
+      DO 30 K=1,ND
+      DO 30 A=1,ND
+      DO 30 B=1,ND
    30 T(I,K) = T(I,K)+F(I,A)*SM(A,B)*F(K,B)/J
-   40 CONTINUE
-      DO 60 I=1,2
-      DO 60 K=1,2
-      DO 60 L=1,2
-      DO 60 Q=1,2
+C     CalculiX pulls the tangent back to dS/dE by U alone and adds what
+C     the stress contributes itself
+      G = 0.5D0
+      OVER = 1.0D0/J
+      IF (ND.EQ.3) THEN
+        G = 0.0D0
+        OVER = 1.0D0
+      END IF
+      DO 60 I=1,ND
+      DO 60 K=1,ND
+      DO 60 L=1,ND
+      DO 60 Q=1,ND
       V = 0.0D0
-      DO 50 A=1,2
-      DO 50 B=1,2
-      DO 50 M=1,2
-      DO 50 N=1,2
-   50 V = V+F(I,A)*F(K,B)*F(L,M)*F(Q,N)*CT(A,B,M,N)/J
-      CS(I,K,L,Q) = V+0.5D0*(D(I,L)*T(K,Q)+D(K,L)*T(I,Q)
+      DO 50 A=1,ND
+      DO 50 B=1,ND
+      DO 50 M=1,ND
+      DO 50 N=1,ND
+   50 V = V+F(I,A)*F(K,B)*F(L,M)*F(Q,N)*CT(A,B,M,N)*OVER
+      CS(I,K,L,Q) = V+G*(D(I,L)*T(K,Q)+D(K,L)*T(I,Q)
      1 +D(I,Q)*T(K,L)+D(K,Q)*T(I,L))
    60 CONTINUE
+      DO 70 I=1,NTENS
+      STRESS(I) = T(IA(IX(I)),IB(IX(I)))
+      DO 70 IP=1,NTENS
+   70 DDSDDE(I,IP) = CS(IA(IX(I)),IB(IX(I)),IA(IX(IP)),IB(IX(IP)))
+      RETURN
+      END
+C
+      SUBROUTINE RMEXP(STRAN,DSTRAN,U)
+C     U = exp(STRAN+DSTRAN), symmetric, by a series at a sixteenth and
+C     four squarings; engineering shear, order 11,22,33,12,13,23.
+      IMPLICIT NONE
+      DOUBLE PRECISION STRAN(6),DSTRAN(6),U(3,3),X(3,3),V(3,3)
+      INTEGER I,K,L,N,IX(3,3)
+      DATA IX /1,4,5,4,2,6,5,6,3/
+      DO 10 I=1,3
+      DO 10 K=1,3
+      U(I,K) = 0.0D0
+      IF (I.EQ.K) U(I,K) = 1.0D0
+      X(I,K) = (STRAN(IX(I,K))+DSTRAN(IX(I,K)))/16.0D0
+   10 IF (I.NE.K) X(I,K) = 0.5D0*X(I,K)
+      DO 40 N=12,1,-1
+      DO 20 I=1,3
+      DO 20 K=1,3
+      V(I,K) = 0.0D0
+      IF (I.EQ.K) V(I,K) = 1.0D0
+      DO 20 L=1,3
+   20 V(I,K) = V(I,K)+X(I,L)*U(L,K)/N
+      DO 40 I=1,3
+      DO 40 K=1,3
+   40 U(I,K) = V(I,K)
+      DO 70 N=1,4
+      DO 60 I=1,3
+      DO 60 K=1,3
+      V(I,K) = 0.0D0
+      DO 60 L=1,3
+   60 V(I,K) = V(I,K)+U(I,L)*U(L,K)
       DO 70 I=1,3
-      STRESS(I) = T(IA(I),IB(I))
-      DO 70 IP=1,3
-   70 DDSDDE(I,IP) = CS(IA(I),IB(I),IA(IP),IB(IP))
+      DO 70 K=1,3
+   70 U(I,K) = V(I,K)
       RETURN
       END
 C
