@@ -1,9 +1,9 @@
 """Export of a polyhedral law as a user material: Fortran source after the conventions of Abaqus/Standard.
 
 NTENS = 3: membranes in plane stress with finite strain, STRESS = (11, 22, 12), engineering shear, DFGRD1 in the
-material frame of the weave, consistent tangent of the Kirchhoff stress in the Jaumann rate. NTENS = 6: solids as CalculiX hands
-them to materials named ABAQUSNL...: logarithmic strain, stress and tangent in the frame without rotation; across the
-thickness a stiffness of its own, which the plane does not feel.
+material frame of the weave, consistent tangent of the Kirchhoff stress in the Jaumann rate. NTENS = 6: solids as
+CalculiX hands them to materials named ABAQUSNL...: logarithmic strain, stress and tangent in the frame without
+rotation; across the thickness a stiffness of its own, which the plane does not feel.
 PROPS(1) is the nominal thickness (mm) by which line loads (N/mm) are divided; PROPS(2), if given, scales the stiffness;
 PROPS(3) is a stiffness (N/mm) of slack mesh too in the first step, a hundredth of it in each further one.
 `umat.f` beside this module is its source with @names@ for what a law fills in. Its iteration is that of
