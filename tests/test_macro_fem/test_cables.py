@@ -1,7 +1,5 @@
 """Edges on lines in space: held, sliding along an axis, sliding on sloping lines, and what is refused."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -105,20 +103,6 @@ def test_what_slides_along_its_line_must_not_be_pushed(ring_like, scene_tables):
     support = line(TURN, "left", (0.0, 0.0, 0.0), (0.0, 100.0, 0.0), sliding=True)
     with pytest.raises(InputError, match=r"scene: \[load\]: nothing carries the force of -0.273\d* N along"):
         solved(scene_tables, ring_like, TURN, support)
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"sliding": True}, "sliding = true: has no effect without along"),
-        ({"along": [[0, 0, 0], [0, 0, 0]]}, "along = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)]: is no line"),
-        ({"along": [[0, 0, 0], [0, 100, 0]], "gather": 0.9}, "gather = 0.9: has no effect with along"),
-        ({"along": [[0, 0, 0], [0, 100, 0]], "held": "x"}, "held = 'x': has no effect with along"),
-    ],
-)
-def test_bad_keys_of_a_line_end_in_one_sentence(scene_tables, keys, message):
-    with pytest.raises(InputError, match=re.escape(f"scene: [support] (edge) {message}")):
-        read_scene({**scene_tables(), "support": {"kind": "edge", "edge": "left", **keys}})
 
 
 def test_supports_that_do_not_meet_on_a_line_are_refused(ring_like, scene_tables):

@@ -204,17 +204,7 @@ def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
     [
         ({"mesh": {"cells": 32}}, 'cells = 32: has no effect with shape = "file"'),
         ({"mesh": {"pattern": "aligned"}}, "pattern = 'aligned': has no effect"),
-        ({"load": {"steps": 3}}, "steps = 3: has no effect without live loads and moves"),
-        (
-            {"support": {"kind": "edge", "edge": "left", "held": "x", "move": [0, 5]}},
-            r"\[0.0, 5.0\]: has no effect along y",
-        ),
-        (
-            {"support": {"kind": "hooks", "pitch": 25, "sliding": True, "gather": 0.8}},
-            "gather = 0.8: has no effect on hooks",
-        ),
     ],
-    ids=["cells", "pattern", "steps", "move", "gather"],
 )
 def test_keys_without_effect_are_refused(tmp_path, tables, words):
     with pytest.raises(InputError, match=words):

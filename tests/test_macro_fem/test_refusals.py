@@ -1,0 +1,100 @@
+"""What a scene may not say is refused in one sentence that names file, key and value, before anything is solved."""
+
+import tomllib
+
+import pytest
+
+from homogenize import default_law
+from macro_fem import read_scene, solve
+from rve.common.errors import InputError
+
+BASE = """
+curtain = {width = 100.0, height = 100.0}
+mesh = {cells = 4}
+support = {kind = "top"}
+"""
+REFUSED = """
+curtain.width = nan -> [curtain] width = nan
+curtain.width = 1e9 -> units
+curtain.height = 1e9 -> units
+mesh.cells = 20000 -> use fewer
+curtain.weave_angel = "y" -> did you mean weave_angle?
+solvr = {} -> solvr: unknown table
+support = {kind = "top", gather = 1.9} -> farther apart
+support = {kind = "hooks", pitch = 500.0} -> pitch = 500
+support = {kind = "hooks", pitch = 50.0, capacity = true} -> capacity = True
+support = {kind = "hooks", pitch = 25, sliding = true, gather = 0.8} -> gather = 0.8: has no effect on hooks
+support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: must have at most 3 entries
+support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: must have 2 entries
+support = {kind = "edge", edge = "top", held = "zx"} -> held = 'zx': is not one of both, x, y, z, xy, xz, yz
+support = {kind = "edge", edge = "top", held = "z"} -> held = 'z': holds nothing, as the scene lies in the plane
+support = {kind = "edge", edge = "top", held = "xy", move = [0, 0, 1]} -> has no effect along z, as held = 'xy'
+support = {kind = "edge", edge = "left", held = "x", move = [0, 5]} -> [0.0, 5.0]: has no effect along y
+support = {kind = "edge", edge = "left", sliding = true} -> (edge) sliding = true: has no effect without along
+support = {kind = "edge", edge = "left", along = [[0, 0, 0], [0, 0, 0]]} -> (0.0, 0.0, 0.0)]: is no line
+support = {kind = "edge", edge = "left", along = [[0, 0], [0, 99]], gather = 0.9}
+  -> gather = 0.9: has no effect with along
+support = {kind = "edge", edge = "left", along = [[0, 0], [0, 99]], held = "x"} -> held = 'x': has no effect with along
+support = {kind = "track", radius = 50.0} -> (track) angle: is missing
+support = {kind = "track", path = [[0, 0], [0, 0]]} -> path: holds [0, 0] twice in a row
+support = {kind = "track", path = [[0, 0], [50, 0]], angle = 20.0} -> angle = 20: is not used together with path
+support = {kind = "track", fullness = 1.5, angle = 0.0} -> angle = 0: makes no arc
+support = {kind = "track", fullness = 1.5, side = "end"} -> side = 'end': has no effect with drawn = 1
+support = {kind = "track", fullness = 1.5, capacity = 5.0} -> capacity = 5: has no effect without pitch
+support = {kind = "track", fullness = 1.5, rings_per_hook = 2} -> rings_per_hook = 2: has no effect without pitch
+load.steps = 3 -> steps = 3: has no effect without live loads and moves
+load.point = {at = [0, 0]} -> [load.point] force: is missing
+load.bar = {mass = 1.0, edge = "top"} -> held
+load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
+load.wind = {direction = [0, 0, 0], pressure = 1} -> direction = [0.0, 0.0, 0.0]: has no direction
+load.wind = {direction = [0, 0, 1], pressure = 5, speed = 3} -> speed = 3: is not used together with pressure
+load.wind = {direction = [0, 0, 1], pressure = 5, drag_coefficient = 1.2}
+  -> drag_coefficient = 1.2: is not used together
+support = {kind = "edge", edge = "top", held = "y"}; load.wind = {pressure = 6, direction = [0, 0, -2]}
+  -> N along z, in which
+support = {kind = "edge", edge = "top", held = "xy"}; load.point = {at = [0, 0], force = [0, 0, 1]} -> 1 N along z
+support = {kind = "edge", edge = "top", held = "yz"}; load.wind = {pressure = 4, direction = [1, 0, 1]} -> along x
+support = {kind = "edge", edge = "top", held = "xz"}; load.wind = {pressure = 6, direction = [0, 0, 1]}
+  -> along y, in which
+obstacle = {kind = "cube"} -> [obstacle] kind = 'cube': is not one of floor, wall, sphere, cylinder, box
+obstacle = {kind = "cylinder", axis = [0, 0, 0], radius = 1} -> axis = [0.0, 0.0, 0.0]: has no direction
+obstacle = {kind = "box", corner = [0, 0, 0], size = [9, 4, 9], rounding = 3}
+  -> is more than half of its least length, 4 mm
+obstacle = {kind = "wall", facing = [0, 0]} -> facing = [0.0, 0.0]: has no direction
+obstacle = {kind = "floor", height = 120.0} -> floor: top is 20 mm inside it
+obstacle = {kind = "sphere", centre = [50, 100, 0], radius = 30} -> sphere: top is 30 mm inside it
+obstacle = {kind = "sphere", centre = [50, 40, 5], radius = 30} -> 24.4 mm inside it before anything moves
+obstacle = {kind = "wall", facing = [1, 0, 2], point = [0, 0, 1]} -> wall: top is 0.8944 mm
+obstacle = {kind = "sphere", centre = [54, 53, -30], radius = 4, move = [0, 0, 50]} -> less than a fifth of the sides
+start = {origin = [0, 0, 0]} -> [start]: has no effect without bodies
+material.poisson = 0.4 -> poisson = 0.4: is that of the law's table, 0.3
+material.colour = 1 -> colour = 1: unknown key; known are material, density
+material = {yield = 400.0, ultimate = 300.0} -> [material] ultimate = 300: is less than the yield stress, 400
+material.young = 210.0 -> [material] young = 210.0: must be at least 500
+curtain = {width = 3.0, height = 2.5} -> [curtain] width = 3: is less than
+curtain.height = 2.5 -> lengths are in mm, did you mean 2500?
+curtain = {shape = "disk", radius = 1.2} -> radius = 1.2: is less than the diameter of a ring, 10 mm
+support = {kind = "hooks", pitch = 0.2} -> (hooks) pitch = 0.2
+obstacle = {kind = "sphere", centre = [0, 0, 50], radius = 0.05}
+  -> less than the radius of a ring, 5 mm; lengths are in mm
+support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];
+  obstacle = {kind = "sphere", centre = [50, 50, -31], radius = 30, move = [0, 0, 30]}
+  -> [obstacle]: the curtain cannot clear its obstacles
+start = {origin = [0, 0, 0], y_axis = [1, 1, 0]}; obstacle = {kind = "sphere", centre = [0, 0, 9], radius = 1}
+  -> [start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis
+"""
+"""Lines of a scene, and what is said of it; a line that begins with blanks goes on with the one before."""
+ROWS = [line.rsplit(" -> ", 1) for line in REFUSED.strip().replace("\n  ", " ").splitlines()]
+
+
+@pytest.mark.parametrize(("lines", "sentence"), ROWS, ids=[sentence for _, sentence in ROWS])
+def test_what_a_scene_may_not_say_is_one_sentence(lines, sentence):
+    tables, change = tomllib.loads(BASE), tomllib.loads(lines.replace("; ", "\n"))
+    for key, value in change.items():
+        joined = key in ("curtain", "mesh") and "shape" not in value
+        tables[key] = tables[key] | value if joined else value
+    with pytest.raises(InputError) as error:
+        solve(read_scene(tables, "front.toml"), default_law())
+    assert str(error.value).startswith("front.toml: ")
+    assert sentence in str(error.value)
+    assert "\n" not in str(error.value)
