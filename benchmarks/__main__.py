@@ -18,7 +18,7 @@ PAGES = {
     "docs/reports/omissions.md": ("motion", "rings", "curtains"),
     "docs/reports/every_ring.md": ("disk", "cell", "generic", "starts", "growth"),
     "docs/measured/steel.md": ("steel",),
-    "README.md": ("readme",),
+    "docs/reports/numbers.md": ("readme",),
 }
 """Sections of every page. A section is `measure` of the module of that name, in its page's folder if there is one."""
 SECTIONS = {key: ROOT / page for page, keys in PAGES.items() for key in keys}

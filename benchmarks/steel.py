@@ -59,7 +59,7 @@ TEXT = (
     "changes of the mean height against the rigid one. The second has the utilisation of rigid ones, which is that of "
     "the line load averaged over one cell of the weave, 139 mm2: on the mesh of the scene, and on meshes whose finest "
     "cells are as small as the head says, refined where the utilisation is largest. Utilisation is 1 at first yield. "
-    "Force at a point: what the rings there bear if it goes through the width of an average, as told on the mesh of "
+    "Force at a point: capacity of the rings under the hook, load spread over one cell, on the mesh of "
     "the scene; the utilisation that a run prints is the larger one of both."
 )
 

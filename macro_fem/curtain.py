@@ -92,7 +92,7 @@ def solve_problem(
 def solve_convex(
     problem: CurtainProblem, start: CurtainSolution | None = None, options: CurtainOptions = CURTAIN
 ) -> CurtainSolution:
-    """The curtain of a problem without bodies or wind on its shape; what its pins carry is not looked at."""
+    """The curtain of a problem without bodies or wind on its shape; forces at its pins are left unchecked."""
     begin = time.perf_counter()
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))

@@ -1,4 +1,4 @@
-"""The door to `homogenize`: the strain-load table, its file, and the kinematics that give its columns a meaning.
+"""Strain-load table, one row per load direction: its file, and the kinematics that give its columns a meaning.
 
 One row is one load case. Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a
 unit Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the

@@ -99,7 +99,7 @@ def test_the_lines_of_the_readme_run():
     """In an interpreter of their own they print the mean height."""
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert float(done.stdout) == pytest.approx(420.26, abs=0.05)  # 3,584 cells: README's table of measured numbers
+    assert float(done.stdout) == pytest.approx(420.26, abs=0.05)  # 3,584 cells: docs/reports/numbers.md
 
 
 @pytest.fixture

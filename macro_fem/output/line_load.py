@@ -29,7 +29,7 @@ LOCAL = 1.25
 """Line loads this many times their average over a cell change over less than a cell."""
 FINE = 0.25
 """Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
-15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: more meshes are told coarse."""
+15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: flags more meshes as too coarse."""
 NEAR = 2.0
 """The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 

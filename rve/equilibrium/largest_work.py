@@ -28,7 +28,7 @@ from rve.geometry.pose import Pose, mirrored, strain_of
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
 WORK_NOISE = 1e-7
-"""Works that differ by less tell branches apart no more; see SAME_BRANCH_RATIO."""
+"""Smaller differences in work are rounding; see SAME_BRANCH_RATIO."""
 NEIGHBOURS, NEAR = 8, 0.25
 """The locked states of so many loads nearest to a load are compared with its own, up to this distance in the disc of
 loads of unit trace."""

@@ -137,7 +137,7 @@ def _polish(
     d, n_a, n_b = (of[pair] for of in circles)
     e1, e2 = tangent_frame(n_a)
     angle, low, high = angle + shift, angle - width, angle + width
-    # Rows at rest leave, so that none depends on the company it is polished in; most need five rounds, a few thirty.
+    # Converged rows are dropped, so results do not depend on the batch; most need five rounds, a few thirty.
     go = np.arange(len(angle))
     for _ in range(40):
         at = angle[go]
