@@ -175,8 +175,5 @@ def test_the_page_names_every_field_and_no_other(out, headings, names):
     text = section(*headings)
     written = set().union(*(of_file(out / name, COUNTS if name == "table.json" else ()) for name in names))
     assert written - named(text) == set()
-    statuses = set(re.findall(r"^\| `(\w+)`", section("### Status"), re.MULTILINE)) | {
-        "stalled",
-        "iterations",
-    }
+    statuses = set(re.findall(r"^\| `(\w+)`", section("### Status"), re.MULTILINE)) | {"stalled", "iterations"}
     assert first_column(text) - written - statuses - {"not_finite"} == set()

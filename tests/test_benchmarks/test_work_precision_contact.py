@@ -2,13 +2,7 @@
 
 import pytest
 
-from benchmarks.work_precision.contact import (
-    degenerate_pairs,
-    golden_section,
-    newton,
-    random_pairs,
-    score,
-)
+from benchmarks.work_precision.contact import degenerate_pairs, golden_section, newton, random_pairs, score
 
 
 @pytest.fixture(scope="module")

@@ -7,16 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.work_precision.generic import SOLVERS, Programme
-from benchmarks.work_precision.rve import (
-    ERROR,
-    PUBLISHED,
-    direct,
-    direct_alone,
-    extrapolated,
-    problem,
-    runs,
-    scheme,
-)
+from benchmarks.work_precision.rve import ERROR, PUBLISHED, direct, direct_alone, extrapolated, problem, runs, scheme
 from rve.geometry.kinematics import second_pk
 from rve.geometry.pose import deformation
 

@@ -1,9 +1,13 @@
-"""Sheets on rectangles."""
+"""Sheets on rectangles, and the problems of scenes."""
 
 import numpy as np
 import skfem
 
+from homogenize import default_law
 from macro_fem.fem.supported import SupportedFem
+from macro_fem.problem import make_problem
+from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.schema import read_scene
 
 
 def mesh_of(element, width, height, nx, ny):
@@ -24,3 +28,9 @@ def supported(disc, fixed, displacement):
     """The discretisation with the components `fixed` held at a displacement, both (n_nodes, d)."""
     X = np.column_stack([disc.nodes, np.zeros((disc.n_nodes, fixed.shape[1] - 2))])
     return SupportedFem(disc, np.where(fixed, X + displacement, 0.0), ~fixed.ravel())
+
+
+def posed(scene, law=None, factor=1.0):
+    """The problem of a scene, or of its tables, with a law, the shipped one of rings unless another is given."""
+    scene, law = read_scene(scene) if isinstance(scene, dict) else scene, law or default_law()
+    return make_problem(scene, law, build_mesh(scene, law.cell), factor)

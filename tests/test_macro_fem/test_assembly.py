@@ -81,10 +81,7 @@ def test_forces_and_stiffness_are_plain_sums(element, d):
 
 @settings(deadline=None, max_examples=25)
 @given(
-    element=st.sampled_from(ELEMENTS),
-    d=st.sampled_from([2, 3]),
-    seed=st.integers(0, 10**6),
-    share=st.floats(0.0, 1.0),
+    element=st.sampled_from(ELEMENTS), d=st.sampled_from([2, 3]), seed=st.integers(0, 10**6), share=st.floats(0.0, 1.0)
 )
 def test_stiffness_of_any_mesh_and_any_supports(element, d, seed, share):
     rng = np.random.default_rng(seed)

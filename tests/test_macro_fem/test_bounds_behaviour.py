@@ -9,17 +9,12 @@ from macro_fem.bounds import interval as bounds
 from macro_fem.bounds.dual_problem import dual_problem
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_problem, solve_scene
-from macro_fem.problem import gathered_start, make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.problem import gathered_start
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.options import PathOptions
-
-
-def problem_of(tables, law):
-    scene = read_scene(tables)
-    return make_problem(scene, law, build_mesh(scene, law.cell))
+from tests.test_macro_fem.sheets import posed
 
 
 def solve(problem, **options):
@@ -45,7 +40,7 @@ def test_a_loose_answer_is_admissible_and_above_the_least_potential(
     ring_like, scene_tables, hang, height, support, load, mesh
 ):
     """The last iterate may leave the law, by 1e-6 to 1e-4 at some of these tolerances; the answer does not."""
-    problem = problem_of(scene_tables(hang=hang, height=height, support=support, load=load, mesh=mesh), ring_like)
+    problem = posed(scene_tables(hang=hang, height=height, support=support, load=load, mesh=mesh), ring_like)
     fine, scale = solve(problem)
     for gap in 10.0 ** np.arange(-2.0, -5.0, -0.25):
         loose, _ = solve(problem, gap=gap, violation=10.0 * gap)
@@ -56,7 +51,7 @@ def test_a_loose_answer_is_admissible_and_above_the_least_potential(
 
 def test_the_lower_bound_holds_wherever_the_iteration_is_stopped(ring_like, scene_tables):
     """Forces are not balanced before the end. Without what they could do, steps 6 to 9 are above the answer."""
-    problem = problem_of(scene_tables(hang="x", support={"kind": "rail"}), ring_like)
+    problem = posed(scene_tables(hang="x", support={"kind": "rail"}), ring_like)
     fine, scale = solve(problem)
     for steps in range(1, fine.iterations):
         early, _ = solve(problem, max_iterations=steps)
@@ -133,8 +128,7 @@ def test_half_the_step_is_half_the_live_load(ring_like, scene_tables, kind):
         tables = scene_tables(
             mesh={"cells": 4}, support={"kind": "top", "gather": 0.9}, load=load, solver={"stabilising_tension": 0.0}
         )
-        scene = read_scene(tables)
-        solution = solve_problem(make_problem(scene, ring_like, build_mesh(scene, ring_like.cell), factor))
+        solution = solve_problem(posed(tables, ring_like, factor))
         answers.append(bound(solution, factor))
         scale = np.abs(solution.problem.force).sum() * 100.0
     stepped, halved, full = answers

@@ -12,12 +12,12 @@ import skfem
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.output.files import summarize
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh, cut_in_four
+from macro_fem.scene.meshing.mesh import cut_in_four
 from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.pairs import pairs_not_covered
+from tests.test_macro_fem.sheets import posed
 
 HOLE = [[[40, 30], [60, 30], [60, 50], [40, 50]]]
 PATCH = {"at": [20.0, 20.0], "radius": 15.0, "force": [0.1, -0.2]}
@@ -165,7 +165,7 @@ def check(row, folder):
     law = default_law()
     try:
         scene = scene_of(row, folder)
-        problem = make_problem(scene, law, build_mesh(scene, law.cell), KEYS["factor"][row["factor"]])
+        problem = posed(scene, law, KEYS["factor"][row["factor"]])
         solution = solve_problem(problem)
     except InputError as error:
         is_sentence = str(error).startswith(str(folder / "scene.toml")) and "\n" not in str(error)

@@ -5,11 +5,10 @@ import pytest
 
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.pairs import pairs_not_covered
+from tests.test_macro_fem.sheets import posed
 
 LEFT, RIGHT = [[0.0, 0.0, 5.0], [10.0, 79.0, 0.0]], [[100.0, 0.0, -5.0], [90.0, 79.0, 0.0]]
 TOP = [[10.0, 79.0, 0.0], [90.0, 79.0, 0.0]]
@@ -136,7 +135,7 @@ def check(row):
             },
             "scene.toml",
         )
-        solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+        solution = solve_problem(posed(scene, law))
     except InputError as error:
         is_sentence = str(error).startswith("scene.toml") and "\n" not in str(error)
         return next((key for key, words in REFUSED.items() if words in str(error) and is_sentence), str(error))

@@ -114,10 +114,7 @@ WAVE = np.column_stack([100.0 + 1.5 * np.sin(0.3 * HEIGHTS), HEIGHTS])
         ),
         ([[0, 0], [100, 0], [50, 173.2]], {"bottom": 100.0, "top": 2.0 * np.hypot(50.0, 173.2)}),
         ([[0, 40], [100, 0], [100, 80], [0, 80]], {"top": 100.0, "bottom": np.hypot(100, 40), "left": 40, "right": 80}),
-        (
-            [[0, 0], *WAVE, [0, 80]],
-            {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)},
-        ),
+        ([[0, 0], *WAVE, [0, 80]], {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)}),
     ],
     ids=[
         "box",

@@ -11,14 +11,12 @@ from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.options import PathOptions
 from macro_fem.solvers.path_result import Terms
 from rve.common.errors import InputError
-from tests.test_macro_fem.sheets import mesh_of, supported
+from tests.test_macro_fem.sheets import mesh_of, posed, supported
 
 ELASTIC = {"kind": "elastic"}
 PER_MM2 = 2.785e-6 * 9.81
@@ -197,7 +195,7 @@ def test_supports_out_of_reach_are_refused_by_proof(scene_tables):
 def test_the_dual_stress_is_that_of_the_law(scene_tables, stiffness):
     tables = scene_tables(support={"kind": "corners"}, mesh={"cells": 4}, solver=ELASTIC)
     scene, law = read_scene(tables), rings(stiffness)
-    problem = make_problem(scene, law, build_mesh(scene, law.cell))
+    problem = posed(scene, law)
     found = solve_problem(problem)
     assert found.status == "converged"
     assert found.relative_gap < 1e-7

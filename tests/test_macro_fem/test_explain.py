@@ -13,6 +13,7 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import same_cones
 from macro_fem.solvers.options import PathOptions
+from tests.test_macro_fem.sheets import posed
 
 LAW = default_law()
 
@@ -27,7 +28,7 @@ def problem(law=LAW, cells=4, support="corners", load=None, hang="y", **solver):
             "solver": solver,
         }
     )
-    return make_problem(scene, law, build_mesh(scene, law.cell))
+    return posed(scene, law)
 
 
 def said(solution):

@@ -10,9 +10,8 @@ from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.fem.cells import recovered
 from macro_fem.output.line_load import Nearby, largest, largest_mean, summary
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
+from tests.test_macro_fem.sheets import posed
 
 AREA = 11.0 * 12.646069623526
 
@@ -128,8 +127,7 @@ CHECKERBOARD = np.array([1.0, -1.0, 1.0, -1.0]) / 4.0
 
 def crossed(cells):
     tables = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": cells, "pattern": "crossed"}}
-    scene = read_scene({**tables, "support": {"kind": "corners"}, "solver": {"kind": "rigid"}})
-    return make_problem(scene, default_law(), build_mesh(scene, default_law().cell))
+    return posed({**tables, "support": {"kind": "corners"}, "solver": {"kind": "rigid"}})
 
 
 def test_an_average_over_neighbours_has_no_checkerboard_and_keeps_what_is_linear():

@@ -9,11 +9,7 @@ from tests.squares import MSH, mesh_of, write_square
 
 @pytest.mark.parametrize(
     ("name", "kind", "how"),
-    [
-        ("a.msh", "triangle", {}),
-        ("a.vtu", "triangle", {"binary": False}),
-        ("a.vtu", "quad", {"compression": "zlib"}),
-    ],
+    [("a.msh", "triangle", {}), ("a.vtu", "triangle", {"binary": False}), ("a.vtu", "quad", {"compression": "zlib"})],
 )
 def test_every_offered_format_gives_the_same_square(name, kind, how, tmp_path):
     write_square(tmp_path / name, kind, **how)

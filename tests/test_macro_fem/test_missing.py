@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize.io import default_law
-from macro_fem.problem import gathered_start, make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
+from macro_fem.problem import gathered_start
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, mean_product, measure
@@ -17,6 +15,7 @@ from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, w
 from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
 from macro_fem.solvers.options import PathOptions
 from rve.common.tensor import double_dot, trace
+from tests.test_macro_fem.sheets import posed
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +25,7 @@ def rings():
 
 @pytest.fixture
 def problem(rings, scene_tables):
-    scene = read_scene(scene_tables(support={"kind": "corners"}))
-    return make_problem(scene, rings, build_mesh(scene, rings.cell))
+    return posed(scene_tables(support={"kind": "corners"}), rings)
 
 
 def begun(problem):

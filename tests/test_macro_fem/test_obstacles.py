@@ -7,22 +7,16 @@ from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.obstacles import obstacle_forces, pushes_of
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Box, Obstacle, placed, with_rounding
 from macro_fem.scene.schema import read_kinds, read_scene
 from macro_fem.shape_loop import ShapeOptions, solve_shape
 from macro_fem.solvers.walls import Walls, rows_of
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
+from tests.test_macro_fem.sheets import posed
 
 DENSITY = 2.785 * 9.81e-6
 """Weight of the small scenes, N/mm2."""
-
-
-def posed(tables, law):
-    scene = read_scene(tables)
-    return make_problem(scene, law, build_mesh(scene, law.cell))
 
 
 def answer(tables, law):

@@ -12,10 +12,7 @@ from rve.common.errors import InputError
 HAMMOCK = {
     "curtain": {"width": 240, "height": 300},
     "mesh": {"cells": 6},
-    "support": [
-        {"kind": "edge", "edge": "top"},
-        {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]},
-    ],
+    "support": [{"kind": "edge", "edge": "top"}, {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]}],
     "load": {"steps": 2},
 }
 PLANE = {

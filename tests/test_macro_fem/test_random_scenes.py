@@ -13,12 +13,11 @@ from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.drag import wind_summary
 from macro_fem.output.supports import support_forces
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
+from tests.test_macro_fem.sheets import posed
 
 KINDS = ("rigid", "elastic")
 NAMED = {"converged", "taut", "infeasible"}
@@ -104,7 +103,7 @@ def solutions(seed, law):
     for kind in KINDS:
         try:
             scene = read_scene({**draw(seed), "solver": {"kind": kind}}, "scene")
-            found[kind] = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+            found[kind] = solve_problem(posed(scene, law))
         except InputError:
             found[kind] = None
     assert len({one is None for one in found.values()}) == 1
@@ -225,7 +224,7 @@ def check_sliding(seed):
     tables, way = draw_sliding(seed)
     law, scene = default_law(), read_scene(tables, "scene")
     try:
-        solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+        solution = solve_problem(posed(scene, law))
     except InputError as error:
         return f"refused: {error}"
     load = np.linalg.norm(solution.problem.force.sum(axis=0))
@@ -279,7 +278,7 @@ def check_windy(seed):
     """The status; the drag is at most that of a plate on the front, and what supports carry along the wind."""
     tables, along, pressure = draw_windy(seed)
     law, scene = default_law(), read_scene(tables, "scene")
-    solution = solve_problem(make_problem(scene, law, build_mesh(scene, law.cell)))
+    solution = solve_problem(posed(scene, law))
     if solution.status != "converged":
         return solution.status
     (told,) = wind_summary(solution)["wind"]

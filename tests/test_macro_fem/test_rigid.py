@@ -8,13 +8,13 @@ import pytest
 from homogenize.laws.net import diagonal_net, ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_scene
-from macro_fem.problem import gathered_start, make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.problem import gathered_start
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import green_strain, law_cut
 from macro_fem.solvers.options import PathOptions
 from tests.test_macro_fem.clarabel_oracle import solve_clarabel
+from tests.test_macro_fem.sheets import posed
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 STRETCH_X, SHRINK_Y = 17.42005 / 11.0, 4.25798 / 12.646069623526
@@ -132,7 +132,7 @@ def test_the_duality_gap_is_a_bound_at_every_tolerance(ring_like, scene_tables):
 @pytest.mark.parametrize("gather", [1.65, 2.0])
 def test_supports_too_far_apart_are_proved_impossible(gather, scene_tables):
     law = ring_net(RINGS)  # its chains stretch to 18/11 = 1.6364 along x
-    problem = problem_of(scene_tables(support={"kind": "top", "gather": gather}), law)
+    problem = posed(scene_tables(support={"kind": "top", "gather": gather}), law)
     load = problem.fem.gather(problem.force)
     result = solve_path(problem.fem, problem.law, load, problem.fem.unknowns(gathered_start(problem)), 140.0)
     assert result.status == "infeasible"
@@ -201,7 +201,7 @@ def test_a_little_less_is_solved_and_a_little_more_refuted(scene_tables, gather,
 
 
 def test_options_are_heeded(ring_like, scene_tables):
-    problem = problem_of(scene_tables(support={"kind": "corners"}), ring_like)
+    problem = posed(scene_tables(support={"kind": "corners"}), ring_like)
     load, z = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
     long = solve_path(problem.fem, problem.law, load, z, 140.0)
     assert long.iterations > 3
@@ -263,8 +263,3 @@ def test_moved_supports_move_the_curtain(ring_like, scene_tables):
     assert moved.mean_height() == pytest.approx(still.mean_height() - 7.0, abs=1e-6)
     shift = -(still.problem.force.sum(axis=0) @ np.array([30.0, -7.0]))
     assert moved.primal == pytest.approx(still.primal + shift, abs=1e-8 * np.abs(still.problem.force).sum() * 100.0)
-
-
-def problem_of(tables, law):
-    scene = read_scene(tables)
-    return make_problem(scene, law, build_mesh(scene, law.cell))

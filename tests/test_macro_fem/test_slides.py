@@ -9,10 +9,9 @@ from click.testing import CliRunner
 from homogenize.io import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import posed
 
 SIZE = 200.0
 RAIL = {"kind": "rail"}
@@ -32,7 +31,7 @@ def scene(support, *obstacles, **solver):
 
 def solved(support, *obstacles, **solver):
     law, asked = default_law(), scene(support, *obstacles, **solver)
-    return solve_problem(make_problem(asked, law, build_mesh(asked, law.cell)))
+    return solve_problem(posed(asked, law))
 
 
 def total(solution):

@@ -15,15 +15,15 @@ from macro_fem.curtain import solve_scene
 from macro_fem.job import compare, solve
 from macro_fem.output.files import features
 from macro_fem.output.supports import support_table
-from macro_fem.problem import gathered_start, make_problem
+from macro_fem.problem import gathered_start
 from macro_fem.rings.ring_scene import ring_scene
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene, read_scene
 from macro_fem.scene.tables import HeldAxes
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.status import load_scale
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
+from tests.test_macro_fem.sheets import posed
 
 LAW = default_law()
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
@@ -91,15 +91,14 @@ def test_a_scene_says_why_it_needs_a_third_coordinate(support, load, solver, why
     scene = read_scene(tables(support, load, solver=solver))
     assert scene.in_space == bool(why)
     assert scene.space_reason.startswith(why)
-    problem = make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    problem = posed(scene, LAW)
     assert problem.fem.d == problem.force.shape[1] == scene.d == (3 if why else 2)
 
 
 @pytest.mark.parametrize("held", get_args(HeldAxes))
 def test_held_names_the_components(held):
     support = [{"kind": "top"}, {"kind": "edge", "edge": "bottom", "held": held}]
-    scene = read_scene(tables(support, {"wind": WIND}))
-    problem = make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    problem = posed(tables(support, {"wind": WIND}), LAW)
     nodes = problem.supports.held[1].nodes
     expected = [held == "both" or axis in held for axis in "xyz"]
     assert (problem.supports.mask[nodes] == expected).all()
@@ -113,8 +112,7 @@ def test_loads_have_the_sum_and_direction_that_are_asked_for():
         "bar": {"mass": 2.0, "straight": False},
         "edge": {"edge": "left", "force": [1e-3, 0.0, 2e-3]},
     }
-    scene = read_scene(tables({"kind": "top"}, load, areal_mass=2.0))
-    force = make_problem(scene, LAW, build_mesh(scene, LAW.cell), 0.5).force.sum(axis=0)
+    force = posed(tables({"kind": "top"}, load, areal_mass=2.0), LAW, 0.5).force.sum(axis=0)
     area = 0.25  # m2
     weight = (2.0 * area + 2.0) * np.array([1.0, 2.0, -3.0])
     live = area * np.array([1.2, 1.6, -6.0]) + np.array([0.5, 0.0, 1.0])
@@ -223,8 +221,7 @@ def test_supports_out_of_reach_in_space_are_refused_and_taut_ones_are_named():
 
 
 def test_the_start_is_slack_and_turns_with_the_supports():
-    scene = read_scene(SMALL["net held at points"])
-    problem = make_problem(scene, LAW, build_mesh(scene, LAW.cell))
+    problem = posed(SMALL["net held at points"], LAW)
     start = gathered_start(problem)
     assert np.linalg.svd(problem.fem.gradient(problem.fem.unknowns(start)), compute_uv=False).max() < 1.2
     E = green_strain(np.linalg.lstsq(problem.disc.nodes - 250.0, start - start.mean(axis=0), rcond=None)[0].T[None])

@@ -80,10 +80,7 @@ def hammock(name, cells, width=WIDTH, pattern="diagonal", **solver):
             {
                 "curtain": {"width": width, "height": LENGTH, "weave_angle": angle, "areal_mass": MASS},
                 "mesh": {"cells": cells, "pattern": pattern},
-                "support": [
-                    rail | {"edge": "top"},
-                    rail | {"edge": "bottom", "move": move},
-                ],
+                "support": [rail | {"edge": "top"}, rail | {"edge": "bottom", "move": move}],
                 "load": {"gravity": GRAVITY, "wind": {"pressure": wind, "direction": [0.0, 0.0, 1.0]}},
                 "solver": solver,
             }

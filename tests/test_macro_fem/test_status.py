@@ -9,12 +9,12 @@ from homogenize.io import default_law
 from homogenize.laws.net import ring_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.curtain import solve_scene, supports_reach
-from macro_fem.problem import gathered_start, make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.problem import gathered_start
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
+from tests.test_macro_fem.sheets import posed
 
 RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 KINDS = ("rigid", "elastic")
@@ -84,8 +84,7 @@ def test_an_answer_with_other_numbers_has_another_status(kind):
 
 def test_rail_and_corners_close_the_gap(fitted_law):
     """The answer was drawn to a state without room: 445 mm, gap 0.048, "converged", where clarabel found 376.7."""
-    scene = read_scene(tables(RAIL_AND_CORNERS, "x", 6))
-    problem = make_problem(scene, fitted_law, build_mesh(scene, fitted_law.cell))
+    problem = posed(tables(RAIL_AND_CORNERS, "x", 6), fitted_law)
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
     result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     gap = (result.primal - result.dual) / (np.abs(load).sum() * problem.mesh.size)
@@ -128,8 +127,7 @@ def test_every_solver_refuses_supports_out_of_reach(kind):
 @pytest.mark.parametrize("gather", [1.0, 1.5, 18.0 / 11.0, 1.7])
 def test_the_reach_of_a_held_top_has_its_closed_form(gather):
     """The chains of the net stretch to 18/11 along x."""
-    scene = read_scene(tables({"kind": "top", "gather": gather, "move": [300.0, -200.0]}))
-    problem = make_problem(scene, ring_net(RINGS), build_mesh(scene, RINGS))
+    problem = posed(tables({"kind": "top", "gather": gather, "move": [300.0, -200.0]}), ring_net(RINGS))
     slackless = problem.fem.unknowns(problem.disc.nodes * [1.6, 1.5])  # a start without room: the program is solved
     reach = reach_of(problem.fem, problem.law, slackless, problem.mesh.size)
     exact = 18.0 / 11.0 / gather
@@ -142,8 +140,7 @@ def test_the_reach_of_a_held_top_has_its_closed_form(gather):
 
 
 def test_a_single_point_can_be_held_anywhere():
-    scene = read_scene(tables({"kind": "point", "at": [500.0, 1000.0], "move": [0.0, 4000.0]}))
-    problem = make_problem(scene, default_law(), build_mesh(scene, RINGS))
+    problem = posed(tables({"kind": "point", "at": [500.0, 1000.0], "move": [0.0, 4000.0]}))
     slackless = problem.fem.unknowns(2.0 * problem.disc.nodes)
     assert reach_of(problem.fem, problem.law, slackless, problem.mesh.size) == FREE
 
@@ -162,8 +159,7 @@ def test_the_pull_at_the_limit_follows_what_rings_give():
 
 def solve_relaxed(gather, give):
     """The rigid curtain whose supports are drawn together by a part `give`."""
-    scene = read_scene(tables({"kind": "top", "gather": gather / (1.0 + give)}, tolerance=1e-7))
-    problem = make_problem(scene, ring_net(RINGS), build_mesh(scene, RINGS))
+    problem = posed(tables({"kind": "top", "gather": gather / (1.0 + give)}, tolerance=1e-7), ring_net(RINGS))
     load, start = problem.fem.gather(problem.force), problem.fem.unknowns(gathered_start(problem))
     result = solve_path(problem.fem, problem.law, load, start, problem.mesh.size)
     assert result.converged

@@ -2,16 +2,13 @@
 
 import numpy as np
 
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain, law_cut
 from tests.test_macro_fem.clarabel_oracle import ClarabelOptions, solve_clarabel
+from tests.test_macro_fem.sheets import posed
 
 
 def corners(law, scene_tables, **mesh):
-    scene = read_scene(scene_tables(mesh={"cells": 4, **mesh}, support={"kind": "corners"}))
-    return make_problem(scene, law, build_mesh(scene, law.cell))
+    return posed(scene_tables(mesh={"cells": 4, **mesh}, support={"kind": "corners"}), law)
 
 
 def clarabel(problem, **options):

@@ -10,12 +10,11 @@ from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_convex, solve_problem
 from macro_fem.drag import front_of, senses, vector_areas, wind_density, wind_summary
 from macro_fem.fem.assembly import gradient
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.wind import drag_coefficient, ring_solidity
 from macro_fem.shape_loop import ShapeOptions, solve_shape
 from rve.common.errors import InputError
+from tests.test_macro_fem.sheets import posed
 
 
 def with_wind(scene_tables, **wind):
@@ -24,7 +23,7 @@ def with_wind(scene_tables, **wind):
 
 def wind_force(scene, law):
     """Total force of the wind, N."""
-    force = make_problem(scene, law, build_mesh(scene, law.cell)).force.sum(axis=0)
+    force = posed(scene, law).force.sum(axis=0)
     assert force[0] == pytest.approx(0.0, abs=1e-12)
     return force[2]
 
@@ -60,11 +59,6 @@ def test_a_speed_is_the_pressure_of_its_drag(scene_tables):
     given = with_wind(scene_tables, speed=20.0, drag_coefficient=0.9, air_density=1.0)
     assert wind_force(given, law) == pytest.approx(0.5 * 0.9 * 400.0 * area, rel=1e-12)
     assert wind_force(given, diagonal_net()) == pytest.approx(0.5 * 0.9 * 400.0 * area, rel=1e-12)
-
-
-def posed(tables, law=None):
-    scene, law = read_scene(tables), default_law() if law is None else law
-    return make_problem(scene, law, build_mesh(scene, law.cell))
 
 
 def hung(support, wind, **mesh):
@@ -216,7 +210,7 @@ def test_no_shape_takes_more_than_a_plate_on_its_front(seed):
 def test_a_law_without_rings_needs_a_drag_coefficient(scene_tables):
     scene, law = with_wind(scene_tables, speed=3.0), diagonal_net()
     with pytest.raises(InputError, match=r"scene: \[load.wind\] speed = 3: the law has no rings to tell the drag"):
-        make_problem(scene, law, build_mesh(scene, law.cell))
+        posed(scene, law)
 
 
 def test_the_summary_tells_drag_and_pressure(scene_tables):

@@ -72,11 +72,7 @@ def test_case_prints_json_and_draws(tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [
-        (["--r2", "2"], "jams"),
-        (["--alpha", "0:10"], "--alpha"),
-        (["--graded", "--beta", "10"], "--graded"),
-    ],
+    [(["--r2", "2"], "jams"), (["--alpha", "0:10"], "--alpha"), (["--graded", "--beta", "10"], "--graded")],
 )
 def test_bad_input_ends_in_one_sentence(tmp_path, arguments, words):
     out = tmp_path / "t.csv"

@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
-from rve.common.files import (
-    check_belongs,
-    check_out_file,
-    check_out_folder,
-    check_out_job,
-    checksum,
-    job,
-)
+from rve.common.files import check_belongs, check_out_file, check_out_folder, check_out_job, checksum, job
 from rve.geometry.kinematics import cauchy_line_load
 from rve.table import RowQuality, StrainTable, provenance_path, read_table, write_table
 
