@@ -91,8 +91,8 @@ class Demand:
 SENTENCES = {
     "converged": "the interval of rings and continuous curtain is as narrow as asked",
     "mesh_limit": "the mesh would need more than {cells} triangles; ask for less accuracy, or start with fewer cells",
-    "law_limit": "the law's part, {law:.2g} of the height, is the larger one and further ring solves cannot narrow the interval "
-    "within {solves} ring problems ({failed} directions without an answer); ask for less accuracy",
+    "law_limit": "the law's part, {law:.2g} of the height, is the larger one and further ring solves cannot "
+    "narrow the interval within {solves} ring problems ({failed} directions without an answer); ask for less accuracy",
     "bound_limit": "the lower bound ended with status {bound}; allow more [solver] max_iterations or start with other "
     "cells",
     "contradiction": "answers of the rings contradict each other by {raised:.1e}: some are not the largest work, the "
