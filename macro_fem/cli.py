@@ -207,13 +207,24 @@ _ring_options = options(
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
 def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path, picture: bool, html: bool) -> None:
-    """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png.
+    """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png, or motion.csv, motion.pvd, motion.png.
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
     from macro_fem.job import run_rings
-    from macro_fem.told import default_law_lines, every_ring_lines
+    from macro_fem.rings.motion_files import run_ring_motion
+    from macro_fem.scene.schema import load_scene
+    from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
+    if load_scene(scene).motion is not None:
+        say(*default_law_lines(law_path))
+        summary = run_ring_motion(scene, law_path, out, space=space, start=start, picture=picture, html=html)
+        say(*motion_lines(summary, out))
+        answer(summary)
+        if summary["status"] == "stopped":
+            raise click.exceptions.Exit(130)
+        _fail_unless(summary["status"] == "converged")
+        return
     summary = run_rings(scene, law_path, out, space=space, start=start, picture=picture, html=html)
     say(*default_law_lines(law_path), *every_ring_lines(summary, out))
     answer(summary)

@@ -66,36 +66,38 @@ def support_forces(moving: Moving, change: Difference, forces: Forces, end: Step
 
 @dataclass(frozen=True, eq=False)
 class Worked:
-    """The forces of supports (n, d) in N, and what a step has done, N mm.
+    """The forces of supports and of contacts, `pushes` (n, d), in N, and what a step has done, N mm.
 
     inner, sum of w P+:(F+ - F_n); stored, the change of Psi; moved, pushes times the moves of obstacles along them;
     touched, pushes times the gaps at x_n.
     """
 
     supports: Array
-    inner: float
-    stored: float
+    pushes: Array
+    inner: float = 0.0
+    stored: float = 0.0
     moved: float = 0.0
     touched: float = 0.0
 
 
 def next_account(
     last: Account,
-    moving: Moving,
+    mass: Array,
     change: Difference,
     now: Moment,
     forces: Forces,
-    end: Stepped,
+    x: Array,
     worked: Worked,
+    *,
+    gives: bool = False,
 ) -> Account:
-    """The account after a step from `now`."""
-    mass, dx, v, a = moving.mass, end.x - now.x, change.velocity(end.x), change.acceleration(end.x)
+    """The account after a step of masses (n,) from `now` to positions x (n, d); `gives`: whether the law is elastic."""
+    dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)
     live = forces.live if forces.drag is None else forces.live - (forces.drag @ v[:, :, None])[:, :, 0]
     kinetic = kinetic_energy(mass, v)
     damped = 2.0 * change.h * forces.damping * kinetic
     dashpot = forces.damping * float((mass[:, None] * v * dx).sum())
-    contact = worked.moved - float((end.pushes * dx).sum())
-    gives = bool(moving.compliance.any())
+    contact = worked.moved - float((worked.pushes * dx).sum())
     return Account(
         kinetic=kinetic,
         potential=last.potential - float((forces.dead * dx).sum()),

@@ -148,17 +148,10 @@ def summarize_motion(run: MotionRun, rows: Array) -> dict[str, Any]:
         "steps": len(rows) - 1,
         "scheme": run.scene.motion.scheme,
         "forces": IMPULSES if is_rigid else FORCES,
-    }
-    for name, unit, values in (
-        ("support_force", "_N", force),
-        ("line_load", "_N_per_mm", rows[:, -2]),
-        ("utilisation", "", rows[:, -1]),
-    ):
+    } | force_peaks(t, force, impulse=is_rigid)
+    for name, unit, values in (("line_load", "_N_per_mm", rows[:, -2]), ("utilisation", "", rows[:, -1])):
         if np.isfinite(values).all():
             summary |= {f"peak_{name}{unit}": float(values.max()), f"peak_{name}_at_s": float(t[values.argmax()])}
-    if is_rigid:
-        impulse = force[1:] * np.diff(t)
-        summary["peak_support_impulse_N_s"] = float(impulse.max(initial=0.0))
     n = last.problem.disc.n_nodes
     return summary | {
         "bodies": [
@@ -176,6 +169,14 @@ def summarize_motion(run: MotionRun, rows: Array) -> dict[str, Any]:
         "wall_s": run.wall_s,
         "versions": versions("scikit-fem", "scikit-sparse"),
     }
+
+
+def force_peaks(t: Array, force: Array, *, impulse: bool) -> dict[str, float]:
+    """The largest support force (m,) at times t (m,) in s, when it is, and the largest impulse of a step if asked."""
+    peaks = {"peak_support_force_N": float(force.max()), "peak_support_force_at_s": float(t[force.argmax()])}
+    if impulse:
+        peaks["peak_support_impulse_N_s"] = float((force[1:] * np.diff(t)).max(initial=0.0))
+    return peaks
 
 
 def account_error(rows: Array) -> float:

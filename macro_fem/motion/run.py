@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 
@@ -15,7 +14,8 @@ from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.fem.space import in_space_of
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
 from macro_fem.motion.contact import Contacts
-from macro_fem.motion.scheme import Moment, difference, predicted
+from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, collected, first_step, stepped
+from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import Stage, forces_at, masses_of, scene_at, stored_energy, weights_of
 from macro_fem.motion.step import Moving, Stepped, solve_step
 from macro_fem.problem import CurtainProblem, make_problem
@@ -25,42 +25,10 @@ from macro_fem.scene.schema import Scene
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.status import ROUNDING
 from rve.common.errors import InputError, NotConverged
-from rve.common.progress import tell
 from rve.common.types import Array
 
-FIRST_STEPS = 400
-"""Steps of the whole duration with which a run without a step begins."""
-SMALLEST = 1e-4
-"""Least step of such a run over the first one. Impacts are met by smaller steps, down to this one."""
-IMPACT, LEAST_IMPACT = 0.3, 1e-2
-"""Part of the loss by locking that a step must lose for good to count as an impact, and that loss over the largest
-kinetic energy. Smaller ones are steps after one of Euler's, whose first-order error fades, and small rebounds."""
-GAIN = 1e-3
-"""Part of the largest kinetic energy that a step may gain: more is a rebound of the impact of the step before."""
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""
-SAFETY, LEAST_CHANGE, MOST_CHANGE = 0.9, 0.3, 1.5
-"""A step follows the cube root of its error; changes beyond 1 + sqrt(2) would make BDF2 unstable."""
-
-
-class MotionStatus(StrEnum):
-    """How a run ended."""
-
-    CONVERGED = "converged"
-    STOPPED = "stopped"
-    STALLED = "stalled"
-    INFEASIBLE = "infeasible"
-
-
-@dataclass(frozen=True, eq=False)
-class Pace:
-    """How a run goes on: moments before the frame's own, `before` for BDF2 and `last` for the guess of the next step,
-    None where there is none; `most`, the largest kinetic energy so far, N mm; `h`, the next step, s."""
-
-    h: float
-    before: Moment | None = None
-    last: Moment | None = None
-    most: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +45,11 @@ class MotionFrame:
     problem: CurtainProblem
     cones: Cones | None
     iterations: int = 0
-    pace: Pace = Pace(0.0)
+    pace: Pace = UNPACED
+
+    def paced(self, pace: Pace) -> MotionFrame:
+        """The frame, from which the run goes on like this."""
+        return replace(self, pace=pace)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,24 +75,8 @@ def solve_motion(scene: Scene, law: MembraneLaw, start: MotionFrame | None = Non
     ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
     """
     begin = time.perf_counter()
-    frames: list[MotionFrame] = []
-    status, message = MotionStatus.CONVERGED, "every step is solved"
-    try:
-        for frame in motion_frames(scene, law, start):
-            frames.append(frame)
-    except _Failed as failed:
-        status, message = failed.status, str(failed)
-    except KeyboardInterrupt:
-        if not frames:
-            raise
-        status, message = MotionStatus.STOPPED, f"stopped after {frames[-1].moment.t:.6g} s; the steps so far are kept"
-    return MotionRun(scene, tuple(frames), status, message, time.perf_counter() - begin)
-
-
-class _Failed(Exception):
-    def __init__(self, status: MotionStatus, message: str) -> None:
-        super().__init__(message)
-        self.status = status
+    frames, status, message = collected(motion_frames(scene, law, start))
+    return MotionRun(scene, frames, status, message, time.perf_counter() - begin)
 
 
 def motion_frames(scene: Scene, law: MembraneLaw, start: MotionFrame | None = None) -> Iterator[MotionFrame]:
@@ -131,54 +87,13 @@ def motion_frames(scene: Scene, law: MembraneLaw, start: MotionFrame | None = No
     law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     mesh = build_mesh(scene_at(scene, 0.0), law.cell)
     stage = Stage(scene, law, mesh)
-    least = SMALLEST * (motion.step or motion.duration / FIRST_STEPS)
     if start is None:
-        first = _first_frame(scene, law, mesh, stage)
-        start = replace(first, pace=Pace(least / SMALLEST))
-    frame = start
-    yield frame
-    while (left := motion.duration - frame.moment.t) > 1e-9 * motion.duration:
-        t = frame.moment.t
-        tell(f"{mesh.mesh.t.shape[1]} cells in motion, {t:.4g} of {motion.duration:.4g} s", t / motion.duration)
-        frame = _accurate_frame(stage, motion, frame, left, least)
-        yield frame
+        start = _first_frame(scene, law, mesh, stage).paced(Pace(first_step(motion)))
 
+    def advance(frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
+        return _next_frame(stage, motion, frame, before, h)
 
-def _accurate_frame(stage: Stage, motion: Motion, frame: MotionFrame, left: float, least: float) -> MotionFrame:
-    """The next frame, by a step that is as accurate as asked for and no longer than what is `left`, s."""
-    now, pace = frame.moment, frame.pace
-    h, before = pace.h, pace.before
-    while True:
-        h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
-        following = _next_frame(stage, motion, frame, before, h)
-        is_impact = before is not None and _is_impact(frame, following, pace.most)
-        if is_impact:
-            following = _next_frame(stage, motion, frame, None, h)
-        after = h
-        if motion.step is None:
-            guess = predicted(now, pace.last, h)
-            away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / stage.mesh.size
-            factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
-            if away > motion.accuracy and h > least:
-                h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
-                continue
-            after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
-        most = max(pace.most, following.account.kinetic)
-        return replace(following, pace=Pace(after, None if is_impact or motion.scheme == "euler" else now, now, most))
-
-
-def _is_impact(start: MotionFrame, end: MotionFrame, most: float) -> bool:
-    """Whether a step takes energy for good; `most`: the largest kinetic energy so far, N mm.
-
-    In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to h^3.
-    An impact keeps part of its loss. Differences over it would make rings that lock and nodes that touch rebound, which
-    also shows in a gain. Euler's step then takes its place, and the next step is Euler's as well.
-    """
-    locking = end.account.lost_by_locking - start.account.lost_by_locking
-    scheme = end.account.lost_by_scheme - start.account.lost_by_scheme
-    lost = locking + scheme
-    is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
-    return is_lost or lost < -GAIN * most
+    yield from stepped(motion, start, advance, mesh.size, f"{mesh.mesh.t.shape[1]} cells")
 
 
 def _first_frame(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, stage: Stage) -> MotionFrame:
@@ -246,8 +161,9 @@ def _next_frame(stage: Stage, motion: Motion, frame: MotionFrame, before: Moment
     stored = stored_energy(problem, F[1]) - stored_energy(problem, F[0]) if elastic else 0.0
     inner = float((fem.weight[:, None, None] * P * (F[1] - F[0])).sum())
     held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))
-    worked = Worked(held, inner, stored, *contacts.work(end, now.x))
-    account = next_account(frame.account, moving, change, now, forces, end, worked)
+    worked = Worked(held, end.pushes, inner, stored, *contacts.work(end, now.x))
+    gives = bool(moving.compliance.any())
+    account = next_account(frame.account, moving.mass, change, now, forces, end.x, worked, gives=gives)
     moment = Moment(now.t + h, end.x, change.velocity(end.x))
     gap = end.result.evidence.gap
     n = problem.disc.n_nodes
@@ -262,11 +178,11 @@ def _check(end: Stepped, t: float) -> None:
     if found.converged or (found.evidence.is_finite and found.evidence.error <= ROUNDING):
         return
     if found.stop in ("infeasible", "blocked"):
-        raise _Failed(
+        raise Failed(
             MotionStatus.INFEASIBLE,
             f"at {t:.6g} s supports and obstacles leave the curtain no place: move them less far apart",
         )
-    raise _Failed(
+    raise Failed(
         MotionStatus.STALLED,
         f"the step to {t:.6g} s stopped at an error of {found.evidence.error:.1e} ({found.stop}): use a smaller step",
     )

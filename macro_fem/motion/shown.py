@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from macro_fem.fem.assembly import internal_force
+from macro_fem.motion.pace import F
 from macro_fem.motion.run import MotionFrame, MotionRun
 from macro_fem.motion.stage import let_go
 from macro_fem.scene.tables import Support
@@ -34,7 +35,7 @@ def as_solution(run: MotionRun, frame: MotionFrame) -> CurtainSolution:
     return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, run.wall_s)
 
 
-def chosen(frames: tuple[MotionFrame, ...], most: int = MOST_SHOWN) -> list[MotionFrame]:
+def chosen(frames: tuple[F, ...], most: int = MOST_SHOWN) -> list[F]:
     """At most so many frames, at times as even as the steps are, the first and the last among them."""
     t = np.array([frame.moment.t for frame in frames])
     which = np.arange(len(t))

@@ -19,7 +19,7 @@ from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import in_space_of
 from macro_fem.scene.cables import Sliding
 from macro_fem.scene.checks import check_sizes
-from macro_fem.scene.loads import nodal_forces, weight_per_area
+from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
@@ -46,9 +46,9 @@ class RingScene:
     """A scene as a finite mesh: rings, dead forces (n, 3) in N, held coordinates (n, 3), their places (n, 3) in mm.
 
     groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
-    walls: half-spaces that the rings stay out of. pins: rings held along directions in which the supports let the mesh
-    slide, so that it does not; they carry no force. notes: what of the scene was changed to fit
-    the rings. info: radii and reference cell of the rings.
+    mass (n,): in kg, with that of bars. walls: half-spaces that the rings stay out of. pins: rings held along
+    directions in which the supports let the mesh slide, so that it does not; they carry no force. notes: what of the
+    scene was changed to fit the rings. info: radii and reference cell of the rings.
     """
 
     scene: Scene
@@ -58,6 +58,7 @@ class RingScene:
     at: Array
     groups: tuple[tuple[str, np.ndarray], ...]
     pins: Sliding
+    mass: Array
     walls: tuple[HalfSpace, ...] = ()
     notes: tuple[str, ...] = ()
     info: CellInfo | None = None
@@ -131,16 +132,15 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
     if info is None:
         raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
     if scene.motion is not None:
-        raise InputError(f"{scene.source}: [motion]: every ring is solved at rest only; leave it out")
+        raise InputError(f"{scene.source}: [motion]: is for rings over time, use macro_fem rings or solve_ring_motion")
     if any(wind.follows for wind in scene.of(Wind)):
         raise InputError(f"{scene.source}: follows = true of [load.wind]: is not for every ring")
     round_ = [item.name for item in scene.obstacle if not is_flat(item)]
     if round_:
         raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
     check_sizes(scene, info.r1_mm)
-    scene, notes = _in_whole_cells(scene, info)
-    mesh = _finite_mesh(scene, info)
-    return replace(_with_loads(_by_cells(scene, info), info, mesh), notes=notes, info=info)
+    whole, notes = _in_whole_cells(scene, info)
+    return replace(with_loads(scene, info, _finite_mesh(whole, info)), notes=notes)
 
 
 def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...]]:
@@ -189,15 +189,18 @@ def _by_cells(scene: Scene, info: CellInfo) -> Scene:
     return replace(scene, mesh=mesh)
 
 
-def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
+def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
+    """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
+    scene = _by_cells(_in_whole_cells(scene, info)[0], info)
     fem = build_mesh(scene, info)
     disc = discretize(fem.mesh, "P1")
     weight = weight_per_area(scene, info)
     everything = nodal_forces(scene, fem, disc, info)
-    supports = build_supports(scene, fem, disc)
+    supports = build_supports(scene, fem, disc, released=released or frozenset())
     if len(supports.sliding.nodes):
         raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
-    supports = pin_sliding(supports, disc, everything, scene.source)
+    if released is None:
+        supports = pin_sliding(supports, disc, everything, scene.source)
     live = everything - load_vector(disc, weight)
     ring = cKDTree(mesh.X).query(disc.nodes)[1]
     n = len(mesh.X)
@@ -215,9 +218,14 @@ def _with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh) -> RingScene:
     pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     where = f"{scene.source}: [load.bar] edge"
     lines = [ring[edge_nodes(fem, disc, bar.edge, where)] for bar in scene.of(Bar) if bar.straight]
+    mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area
+    for bar in scene.of(Bar):
+        shares = edge_shares(fem, disc, bar.edge, where)
+        np.add.at(mass, ring, bar.mass * shares / shares.sum())
     bars = tuple(line[np.sort(np.unique(line, return_index=True)[1])] for line in lines)
     mesh = replace(mesh, bars=bars)
-    return RingScene(scene, mesh, force, held, at, _groups(supports.held, ring), pins, _walls(scene))
+    groups = _groups(supports.held, ring)
+    return RingScene(scene, mesh, force, held, at, groups, pins, mass, _walls(scene), info=info)
 
 
 def _walls(scene: Scene) -> tuple[HalfSpace, ...]:

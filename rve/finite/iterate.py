@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rve.common.types import Array
+from rve.finite.equations import BLOCK
 from rve.finite.factor import Solve
 from rve.finite.records import Task
 from rve.finite.system import Factored, Pattern
 from rve.finite.touching import Placed, Touching
+from rve.geometry.circles import cross, dot, tangent_frame
 
 _TIE = 0.1
 """Stiffness of the spring between a ring and its guide over mu, in 1/r1^2."""
@@ -89,18 +91,33 @@ def central(gap: Array, mu: float, reach: float) -> Array:
     return np.asarray(mu * np.maximum(1.0 / gap - 1.0 / reach, 1e-8))
 
 
-def ties(task: Task, mu: float, n: int) -> tuple[Array, Array]:
-    """Stiffness (n, 3) of the springs between the centres and their guide, and where these end; 0 at a small mu."""
-    if task.guide is None or mu < _TIED:
-        return np.zeros((n, 3)), np.zeros((n, 3))
-    guided = np.isfinite(task.guide)
-    return np.where(guided, _TIE * mu, 0.0), np.where(guided, task.guide, 0.0)
+def springs(placed: Placed, task: Task, mu: float) -> tuple[float, Array, Array]:
+    """Energy, generalised forces (n, 5) and stiffness (n, 5) of the springs to the guide, none at a small mu, and of
+    the inertia of a time step."""
+    energy, pull, stiff = 0.0, np.zeros((len(placed.x), BLOCK)), np.zeros((len(placed.x), BLOCK))
+
+    def add(weight: Array, end: Array) -> float:
+        away = end - placed.x
+        pull[:, :3] += weight * away
+        stiff[:, :3] += weight
+        return 0.5 * float((weight * away**2).sum())
+
+    if task.guide is not None and mu >= _TIED:
+        guided = np.isfinite(task.guide)
+        energy += add(np.where(guided, _TIE * mu, 0.0), np.where(guided, task.guide, 0.0))
+    if task.inertia is not None:
+        own = task.inertia
+        energy += add(np.repeat(own.weight[:, None], 3, axis=1), own.place)
+        energy += 0.5 * float((own.turning * ((placed.normal - own.normal) ** 2).sum(axis=1)).sum())
+        torque = own.turning[:, None] * cross(placed.normal, own.normal)
+        pull[:, 3:] = np.stack([dot(torque, e) for e in tangent_frame(placed.normal)], axis=1)
+        stiff[:, 3:] = (own.turning * dot(placed.normal, own.normal))[:, None]
+    return energy, pull, stiff
 
 
 def barrier(placed: Placed, touching: Touching, task: Task, mu: float, reach: float) -> float:
-    """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, and the energy of the springs to the guide, all
-    without units: falls along a step at one mu."""
+    """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, and the energy of springs and inertia, all without
+    units: falls along a step at one mu."""
     gap = np.minimum(touching.gap / reach, 1.0)
-    tie, end = ties(task, mu, len(placed.x))
-    energy = 0.5 * (tie * (placed.x - end) ** 2).sum() - (task.force * placed.x).sum()
+    energy = springs(placed, task, mu)[0] - (task.force * placed.x).sum()
     return float(energy + mu * (gap - 1.0 - np.log(gap)).sum())

@@ -11,7 +11,7 @@ import numpy as np
 from rve.common.types import Array
 from rve.finite.equations import BLOCK, PAIR, add_metric, blocks, lacking, metric, pair_vectors, spread, times
 from rve.finite.factor import Factorizer, Solve
-from rve.finite.iterate import Linear, State, Step, Work, barrier, ties
+from rve.finite.iterate import Linear, State, Step, Work, barrier, springs
 from rve.finite.passage import safe_parts
 from rve.finite.records import FiniteOptions, Task
 from rve.finite.system import Factored, Pattern, forces_that_stop
@@ -47,10 +47,9 @@ def linearized(state: State, task: Task, G: Array, options: FiniteOptions) -> Li
     stiff = (state.force + mu / reach) / gap
     rhs = spread(con, G, mu * (1.0 / gap - 1.0 / reach), len(task.force))
     rhs[:, :3] += task.force
-    tie, end = ties(task, mu, len(task.force))
-    rhs[:, :3] += tie * (end - state.placed.x)
-    soft = np.full((len(task.force), BLOCK), _SOFT)
-    soft[:, :3] += tie
+    _, pull, soft = springs(state.placed, task, mu)
+    rhs += pull
+    soft += _SOFT
     K = blocks(state.placed, con, G, stiff, state.force, _IDLE * mu)
     way = np.where(task.held, task.at - state.placed.x, 0.0)
     far = float(np.sqrt((way**2).sum(axis=1)).max(initial=0.0))

@@ -131,10 +131,14 @@ class Problem:
         off = np.array([wall.offset + cell.r2 for wall in self.walls]) / cell.r1
         return off[:, None] * units, units
 
-    def task(self) -> tuple[Task, float]:
-        """The equations without units, half-spaces as held rows after the rings; the unit of force in N."""
+    def task(self, load: float | None = None) -> tuple[Task, float]:
+        """The equations without units, half-spaces as held rows after the rings; the unit of force in N.
+
+        load: what residuals and mu are measured by, N; the sum of the dead loads if None.
+        """
         mesh, r1, n, k = self.mesh, self.mesh.cell.r1, len(self.mesh.X), len(self.walls)
-        unit = np.abs(self.force).sum() * float(np.hypot(*np.ptp(mesh.X, axis=0))) / (len(mesh.linked) * r1)
+        load = float(np.abs(self.force).sum()) if load is None else load
+        unit = load * float(np.hypot(*np.ptp(mesh.X, axis=0))) / (len(mesh.linked) * r1)
         free = np.zeros((n + k, 5), dtype=bool)
         free[:n] = True
         kept = self.held | np.array([False, False, not self.is_space])
@@ -144,7 +148,8 @@ class Problem:
         held = np.concatenate([kept, np.ones((k, 3), dtype=bool)])
         guide = None if self.guide is None else np.concatenate([self.guide / r1, np.full((k, 3), np.nan)])
         at = np.concatenate([at / r1, self.planes()[0]])
-        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=self.tie(free)), unit
+        tie = self.tie(free)
+        return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=tie, load=load / unit), unit
 
 
 def along(X: Array) -> Array:

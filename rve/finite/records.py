@@ -25,6 +25,7 @@ class FiniteOptions:
 
     tolerance: of the Karush-Kuhn-Tucker residual. patience: iterations in which the decrement of Newton's method did
     not fall by 30 % after which mu, the product of force and gap, is lifted, at most `retries` times before `stalled`.
+    first, last: mu at the start and at the end.
     reach: gap beyond which a contact has no force.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
     """
@@ -36,13 +37,31 @@ class FiniteOptions:
     max_iterations: int = 1000
     disturbance: float = 0.01
     seed: int = 0
+    first: float = 0.1
+    last: float = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """The term |x - x_hat|^2_M / (2 (beta h)^2) of a time step, without units: weight (n,) over (beta h)^2, where the
+    centres would go without forces (n, 3), the weight (n,) of normals and where these would go (n, 3).
+
+    A ring that does not spin about its axis turns like a point of its mass on its axis, one radius of gyration about a
+    diameter away from the centre.
+    """
+
+    weight: Array
+    place: Array
+    turning: Array
+    normal: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
     """What is solved: linked pairs (m, 2), wire = r2/r1, dead forces (n, 3), held coordinates (n, 3) and their places,
     free coordinates (n, 5); beside: whether points beside soft minima are constraints too; guide (n, 3): places that
-    pull at the centres while mu is large, nan where none does; tie (k, u): the free coordinates of the u that rings on
+    pull at the centres while mu is large, nan where none does; load: the sum of the loads, by which residuals are
+    measured; inertia: that of a time step; tie (k, u): the free coordinates of the u that rings on
     straight bars leave, None without bars."""
 
     linked: Index
@@ -54,6 +73,8 @@ class Task:
     beside: bool = True
     guide: Array | None = None
     tie: sparse.csr_matrix | None = None
+    load: float = 1.0
+    inertia: Inertia | None = None
 
     @property
     def keys(self) -> Index:

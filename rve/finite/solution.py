@@ -16,6 +16,7 @@ from rve.common.texts import as_html
 from rve.common.types import Array
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
+from rve.finite.iterate import springs
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
 from rve.finite.records import SENTENCES, FiniteOptions, Found, Record, Task
@@ -205,15 +206,17 @@ def solve_mesh(problem: Problem, options: FiniteOptions | None = None) -> Finite
     problem.check()
     task, unit = problem.task()
     found = solve_rings(task, problem.start(options), options)
-    return _solution(problem, task, found, unit, time.perf_counter() - began)
+    return as_solution(problem, task, found, unit, time.perf_counter() - began)
 
 
-def _solution(problem: Problem, task: Task, found: Found, unit: float, wall_s: float) -> FiniteSolution:
+def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s: float) -> FiniteSolution:
+    """What a solver has found, with its units."""
     mesh, con = problem.mesh, found.touching
     r1, n = mesh.cell.r1, len(mesh.X)
     check = find_touching(found.placed, task.linked, task.wire, 0.1)
     lowest = r1 * float(check.deepest.min(initial=np.inf))
     total = spread(con, gradients(found.placed, con), found.force, len(task.force))[:, :3] + task.force
+    total += springs(found.placed, task, 0.0)[1][:, :3]
     reaction = np.where(task.held, -unit * total, 0.0)
     if not problem.is_space:  # the plane, not a support, keeps the rings in it
         reaction[:n, 2] = 0.0

@@ -21,16 +21,18 @@ from rve.common.progress import tell, way
 from rve.common.types import Array
 from rve.finite.equations import gradients, spread
 from rve.finite.factor import Factorizer
-from rve.finite.iterate import State, Step, Work, central
+from rve.finite.iterate import State, Step, Work, central, springs
 from rve.finite.newton import linearized, newton
 from rve.finite.records import FiniteOptions, Found, Record, Task
 from rve.finite.search import searched
 from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
 
-_FIRST, _LAST = 0.1, 1e-9
-"""First and last mu, the product of force and gap."""
+_HIGHEST = 0.1
+"""Largest mu, the product of force and gap, that lifts lead to."""
 _SHRINK, _POWER = 0.3, 1.15
 """mu falls to the lesser of _SHRINK mu and mu^_POWER."""
+_PRODUCT = 10.0
+"""Sum of force times gap over links times mean force that is enough, over the last mu."""
 _CALM = 0.5
 """It falls once the decrement of Newton's method is below this part of mu per ring."""
 _LIFT = 30.0
@@ -48,35 +50,48 @@ _PARTS = (1, 8)
 
 def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
+    touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
+    none = np.zeros(len(touching.key))
+    force = central(touching.gap, options.first, options.reach)
+    state = State(start, touching, force, options.first, 1e-3, none, none)
     for parts in _PARTS:
-        found = _solve(task, start, options, parts)
+        found = _solve(task, state, options, parts)
         if found.status != "out-of-reach":
             break
     return found
 
 
-def _solve(task: Task, start: Placed, options: FiniteOptions, parts: int) -> Found:
+def solve_near(task: Task, start: Placed, touching: Touching, force: Array, options: FiniteOptions) -> Found:
+    """The equilibrium near a start whose contacts have the forces (m,), such as those of a time step before."""
+    none = np.zeros(len(touching.key))
+    near = _near(options, options.first)
+    state = State(start, touching, force, options.first, 0.0, none, none)
+    return _solve(task, _found_again(state, task, near.reach), options, 1)
+
+
+def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Found:
     """The equilibrium, held rings moved in so many parts, each once the rings are calm."""
-    whole, part = task.at, 1
+    start, whole, part = state.placed, task.at, 1
     task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
     factorize = Factorizer()
-    touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
-    force = central(touching.gap, _FIRST, options.reach)
-    none = np.zeros(len(touching.key))
-    state = State(start, touching, force, _FIRST, 1e-3, none, none)
     history: list[Record] = []
     least, finest = np.inf, state
-    pace, status, is_minimum, near = Patience(float(options.patience)), "iterations", False, options
+    pace, status, is_minimum, near = Patience(float(options.patience)), "iterations", False, _near(options, state.mu)
     for _ in range(options.max_iterations):
-        share = way(_FIRST, state.mu, _LAST)
+        share = way(options.first, state.mu, options.last)
         tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {state.mu:.0e}", share)
         G = gradients(state.placed, state.touching)
-        residual, product = kkt(state.touching, G, state.force, task)
+        residual, product = kkt(state.placed, state.touching, G, state.force, task)
+        product *= options.tolerance / max(options.tolerance, _PRODUCT * options.last)
         merit, has_arrived = max(residual, product), _way_to_go(state, task) < 1e-12
-        is_last = state.mu <= _LAST
+        is_last = state.mu <= options.last
         if has_arrived and is_last and merit < options.tolerance and is_minimum:
             status = "converged"
             break
+        if has_arrived and is_last and merit < options.tolerance and task.inertia is not None:
+            # A time step needs no more damping here; whether its matrix is positive definite shows without it.
+            none = np.zeros(len(state.local))
+            state = replace(state, damping=0.0, local=none, convex=none)
         if has_arrived and is_last and merit < least:
             least, finest = merit, state
         pace = pace.after(merit, history[-1].decrement if history else -1.0)
@@ -135,7 +150,7 @@ class Patience:
 
 
 def _answer(state: State, task: Task, status: str, history: list[Record]) -> Found:
-    residual = max(kkt(state.touching, gradients(state.placed, state.touching), state.force, task))
+    residual = max(kkt(state.placed, state.touching, gradients(state.placed, state.touching), state.force, task))
     return Found(state.placed, state.touching, state.force, status, residual, tuple(history))
 
 
@@ -145,9 +160,14 @@ def _at_next_mu(state: State, task: Task, options: FiniteOptions, is_calm: bool)
     The smaller mu, the nearer are the contacts that count. Where a fold runs through the mesh at a small mu, every ring
     that it meets shortens the steps; at a higher one it passes in a few.
     """
-    mu = max(_LAST, min(_SHRINK * state.mu, state.mu**_POWER)) if is_calm else min(_FIRST, _LIFT * state.mu)
-    near = replace(options, reach=min(options.reach, next(part for least, part in _NEARER if mu >= least)))
+    mu = max(options.last, min(_SHRINK * state.mu, state.mu**_POWER)) if is_calm else min(_HIGHEST, _LIFT * state.mu)
+    near = _near(options, mu)
     return _found_again(replace(state, mu=mu), task, near.reach), near
+
+
+def _near(options: FiniteOptions, mu: float) -> FiniteOptions:
+    """The options with the reach of contacts that count at a mu."""
+    return replace(options, reach=min(options.reach, next(part for least, part in _NEARER if mu >= least)))
 
 
 def _found_again(state: State, task: Task, reach: float) -> State:
@@ -159,13 +179,14 @@ def _found_again(state: State, task: Task, reach: float) -> State:
     return replace(state, touching=con, force=force, local=local, convex=convex)
 
 
-def kkt(touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, float]:
+def kkt(placed: Placed, touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, float]:
     """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
     out = spread(touching, G, force, len(task.force))
     out[:, :3] += task.force
+    out += springs(placed, task, 0.0)[1]
     own = out[task.free]
     unbalanced = np.abs(own if task.tie is None else task.tie.T @ own).sum()
-    return float(unbalanced / np.abs(task.force).sum()), float((force * touching.gap).sum() / len(task.linked))
+    return float(unbalanced / task.load), float((force * touching.gap).sum() / len(task.linked))
 
 
 def _way_to_go(state: State, task: Task) -> float:

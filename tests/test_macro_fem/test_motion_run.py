@@ -15,7 +15,7 @@ import macro_fem
 from homogenize import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
-from macro_fem.motion import files, run
+from macro_fem.motion import files, pace, run
 from macro_fem.motion.account import kinetic_energy
 from macro_fem.motion.files import COLUMNS, account_error, row
 from macro_fem.motion.modes import find_modes
@@ -197,7 +197,7 @@ def test_a_stopped_run_keeps_its_steps_and_ends_with_130(tmp_path, monkeypatch):
         if len(told) > 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "tell", stop)
+    monkeypatch.setattr(pace, "tell", stop)
     result = CliRunner().invoke(main, ["run", str(scene), "--out", str(tmp_path / "out"), "--no-picture"])
     assert result.exit_code == 130
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())

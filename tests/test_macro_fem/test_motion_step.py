@@ -57,8 +57,9 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
         n = len(now.x) - 1
         touched = float(end.result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - end.walls.offset))
     held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
-    worked = Worked(held, float((w[:, None, None] * P * (F[1] - F[0])).sum()), stored, 0.0, touched)
-    accounts.append(next_account(accounts[-1], moving, change, now, forces, end, worked))
+    worked = Worked(held, end.pushes, float((w[:, None, None] * P * (F[1] - F[0])).sum()), stored, 0.0, touched)
+    gives = bool(moving.compliance.any())
+    accounts.append(next_account(accounts[-1], moving.mass, change, now, forces, end.x, worked, gives=gives))
     moments.append(Moment(now.t + h, end.x, change.velocity(end.x)))
     return end
 

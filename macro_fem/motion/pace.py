@@ -1,0 +1,153 @@
+"""How a run in motion goes on, whatever moves: its steps, impacts, and how it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+
+from macro_fem.motion.account import Account
+from macro_fem.motion.scheme import Moment, predicted
+from macro_fem.scene.moving import Motion
+from rve.common.progress import tell
+
+FIRST_STEPS = 400
+"""Steps of the whole duration with which a run without a step begins."""
+SMALLEST = 1e-4
+"""Least step of such a run over the first one. Impacts are met by smaller steps, down to this one."""
+IMPACT, LEAST_IMPACT = 0.3, 1e-2
+"""Part of the loss by locking that a step must lose for good to count as an impact, and that loss over the largest
+kinetic energy. Smaller ones are steps after one of Euler's, whose first-order error fades, and small rebounds."""
+GAIN = 1e-3
+"""Part of the largest kinetic energy that a step may gain: more is a rebound of the impact of the step before."""
+SAFETY, LEAST_CHANGE, MOST_CHANGE = 0.9, 0.3, 1.5
+"""A step follows the cube root of its error; changes beyond 1 + sqrt(2) would make BDF2 unstable."""
+
+
+class MotionStatus(StrEnum):
+    """How a run ended."""
+
+    CONVERGED = "converged"
+    STOPPED = "stopped"
+    STALLED = "stalled"
+    INFEASIBLE = "infeasible"
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """How a run goes on: moments before the frame's own, `before` for BDF2 and `last` for the guess of the next step,
+    None where there is none; `most`, the largest kinetic energy so far, N mm; `h`, the next step, s."""
+
+    h: float
+    before: Moment | None = None
+    last: Moment | None = None
+    most: float = 0.0
+
+
+UNPACED = Pace(0.0)
+"""Of a frame by itself."""
+
+
+class Frame(Protocol):
+    """What a run knows of a moment: places and velocities, the energy account, and how it goes on."""
+
+    @property
+    def moment(self) -> Moment:
+        """Places and velocities."""
+
+    @property
+    def account(self) -> Account:
+        """Energies, work and losses."""
+
+    @property
+    def pace(self) -> Pace:
+        """How the run goes on."""
+
+    def paced(self, pace: Pace) -> Self:
+        """The frame, from which the run goes on like this."""
+
+
+F = TypeVar("F", bound=Frame)
+Advance = Callable[[F, Moment | None, float], F]
+"""The frame after a step of h s from a frame, with the moment before it, None for a step of Euler's method."""
+
+
+class Failed(Exception):
+    """A step that cannot be solved ends the run; the frames so far are kept."""
+
+    def __init__(self, status: MotionStatus, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+def collected(frames: Iterator[F]) -> tuple[tuple[F, ...], MotionStatus, str]:
+    """The frames until the run ends, a step fails or Ctrl-C stops it, with status and message."""
+    kept: list[F] = []
+    status, message = MotionStatus.CONVERGED, "every step is solved"
+    try:
+        for frame in frames:
+            kept.append(frame)
+    except Failed as failed:
+        status, message = failed.status, str(failed)
+    except KeyboardInterrupt:
+        if not kept:
+            raise
+        status, message = MotionStatus.STOPPED, f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
+    return tuple(kept), status, message
+
+
+def first_step(motion: Motion) -> float:
+    """The step that a run begins with, s."""
+    return motion.step or motion.duration / FIRST_STEPS
+
+
+def stepped(motion: Motion, start: F, advance: Advance[F], size: float, what: str) -> Iterator[F]:
+    """The frames from `start` to the end of the duration; size of what moves in mm; `what` is told to move."""
+    frame = start
+    yield frame
+    while (left := motion.duration - frame.moment.t) > 1e-9 * motion.duration:
+        t = frame.moment.t
+        tell(f"{what} in motion, {t:.4g} of {motion.duration:.4g} s", t / motion.duration)
+        frame = accurate_frame(motion, frame, advance, size, left)
+        yield frame
+
+
+def accurate_frame(motion: Motion, frame: F, advance: Advance[F], size: float, left: float) -> F:
+    """The next frame, by a step that is as accurate as asked for and no longer than what is `left`, s."""
+    least = SMALLEST * first_step(motion)
+    now, pace = frame.moment, frame.pace
+    h, before = pace.h, pace.before
+    while True:
+        h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
+        following = advance(frame, before, h)
+        is_impact = before is not None and _is_impact(frame, following, pace.most)
+        if is_impact:
+            following = advance(frame, None, h)
+        after = h
+        if motion.step is None:
+            guess = predicted(now, pace.last, h)
+            away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / size
+            factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
+            if away > motion.accuracy and h > least:
+                h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
+                continue
+            after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
+        most = max(pace.most, following.account.kinetic)
+        return following.paced(Pace(after, None if is_impact or motion.scheme == "euler" else now, now, most))
+
+
+def _is_impact(start: Frame, end: Frame, most: float) -> bool:
+    """Whether a step takes energy for good; `most`: the largest kinetic energy so far, N mm.
+
+    In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to h^3.
+    An impact keeps part of its loss. Differences over it would make rings that lock and nodes that touch rebound, which
+    also shows in a gain. Euler's step then takes its place, and the next step is Euler's as well.
+    """
+    locking = end.account.lost_by_locking - start.account.lost_by_locking
+    scheme = end.account.lost_by_scheme - start.account.lost_by_scheme
+    lost = locking + scheme
+    is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
+    return is_lost or lost < -GAIN * most

@@ -1,0 +1,151 @@
+"""A time step of every ring: the solver of finite meshes with the term of inertia added.
+
+    minimise  |y - y_hat|^2_W / 2 - f.y   subject to gap >= 0
+
+A ring that does not spin about its axis moves like two points of its mass: its centre, and one on its axis whose
+distance from the centre is the radius of gyration about a diameter. So places y (2 n, 3) are those of the centres and
+then of these points, less the centres, and any difference in time serves for both. Iterations are those of `solver`:
+no gap is closed, no wire passes through another, and links stay as they are.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rve.common.types import Array
+from rve.finite.equations import gradients, spread
+from rve.finite.iterate import central
+from rve.finite.layout import FiniteMesh
+from rve.finite.problem import Problem
+from rve.finite.records import FiniteOptions, Found, Inertia
+from rve.finite.solution import FiniteSolution, as_solution
+from rve.finite.solver import solve_near
+from rve.finite.touching import Placed, Touching, find_touching, nearest, of_pairs
+from rve.finite.walls import HalfSpace
+from rve.geometry.cell import Cell
+from rve.geometry.circles import cross, tangent_frame
+
+STEP = FiniteOptions(tolerance=1e-10, first=1e-8, last=1e-8, retries=0, max_iterations=60)
+"""Options of a step. Smaller values of mu leave smaller gaps at contacts."""
+OTHER_MU = (1e-9, 1e-7, 1e-6)
+"""Tried in this order. Where a minimum of a distance is about to split in two, which halves the force of each and so
+doubles its gap, there may be no equilibrium at one mu: neither with two minima nor with one."""
+_STILL = 1e-9
+"""Residuals of a step without any force are measured by the force that moves all rings by this part of r1."""
+
+
+@dataclass(frozen=True, eq=False)
+class RingStep:
+    """The end of a time step.
+
+    rings: places, contacts, forces of supports and walls, status. pushes (2 n, 3): forces in N of contacts on
+    `ring_places`, and of the axes, which keep their length. touched: forces of contacts times how far they have closed,
+    N mm.
+    """
+
+    rings: FiniteSolution
+    pushes: Array
+    touched: float
+
+
+def gyration_radius(cell: Cell) -> float:
+    """The radius of gyration in mm of a ring about a diameter.
+
+    >>> round(gyration_radius(Cell(r1=5.0, r2=0.5)), 6)
+    3.557562
+    """
+    return float(np.sqrt(cell.r1**2 / 2.0 + 5.0 * cell.r2**2 / 8.0))
+
+
+def ring_places(rings: FiniteSolution) -> Array:
+    """Places (2 n, 3) in mm: the centres, and points on the axes one radius of gyration from them, less these."""
+    return np.concatenate([rings.centre, gyration_radius(rings.mesh.cell) * rings.normal])
+
+
+def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
+    """The slack weave at rest, without forces, its centres in the plane z = 0 about those of the reference."""
+    n = len(mesh.X)
+    none = np.zeros((n, 3))
+    problem = Problem(mesh, none, np.zeros((n, 3), dtype=bool), none, space, tuple(walls))
+    centre, normal = mesh.slack()
+    centre[:, :2] += (mesh.X - centre[:, :2]).mean(axis=0)
+    task, unit = problem.task(1.0)
+    placed = _placed(problem, centre, normal)
+    touching = find_touching(placed, task.linked, task.wire, STEP.reach)
+    found = Found(placed, touching, np.zeros(len(touching.gap)), "converged", 0.0, ())
+    return as_solution(problem, task, found, unit, 0.0)
+
+
+def step_rings(
+    start: FiniteSolution,
+    weight: Array,
+    aim: Array,
+    force: Array,
+    held: NDArray[np.bool_],
+    at: Array,
+    *,
+    walls: Sequence[HalfSpace] = (),
+    options: FiniteOptions = STEP,
+) -> RingStep:
+    """The rings after a time step from `start`, under forces (n, 3) in N, coordinates held as in `FiniteMesh.solve`.
+
+    weight (n,): W, mass over the square of the step for Euler's method, N/mm; aim (2 n, 3): y_hat, where `ring_places`
+    would be without forces, mm. Nothing need hold the mesh. walls: as many as at the start. A step that has not
+    converged has its status.
+    """
+    began = time.perf_counter()
+    mesh, r1, n = start.mesh, start.mesh.cell.r1, len(force)
+    problem = Problem(mesh, force, held, at, start.is_space, tuple(walls))
+    W = np.tile(weight, 2)[:, None]
+    load = float(np.abs(force).sum() + (W * np.abs(aim - ring_places(start))).sum())
+    task, unit = problem.task(max(load, _STILL * r1 * float(weight.sum())))
+    # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
+    task = replace(task, inertia=_inertia(mesh.cell, weight, aim, unit, len(walls)), beside=False)
+    placed = _placed(replace(problem, walls=start.walls), start.centre, start.normal)
+    touching = find_touching(placed, task.linked, task.wire, options.reach)
+    for mu in (options.last, *OTHER_MU):
+        options = replace(options, first=mu, last=mu)
+        found = solve_near(task, placed, touching, _forces(start, touching, unit, options), options)
+        if found.status == "converged":
+            break
+    rings = as_solution(problem, task, found, unit, time.perf_counter() - began)
+    con = found.touching
+    own, _ = nearest(con, touching)
+    closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
+    pushes = unit * spread(con, gradients(found.placed, con), found.force, len(task.force))[:n]
+    e1, e2 = tangent_frame(rings.normal)
+    torque = r1 * (pushes[:, 3:4] * e1 + pushes[:, 4:] * e2)
+    radius = gyration_radius(mesh.cell)
+    drawn = weight * (rings.normal * (radius * rings.normal - aim[n:])).sum(axis=1)
+    axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
+    return RingStep(rings, np.concatenate([pushes[:, :3], axes]), unit * r1 * float(found.force @ closed))
+
+
+def _placed(problem: Problem, centre: Array, normal: Array) -> Placed:
+    places, units = problem.planes()
+    x = np.concatenate([centre / problem.mesh.cell.r1, places])
+    return Placed(x, np.concatenate([normal, units]), len(problem.walls))
+
+
+def _inertia(cell: Cell, weight: Array, aim: Array, unit: float, walls: int) -> Inertia:
+    """The term of inertia without units, 0 for walls."""
+    n, radius = len(weight), gyration_radius(cell)
+    weight = np.append(weight, np.zeros(walls))
+    place, normal = (np.concatenate([part, np.zeros((walls, 3))]) for part in (aim[:n] / cell.r1, aim[n:] / radius))
+    return Inertia(weight * cell.r1 / unit, place, weight * radius**2 / (unit * cell.r1), normal)
+
+
+def _forces(start: FiniteSolution, touching: Touching, unit: float, options: FiniteOptions) -> Array:
+    """Forces (m,) of contacts at the start, in a unit in N: those of each pair shared out as on the central path."""
+    fresh = central(touching.gap, options.first, options.reach)
+    pair, count = touching.minima.pair, len(touching.key)
+    pairs = start.contacts.pairs
+    row = of_pairs(touching.key, pairs[:, 0] * (touching.rings + len(start.walls)) + pairs[:, 1])
+    total = np.bincount(row[row >= 0], start.contacts.force[row >= 0] / unit, minlength=count)
+    whole = np.bincount(pair, fresh, minlength=count)
+    return np.asarray(np.where(total[pair] > 0.0, fresh * total[pair] / np.maximum(whole[pair], 1e-300), fresh))
