@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize import default_law, load_law
-from macro_fem.motion.files import COLUMNS, IMPULSES, RECORD, account_error, force_peaks, table
+from macro_fem.motion.files import COLUMNS, IMPULSES, RECORD, account_error, force_peaks
 from macro_fem.motion.shown import chosen
 from macro_fem.motion.views import IMAGES, PANELS
 from macro_fem.output.files import collection, versions
@@ -22,6 +21,7 @@ from rve.common.drawing.page import check_page, write_moments
 from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.errors import require
 from rve.common.files import check_out_job, job, write_text
+from rve.common.texts import csv_text, json_text
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def run_ring_motion(
     rows = np.array([ring_row(frame) for frame in run.frames])
     summary = summarize_ring_motion(run, rows)
     with job(out, RECORD, inputs) as folder:
-        write_text(folder / "motion.csv", table(COLUMNS, rows.tolist()))
+        write_text(folder / "motion.csv", csv_text(COLUMNS, rows.tolist()))
         shown = chosen(run.frames)
         entries = [(frame.moment.t, 0, f"motion_{k:04d}.vtu") for k, frame in enumerate(shown)]
         for frame, (_, _, name) in zip(shown, entries, strict=True):
@@ -62,7 +62,7 @@ def run_ring_motion(
             _save_panels(folder / "motion.png", chosen(run.frames, PANELS))
         if html:
             write_moments(folder / "motion.html", _drawn(chosen(run.frames, IMAGES)), scene.source.stem)
-        write_text(folder / RECORD, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        write_text(folder / RECORD, json_text(summary))
     return summary
 
 
