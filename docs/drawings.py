@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rve
-from rve.plots import CLASS_COLOURS, ring_points
+from rve.plots import CLASS_COLOURS, drawn_rings
 
 RED, BLUE, GREY, SHEET = "#c1121f", "#1f3fd0", "0.45", "#e9eef3"
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +56,7 @@ def axes_and_grain() -> Any:
     for i in range(4):
         for j in range(3):
             for k in range(2):
-                x, y, z = ring_points(states, np.array([k, i, j])).T
+                x, y, z = drawn_rings(states, k, np.array([[i, j]])).closed_circles(96)[0].T
                 front.plot(x, y, color=CLASS_COLOURS[k], lw=2.2)
                 if i == 0:
                     side.plot(z, y, color=CLASS_COLOURS[k], lw=2.2)

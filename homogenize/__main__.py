@@ -1,6 +1,3 @@
-"""`python -m homogenize`: the command line of this package."""
-
 from homogenize.cli import main
 
-if __name__ == "__main__":
-    main()
+main(prog_name="python -m homogenize")

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
-from rve.common.commands.command_line import Group, answer, check_plot, say, say_next
+from rve.common.commands.command_line import Group, answer, check_plot, parse_load, say, say_next
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
 from rve.common.materials import Stress
@@ -16,8 +15,6 @@ from rve.common.typed import read_entry, types_of
 
 KINDS = ("refined", "outer", "inner", "net")
 """Those of `homogenize.fitting.fit`, which is not imported to print a help text."""
-LARGEST_LOAD = 1e100
-"""Components of --S beyond this are refused; sums and squares of them overflow."""
 
 
 @click.group(cls=Group)
@@ -159,15 +156,3 @@ def export(law: Path, out: Path) -> None:
     say(f"user material written to {out}{'' if strength_of_law(found) is None else by_direction}")
     answer({"umat": str(out)})
     say_next("homogenize", "strain", law, "--alpha", 45, "--beta", 45, why="a strain to check it with")
-
-
-def parse_load(text: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Three numbers from `S11,S12,S22`; InputError says which text is none."""
-    parts = text.split(",")
-    try:
-        S = np.array([float(part) for part in parts])
-    except ValueError as error:
-        raise InputError(f"--S {text}: expected three numbers S11,S12,S22") from error
-    if len(parts) != 3 or not (np.abs(S) <= LARGEST_LOAD).all():
-        raise InputError(f"--S {text}: expected three finite numbers S11,S12,S22, at most {LARGEST_LOAD:g} in size")
-    return S

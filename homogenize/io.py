@@ -24,12 +24,6 @@ from rve.common.typed import Typed, read_entry, read_typed
 from rve.common.values import shown
 
 Coordinate = Annotated[float, Meta(ge=-1.0, le=1.0)]
-REMOVED = {
-    "smooth": "fit its table again: homogenize fit TABLE --out LAW",
-    "family": "make a table of the rings you need and fit it: rve table --r1 R1 --r2 R2 --out TABLE, "
-    "homogenize fit TABLE --out LAW",
-}
-"""Kinds of files of older versions that are not read any more, and what to do."""
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
 """The file of `default_law`."""
 
@@ -52,8 +46,8 @@ class LawEntries(Typed):
             if found != known:
                 self.refuse(f"{key} = {shown(found)}, this version reads {key} = {known}")
         if self.kind not in law_kinds():
-            removed = f"; {REMOVED[self.kind]}" if self.kind in REMOVED else ""
-            self.refuse(f"kind = {shown(self.kind)}, this version reads {', '.join(sorted(law_kinds()))}{removed}")
+            kinds, again = ", ".join(sorted(law_kinds())), "fit the table again: homogenize fit TABLE --out LAW"
+            self.refuse(f"kind = {shown(self.kind)}, this version reads {kinds}; {again}")
 
 
 def law_kinds() -> dict[str, type[StoredLaw]]:
@@ -99,16 +93,10 @@ def law_from_record(record: Any, source: str) -> StoredLaw:
     provenance = found.provenance or {}
     if provenance.get("sampled_loads") is not None:
         read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{source}: provenance")
+    check_rings(found.cell or {}, f"{source}: cell")
     return replace(
         law_kinds()[found.kind].from_dict(found.parameters, f"{source}: parameters"),
-        cell=None if found.cell is None else cell_from_dict(found.cell, f"{source}: cell"),
+        cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{source}: cell"),
         strength=None if found.strength is None else read_strength(found.strength, f"{source}: strength"),
         provenance=provenance,
     )
-
-
-def cell_from_dict(table: dict[str, Any], where: str) -> CellInfo:
-    """The rings that a file describes; `where` names file and table in the messages of InputError."""
-    cell = read_typed(CellInfo, table, where)
-    check_rings(table, where)
-    return cell

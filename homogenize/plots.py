@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from homogenize.view import gap_scale, surface_with_gap, write_law_page
 from rve.common.drawing.plane import new_axes, new_figure, save_figure, shade
 from rve.common.files import job, write_text
 from rve.common.progress import tell
+from rve.common.texts import json_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,5 +117,5 @@ def write_pictures(
             save_figure(staged / name, figure)
         if html:
             write_law_page(law, rows, staged / PAGE, law.strength)
-        write_text(staged / RECORD, json.dumps({"law": law.name, "rows": len(rows)}) + "\n")
+        write_text(staged / RECORD, json_text({"law": law.name, "rows": len(rows)}))
     return [folder / name for name in (*pictures, *([PAGE] if html else []))]

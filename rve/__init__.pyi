@@ -20,6 +20,7 @@ from .finite.step import step_rings as step_rings
 from .finite.walls import HalfSpace as HalfSpace
 from .geometry.cell import Cell as Cell
 from .geometry.kinematics import cauchy_line_load as cauchy_line_load
+from .geometry.kinematics import cauchy_of as cauchy_of
 from .geometry.kinematics import deformation_gradient as deformation_gradient
 from .geometry.kinematics import green_lagrange as green_lagrange
 from .geometry.kinematics import second_pk as second_pk
@@ -32,7 +33,6 @@ from .ring.pull import pulled_ring as pulled_ring
 from .shadow import solidity as solidity
 from .solve import solve_table as solve_table
 from .strained.forces import CellForces as CellForces
-from .strained.forces import cauchy_of as cauchy_of
 from .strained.forces import cell_forces as cell_forces
 from .strained.forces import largest_forces as largest_forces
 from .strained.placed import NEAR as NEAR

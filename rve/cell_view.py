@@ -13,12 +13,11 @@ from rve.common.drawing.plane import BLUE, VERMILION
 from rve.common.drawing.scale import Scale
 from rve.common.drawing.space import add, arrows, balls, check_render, compose, lines, look, new_plotter, save_animation
 from rve.common.errors import InputError, NotConverged
-from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.paper.stewart_trinkle import CellMotion, StewartTrinkleOptions, follow_motion
-from rve.plots import CLASS_COLOURS, case_title, contacts_mm, corner_forces, locked_row, swapped
+from rve.plots import CLASS_COLOURS, case_title, contacts_mm, corner_forces, drawn_rings, locked_row, swapped
 from rve.table import StrainTable
 
 if TYPE_CHECKING:
@@ -44,7 +43,9 @@ def draw_cell_in_space(states: LockedStates, plotter: Plotter | None = None, lar
     """
     plotter = new_plotter() if plotter is None else plotter
     cell, r1 = states.cell, states.cell.r1
-    _add_rings(plotter, states)
+    for k in range(cell.weave.classes):
+        mesh = drawn_rings(states, k).tori(*AROUND)
+        add(plotter, f"rings of class {k + 1}", mesh, CLASS_COLOURS[k % len(CLASS_COLOURS)])
     at, nodal = corner_forces(states)
     add(plotter, "periodic cell", lines(at[[0, 1, 3, 2, 0]][None]), "#4d4d4d", line_width=3)
     points, normals, forces = contacts_mm(states)
@@ -62,19 +63,6 @@ def draw_cell_in_space(states: LockedStates, plotter: Plotter | None = None, lar
     add(plotter, name, arrows(at, 1.2 * r1 * nodal, LEAST * r1), VERMILION)
     look(plotter, DIRECTION)
     return plotter
-
-
-def _add_rings(plotter: Plotter, states: LockedStates) -> None:
-    """Tori of the rings that the weave draws, one mesh for each class."""
-    pose, cell = states.pose, states.cell
-    for k in range(cell.weave.classes):
-        shifts = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:]
-        if len(shifts):
-            flat = pose.centres[0, k] + shifts @ np.stack([pose.a1[0], pose.a2[0]])
-            centre = swapped(cell.r1 * np.column_stack([flat, np.zeros(len(flat))]), cell)
-            normal = np.tile(swapped(pose.normals[:1, k], cell), (len(flat), 1))
-            mesh = DrawnRings(centre, normal, cell.r1, cell.r2).tori(*AROUND)
-            add(plotter, f"rings of class {k + 1}", mesh, CLASS_COLOURS[k % len(CLASS_COLOURS)])
 
 
 def write_case_page(table: StrainTable, path: str | os.PathLike[str], row: int = 0) -> None:

@@ -10,9 +10,26 @@ from typing import Any
 
 import click
 
-from rve.cli_options import WEAVE_NAMES, asked_cell, asked_directions, asked_rings, branch_options, cell_options
-from rve.common.commands.command_line import Group, answer, check_plot, feature_lines, say, say_next
-from rve.common.commands.sweeps import numbers_of, run_sweep, sweep_options
+from rve.cli_options import (
+    WEAVE_NAMES,
+    asked_cell,
+    asked_directions,
+    asked_rings,
+    branch_options,
+    cell_options,
+    grain_option,
+)
+from rve.common.commands.command_line import (
+    Group,
+    answer,
+    check_plot,
+    feature_lines,
+    numbers_of,
+    parse_load,
+    say,
+    say_next,
+)
+from rve.common.commands.sweeps import run_sweep, sweep_options
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import check_out_file, check_out_table, sidecar_path
 from rve.common.progress import tell
@@ -136,13 +153,8 @@ def case(
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"alpha = {alpha}, beta = {beta}: {status}: {SENTENCES[status]}")
-    good = found.quality
-    values = [*found.E[0], *found.S[0], *found.x2_mm[0], *found.x3_mm[0], good.R[0], good.min_gap_mm[0]]
-    out: dict[str, object] = {"alpha_deg": alpha, "beta_deg": beta}
-    out |= dict(zip(COLUMNS[2:14], map(float, values), strict=True))
-    out |= {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}
-    out |= {"contacts": int(good.contacts[0]), "unique": int(found.unique[0]), "status": status}
-    answer(out | {"iterations": int(good.iterations[0])}, always=True)
+    row = {name: column[0] for name, column in found.columns().items() if name in COLUMNS}
+    answer(row | {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}, always=True)
     if plot is not None:
         from rve.common.drawing.plane import save_figure
         from rve.plots import draw_case
@@ -178,7 +190,6 @@ def _check_views(html: Path | None, animation: Path | None) -> None:
 @cell_options
 def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> None:
     """Print h = max S:E of a dead second Piola-Kirchhoff load and the locked state that reaches it, as JSON."""
-    from rve.directions import parse_load
     from rve.equilibrium.interior_point import DirectOptions
     from rve.support_function import support
 
@@ -197,9 +208,7 @@ def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> No
 @click.option("--r1", required=True, help="Radii of rings' centre circles in mm, with commas.")
 @click.option("--r2", required=True, help="Radii of wires in mm, with commas.")
 @click.option("--weave", default="4-in-1", show_default=True, help=f"Weaves, with commas: {', '.join(WEAVE_NAMES)}.")
-@click.option(
-    "--grain", type=click.Choice(["y", "x"]), default="y", show_default=True, help="Axis along which rings interlace."
-)
+@grain_option
 @click.argument("further", nargs=-1, type=click.UNPROCESSED)
 def sweep(
     out: Path, r1: str, r2: str, weave: str, grain: str, further: tuple[str, ...], jobs: int, cluster: str | None

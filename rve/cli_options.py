@@ -17,15 +17,8 @@ MATERIAL_NAMES = (
 )
 """The names in `rve.geometry.weave.WEAVES` and `rve.common.materials.MATERIALS`, not imported to print a help text."""
 
-_weave_options = options(
-    click.option("--weave", type=click.Choice(WEAVE_NAMES), default="4-in-1", show_default=True, help="Weave."),
-    click.option(
-        "--grain",
-        type=click.Choice(["y", "x"]),
-        default="y",
-        show_default=True,
-        help="Axis along which rings interlace.",
-    ),
+grain_option = click.option(
+    "--grain", type=click.Choice(["y", "x"]), default="y", show_default=True, help="Axis along which rings interlace."
 )
 cell_options = options(
     click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
@@ -36,7 +29,8 @@ cell_options = options(
     click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
     click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
     click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
-    _weave_options,
+    click.option("--weave", type=click.Choice(WEAVE_NAMES), default="4-in-1", show_default=True, help="Weave."),
+    grain_option,
 )
 branch_options = options(
     click.option(
@@ -97,7 +91,5 @@ def asked_directions(
         return read_loads(loads)
     if graded:
         return graded_grid(weave)
-    beta = "0:90:5" if beta is None else beta
-    if alpha is None:
-        return product(np.unique(grid(5.0, weave).alpha_deg), parse_angles(beta, "--beta"))
-    return product(parse_angles(alpha, "--alpha"), parse_angles(beta, "--beta"))
+    first = np.unique(grid(5.0, weave).alpha_deg) if alpha is None else parse_angles(alpha, "--alpha")
+    return product(first, parse_angles("0:90:5" if beta is None else beta, "--beta"))

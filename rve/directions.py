@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.columns import ranged_column, read_columns
+from rve.columns import number_column, read_columns
 from rve.common.errors import InputError
 from rve.common.types import Array
 from rve.common.values import shown
@@ -24,26 +24,24 @@ def parse_angles(text: str, name: str) -> Array:
     >>> parse_angles("0:45:15", "--alpha")
     array([ 0., 15., 30., 45.])
     """
+    is_range = ":" in text
     try:
-        if ":" not in text:
-            values = np.array([float(part) for part in text.split(",")])
-        else:
-            first, last, step = (float(part) for part in text.split(":"))
-            if not (np.isfinite([first, last, step]).all() and step != 0.0 and (last - first) / step >= 0.0):
-                raise InputError(f"{name} = {shown(text)}: the step must lead from the first to the last value")
-            count = np.floor((last - first) / step + 1e-9) + 1
-            if count > MOST_VALUES:
-                raise InputError(f"{name} = {shown(text)}: {count:.3g} values are more than {MOST_VALUES}")
-            values = first + step * np.arange(int(count))
-    except InputError:
-        raise
+        values = np.array([float(part) for part in text.split(":" if is_range else ",")])
     except ValueError:
-        raise InputError(f"{name} = {shown(text)}: write first:last:step or a list such as 7.5,12.5") from None
-    if not np.isfinite(values).all():
-        raise InputError(f"{name} = {shown(text)}: angles must be finite numbers of degrees")
-    if np.abs(values).max() > MOST_DEGREES:
+        values = np.empty(0)
+    if not len(values) or (is_range and len(values) != 3):
+        raise InputError(f"{name} = {shown(text)}: write first:last:step or a list such as 7.5,12.5")
+    if not (np.abs(values) <= MOST_DEGREES).all():
         raise InputError(f"{name} = {shown(text)}: angles must be from {-MOST_DEGREES:g} to {MOST_DEGREES:g} degrees")
-    return values
+    if not is_range:
+        return values
+    first, last, step = values
+    if step == 0.0 or (last - first) / step < 0.0:
+        raise InputError(f"{name} = {shown(text)}: the step must lead from the first to the last value")
+    count = np.floor((last - first) / step + 1e-9) + 1
+    if count > MOST_VALUES:
+        raise InputError(f"{name} = {shown(text)}: {count:.3g} values are more than {MOST_VALUES}")
+    return np.asarray(first + step * np.arange(int(count)))
 
 
 class LoadDirections(NamedTuple):
@@ -99,29 +97,8 @@ def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
 
 def read_loads(path: str | os.PathLike[str]) -> LoadDirections:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
-    columns = read_columns(path, ("alpha_deg", "beta_deg"))
-    out = []
-    for name in ("alpha_deg", "beta_deg"):
-        values = ranged_column(path, columns, name, MOST_DEGREES)
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise InputError(
-                f"{path}: line {bad[0] + 2}, column {name}: {shown(columns[name][bad[0]])} is not a finite number"
-            )
-        if len(values) > MOST_VALUES:
-            raise InputError(f"{path}: has {len(values)} load directions, at most {MOST_VALUES} are allowed")
-        out.append(values)
-    return LoadDirections(out[0], out[1])
-
-
-def parse_load(text: str) -> Array:
-    """A line load (3,) from "S11,S12,S22"; raises InputError.
-
-    >>> parse_load("1,0,0.5")
-    array([1. , 0. , 0.5])
-    """
-    try:
-        S11, S12, S22 = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--S = {shown(text)}: write three numbers S11,S12,S22") from None
-    return np.array([S11, S12, S22])
+    columns = read_columns(path, LoadDirections._fields)
+    alpha, beta = (number_column(path, columns, name, MOST_DEGREES, known=True) for name in LoadDirections._fields)
+    if len(alpha) > MOST_VALUES:
+        raise InputError(f"{path}: has {len(alpha)} load directions, at most {MOST_VALUES} are allowed")
+    return LoadDirections(alpha, beta)

@@ -2,59 +2,56 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from typing import Any
 
+from rve.equilibrium.locked_states import LockedStates
+from rve.equilibrium.symmetry import is_symmetric, symmetry_of
+from rve.geometry.cell import Cell
+from rve.geometry.pairs import pairs_in_reach, unlisted_gap
 
-@dataclass(frozen=True)
-class SolverWork:
-    """What the direct solver met.
+SYMMETRIC = 1e-7
+"""Lengths in r1 and tilts by which a symmetric locked state may miss its symmetry."""
 
-    cases; symmetric: how many were solved in symmetric coordinates alone; retried: cases that took more than one
-    attempt in all coordinates; limits: cases replaced by the limit from inside the tensile
-    cone; listed: pairs of rings in the equations; least_near, most_near: how many pairs of the weave are near enough to
-    touch in a locked state; unlisted_gap: least gap of pairs that the weave does not list, in r1; widened: whether such
-    pairs overlapped and all pairs were listed.
+
+def solver_work(states: LockedStates, cell: Cell) -> dict[str, Any]:
+    """Counts of the direct solver for the locked states of a cell.
+
+    cases; symmetric: how many locked states are symmetric; retried: cases that took more than one attempt in all
+    coordinates; limits: cases replaced by the limit from inside the tensile cone; listed: pairs of rings in the
+    equations; least_near, most_near: how many pairs of the weave are near enough to touch in a locked state;
+    unlisted_gap: least gap of pairs that the weave does not list, in r1; widened: whether such pairs overlapped and all
+    pairs were listed.
     """
-
-    cases: int
-    symmetric: int
-    retried: int
-    limits: int
-    listed: int
-    least_near: int
-    most_near: int
-    unlisted_gap: float
-    widened: bool
-
-    def plus(self, other: SolverWork) -> SolverWork:
-        """Both blocks of cases together."""
-        return SolverWork(
-            self.cases + other.cases,
-            self.symmetric + other.symmetric,
-            self.retried + other.retried,
-            self.limits + other.limits,
-            max(self.listed, other.listed),
-            min(self.least_near, other.least_near),
-            max(self.most_near, other.most_near),
-            min(self.unlisted_gap, other.unlisted_gap),
-            self.widened or other.widened,
-        )
+    weave, pose, good = cell.weave, states.pose, states.found.status == "converged"
+    symmetry, near = symmetry_of(weave), pairs_in_reach(pose, weave, cell.wire, states.reach)
+    listed = len(states.cell.weave.pairs)
+    return {
+        "cases": len(good),
+        "symmetric": 0 if symmetry is None else int((good & is_symmetric(pose, symmetry.middle, SYMMETRIC)).sum()),
+        "retried": int((states.found.attempts > 2).sum()),  # the first is in symmetric coordinates
+        "limits": int((good & ~states.unique).sum()),
+        "listed": listed,
+        "least_near": int(near.min()),
+        "most_near": int(near.max()),
+        "unlisted_gap": float(unlisted_gap(pose, weave, cell.wire).min()),
+        "widened": listed > len(weave.pairs),
+    }
 
 
 def features(provenance: dict[str, Any]) -> list[dict[str, Any]]:
     """What the run behind a table used and left out, from the table's provenance: rows of feature, used and why."""
     if provenance["method"] != "direct":
         return [{"feature": "motion", "used": True, "why": "the paper's scheme follows damped rings with inertia"}]
-    work = SolverWork(**{field.name: provenance["work"][field.name] for field in fields(SolverWork)})
-    near = f"{work.least_near} to {work.most_near} of {work.listed} pairs of rings are near enough to touch"
-    apart = f"{near}, others stay {work.unlisted_gap:.2g} r1 apart"
+    work = provenance["work"]
+    cases, symmetric, retried, limits = (work[name] for name in ("cases", "symmetric", "retried", "limits"))
+    near = f"{work['least_near']} to {work['most_near']} of {work['listed']} pairs of rings are near enough to touch"
+    apart = f"{near}, others stay {work['unlisted_gap']:.2g} r1 apart"
     overlap = "rings that the weave does not list as neighbours would overlap"
     rows = [
         ("motion", False, "static load: the equations of the locked state hold no velocities"),
-        ("asymmetry", work.symmetric < work.cases, f"{work.symmetric} of {work.cases} locked states are symmetric"),
-        ("unlisted-pairs", work.widened, overlap if work.widened else apart),
-        ("attempts", work.retried > 0, f"{work.retried} of {work.cases} cases took more than one attempt"),
-        ("limits", work.limits > 0, f"{work.limits} of {work.cases} cases are limits from inside the tensile cone"),
+        ("asymmetry", symmetric < cases, f"{symmetric} of {cases} locked states are symmetric"),
+        ("unlisted-pairs", work["widened"], overlap if work["widened"] else apart),
+        ("attempts", retried > 0, f"{retried} of {cases} cases took more than one attempt"),
+        ("limits", limits > 0, f"{limits} of {cases} cases are limits from inside the tensile cone"),
     ]
     return [dict(zip(("feature", "used", "why"), row, strict=True)) for row in rows]

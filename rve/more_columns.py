@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rve.common.errors import InputError
-from rve.common.rings import Joint, joint_name
+from rve.common.rings import Joint
 from rve.common.typed import Typed
 from rve.common.values import shown
 from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions
-from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.solve import locked_states, reference_sides, weave_sides
@@ -33,31 +31,9 @@ class RingOptions(Typed):
     def check(self) -> None:
         """BadField for a joint that is none."""
         try:
-            object.__setattr__(self, "joint", joint_name(self.joint))
+            object.__setattr__(self, "joint", Joint.of(self.joint).name)
         except ValueError as error:
             self.refuse(f"joint = {shown(self.joint)}: {error}")
-
-
-def states_of(table: StrainTable, cell: Cell) -> LockedStates:
-    """The locked states of a table: those it carries, or solved for `cell` if it was read from a file."""
-    if table.states is not None:
-        return table.states
-    return locked_states(table.alpha_deg, table.beta_deg, cell, DirectOptions())[0]
-
-
-def _sides(table: StrainTable, cell: Cell) -> tuple[float, float]:
-    """Sides b_x, b_y of the reference cell in mm."""
-    known = table.provenance
-    return (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
-
-
-def _solved(table: StrainTable) -> NDArray[np.bool_]:
-    """The rows (n,) whose locked states are known: those that have converged, and of a table that was read those from
-    the slack pose, since that is where its states are solved again.
-    """
-    if table.states is None and table.branch is not None:
-        return np.asarray(table.converged & (table.branch == "slack"))
-    return table.converged
 
 
 def _check_cell(table: StrainTable, cell: Cell) -> None:
@@ -83,16 +59,20 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     array([[123.2,  59.4]])
     """
     _check_cell(table, cell)
-    states, material = states_of(table, cell), cell.material
-    found = replace(states.found, status=np.where(_solved(table), states.found.status, "stalled"))
+    known, material, joint = table.provenance, cell.material, Joint.of(options.joint)
+    states, is_known = table.states, table.converged
+    if states is None:  # a table that was read: solved again, from the slack pose alone
+        states = locked_states(table.alpha_deg, table.beta_deg, cell, DirectOptions())
+        is_known = is_known if table.branch is None else is_known & (table.branch == "slack")
+    found = replace(states.found, status=np.where(is_known, states.found.status, "stalled"))
+    sides = (known["b_x_mm"], known["b_y_mm"]) if "b_x_mm" in known else reference_sides(cell, DirectOptions())
     equations = Equations.of(states.cell.weave, cell.wire)
-    sides, joint = weave_sides(cell, _sides(table, cell)), Joint.of(options.joint)
-    rings = ring_states(equations, found, states.s, sides, material.poisson, joint)
+    rings = ring_states(equations, found, states.s, weave_sides(cell, sides), material.poisson, joint)
     D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
     D = np.where(states.unique[:, None, None], D, np.nan)
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]
     asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1
     strength = asked / (table.S[:, 0] + table.S[:, 2])[:, None]
-    provenance = table.provenance | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
+    provenance = known | {"compliance": "rings", "joint": joint.name, "material": asdict(material)}
     return replace(table, compliance=D, strength=strength, provenance=provenance)

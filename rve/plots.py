@@ -9,11 +9,11 @@ import numpy as np
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.types import Array
+from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import lattice_load
 from rve.geometry.cell import Cell
-from rve.geometry.circles import tangent_frame
 from rve.table import StrainTable
 
 if TYPE_CHECKING:
@@ -23,15 +23,14 @@ CLASS_COLOURS = ("#5d6672", "#a9b0b9", "#8a7a66")
 """Rings are grey, so that forces stand out."""
 
 
-def ring_points(states: LockedStates, ring: Array, count: int = 97) -> Array:
-    """Centre circle (count, 3) in mm, in weave axes, of the ring (class, i, j) of the first state."""
-    k, i, j = (int(x) for x in ring)
-    pose = states.pose
-    centre = pose.centres[0, k] + i * pose.a1[0] + j * pose.a2[0]
-    e1, e2 = tangent_frame(pose.normals[0, k])
-    t = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
-    circle = np.cos(t) * e1 + np.sin(t) * e2
-    return states.cell.r1 * (circle + np.append(centre, 0.0))
+def drawn_rings(states: LockedStates, k: int, shifts: Array | None = None) -> DrawnRings:
+    """The rings of class k of the first state, by default those that the weave draws, at lattice shifts (m, 2)."""
+    cell, pose = states.cell, states.pose
+    at = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:] if shifts is None else shifts
+    flat = pose.centres[0, k] + at @ np.stack([pose.a1[0], pose.a2[0]])
+    centre = swapped(cell.r1 * np.column_stack([flat, np.zeros(len(flat))]), cell)
+    normal = np.tile(swapped(pose.normals[0, k], cell), (len(flat), 1))
+    return DrawnRings(centre, normal, cell.r1, cell.r2)
 
 
 def contacts_mm(states: LockedStates) -> tuple[Array, Array, Array]:
@@ -77,12 +76,10 @@ def draw_cell(ax: Axes, states: LockedStates) -> Axes:
     """Rings of the first state seen along z, contact points with the forces between rings (blue) and those on the
     corner rings (vermilion); returns `ax`."""
     cell, r1 = states.cell, states.cell.r1
-    named: set[str] = set()
-    for ring in cell.weave.rings:
-        x, y = swapped(ring_points(states, ring)[:, :2], cell).T
-        label, colour = f"rings of class {ring[0] + 1}", CLASS_COLOURS[ring[0] % len(CLASS_COLOURS)]
-        ax.plot(x, y, color=colour, lw=1.8, label=None if label in named else label)
-        named.add(label)
+    for k in range(cell.weave.classes):
+        x, y, _ = drawn_rings(states, k).closed_circles(96).T
+        first, *_ = ax.plot(x, y, color=CLASS_COLOURS[k % len(CLASS_COLOURS)], lw=1.8)
+        first.set_label(f"rings of class {k + 1}")
     at, nodal = (part[:, :2] for part in corner_forces(states))
     ax.plot(*at[[0, 1, 3, 2, 0]].T, color="0.3", lw=0.9, ls="--", zorder=0, label="periodic cell")
     points, normals, forces = contacts_mm(states)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -26,10 +25,10 @@ from rve.equilibrium.limits import with_limits
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
-from rve.explain import SolverWork
+from rve.explain import solver_work
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
-from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
+from rve.geometry.pairs import unlisted_gap, widened
 from rve.geometry.pose import Pose, deformation, strain_of
 from rve.table import RowQuality, StrainTable
 
@@ -37,10 +36,8 @@ BLOCK = 256
 """Cases advanced together: enough to hide the overhead of Python, few enough to stay in the cache."""
 
 
-def locked_block(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions
-) -> tuple[LockedStates, SolverWork]:
-    """Locked states of one block of loads (n,), and what the solver has met.
+def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> LockedStates:
+    """Locked states of one block of loads (n,). Pairs of rings that the weave does not list are listed if they overlap.
 
     Rows with a negative principal load get the status "compressive" and are not solved.
     """
@@ -50,25 +47,13 @@ def locked_block(
     principal = cauchy_line_load(np.zeros_like(beta_deg), beta_deg)
     tensile = np.asarray(np.all(principal[:, [0, 2]] >= 0.0, axis=1))
     solved = np.where(tensile[:, None], s, np.array([0.0, 0.0, 1.0]))
-    found, unique, symmetric, limits = solve_block(solved, cell, options)
-    gap = float(unlisted_gap(found.pose, cell.weave, cell.wire).min())
-    near = pairs_in_reach(found.pose, cell.weave, cell.wire, options.reach)
-    if gap < 0.0:
-        cell = replace(cell, weave=widened(cell.weave))
-        found, unique, symmetric, limits = solve_block(solved, cell, options)
-    retried = int((found.attempts > 2).sum())  # the first is in symmetric coordinates
-    listed = len(cell.weave.pairs)
-    work = SolverWork(len(s), symmetric, retried, limits, listed, int(near.min()), int(near.max()), gap, gap < 0.0)
+    for weave in (cell.weave, widened(cell.weave)):
+        equations = Equations.of(weave, cell.wire)
+        found, unique = with_limits(solved, equations, solve_equilibrium_symmetric(solved, equations, options), options)
+        if unlisted_gap(found.pose, weave, cell.wire).min() >= 0.0:
+            break
     found = replace(found, status=np.where(tensile, found.status, "compressive").astype("<U16"))
-    return LockedStates(found, s, unique | ~tensile, cell, options.reach), work
-
-
-def solve_block(s: Array, cell: Cell, options: DirectOptions) -> tuple[Equilibrium, Flags, int, int]:
-    """Equilibria, flags `unique`, how many rows were solved in symmetric coordinates, and how many are limits."""
-    equations = Equations.of(cell.weave, cell.wire)
-    direct, symmetric = solve_equilibrium_symmetric(s, equations, options)
-    found, unique = with_limits(s, equations, direct, options)
-    return found, unique, symmetric, int((direct.pose.lattice != found.pose.lattice).any(axis=1).sum())
+    return LockedStates(found, s, unique | ~tensile, replace(cell, weave=weave), options.reach)
 
 
 def locked_states(
@@ -77,20 +62,18 @@ def locked_states(
     cell: Cell,
     options: DirectOptions,
     progress: Callable[[int], None] | None = None,
-) -> tuple[LockedStates, SolverWork]:
-    """Locked states of any number of loads (n,), block by block, and what the solver has met."""
-    blocks, works = [], []
+) -> LockedStates:
+    """Locked states of any number of loads (n,), block by block."""
+    blocks = []
     for first in range(0, len(alpha_deg), BLOCK):
         rows = slice(first, first + BLOCK)
         with part_of(f"{len(alpha_deg)} loads", first / len(alpha_deg), min(1.0, (first + BLOCK) / len(alpha_deg))):
-            states, work = locked_block(alpha_deg[rows], beta_deg[rows], cell, options)
-        blocks.append(states)
-        works.append(work)
+            blocks.append(locked_block(alpha_deg[rows], beta_deg[rows], cell, options))
         if progress is not None:
-            progress(len(states.s))
+            progress(len(blocks[-1].s))
     widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
     blocks = [states.listing(widest) for states in blocks]
-    return blocks[0].join(blocks[1:]), reduce(SolverWork.plus, works)
+    return blocks[0].join(blocks[1:])
 
 
 def reference_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
@@ -108,9 +91,10 @@ def reference_pose(cell: Cell, options: DirectOptions) -> Pose:
     """The pose (n = 1) of the reference cell, see `reference_sides`. Raises NotConverged."""
     modes = mirror_modes(cell.weave) if cell.weave.is_mirrored else None
     along = np.array([[0.0, 0.0, 1.0]])
-    found = solve_equilibrium(along, Equations.of(cell.weave, cell.wire, modes), options)
-    if unlisted_gap(found.pose, cell.weave, cell.wire)[0] < 0.0:
-        found = solve_equilibrium(along, Equations.of(widened(cell.weave), cell.wire, modes), options)
+    for weave in (cell.weave, widened(cell.weave)):
+        found = solve_equilibrium(along, Equations.of(weave, cell.wire, modes), options)
+        if unlisted_gap(found.pose, weave, cell.wire)[0] >= 0.0:
+            break
     if options.reference == "locked" and found.status[0] == "converged":
         # The work of this load is that of its length along the grain, whatever the sides.
         longest = Equations.of(widened(cell.weave), cell.wire, load=DeadLoad((1.0, 1.0)))
@@ -175,8 +159,8 @@ def solve_table(
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
     sides = reference_sides(cell, options)
-    states, work = locked_states(alpha, beta, cell, options, progress)
-    record: dict[str, Any] = {"work": asdict(work)}
+    states = locked_states(alpha, beta, cell, options, progress)
+    record: dict[str, Any] = {"work": solver_work(states, cell)}
     if options.branches == "largest":
         table, record["branches"] = largest_table(alpha, beta, cell, states, options, sides)
     else:
@@ -229,17 +213,11 @@ def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: F
     several = []
     for i in np.flatnonzero((rows.branch != "slack") | left):
         slack, best = double_dot(rows.S[i], first.E[i]), double_dot(rows.S[i], rows.E[i])
-        row: dict[str, Any] = {
-            "row": int(i),
-            "alpha_deg": float(table.alpha_deg[i]),
-            "beta_deg": float(table.beta_deg[i]),
-        }
-        works = {"work_from_slack": float(slack), "work": float(best)}
-        several.append(row | {"branch": "below" if left[i] else str(rows.branch[i])} | works)
-    how = (
-        "restarts from the states of other rows, their mirror images, and dead loads from the slack pose and from "
-        "random admissible poses"
-    )
+        alpha, beta = float(table.alpha_deg[i]), float(table.beta_deg[i])
+        row: dict[str, Any] = {"row": int(i), "alpha_deg": alpha, "beta_deg": beta}
+        row |= {"branch": "below" if left[i] else str(rows.branch[i])}
+        several.append(row | {"work_from_slack": float(slack), "work": float(best)})
+    how = "restarts from the states of other rows, their mirror images, and dead loads from slack and random poses"
     return {"maximum_by": how, "several_states": several, "wall_s": round(wall, 3)}
 
 

@@ -113,44 +113,19 @@ def support(
     sides = weave_sides(cell, sides_mm)
     loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
     states = None if known is None else known.states
-    best, unique = solve_largest(loads, cell, cell.weave, sides, options, states)
-    if unlisted_gap(best.found.pose, cell.weave, cell.wire).min() < 0.0:
-        best, unique = solve_largest(loads, cell, widened(cell.weave), sides, options, states)
-    return _record(S, best, unique, cell, sides, sides_mm, states)
-
-
-def _record(
-    S: Array,
-    best: Largest,
-    unique: NDArray[np.bool_],
-    cell: Cell,
-    sides: tuple[float, float],
-    sides_mm: tuple[float, float],
-    known: KnownStates | None,
-) -> SupportValue:
-    """Best states under the loads S in the axes and units of the user; `sides` (in r1) are along the weave's axes."""
-    found, size = best.found, trace(S)
-    good = found.status == "converged"
-    E = strain_of(found.pose, sides)
-    x2, x3 = lattice_mm(found.pose, cell)
-    reached = best.states(sides)
-    E = np.where(good[:, None], E[:, weave_axes(cell)], np.nan)
-    return SupportValue(
-        S=S,
-        h=double_dot(S, E),
-        E=E,
-        x2_mm=np.where(good[:, None], x2, np.nan),
-        x3_mm=np.where(good[:, None], x3, np.nan),
-        unique=unique,
-        status=found.status,
-        R=np.where(good, found.R, np.nan),
-        min_gap_mm=np.where(good, found.contacts.min_gap * cell.r1, np.nan),
-        branch=best.branch,
-        works=[[float(size[i]) * work for work in best.works[i]] for i in range(len(S))],
-        b_x_mm=sides_mm[0],
-        b_y_mm=sides_mm[1],
-        states=reached if known is None else known.plus(reached),
-    )
+    for weave in (cell.weave, widened(cell.weave)):
+        best, unique = solve_largest(loads, cell, weave, sides, options, states)
+        found = best.found
+        if unlisted_gap(found.pose, weave, cell.wire).min() >= 0.0:
+            break
+    good, reached = found.status == "converged", best.states(sides)
+    E = strain_of(found.pose, sides)[:, weave_axes(cell)]
+    E, x2, x3 = (np.where(good[:, None], values, np.nan) for values in (E, *lattice_mm(found.pose, cell)))
+    R, gap = (np.where(good, values, np.nan) for values in (found.R, cell.r1 * found.contacts.min_gap))
+    works = [[float(size) * work for work in each] for size, each in zip(trace(S), best.works, strict=True)]
+    reached = reached if states is None else states.plus(reached)
+    told = (unique, found.status, R, gap, best.branch, works, *sides_mm, reached)
+    return SupportValue(S, double_dot(S, E), E, x2, x3, *told)
 
 
 def checked_loads(S: ArrayLike) -> Array:

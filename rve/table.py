@@ -1,13 +1,12 @@
-"""Strain-load table, one row per load direction: its file, and the kinematics that give its columns a meaning.
+"""Strain-load table, one row per load direction, and its file.
 
-One row is one load case. Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a
+Symmetric tensors are triples (11, 12, 22); S is the second Piola-Kirchhoff line load of a
 unit Cauchy load (s1^2 + s2^2 = 1); `unique` is 0 where the load leaves the strain free to move (E is then the
 limit from inside the tensile cone). The file is a CSV with one header line, its provenance a JSON of the same name.
 """
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,15 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.columns import ranged_column, read_columns
+from rve.columns import number_column, read_columns
 from rve.common.errors import InputError, require
 from rve.common.files import TABLE_FORMAT, check_belongs, check_out_table, job, sidecar_path, write_text
 from rve.common.reading import expecting, read_json_object
 from rve.common.records import Rows
 from rve.common.rings import check_rings
+from rve.common.texts import json_text
 from rve.common.types import Array
-from rve.common.values import shown
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:
@@ -32,36 +30,8 @@ if TYPE_CHECKING:
 
     from rve.equilibrium.locked_states import LockedStates
 
-__all__ = [
-    "COLUMNS",
-    "COMPLIANCE_COLUMNS",
-    "STRENGTH_COLUMNS",
-    "InputError",
-    "StrainTable",
-    "cauchy_line_load",
-    "deformation_gradient",
-    "green_lagrange",
-    "provenance_path",
-    "read_table",
-    "second_pk",
-    "write_table",
-]
-
-
-COLUMNS = [
-    "alpha_deg",
-    "beta_deg",
-    "E11",
-    "E12",
-    "E22",
-    "S11",
-    "S12",
-    "S22",
-    "x2_x_mm",
-    "x2_y_mm",
-    "x3_x_mm",
-    "x3_y_mm",
-]
+COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
+COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
 _REQUIRED = ("alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22", "status")
 _MOST = {"alpha_deg": 360.0, "beta_deg": 360.0, "contacts": 1e9, "unique": 1.0, "iterations": 1e9}
@@ -128,7 +98,7 @@ class StrainTable:
         name = self.provenance.get("weave", "4-in-1")
         return isinstance(name, str) and name in WEAVES and WEAVES[name].is_mirrored
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the CSV file, by name."""
         numbers = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S, self.x2_mm, self.x3_mm])
         known = dict(zip(COLUMNS[:12], numbers.T, strict=True)) | vars(self.quality)
@@ -150,7 +120,7 @@ class StrainTable:
         require("pandas", "notebook", "to_pandas()", "read the CSV file in another way")
         from pandas import DataFrame
 
-        frame = DataFrame(self._columns())
+        frame = DataFrame(self.columns())
         frame.attrs.update(self.provenance)
         return frame
 
@@ -173,11 +143,6 @@ class StrainTable:
         return f"<p>{self}</p><table><tr>{head}</tr>{body}</table>"
 
 
-def provenance_path(path: str | os.PathLike[str]) -> Path:
-    """The sidecar JSON of a table file."""
-    return sidecar_path(path)
-
-
 def _text(values: NDArray[Any]) -> list[str]:
     """A column as cells of a CSV file; numbers in full, an unknown number is an empty cell."""
     if values.dtype.kind != "f":
@@ -192,12 +157,12 @@ def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
     or would overwrite something else (`rve.common.files.check_out_table`).
     """
     check_out_table(path, "table")
-    target, sidecar = Path(path), provenance_path(path)
-    columns = table._columns()
+    target, sidecar = Path(path), sidecar_path(path)
+    columns = table.columns()
     lines = [",".join(columns), *map(",".join, zip(*map(_text, columns.values()), strict=True))]
     with job(target.parent, sidecar.name, clears=False) as folder:
         write_text(folder / target.name, "\n".join(lines) + "\n")
-        write_text(folder / sidecar.name, json.dumps({"format": TABLE_FORMAT} | table.provenance, indent=2) + "\n")
+        write_text(folder / sidecar.name, json_text({"format": TABLE_FORMAT} | table.provenance))
 
 
 def read_table(path: str | os.PathLike[str]) -> StrainTable:
@@ -210,48 +175,44 @@ def read_table(path: str | os.PathLike[str]) -> StrainTable:
     with expecting("table", path):
         columns = read_columns(path, _REQUIRED)
 
-    def column(name: str) -> Array:
-        return ranged_column(path, columns, name, _MOST.get(name, np.inf))
-
-    def whole(name: str) -> NDArray[np.intp]:
-        return np.nan_to_num(column(name)).astype(int)
-
     status = np.array([text.strip() for text in columns["status"]])
-    for name in _REQUIRED[:-1]:
-        bad = np.flatnonzero((status == "converged") & ~np.isfinite(column(name)))
-        if len(bad):
-            text = columns[name][bad[0]]
-            raise InputError(
-                f"{path}: line {bad[0] + 2}, column {name}: {shown(text)} in a converged row is not finite"
-            )
-    unique = column("unique")
-    compliance = None
-    if all(name in columns for name in COMPLIANCE_COLUMNS):
-        compliance = np.stack([column(name) for name in COMPLIANCE_COLUMNS], axis=1).reshape(-1, 3, 3)
-    strength = None
-    if all(name in columns for name in STRENGTH_COLUMNS):
-        strength = np.stack([column(name) for name in STRENGTH_COLUMNS], axis=1)
+
+    def column(name: str) -> Array:
+        values = number_column(path, columns, name, _MOST.get(name, np.inf))
+        bad = np.flatnonzero((status == "converged") & np.isnan(values))
+        if len(bad) and name in _REQUIRED:
+            raise InputError(f"{path}: line {bad[0] + 2}, column {name}: is empty or nan in a converged row")
+        return values
+
+    def several(names: list[str]) -> Array:
+        return np.stack([column(name) for name in names], axis=1)
+
+    def several_if_there(names: list[str]) -> Array | None:
+        return several(names) if set(names) <= columns.keys() else None
+
+    unique, compliance = column("unique"), several_if_there(COMPLIANCE_COLUMNS)
+    whole = (np.nan_to_num(column(name)).astype(int) for name in ("contacts", "iterations"))
     return StrainTable(
         column("alpha_deg"),
         column("beta_deg"),
-        np.stack([column(n) for n in ("E11", "E12", "E22")], axis=1),
-        np.stack([column(n) for n in ("S11", "S12", "S22")], axis=1),
-        np.stack([column(n) for n in ("x2_x_mm", "x2_y_mm")], axis=1),
-        np.stack([column(n) for n in ("x3_x_mm", "x3_y_mm")], axis=1),
+        several(COLUMNS[2:5]),
+        several(COLUMNS[5:8]),
+        several(COLUMNS[8:10]),
+        several(COLUMNS[10:12]),
         np.where(np.isfinite(unique), unique, 1.0) > 0.5,
         status,
-        RowQuality(column("R"), column("min_gap_mm"), *(whole(name) for name in ("contacts", "iterations"))),
-        compliance,
+        RowQuality(column("R"), column("min_gap_mm"), *whole),
+        None if compliance is None else compliance.reshape(-1, 3, 3),
         _read_provenance(Path(path)),
         np.array([text.strip() for text in columns["branch"]]) if "branch" in columns else None,
-        strength=strength,
+        strength=several_if_there(STRENGTH_COLUMNS),
     )
 
 
 def _read_provenance(table: Path) -> dict[str, Any]:
     """The sidecar as it is, {} if there is none; InputError for numbers of the rings out of their range, and for a
     sidecar that is not of this table."""
-    path = provenance_path(table)
+    path = sidecar_path(table)
     if not path.exists():
         return {}
     found = read_json_object(path)

@@ -60,7 +60,7 @@ def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:
     varied = replace(equations, far_pairs=far, idle_curvature=idle)
     if feature == "asymmetry":
         return solve_equilibrium(s, varied)
-    return solve_equilibrium_symmetric(s, varied, DirectOptions())[0]
+    return solve_equilibrium_symmetric(s, varied, DirectOptions())
 
 
 def forced(feature: str, name: str, cell: Cell, plain: tuple[Equilibrium, float], s: Array) -> Row:

@@ -100,19 +100,12 @@ def rows_from_table(table: StrainTable) -> LockedRows:
         raise InputError("the table has no converged tensile row")
     S = table.S[keep] / size[keep, None]
     E = table.E[keep]
-    first = first_of_duplicates(S, E)
-    dropped += [f"row {i}: the same load and strain as an earlier row" for i in keep[~first]]
+    key = np.round(np.hstack([S, E]) / ROUNDING).astype(np.int64)
+    first = np.sort(np.unique(key, axis=0, return_index=True)[1])
+    dropped += [f"row {i}: the same load and strain as an earlier row" for i in np.delete(keep, first)]
     S, E, keep = S[first], E[first], keep[first]
     unique = np.asarray(table.unique, bool)[keep]
     return LockedRows(S, E, double_dot(S, E), unique, keep, tuple(dropped), table.is_mirrored)
-
-
-def first_of_duplicates(S: Array, E: Array) -> Mask:
-    """True for rows that do not repeat an earlier one to within rounding, (n,)."""
-    key = np.round(np.hstack([S, E]) / ROUNDING).astype(np.int64)
-    first = np.zeros(len(S), bool)
-    first[np.unique(key, axis=0, return_index=True)[1]] = True
-    return first
 
 
 def with_mirror(rows: LockedRows) -> LockedRows:

@@ -1,1 +1,1 @@
-"""Membrane laws, one per file, and what they are made of: vertices, projection, lookup."""
+"""Membrane laws, one per file, and what they are made of: vertices, projection."""

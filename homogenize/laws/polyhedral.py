@@ -28,20 +28,14 @@ from homogenize.laws.protocol import (
 from homogenize.laws.stored import StoredLaw
 from homogenize.laws.vertices import highest, outer_vertices
 from rve.common.errors import InputError
-from rve.common.tensor import IDENTITY, double_dot, eigenvalues, from_disc, trace
+from rve.common.tensor import double_dot, eigenvalues, from_disc, trace
 from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
-
-COLLAPSED = 0.05
-"""Vertices with an eigenvalue of C = I + 2E below this are cells drawn to a line: they stay off the map."""
-
 
 MOST_HALF_SPACES = 50_000
 """In a law file. A table of 403 rows gives some 5,000; reading takes longer in proportion."""
 MOST_STRAIN = 1e3
 """Bound of h and of the components of S in a law file; strains of rings are below 1."""
-MAP_PAYS = 300
-"""Points per call from which a map of the half-spaces is made, in half a second for four thousand of them."""
 Component = Annotated[float, Meta(ge=-MOST_STRAIN, le=MOST_STRAIN)]
 
 
@@ -93,34 +87,18 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
         check_finite(E)
-        worst, _ = self._body(len(E)).worst(E)
+        worst, _ = self._body.worst(E)
         S, h = self.S[worst], self.h[worst]
         return Cut(S, h, double_dot(S, E) - h)
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent beyond locking, by exact active sets."""
         check_finite(E)
-        return respond(E, self._body(len(E)))
-
-    def _body(self, count: int) -> Polyhedron:
-        """The half-spaces prepared for the projection of `count` points: with a map only where it pays to make it."""
-        return self._mapped if count >= MAP_PAYS else self._plain
+        return respond(E, self._body)
 
     @cached_property
-    def _plain(self) -> Polyhedron:
+    def _body(self) -> Polyhedron:
         return polyhedron_of(self.S, self.h, self.stiffness)
-
-    @cached_property
-    def _mapped(self) -> Polyhedron:
-        """Made once: the law never changes."""
-        open_cells = self.vertices[eigenvalues(2.0 * self.vertices + IDENTITY)[0] > COLLAPSED]
-        if not len(open_cells):
-            return self._plain
-        x = np.stack([0.5 * (open_cells[:, 0] - open_cells[:, 2]), open_cells[:, 1]], axis=1)
-        margin = 0.02 + 0.02 * np.ptp(x, axis=0)
-        return polyhedron_of(
-            self.S, self.h, self.stiffness, box=np.array([x.min(axis=0) - margin, x.max(axis=0) + margin])
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """Half-spaces and stiffness; the vertices follow from them."""

@@ -17,7 +17,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from homogenize.laws.lookup import Envelope, envelope_of
 from homogenize.laws.protocol import Response
 from rve.common.errors import NotConverged
 from rve.common.tensor import WEIGHT
@@ -30,10 +29,8 @@ TOLERANCE = 1e-13
 DEPENDENT = 1e-9
 """Normals that are this near to the span of others count as dependent."""
 MAX_ROUNDS = 300
-BLOCK = 1024
-"""Points compared with all half-spaces at a time: 40 MB for five thousand of these."""
-FEW = 60
-"""Up to this many half-spaces are all looked at; more get a map (see `lookup`)."""
+BLOCK = 128
+"""Points compared with all half-spaces at a time: few enough to stay in the cache, many enough to hide Python."""
 
 
 class ProjectionError(NotConverged):
@@ -43,13 +40,12 @@ class ProjectionError(NotConverged):
 @dataclass(frozen=True, eq=False)
 class Polyhedron:
     """Half-spaces planes.E <= h prepared for projection: planes (m, k), h (m,), R (k, k) of y = R E; k is 3, or 4 with
-    tau. `envelope` finds the most violated half-space without looking at all of them, None where there are few.
+    tau.
     """
 
     planes: Array
     h: Array
     R: Array
-    envelope: Envelope | None = None
 
     @cached_property
     def inverse(self) -> Array:
@@ -63,8 +59,6 @@ class Polyhedron:
 
     def worst(self, E: Array) -> tuple[Index, Array]:
         """Most violated half-space and its excess over h at E (n, k), each (n,)."""
-        if self.envelope is not None:
-            return self.envelope.highest(np.ascontiguousarray(E.T))
         index, excess, columns = np.empty(len(E), np.intp), np.empty(len(E)), np.ascontiguousarray(self.planes.T)
         for start in range(0, len(E), BLOCK):
             part = slice(start, start + BLOCK)
@@ -75,18 +69,16 @@ class Polyhedron:
         return index, excess
 
 
-def polyhedron_of(
-    S: Array, h: Array, stiffness: Array, extra: Array | None = None, box: Array | None = None
-) -> Polyhedron:
+def polyhedron_of(S: Array, h: Array, stiffness: Array, extra: Array | None = None) -> Polyhedron:
     """Half-spaces S (m, 3), h (m,), widened by extra (m,) per tau, in the metric of a stiffness (3, 3) in tensor
-    components, W M symmetric positive definite; `box` as in `lookup.envelope_of`.
+    components, W M symmetric positive definite.
     """
     R: Array = np.asarray(np.linalg.cholesky(WEIGHT[:, None] * stiffness).T)
-    if extra is not None:
-        four = np.eye(4)
-        four[:3, :3] = R
-        return Polyhedron(np.column_stack([S * WEIGHT, -extra]), h, four)
-    return Polyhedron(S * WEIGHT, h, R, envelope_of(S, h, box) if box is not None and len(h) > FEW else None)
+    if extra is None:
+        return Polyhedron(S * WEIGHT, h, R)
+    four = np.eye(4)
+    four[:3, :3] = R
+    return Polyhedron(np.column_stack([S * WEIGHT, -extra]), h, four)
 
 
 def respond(E: Array, body: Polyhedron) -> Response:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from rve.common.typed import Typed, read_typed
+from rve.common.typed import Typed
 
 Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 Size = Annotated[float, Meta(ge=0.0, le=1e300)]
@@ -84,8 +84,3 @@ def _left_out(dropped: tuple[str, ...]) -> list[str]:
         f"{f' and {len(names) - 5} more' if len(names) > 5 else ''}"
         for reason, names in rows.items()
     ]
-
-
-def report_from_dict(data: Any) -> ErrorReport:
-    """The report that `ErrorReport.to_dict` wrote; InputError names an entry that is missing or impossible."""
-    return read_typed(ErrorReport, data, "the law's report:")

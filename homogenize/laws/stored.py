@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from homogenize.laws.protocol import CellInfo, HalfSpaces, MembraneLaw
-from homogenize.laws.report import ErrorReport, report_from_dict
+from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
 from rve.common.errors import require
 from rve.common.files import write_text
-from rve.common.texts import as_html
+from rve.common.texts import as_html, json_text
+from rve.common.typed import read_typed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +54,8 @@ class StoredLaw(MembraneLaw):
     @property
     def report(self) -> ErrorReport | None:
         """How wrong the law can be; None for a law that was not fitted. InputError if its file holds no such report."""
-        return report_from_dict(self.provenance["report"]) if "report" in self.provenance else None
+        known = self.provenance.get("report")
+        return None if known is None else read_typed(ErrorReport, known, "the law's report:")
 
     def facets(self) -> HalfSpaces | None:
         """None: most laws have infinitely many half-spaces."""
@@ -70,7 +71,7 @@ class StoredLaw(MembraneLaw):
 
     def save(self, path: str | Path) -> None:
         """Writes the law file `path` (atomic: it is complete or absent); `homogenize.load_law` reads it."""
-        write_text(path, json.dumps(law_record(self), indent=1) + "\n")
+        write_text(path, json_text(law_record(self), indent=1))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The admissible strains at constant shear, E22 over E11, on `ax` or on axes of their own (matplotlib)."""

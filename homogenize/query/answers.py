@@ -114,8 +114,9 @@ def error_at_rows(path: str | Path, table_path: str | Path) -> dict[str, Any]:
         raise InputError(f"{table_path}: {error}") from error
     for key in ("r1_mm", "r2_mm"):
         theirs = table.provenance.get(key)
-        if law.cell is not None and theirs is not None:
-            check_radius(f"{table_path}: {key}", float(theirs), getattr(law.cell, key))
+        mine = None if law.cell is None else getattr(law.cell, key)
+        if theirs is not None and mine is not None and abs(theirs - mine) > 1e-9 * mine:
+            raise InputError(f"{table_path}: {key} = {theirs} is not that of the law, {mine}")
     found = locked_strain(law, table.alpha_deg[rows.source], table.beta_deg[rows.source])
     good = (found.status == "converged") & rows.unique & found.unique
     miss = np.abs(found.E - rows.E).max(axis=1)[good]
@@ -141,12 +142,6 @@ def error_text(found: dict[str, Any]) -> str:
         f"extrapolated: {found['extrapolated']} loads outside those of the law's table",
     ]
     return "\n".join(lines)
-
-
-def check_radius(what: str, theirs: float, mine: float) -> None:
-    """InputError if a radius of the table is not the law's."""
-    if abs(theirs - mine) > 1e-9 * mine:
-        raise InputError(f"{what} = {theirs} is not that of the law, {mine}")
 
 
 def extrapolates(law: StoredLaw, S: Array) -> bool:

@@ -160,11 +160,9 @@ def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array,
 
 def _cauchy_load(rows: LockedRows) -> Array:
     """Unit Cauchy loads (n, 3) of the rows, F S F^T scaled to s:s = 1."""
-    from rve import deformation_gradient
+    from rve import cauchy_of
 
-    F = deformation_gradient(rows.E)
-    S = np.stack([rows.S[:, [0, 1]], rows.S[:, [1, 2]]], axis=1)
-    s = (F @ S @ F.transpose(0, 2, 1))[:, [0, 0, 1], [0, 1, 1]]
+    s = cauchy_of(rows.S, rows.E)
     return np.asarray(s / np.sqrt((s * s) @ WEIGHT)[:, None])
 
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from homogenize.fitting.rows import LockedRows, normality, with_mirror
+from rve.common.records import Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
 from rve.common.types import Array
 
@@ -83,7 +83,7 @@ class _Known:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sizes:
+class _Sizes(Rows):
     """Shapes C0 (n, 3), their least and largest size l (n,); per row S:E_j (n, j) and the largest size (n, k)."""
 
     C0: Array
@@ -95,10 +95,6 @@ class _Sizes:
     def excess(self) -> Array:
         """log of the largest over the least size, (n,): negative where the shape does not occur."""
         return np.asarray(np.log(self.most / self.least))
-
-    def take(self, keep: NDArray[np.bool_]) -> _Sizes:
-        """Some of the shapes."""
-        return _Sizes(self.C0[keep], self.least[keep], self.most[keep], self.work[keep], self.limit[keep])
 
 
 def strain_bounds(rows: LockedRows, s: Array, resolution: float = RESOLUTION) -> StrainBounds:

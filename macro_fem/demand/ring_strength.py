@@ -13,7 +13,7 @@ from macro_fem.demand.record import Demand
 from macro_fem.demand.ring_answers import Samples, ask
 from macro_fem.output.strength import critical_load
 from macro_fem.solution import CurtainSolution
-from rve import Cell, deformation_gradient, solve_table, with_rings
+from rve import Cell, cauchy_of, solve_table, with_rings
 from rve.common.cache import Cache
 from rve.common.errors import InputError
 from rve.common.progress import tell
@@ -60,9 +60,7 @@ def join_strengths(one: Strength, other: Strength) -> Strength:
 
 def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:
     """The strength at the loads of rows, each solved again under the Cauchy load that locks the cell in its strain."""
-    F = deformation_gradient(rows.E)
-    S = rows.S[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    s = (F @ S @ F.transpose(0, 2, 1)).reshape(-1, 4)[:, [0, 1, 3]]
+    s = cauchy_of(rows.S, rows.E)
     low, high = eigenvalues(s)
     alpha = 0.5 * np.degrees(np.arctan2(2.0 * s[:, 1], s[:, 0] - s[:, 2]))
     beta = np.degrees(np.arctan2(np.maximum(low, 0.0), high))

@@ -17,7 +17,7 @@ from macro_fem.motion.stage import Stage, scene_at
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene
 from rve.common.errors import InputError
-from rve.common.files import write_whole
+from rve.common.files import atomic_path
 from rve.common.types import Array
 
 KEPT = "motion.npz"
@@ -36,7 +36,8 @@ def write_kept(path: Path, scene: Scene, law: MembraneLaw, frames: list[MotionFr
     for name, moment in (("before", pace.before), ("last", pace.last)):
         if moment is not None:
             kept |= {f"{name}_t": np.array(moment.t), f"{name}_x": moment.x, f"{name}_v": moment.v}
-    write_whole(path, lambda temporary: np.savez_compressed(temporary, **kept))
+    with atomic_path(path) as temporary:
+        np.savez_compressed(temporary, **kept)
 
 
 def read_kept(path: Path, scene: Scene, law: MembraneLaw) -> tuple[tuple[MotionFrame, ...], Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
 
@@ -53,15 +53,12 @@ def require(module: str, extra: str, purpose: str, instead: str = "") -> None:
 
     >>> require("numpy", "plots", "pictures")
     """
-    if find_spec(module) is None:
-        way_out = f", or {instead}" if instead else ""
-        raise InputError(f"{purpose} needs {module}: run pip install '{_requirement(module)}' (extra {extra}){way_out}")
-
-
-def _requirement(module: str) -> str:
-    """Package and version that our metadata ask for."""
-    try:
-        asked = requires("ring-mesh") or []
-    except PackageNotFoundError:
-        return module
-    return next((one.split(";")[0].strip() for one in asked if one.startswith(module)), module)
+    if find_spec(module) is not None:
+        return
+    package = module
+    with suppress(PackageNotFoundError):  # package and version that our metadata ask for
+        package = next(
+            (one.split(";")[0].strip() for one in requires("ring-mesh") or [] if one.startswith(module)), module
+        )
+    way_out = f", or {instead}" if instead else ""
+    raise InputError(f"{purpose} needs {module}: run pip install '{package}' (extra {extra}){way_out}")

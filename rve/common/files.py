@@ -18,7 +18,7 @@ import platform
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path, PurePosixPath
@@ -56,15 +56,10 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_whole(path: AnyPath, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary path, which then replaces `path`; nothing is left behind if `write` fails."""
-    with atomic_path(path) as temporary:
-        write(temporary)
-
-
 def write_text(path: AnyPath, text: str) -> None:
     """Write a text file, atomically."""
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def checksum(path: AnyPath) -> str:
@@ -94,17 +89,16 @@ def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPat
     That is a folder, device, pipe or socket; a file that is write-protected; one of `inputs` or the sidecar of one,
     by whatever name or link; the sidecar of a table. Raises InputError; nothing is written or made.
     """
-    target = Path(path)
-    folder = Path(os.path.realpath(target)).parent
-    if not check_replaceable(target, option, inputs):
-        if not folder.is_dir():
-            raise InputError(f"{option} = {target}: cannot be written: the folder {target.parent} does not exist")
-    elif target.suffix == ".json" and is_sidecar(target):
-        raise InputError(f"{option} = {target}: is the sidecar file of a table; choose another name")
-    elif not os.access(target, os.W_OK):
-        raise InputError(f"{option} = {target}: cannot be written: the file is write-protected")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"{option} = {target}: cannot be written: the folder {folder} is write-protected")
+    target, folder = Path(path), Path(os.path.realpath(path)).parent
+    is_there, why = check_replaceable(target, option, inputs), ""
+    if not is_there and not folder.is_dir():
+        why = f"cannot be written: the folder {target.parent} does not exist"
+    elif is_there and target.suffix == ".json" and is_sidecar(target):
+        why = "is the sidecar file of a table; choose another name"
+    elif not os.access(target if is_there else folder, os.W_OK) or not os.access(folder, os.W_OK | os.X_OK):
+        why = "cannot be written: it or its folder is write-protected"
+    if why:
+        raise InputError(f"{option} = {target}: {why}")
 
 
 def check_out_table(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
@@ -128,14 +122,13 @@ def check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | None
     found = _status(target, option)
     if found is None:
         return False
-    if stat.S_ISDIR(found.st_mode):
-        raise InputError(f"{option} = {target}: is a folder; give the name of a file")
     if not stat.S_ISREG(found.st_mode):
-        raise InputError(f"{option} = {target}: is a device, pipe or socket; give the name of a file")
+        kind = "folder" if stat.S_ISDIR(found.st_mode) else "device, pipe or socket"
+        raise InputError(f"{option} = {target}: is a {kind}; give the name of a file")
     for one in inputs:
-        if one is None:
-            continue
-        if _is_same(target, Path(one)) or (_is_same(target, sidecar_path(one)) and is_sidecar(target)):
+        if one is not None and (
+            _is_same(target, Path(one)) or (_is_same(target, sidecar_path(one)) and is_sidecar(target))
+        ):
             raise InputError(
                 f"{option} = {target}: would overwrite {one} or its sidecar, which is read; choose another name"
             )
@@ -175,13 +168,13 @@ def _is_same(one: Path, other: Path) -> bool:
 
 def versions(*more: str) -> dict[str, str]:
     """Versions of what has computed a result; `more` packages besides those of every result."""
-    out = {"python": platform.python_version()}
+    found = {"python": platform.python_version()}
     for name in ("ring-mesh", "numpy", "scipy", *more):
         try:
-            out[name] = metadata.version(name)
+            found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            out[name] = "not installed"
-    return out
+            found[name] = "absent"
+    return found
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rve.common.errors import InputError
-from rve.common.files import AnyPath, write_whole
+from rve.common.files import AnyPath, atomic_path
 from rve.common.reading import MOST_MESH_BYTES, read_bytes
 
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
@@ -80,4 +80,5 @@ def write_mesh_file(path: AnyPath, mesh: Any) -> None:
     """Write a `meshio.Mesh` as VTU, atomically."""
     import meshio
 
-    write_whole(path, lambda temporary: meshio.vtu.write(temporary, mesh))
+    with atomic_path(path) as temporary:
+        meshio.vtu.write(temporary, mesh)

@@ -103,19 +103,22 @@ def shown() -> Iterator[None]:
         with heard_by(line):
             yield
     finally:
-        line.wipe()
+        line("", None)
 
 
 class _Line:
-    """The line of a terminal on which work is shown, from the first word of it until it is wiped."""
+    """The line of a terminal on which work is shown, from the first word of it until "", which wipes it."""
 
     def __init__(self) -> None:
         self.bar: Any = None
+        self.task: Any = None
         self.last = ""
 
     def __call__(self, work: str, share: float | None) -> None:
         if not work:
-            self.wipe()
+            if self.bar is not None:
+                self.bar.stop()
+            self.bar = None
             return
         if self.bar is None:
             self.bar = _new_bar()
@@ -126,12 +129,6 @@ class _Line:
         total, done = (None, 0.0) if share is None else (1.0, min(share, MOST))
         self.bar.update(self.task, description=work, total=total, completed=done)
 
-    def wipe(self) -> None:
-        """Takes the line away; the next word of work brings it back."""
-        if self.bar is not None:
-            self.bar.stop()
-        self.bar = None
-
 
 def _new_bar() -> Any:
     from rich.console import Console
@@ -139,16 +136,8 @@ def _new_bar() -> Any:
     from rich.table import Column
 
     text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
-    bar = Progress(
-        SpinnerColumn(),
-        text,
-        BarColumn(12),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(file=sys.stderr),  # not where standard error is redirected to later, as by a sweep
-        transient=True,
-        redirect_stdout=False,
-        redirect_stderr=False,
-    )
+    columns = (SpinnerColumn(), text, BarColumn(12), TimeElapsedColumn(), TimeRemainingColumn())
+    console = Console(file=sys.stderr)  # not where standard error is redirected to later, as by a sweep
+    bar = Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
     bar.start()
     return bar

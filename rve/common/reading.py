@@ -120,24 +120,14 @@ def kind_of_file(path: AnyPath) -> str | None:
     try:
         with Path(path).open("rb") as file:
             text = file.read(MOST_JSON_BYTES).decode("utf-8-sig")
-    except (OSError, ValueError, MemoryError):
-        return None
-    if text.lstrip().startswith("{"):
-        return _kind_of_record(text)
-    if "alpha_deg" in text.partition("\n")[0].split(","):
-        return "table"
-    if "<VTKFile" in text[:1000]:
-        return "mesh"
-    try:
-        return "scene" if "curtain" in tomllib.loads(text[:1_000_000]) else None
-    except (ValueError, RecursionError):
-        return None
-
-
-def _kind_of_record(text: str) -> str | None:
-    try:
+        if "alpha_deg" in text.partition("\n")[0].split(","):
+            return "table"
+        if "<VTKFile" in text[:1000]:
+            return "mesh"
+        if not text.lstrip().startswith("{"):
+            return "scene" if "curtain" in tomllib.loads(text[:MOST_TOML_BYTES]) else None
         record: Any = json.loads(text)
-    except (ValueError, RecursionError, MemoryError):
+    except (OSError, ValueError, RecursionError, MemoryError):
         return None
     if {"kind", "parameters"} <= record.keys():
         return "law"

@@ -14,13 +14,12 @@ from rve.common.typed import read_entry
 from rve.common.values import shown
 
 STEEL_KG_PER_MM3 = 7.85e-6
-LEAST_MM, MOST_MM = 1e-9, 1e9
-"""Lengths of rings: their powers must stay numbers."""
 LEAST_R1_MM, MOST_R1_MM = 0.1, 200.0
 """Radii of rings that a command takes: from jewellery to anti-submarine nets."""
-LEAST_KG_PER_MM3, MOST_KG_PER_MM3 = 1e-12, 1e3
-Length = Annotated[float, Meta(ge=LEAST_MM, le=MOST_MM)]
-Density = Annotated[float, Meta(ge=LEAST_KG_PER_MM3, le=MOST_KG_PER_MM3)]
+Length = Annotated[float, Meta(ge=1e-9, le=1e9)]
+"""Lengths of rings in mm: their powers must stay numbers."""
+Density = Annotated[float, Meta(ge=1e-12, le=1e3)]
+"""kg/mm3."""
 ArealMass = Annotated[float, Meta(gt=0.0, le=1e18)]
 RING_TYPES: dict[str, Any] = {
     "r1_mm": Length,
@@ -142,11 +141,6 @@ class Joint:
 WORST_STEP_DEG = 10
 """Step of the angles at which a joint is tried for the worst one. Free ends carry no load, so that the stress is the
 same for all joints between two neighbouring contacts; only one between contacts nearer than the step is left out."""
-
-
-def joint_name(value: Any) -> str:
-    """The name of a joint as files have it; ValueError for other names."""
-    return Joint.of(value).name
 
 
 def read_joint(table: Mapping[str, Any], where: str = "") -> str:

@@ -10,11 +10,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-import numpy as np
 
-
-def json_text(record: Mapping[str, Any]) -> str:
-    """A record as JSON with a line end, null for numbers that are not finite.
+def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
+    """A record as JSON with a line end: arrays as lists, null for numbers that are not finite.
 
     >>> print(json_text({"force_N": [1.5, math.nan]}), end="")
     {
@@ -24,16 +22,15 @@ def json_text(record: Mapping[str, Any]) -> str:
       ]
     }
     """
-    return json.dumps(_finite(record), indent=2, allow_nan=False) + "\n"
+    return json.dumps(_finite(record), indent=indent, allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:
+    value = value.tolist() if hasattr(value, "tolist") else value  # of numpy, which is not imported for this
     if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

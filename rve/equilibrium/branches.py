@@ -68,11 +68,6 @@ class LoadedCell:
         """The mesh of these equations under Cauchy loads."""
         return LoadedCell(equations, replace(equations, load=DeadLoad(sides)), sides, options)
 
-    @property
-    def has_images(self) -> bool:
-        """Whether a mirror shows the weave itself."""
-        return self.cauchy.weave.is_mirrored and self.cauchy.weave.classes == 2
-
     def conjugate(self, E: Array, s: Array) -> Array:
         """S (n, 3) of unit trace of the Cauchy loads s on cells with the strains E, by the rotation rule."""
         S = second_pk(deformation_gradient(E), s)
@@ -105,7 +100,7 @@ def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell) -> tuple[RowStates
         tell(f"{len(bad)} loads for which other states do more work, round {count + 1}")
         best = largest(rows.S[bad], mesh.dead, mesh.sides, mesh.options, states)
         rivals = best.states(mesh.sides)
-        known = known.plus(rivals.with_images(mesh.has_images))
+        known = known.plus(rivals.with_images(mesh.cauchy.weave.has_images))
         bad = bad[np.isfinite(best.h)]
         rows, new, done = solve_from_rivals(rows, s, bad, rivals.pose, known.plus(states), mesh)
         found, where = merge_equilibria(found, where, new, done)
@@ -142,7 +137,7 @@ def dead_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
     pick, found = follow_promising(S, E, mesh.dead, mesh.sides, mesh.options, start)
     ended = np.flatnonzero(found.status == "converged")
     pose = found.pose.take(ended)
-    return KnownStates(pose, S[pick[ended]], strain_of(pose, mesh.sides)).with_images(mesh.has_images)
+    return KnownStates(pose, S[pick[ended]], strain_of(pose, mesh.sides)).with_images(mesh.cauchy.weave.has_images)
 
 
 def find_contradictions(rows: RowStates, known: KnownStates, mesh: LoadedCell) -> tuple[Index, KnownStates]:
@@ -150,7 +145,7 @@ def find_contradictions(rows: RowStates, known: KnownStates, mesh: LoadedCell) -
     on their way; all known states.
     """
     good = np.flatnonzero(np.isfinite(rows.E[:, 0]))
-    own = KnownStates(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.has_images)
+    own = KnownStates(rows.pose.take(good), rows.S[good], rows.E[good]).with_images(mesh.cauchy.weave.has_images)
     states = own.plus(known)
     bad = missing_work(rows.S[good], rows.E[good], states) > GAIN
     return good[bad | (rows.branch[good] == UNDECIDED)], states

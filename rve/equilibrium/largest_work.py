@@ -124,7 +124,7 @@ def largest(
     best = Largest(S, found, h, np.full(len(S), "slack", dtype="<U16"), [[float(x)] * bool(x > -np.inf) for x in h])
     if options.branches == "first":
         return best
-    images = equations.weave.is_mirrored and equations.weave.classes == 2
+    images = equations.weave.has_images
     best = with_random_starts(best, S if known is None else np.concatenate([S, known.S]), equations, sides, options)
     states = best.states(sides)
     states = states.join([more for more in (known, company) if more is not None]).with_images(images)

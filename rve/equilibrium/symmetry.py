@@ -104,9 +104,8 @@ def symmetric_equations(equations: Equations, symmetry: Symmetry) -> Equations:
     return replace(equations, weave=weave, maps=equations.maps[symmetry.kept], modes=modes, middle=symmetry.middle)
 
 
-def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectOptions) -> tuple[Equilibrium, int]:
-    """What `solve_equilibrium` finds, first tried in the symmetric coordinates of the weave; and in how many cases that
-    was enough.
+def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
+    """What `solve_equilibrium` finds, first tried in the symmetric coordinates of the weave.
 
     One attempt is made there; cases that do not converge or are not confirmed are solved with all coordinates. Their
     iterations count both, and their attempts one more.
@@ -114,15 +113,13 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
     >>> load = cauchy_line_load([0.0], [45.0])
-    >>> found, symmetric = solve_equilibrium_symmetric(load, Equations.of(FOUR_IN_ONE, 0.1), DirectOptions())
+    >>> found = solve_equilibrium_symmetric(load, Equations.of(FOUR_IN_ONE, 0.1), DirectOptions())
     >>> (5 * found.pose.lattice[0, :2]).round(6)
     array([13.116305, 11.230164])
-    >>> symmetric
-    1
     """
     symmetry = symmetry_of(equations.weave)
     if symmetry is None:
-        return solve_equilibrium(s, equations, options), 0
+        return solve_equilibrium(s, equations, options)
     unit = unit_loads(s)
     half = symmetric_equations(equations, symmetry)
     once = replace(options, attempts=1, max_iterations=min(MOST_ITERATIONS, options.max_iterations))
@@ -130,10 +127,10 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     found = expand_symmetric(part, symmetry, equations, unit, options.reach)
     left = np.flatnonzero(~is_confirmed(found, half, equations, unit, options.tolerance))
     if not len(left):
-        return found, len(s)
+        return found
     again = follow(unit[left], equations, options)
     again = replace(again, iterations=again.iterations + found.iterations[left], attempts=again.attempts + 1)
-    return found.put(left, again), len(s) - len(left)
+    return found.put(left, again)
 
 
 def symmetric_start(weave: Weave, symmetry: Symmetry, count: int) -> Pose:

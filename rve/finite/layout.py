@@ -21,8 +21,8 @@ from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
+from rve.solve import reference_sides, weave_sides
 from rve.strained.placed import axes_of_weave, reference_shares, shares
-from rve.strained.poses import weave_sides
 
 if TYPE_CHECKING:
     from rve.finite.records import FiniteOptions
@@ -63,7 +63,7 @@ class FiniteMesh:
         """A rectangle of `columns` by `rows` reference cells, its lower left corner at the origin."""
         if columns < 1 or rows < 1:
             raise InputError(f"{columns} x {rows} cells: a rectangle has one cell or more along each side")
-        width, height = (cell.r1 * side for side in _user_sides(cell, weave_sides(cell, DirectOptions())))
+        width, height = reference_sides(cell, DirectOptions())
         W, H = columns * width, rows * height
         return cls.inside(cell, [(0.0, 0.0), (W, 0.0), (W, H), (0.0, H)])
 
@@ -86,7 +86,7 @@ class FiniteMesh:
         for polygon in (border, *gaps):
             if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
                 raise InputError("an outline or a hole is not a list of three or more points [x, y]")
-        sides = tuple(cell.r1 * side for side in weave_sides(cell, DirectOptions()))
+        sides = tuple(cell.r1 * side for side in weave_sides(cell, reference_sides(cell, DirectOptions())))
         axes = axes_of_weave(cell, hang_deg)
         origin = _origin(border, np.array(sides), axes)
         index, X = _sites(cell, border, gaps, np.array(sides), axes, origin)
@@ -159,16 +159,11 @@ def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:
         for grain in ("y", "x"):
             if r1 / r2 > weave.jamming_ratio:
                 cell = Cell(r1, r2, weave, grain)
-                own = _user_sides(cell, weave_sides(cell, DirectOptions()))
-                if np.allclose([r1 * side for side in own], sides, rtol=1e-4):
+                if np.allclose(reference_sides(cell, DirectOptions()), sides, rtol=1e-4):
                     return cell
     raise InputError(
         f"a reference cell of {sides[0]:g} x {sides[1]:g} mm is that of no known weave with r1 = {r1:g}, r2 = {r2:g} mm"
     )
-
-
-def _user_sides(cell: Cell, sides: tuple[float, float]) -> tuple[float, float]:
-    return sides[::-1] if cell.grain == "x" else sides
 
 
 def _origin(border: Array, sides: Array, axes: Array) -> Array:

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from rve.common.errors import InputError
 from rve.common.materials import STEEL, Material, named_material
-from rve.common.rings import (
-    LEAST_KG_PER_MM3,
-    LEAST_MM,
-    MOST_KG_PER_MM3,
-    MOST_MM,
-    STEEL_KG_PER_MM3,
-    ring_volume,
-)
+from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
 from rve.common.texts import as_html
+from rve.common.typed import read_entry
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 
@@ -42,14 +34,8 @@ class Cell:
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
             object.__setattr__(self, "material", named_material(self.material))
-        for name, value in (("r1", self.r1), ("r2", self.r2), ("density", self.density)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} = {value}: must be a positive number")
-        for name, value in (("r1", self.r1), ("r2", self.r2)):
-            if not LEAST_MM <= value <= MOST_MM:
-                raise InputError(f"{name} = {value}: must lie between 1e-9 and 1e9 mm")
-        if not LEAST_KG_PER_MM3 <= self.density <= MOST_KG_PER_MM3:
-            raise InputError(f"density = {self.density}: must lie between 1e-12 and 1e3 kg/mm3")
+        for name, kind in (("r1", Length), ("r2", Length), ("density", Density)):
+            read_entry(vars(self), name, kind)
         self._agree_on_density()
         if self.grain not in ("x", "y"):
             raise InputError(f"grain = {self.grain!r}: must be x or y")

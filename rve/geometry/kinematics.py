@@ -80,6 +80,14 @@ def second_pk(F: Array, s: Array) -> Array:
     return np.stack([S11, S12, S22], axis=1) / J[:, None]
 
 
+def cauchy_of(S: Array, E: Array) -> Array:
+    """Cauchy line loads s = F S F^T / J (n, 3) of second Piola-Kirchhoff line loads S (n, 3) at strains E (n, 3), in
+    the frame of the rotation rule (5): the inverse of `second_pk`."""
+    F = deformation_gradient(E)
+    s = F @ S[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ F.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None]
+    return np.asarray(s.reshape(-1, 4)[:, [0, 1, 3]])
+
+
 def lattice_strain(lattice: Array, sides: tuple[float, float]) -> tuple[Array, Array, Array]:
     """Green-Lagrange strain (n, 3) of lattices x2, y3, t (n, 3) with both derivatives, (n, 3, 3) and (n, 3, 3, 3).
 

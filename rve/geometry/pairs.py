@@ -28,7 +28,7 @@ def unlisted_pairs(weave: Weave) -> Weave:
                 for j in range(-ny, ny + 1):
                     is_new = (a, b, i, j) not in listed and (a < b or (i, j) > (0, 0))
                     found += [(a, b, i, j)] if is_new else []
-    return replace(weave, pairs=np.array(found), linked=np.zeros(len(found), dtype=bool))
+    return replace(weave, pairs=np.array(found, dtype=int).reshape(-1, 4), linked=np.zeros(len(found), dtype=bool))
 
 
 def widened(weave: Weave) -> Weave:
@@ -43,7 +43,7 @@ def unlisted_gap(pose: Pose, weave: Weave, wire: float) -> Array:
     """Smallest gap (n,) of unlisted pairs in r1, or a lower bound of it where their centres are too far apart."""
     rest = unlisted_pairs(weave)
     d, _, _ = pair_geometry(pose, rest)
-    bound = np.sqrt((d**2).sum(axis=2)).min(axis=1) - 2.0 - 2.0 * wire
+    bound = np.sqrt((d**2).sum(axis=2)).min(axis=1, initial=np.inf) - 2.0 - 2.0 * wire
     near = np.flatnonzero(can_touch(d, 2.0 * wire).any(axis=1))
     if len(near):
         bound[near] = find_contacts(pose.take(near), rest, wire, np.inf).min_gap

@@ -45,6 +45,11 @@ class Weave:
         """Independent rings in one lattice cell."""
         return len(self.start_centres)
 
+    @property
+    def has_images(self) -> bool:
+        """Whether a mirror shows the poses of this weave as its poses (`rve.geometry.pose.mirrored`)."""
+        return self.is_mirrored and self.classes == 2
+
 
 def _two_rows(
     links: set[tuple[int, int]], reach: int, same: tuple[tuple[int, int], ...]

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common.records import Rows
 from rve.common.types import Array
 
 
@@ -35,7 +36,7 @@ def _times(matrix: Array, vector: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Programme:
+class Programme(Rows):
     """Contact steps of n cases: A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and stiffness k (n, c)."""
 
     A: Array
@@ -43,10 +44,6 @@ class Programme:
     G: Array
     gap: Array
     k: Array
-
-    def take(self, rows: NDArray[np.intp]) -> Programme:
-        """The steps of these cases."""
-        return Programme(self.A[rows], self.b[rows], self.G[rows], self.gap[rows], self.k[rows])
 
     def energy(self, w: Array) -> Array:
         """The convex function that the step minimises, (n,)."""

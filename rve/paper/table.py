@@ -34,7 +34,7 @@ def solve_table_stewart_trinkle(
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
     sides = reference_sides(cell, DirectOptions())
-    states, _ = locked_states(alpha, beta, cell, DirectOptions())
+    states = locked_states(alpha, beta, cell, DirectOptions())
     tensile = states.found.status != "compressive"
     s = np.where(tensile[:, None], states.s, np.array([0.0, 0.0, 1.0]))
     equations = Equations.of(cell.weave, cell.wire)

@@ -53,9 +53,5 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
         (flexibility(phi, pull, section) if x is None else opened_flexibility(phi, pull, x, section)).sum() for x in at
     ]
     worst = int(peaks.argmax())
-    return PulledRing(
-        float(stress / peaks[worst]),
-        float(min(loads)),
-        float(max(opening)),
-        angles[worst] if angles else None,
-    )
+    open_at = angles[worst] if angles else None
+    return PulledRing(float(stress / peaks[worst]), float(min(loads)), float(max(opening)), open_at)

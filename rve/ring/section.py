@@ -7,7 +7,7 @@ M_z > 0 bends the ring more sharply, with tension outside. Units N and N mm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,9 +66,8 @@ class Ring:
     def straight(self) -> Section:
         """The section of a straight beam: E I, G J, E A and kappa G A, no coupling of N and M_z."""
         area = np.pi * self.r2**2
-        thin = self.thin()
         shear = 1.0 / (shear_factor(self.poisson) * self.shear_modulus * area)
-        return Section(self.r1, thin.bending, thin.out_of_plane, thin.torsion, 1.0 / (self.young * area), shear)
+        return replace(self.thin(), axial=1.0 / (self.young * area), shear=shear)
 
     def curved(self) -> Section:
         """The section of the thick ring (Winkler): sections stay plane, and inner fibres are shorter than outer ones.
@@ -82,15 +81,7 @@ class Ring:
         bending = 2.0 / (self.young * area * self.r1**2 * short)
         inertia = out_of_plane_inertia(self.r1, self.r2)
         coupling = 1.0 / (self.young * area * self.r1)
-        return Section(
-            self.r1,
-            bending,
-            1.0 / (self.young * inertia),
-            straight.torsion,
-            straight.axial,
-            straight.shear,
-            coupling,
-        )
+        return replace(straight, bending=bending, out_of_plane=1.0 / (self.young * inertia), coupling=coupling)
 
 
 def _short(r1: float, r2: float) -> float:

@@ -13,17 +13,8 @@ from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient
+from rve.geometry.kinematics import cauchy_line_load
 from rve.solve import BLOCK, locked_block
-
-
-def cauchy_of(S: Array, E: Array) -> Array:
-    """Cauchy line loads s = F S F^T / J (n, 3) of second Piola-Kirchhoff line loads S at strains E, in the frame of the
-    rotation rule (5)."""
-    F = deformation_gradient(E)
-    full = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)
-    s = F @ full @ F.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None]
-    return np.stack([s[:, 0, 0], s[:, 0, 1], s[:, 1, 1]], axis=1)
 
 
 def directions(s: Array) -> tuple[Array, Array, Array]:
@@ -68,7 +59,7 @@ def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> C
     `status` is "converged" or the name of a failure; there are no contacts then.
     """
     alpha, beta, size = directions(s[None])
-    found = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions())[0].found
+    found = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions()).found
     status = str(found.status[0])
     load = size[0] * cauchy_line_load(alpha, beta)[0]
     con, pose, pairs = found.contacts, found.pose, cell.weave.pairs
@@ -117,10 +108,8 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
     for first in range(0, len(keys), BLOCK):
         rows = slice(first, first + BLOCK)
         with part_of(f"contact forces of {len(keys)} loads", first / len(keys), min(1.0, (first + BLOCK) / len(keys))):
-            found = locked_block(keys[rows, 0], keys[rows, 1], replace(cell, grain="y"), options or DirectOptions())[
-                0
-            ].found
-        unit[rows] = _largest(found, cell)
+            states = locked_block(keys[rows, 0], keys[rows, 1], replace(cell, grain="y"), options or DirectOptions())
+        unit[rows] = _largest(states.found, cell)
     good = np.flatnonzero(np.isfinite(unit).all(axis=1))
     if not len(good):
         raise NotConverged(f"contact forces: none of {len(keys)} load directions of the curtain was solved")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
 from rve.common.progress import part_of
+from rve.common.records import Rows
 from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.typed import Typed
 from rve.common.types import Array
@@ -30,7 +31,7 @@ from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
-from rve.solve import locked_block, reference_sides
+from rve.solve import locked_block, reference_sides, weave_sides
 from rve.strained.placed import shares
 from rve.strained.springs import Spring
 
@@ -97,7 +98,7 @@ class LockedArrangements:
 
 
 @dataclass(frozen=True)
-class NearestPoses:
+class NearestPoses(Rows):
     """Admissible poses at n strains, in weave axes.
 
     pose: in units of r1; E (n, 3): the strain of the rings; short, fold (n,): what they lack of the target and what
@@ -112,27 +113,15 @@ class NearestPoses:
     status: NDArray[np.str_]
     solves: int
 
-    def take(self, rows: NDArray[np.intp]) -> NearestPoses:
-        """The poses of these rows."""
-        columns = (self.E[rows], self.short[rows], self.fold[rows], self.gap_mm[rows], self.status[rows])
-        return NearestPoses(self.pose.take(rows), *columns, self.solves)
-
-
-def weave_sides(cell: Cell, options: DirectOptions) -> tuple[float, float]:
-    """Sides of the reference cell in r1 along and across the weave's own axes, whatever the grain."""
-    b_x, b_y = reference_sides(cell, options)
-    along, across = (b_y, b_x) if cell.grain == "x" else (b_x, b_y)
-    return along / cell.r1, across / cell.r1
-
 
 def locked_arrangements(cell: Cell, options: PoseOptions) -> LockedArrangements:
     """Locked states under loads in all directions, to interpolate between; NotConverged if none is found."""
     alpha, beta = (x.ravel() for x in np.meshgrid(*map(np.array, options.states), indexing="ij"))
-    found = locked_block(alpha.astype(float), beta, replace(cell, grain="y"), options.direct)[0].found
+    found = locked_block(alpha.astype(float), beta, replace(cell, grain="y"), options.direct).found
     good = np.flatnonzero(found.status == "converged")
     if not len(good):
         raise NotConverged(f"r1 = {cell.r1:g}, r2 = {cell.r2:g}: no locked state was found to compare the rings with")
-    sides = weave_sides(cell, options.direct)
+    sides = weave_sides(cell, reference_sides(cell, options.direct))
     pose = found.pose.take(good)
     return LockedArrangements(pose, lattice_strain(pose.lattice, sides)[0], sides)
 
@@ -151,7 +140,7 @@ def nearest_poses(
     states = states or locked_arrangements(cell, options)
     E = np.asarray(E, dtype=float).reshape(-1, 3)
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
-    flip = (E[:, 1] < 0.0) & (cell.weave.is_mirrored and cell.weave.classes == 2)
+    flip = (E[:, 1] < 0.0) & cell.weave.has_images
     upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
     _, first, back = np.unique(np.round(upright / options.merge), axis=0, return_index=True, return_inverse=True)
     targets = upright[first]
@@ -159,7 +148,7 @@ def nearest_poses(
     for i in range(0, len(targets), _BLOCK):
         with part_of(f"rings in {len(targets)} strains", i / len(targets), min(1.0, (i + _BLOCK) / len(targets))):
             blocks.append(_settled(targets[i : i + _BLOCK], cell, options, states))
-    pose = Pose(*(np.concatenate([getattr(p, name) for p, _, _ in blocks]) for name in vars(blocks[0][0])))
+    pose = blocks[0][0].join([one for one, _, _ in blocks[1:]])
     gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
     known = np.concatenate([settled for _, _, settled in blocks])
     rings = lattice_strain(pose.lattice, states.sides)[0]

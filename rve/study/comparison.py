@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from rve.common.errors import require
 from rve.common.files import check_out_job, job, versions, write_text
-from rve.common.texts import csv_text
+from rve.common.texts import csv_text, json_text
 from rve.common.types import Array
 from rve.directions import grid
 from rve.paper.dynamics import StewartTrinkleOptions
@@ -46,17 +45,11 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
         return f"first side contact {first:.0f} s, last {last:.0f} s"
 
     quarter, half, most = np.percentile(sums, [25, 50, 75])
-    clock = (
-        "the paper states neither s_hat nor the start pose; s_hat is calibrated, see docs/explanation/paper_scheme.md"
-    )
+    clock = "the paper states neither s_hat nor a start; s_hat is calibrated, see docs/explanation/paper_scheme.md"
+    fewer = "our steps see the contact curvature: fewer"
     return [
         ("converged cases", "190 of 190", f"{(rest.status == 'converged').sum()} of {len(sums)}", ""),
-        (
-            "steps, 150 to 300",
-            "most cases",
-            _span(steps.astype(float), 150, 300),
-            "our steps see the contact curvature: fewer",
-        ),
+        ("steps, 150 to 300", "most cases", _span(steps.astype(float), 150, 300), fewer),
         ("steps, quartiles", "-", " / ".join(f"{x:.0f}" for x in np.percentile(steps, [25, 50, 75])), ""),
         ("least steps", "80", f"{steps.min()} at {name(order[0])}", ""),
         ("most steps", "about 2800, two cases", ", ".join(f"{steps[i]} at {name(i)}" for i in order[:-4:-1]), _FREE),
@@ -87,21 +80,17 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
-def casescsv_text(study: Study) -> str:
+def cases_csv(study: Study) -> str:
     """One line per case: steps, times, residual, strains of both methods."""
-    header = (
-        "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22,E11_direct,E12_direct,E22_direct,unique"
-    )
-    rest, rows = study.rest, []
-    for i in range(len(study.alpha_deg)):
-        direct = [float(x) if np.isfinite(x) else "" for x in study.table.E[i]]
-        row: list[object] = [i + 1, float(study.alpha_deg[i]), float(study.beta_deg[i]), int(rest.steps[i])]
-        row += [int(rest.rejected[i]), float(rest.time[i]), float(rest.R[i]), str(rest.status[i])]
-        rows.append([*row, *map(float, study.E[i]), *direct, int(study.table.unique[i])])
-    return csv_text(header.split(","), rows)
+    header = "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22"
+    rest, direct = study.rest, [["" if np.isnan(x) else x for x in E] for E in study.table.E.tolist()]
+    told = (study.alpha_deg, study.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status)
+    columns = (*(column.tolist() for column in told), study.E.tolist(), direct, study.table.unique.astype(int).tolist())
+    rows = [[i, *row[:-3], *row[-3], *row[-2], row[-1]] for i, row in enumerate(zip(*columns, strict=True), 1)]
+    return csv_text(f"{header},E11_direct,E12_direct,E22_direct,unique".split(","), rows)
 
 
-def historycsv_text(study: Study, case: int) -> str:
+def history_csv(study: Study, case: int) -> str:
     """One line per accepted step of a case: time, step, strain, R, kinetic energy."""
     h = study.history
     rows = np.flatnonzero(h.case == case)
@@ -137,13 +126,13 @@ def _write(study: Study, folder: Path) -> None:
     """Every table and picture of a study."""
     from rve.study.figures import draw_all
 
-    write_text(folder / "cases.csv", casescsv_text(study))
+    write_text(folder / "cases.csv", cases_csv(study))
     for pair in ((0.0, 0.0), (45.0, 90.0)):
         case = study.case(*pair)
         if case is not None:
-            write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", historycsv_text(study, case))
+            write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", history_csv(study, case))
     rows = comparison(study)
     write_text(folder / "comparison.md", markdown(rows))
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
-    write_text(folder / RECORD, json.dumps(record, indent=2) + "\n")
+    write_text(folder / RECORD, json_text(record))
     draw_all(study, folder)

@@ -19,11 +19,11 @@ from rve.common.meshes import LINE_LOAD_1, STATE, STRAIN, STRESS
 from rve.drawn import ALONG, AROUND, DrawnRings
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
-from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
+from rve.geometry.kinematics import cauchy_line_load, cauchy_of, deformation_gradient, lattice_strain, second_pk
 from rve.geometry.pose import Pose, mirrored
 from rve.geometry.weave import SIX_IN_ONE
 from rve.solve import locked_block
-from rve.strained.forces import cauchy_of, cell_forces, directions, largest_forces
+from rve.strained.forces import cell_forces, directions, largest_forces
 from rve.strained.placed import axes_of_weave, fit_rings, shares
 from rve.strained.poses import PoseOptions, locked_arrangements, nearest_poses
 
@@ -40,7 +40,7 @@ def states():
 def table(states):
     """Locked states of loads that lie between those that arrangements are interpolated from: pose, E, S."""
     alpha, beta = (x.ravel() for x in np.meshgrid([-38.0, -7.0, 5.0, 22.0, 40.0], [5.0, 25.0, 50.0, 65.0, 85.0]))
-    block, _ = locked_block(alpha, beta, CELL, OPTIONS.direct)
+    block = locked_block(alpha, beta, CELL, OPTIONS.direct)
     found, s = block.found, block.s
     E = lattice_strain(found.pose.lattice, states.sides)[0]
     return found.pose, E, second_pk(deformation_gradient(E), s), s
@@ -99,7 +99,7 @@ def test_strains_inside_are_met_and_all_others_get_an_admissible_pose(states, ta
 
 def test_a_mesh_drawn_together_hangs_in_folds(states):
     """Pulled along x the mesh can be no wider than locked: what the curtain lacks in width is the fold, to 2e-3."""
-    pose = locked_block(np.array([0.0]), np.array([2.0]), CELL, OPTIONS.direct)[0].found.pose
+    pose = locked_block(np.array([0.0]), np.array([2.0]), CELL, OPTIONS.direct).found.pose
     E = lattice_strain(pose.lattice, states.sides)[0]
     found = nearest_poses(E - [0.0, 0.0, 0.03], CELL, OPTIONS, states)
     assert found.status.tolist() == ["folded"]

@@ -24,9 +24,7 @@ FIRST = DirectOptions(branches="first")
 
 
 def solve(alpha, beta, ratio=10.0, options=OPTIONS):
-    return locked_block(np.atleast_1d(float(alpha)), np.atleast_1d(float(beta)), Cell(5.0, 5.0 / ratio), options)[
-        0
-    ].found
+    return locked_block(np.atleast_1d(float(alpha)), np.atleast_1d(float(beta)), Cell(5.0, 5.0 / ratio), options).found
 
 
 def test_all_190_cases_converge(paper_table):
@@ -80,7 +78,7 @@ def test_equilibrium_by_its_own_equations():
     """Contact forces recovered by nonnegative least squares from the bare pose balance the load."""
     alpha, beta = np.array([3.0, 27.0, 41.0, 66.0]), np.array([12.0, 33.0, 70.0, 50.0])
     cell = Cell()
-    block, _ = locked_block(alpha, beta, cell, OPTIONS)
+    block = locked_block(alpha, beta, cell, OPTIONS)
     found, s = block.found, block.s
     equations = Equations.of(FOUR_IN_ONE, cell.wire)
     contacts = find_contacts(found.pose, FOUR_IN_ONE, cell.wire, 0.6)
@@ -96,7 +94,7 @@ def test_equilibrium_by_its_own_equations():
 def test_newton_converges_quadratically():
     """From 1e-3 off a smooth equilibrium the residual goes e, ~e^2, ~e^4 with the full unsymmetric Jacobian."""
     cell = Cell()
-    block, _ = locked_block(np.array([10.0]), np.array([30.0]), cell, OPTIONS)
+    block = locked_block(np.array([10.0]), np.array([30.0]), cell, OPTIONS)
     found, s = block.found, block.s
     equations = Equations.of(FOUR_IN_ONE, cell.wire)
     rng = np.random.default_rng(0)
@@ -338,7 +336,7 @@ def test_links_are_those_of_the_weave():
 
 def test_every_equilibrium_is_point_symmetric():
     alpha, beta = np.array([3.0, 28.0, 45.0]), np.array([15.0, 40.0, 70.0])
-    found = locked_block(alpha, beta, Cell(), OPTIONS)[0].found
+    found = locked_block(alpha, beta, Cell(), OPTIONS).found
     middle = 0.5 * (found.pose.a1 + found.pose.a2)
     np.testing.assert_allclose(found.pose.centres[:, 1], middle, atol=1e-8)
     n_a, n_b = found.pose.normals[:, 0], found.pose.normals[:, 1]
@@ -349,7 +347,7 @@ def test_locked_strains_have_a_dent_that_no_other_start_removes():
     """Between the 5 degree rows (40, 90) and (45, 90) the locked strains lie up to 1e-3 inside their convex hull."""
     alpha = np.arange(40.0, 45.1, 0.5)
     beta = np.full(len(alpha), 90.0)
-    block, _ = locked_block(alpha, beta, Cell(), DirectOptions())
+    block = locked_block(alpha, beta, Cell(), DirectOptions())
     found, s = block.found, block.s
     table = solve_table(Cell(), (alpha, beta), FIRST)
     slack = np.einsum("ik,ijk->ij", table.S * [1, 2, 1], table.E[:, None] - table.E[None])

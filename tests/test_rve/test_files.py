@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
-from rve.common.files import check_belongs, check_out_file, check_out_folder, check_out_job, checksum, job
+from rve.common.files import check_belongs, check_out_file, check_out_folder, check_out_job, checksum, job, sidecar_path
 from rve.geometry.kinematics import cauchy_line_load
-from rve.table import RowQuality, StrainTable, provenance_path, read_table, write_table
+from rve.table import RowQuality, StrainTable, read_table, write_table
 
 OLD = {"a.txt": "old a", "sub/b.txt": "old b", "step_1.vtu": "old step"}
 NEW = {"a.txt": "new a", "sub/b.txt": "new b", "c.png": "new c"}
@@ -155,20 +155,20 @@ def table():
 def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
     one, other = tmp_path / "one.csv", tmp_path / "other.csv"
     write_table(table, one)
-    sidecar = json.loads(provenance_path(one).read_text())
+    sidecar = json.loads(sidecar_path(one).read_text())
     assert sidecar["files"] == {"one.csv": checksum(one)}
     assert read_table(one).provenance["r1_mm"] == 5.0
     assert "files" not in read_table(one).provenance
     one.rename(tmp_path / "renamed.csv")
-    provenance_path(one).rename(tmp_path / "renamed.json")
+    sidecar_path(one).rename(tmp_path / "renamed.json")
     assert len(read_table(tmp_path / "renamed.csv")) == 2
     write_table(table, one)
     other.write_text(one.read_text().replace("45.0", "46.0"))
-    provenance_path(other).write_bytes(provenance_path(one).read_bytes())
+    sidecar_path(other).write_bytes(sidecar_path(one).read_bytes())
     with pytest.raises(InputError, match=r'other.csv: does not belong .*other.json.*remove "files" from other.json'):
         read_table(other)
     del sidecar["files"]  # what the sentence says, and what older versions wrote
-    provenance_path(other).write_text(json.dumps(sidecar))
+    sidecar_path(other).write_text(json.dumps(sidecar))
     assert read_table(other).beta_deg[0] == 46.0
 
 

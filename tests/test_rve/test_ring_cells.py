@@ -37,7 +37,7 @@ RING = Ring(1.0, 0.1, 1.0, POISSON)
 def paper():
     """The 190 locked states of the paper's grid, and what their rings do."""
     a, b = np.meshgrid(np.arange(0.0, 46.0, 5.0), np.arange(0.0, 91.0, 5.0), indexing="ij")
-    block, _ = locked_block(a.ravel(), b.ravel(), Cell(), DirectOptions())
+    block = locked_block(a.ravel(), b.ravel(), Cell(), DirectOptions())
     found, s, unique = block.found, block.s, block.unique
     assert (found.status == "converged").all()
     return found, s, unique, ring_states(EQUATIONS, found, s, SIDES, POISSON)

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rve.common.errors import InputError
+from rve.common.files import sidecar_path
 from rve.directions import graded_grid, parse_angles, product, read_loads
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
-from rve.table import COLUMNS, COMPLIANCE_COLUMNS, provenance_path, read_table, write_table
+from rve.table import COLUMNS, COMPLIANCE_COLUMNS, read_table, write_table
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def test_round_trip_to_the_last_digit(small, tmp_path):
     assert frame["status"].tolist() == ["converged", "converged", "compressive", "converged"]
     assert frame["E11"].isna().tolist() == [False, False, True, False]
     assert frame["unique"].tolist() == [1, 1, 1, 0]
-    assert json.loads(provenance_path(path).read_text())["b_x_mm"] == pytest.approx(11.0, abs=1e-9)
+    assert json.loads(sidecar_path(path).read_text())["b_x_mm"] == pytest.approx(11.0, abs=1e-9)
 
 
 def test_a_table_that_does_not_say_whether_strains_are_unique_counts_as_unique(small, tmp_path):
@@ -70,7 +71,7 @@ def test_compliance_columns_round_trip(small, tmp_path):
     [
         (lambda t: t.splitlines()[0] + "\n", "has no rows"),
         (lambda t: t.replace("E11", "e11"), "column E11 is missing"),
-        (lambda t: t.replace("0.0,90.0,", "0.0,,"), "not finite"),
+        (lambda t: t.replace("0.0,90.0,", "0.0,,"), "empty or nan"),
         (lambda t: "\x00\xff", "column alpha_deg is missing"),
     ],
 )
@@ -89,7 +90,7 @@ def test_missing_and_truncated_files(small, tmp_path):
         read_table(tmp_path / "no.csv")
     path = tmp_path / "table.csv"
     write_table(small, path)
-    provenance_path(path).write_text('{"r1_mm": ')
+    sidecar_path(path).write_text('{"r1_mm": ')
     with pytest.raises(InputError, match="is not JSON"):
         read_table(path)
 

@@ -34,6 +34,7 @@ from rve.common.texts import json_text
 
 _ANEW = "no file is left half-written, and the same command begins anew"
 """What a command says that is stopped and has nothing to go on from."""
+LARGEST_LOAD = 1e100
 _OPTIONS = {
     "--quiet": "Show no progress and print no sentences; errors, and answers that are asked for, stay.",
     "--json": "Print the record of the run as one JSON object instead of sentences.",
@@ -149,6 +150,24 @@ def _print(text: str, *, err: bool = False) -> None:
 def feature_lines(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     """The table of --explain: what a run used and left out, and why."""
     return [f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}" for row in rows]
+
+
+def numbers_of(text: str, option: str) -> list[float]:
+    """Numbers with commas between them; InputError for others."""
+    try:
+        return [float(one) for one in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"{option} = {text!r}: is not a list of numbers with commas between them") from error
+
+
+def parse_load(text: str) -> Any:
+    """The line load (3,) of --S "S11,S12,S22"; InputError unless it is three numbers whose squares are numbers, too."""
+    import numpy as np
+
+    S = np.array(numbers_of(text, "--S"))
+    if len(S) != 3 or not (np.abs(S) <= LARGEST_LOAD).all():
+        raise InputError(f"--S = {text!r}: give three finite numbers S11,S12,S22, at most {LARGEST_LOAD:g} in size")
+    return S
 
 
 def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:

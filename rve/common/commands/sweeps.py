@@ -21,7 +21,7 @@ from typing import Any
 import click
 
 from rve.common.cache import Cache, open_cache
-from rve.common.commands.command_line import answer, say
+from rve.common.commands.command_line import answer, options, say
 from rve.common.commands.workers import worker_pool
 from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
 from rve.common.files import check_out_folder, checksum, versions, write_text
@@ -172,17 +172,14 @@ def absolute(words: Sequence[str]) -> list[str]:
     return found
 
 
-def sweep_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options --out, --jobs and --cluster of a command that runs a sweep."""
-    for decorate in (
-        click.option("--cluster", metavar="ADDRESS", help="Dask scheduler to use, e.g. tcp://head:8786."),
-        click.option(
-            "--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes on this machine."
-        ),
-        click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
-    ):
-        command = decorate(command)
-    return command
+sweep_options = options(
+    click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to fill."),
+    click.option(
+        "--jobs", type=click.IntRange(1, 1000), default=1, show_default=True, help="Processes on this machine."
+    ),
+    click.option("--cluster", metavar="ADDRESS", help="Dask scheduler to use, e.g. tcp://head:8786."),
+)
+"""The options of a command that runs a sweep."""
 
 
 def run_sweep(items: Sequence[SweepItem], out: Path, columns: Columns, **how: Any) -> list[dict[str, Any]]:
@@ -219,11 +216,3 @@ def run_sweep(items: Sequence[SweepItem], out: Path, columns: Columns, **how: An
     if failed:
         raise click.exceptions.Exit(1)
     return rows
-
-
-def numbers_of(text: str, option: str) -> list[float]:
-    """Numbers with commas between them; InputError for others."""
-    try:
-        return [float(one) for one in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"{option} = {text!r}: is not a list of numbers with commas between them") from error

@@ -78,8 +78,7 @@ class Scale:
         """A bar of the colours beside `ax`."""
         from matplotlib.cm import ScalarMappable
 
-        ends = (self.spread == "log", self.is_exceeded)
-        extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[ends]
+        extend = ("neither", "min", "max", "both")[(self.spread == "log") + 2 * self.is_exceeded]
         assert ax.figure is not None
         bar = ax.figure.colorbar(ScalarMappable(self.norm(), self.colour_map()), ax=ax, extend=extend, **style)
         bar.set_label(self.title)
