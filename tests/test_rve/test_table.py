@@ -129,7 +129,7 @@ def test_load_files(tmp_path):
 
 @pytest.mark.parametrize(
     ("radii", "words"),
-    [((5.0, 2.0), "jams at r1/r2 = 3.98"), ((5.0, np.nan), "r2 = nan"), ((1e-300, 1e-301), "between 1e-9 and 1e9 mm")],
+    [((5.0, 2.0), "jams at r1/r2 = 3.98"), ((5.0, np.nan), "r2 = nan"), ((1e-300, 1e-301), "must be at least 1e-09")],
 )
 def test_impossible_rings(radii, words):
     with pytest.raises(InputError, match=words):
