@@ -27,29 +27,19 @@ STATED_LOAD = 1.0
 """Size S11 + S22 in N/mm of the line load at which the compliance of elastic curtains is compared with the rows'."""
 
 
-def compliance_fit(S: Array, D: Array, is_mirrored: bool) -> Array:
-    """A (3, 3) in tensor components, mm/N, from loads S (n, 3) and rows' compliances D (n, 3, 3).
-
-    Least squares of S:A S against S:D S, both relative to S:D S; of a weave that is its own mirror image A does not
-    couple shear to the other components. InputError if no row has a finite positive S:D S.
-    """
-    work = work_along(S, D)
-    ok = np.isfinite(work) & (work > 0.0)
-    if not ok.any():
-        raise InputError("no row of the table has a compliance with S:D S > 0")
-    return constant_compliance(S[ok], work[ok], is_mirrored)
-
-
 def stiffness_of(table: StrainTable) -> tuple[Array, str]:
-    """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or stated."""
+    """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or stated.
+
+    InputError if the table has a compliance but no row with a finite positive S:D S.
+    """
     if table.compliance is None:
         return STATED_STIFFNESS * np.eye(3), f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
-    rows = table.converged & table.unique
-    S, D = table.S[rows], table.compliance[rows]
-    A = compliance_fit(S, D, table.is_mirrored)
-    found, exact = work_along(S, A), work_along(S, D)
-    known = np.isfinite(exact) & (exact > 0.0)
-    share = found[known] / exact[known]
+    work = work_along(table.S, table.compliance)
+    known = table.converged & table.unique & np.isfinite(work) & (work > 0.0)
+    if not known.any():
+        raise InputError("no row of the table has a compliance with S:D S > 0")
+    A = constant_compliance(table.S[known], work[known], table.is_mirrored)
+    share = work_along(table.S[known], A) / work[known]
     origin = (
         f"the rows' compliance along their own load, S:D S of the rows times {share.min():.3g} to {share.max():.3g}"
     )

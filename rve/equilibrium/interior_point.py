@@ -150,7 +150,7 @@ def iterate(state: PathState, equations: Equations, options: DirectOptions, syst
     gap = np.where(present, con.gap.reshape(n, -1), 1.0)
     lam = state.lam.reshape(n, -1)
     dq, dlam = newton_direction(system, gap, lam, state.mu, present, state.radius)
-    valley = Valley.of(system, con, gap, lam, options.corrections)
+    valley = Valley.of(system, con, gap, lam, options.corrections) if options.corrections else None
     pose, contacts, length = accept_step(state.pose, con, dq, state.radius, equations, options.reach, valley)
     with np.errstate(divide="ignore", invalid="ignore"):
         longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(axis=1)

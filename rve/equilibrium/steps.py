@@ -90,10 +90,8 @@ class Valley:
     count: int
 
     @staticmethod
-    def of(system: System, contacts: CellContacts, gap: Array, lam: Array, count: int) -> Valley | None:
-        """The valley of these poses, None for no corrections."""
-        if not count:
-            return None
+    def of(system: System, contacts: CellContacts, gap: Array, lam: Array, count: int) -> Valley:
+        """The valley of these poses."""
         K, ratio = barrier_stiffness(system, gap, lam, contacts.present.reshape(gap.shape))
         return Valley(contacts, system.G, gap, ratio, positive_stiffness(K), count)
 
