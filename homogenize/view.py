@@ -43,10 +43,7 @@ def draw_locking(law: MembraneLaw, rows: LockedRows, plotter: Plotter | None = N
     _add_grid(plotter, "locking surface", points, scale, gap)
     net = [
         np.stack([grid[:, :-1], grid[:, 1:]], axis=-2).reshape(-1, 2, 3)
-        for grid in (
-            points[::EVERY],
-            points[:, ::EVERY].swapaxes(0, 1),
-        )
+        for grid in (points[::EVERY], points[:, ::EVERY].swapaxes(0, 1))
     ]
     pieces = np.concatenate(net)
     pieces = pieces[np.isfinite(pieces).all(axis=(1, 2))]

@@ -82,14 +82,7 @@ def main() -> None:
 @branch_options
 @cell_options
 def table(
-    out: Path,
-    method: str,
-    rings: bool,
-    joint: str | None,
-    explain: bool,
-    branches: Any,
-    reference: Any,
-    **rest: Any,
+    out: Path, method: str, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any
 ) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
     from rve.equilibrium.interior_point import DirectOptions

@@ -57,11 +57,7 @@ def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectO
 
 
 def locked_states(
-    alpha_deg: Array,
-    beta_deg: Array,
-    cell: Cell,
-    options: DirectOptions,
-    progress: Callable[[int], None] | None = None,
+    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions, progress: Callable[[int], None] | None = None
 ) -> LockedStates:
     """Locked states of any number of loads (n,), block by block."""
     blocks = []

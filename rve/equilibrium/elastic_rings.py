@@ -90,12 +90,7 @@ def ring_states(
 
 
 def _block(
-    equations: Equations,
-    found: Equilibrium,
-    s: Array,
-    reference: tuple[float, float],
-    ring: Ring,
-    joint: Joint,
+    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ring: Ring, joint: Joint
 ) -> RingStates:
     """`ring_states` of locked states that have all converged."""
     ends = contact_ends(equations, found)

@@ -19,13 +19,7 @@ from numpy.typing import NDArray
 
 from rve.common.records import Flags, Index
 from rve.common.types import Array
-from rve.equilibrium.interior_point import (
-    DirectOptions,
-    Equilibrium,
-    follow,
-    solve_equilibrium,
-    unit_loads,
-)
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, follow, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import loose_motions
 from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations

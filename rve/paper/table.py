@@ -18,9 +18,7 @@ from rve.table import StrainTable
 
 
 def solve_table_stewart_trinkle(
-    cell: Cell,
-    loads: tuple[ArrayLike, ArrayLike],
-    options: StewartTrinkleOptions | None = None,
+    cell: Cell, loads: tuple[ArrayLike, ArrayLike], options: StewartTrinkleOptions | None = None
 ) -> StrainTable:
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the paper's scheme
     at its contact stiffness.
