@@ -13,14 +13,9 @@ from rve.cli import main as rve
 from rve.geometry.weave import WEAVES
 
 SCENE = """
-[curtain]
-width = 200.0
-height = 150.0
-[mesh]
-cells = 6
-[support]
-kind = "corners"
-gather = 0.9
+curtain = {width = 200.0, height = 150.0}
+mesh = {cells = 6}
+support = {kind = "corners", gather = 0.9}
 """
 
 

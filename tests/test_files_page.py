@@ -21,53 +21,24 @@ FOLDERS = {"demand", "space", "body", "every", "curtains", "tables", "found", "s
 COUNTS = {"rows", "branches"}
 """Entries of the sidecar whose own keys are statuses and notes."""
 PLANE = """
-[curtain]
-width = 44.0
-height = 37.94
-[mesh]
-cells = 4
-[support]
-kind = "top"
+curtain = {width = 44.0, height = 37.94}
+mesh = {cells = 4}
+support = {kind = "top"}
 """
 SPACE = """
-[curtain]
-width = 120.0
-height = 120.0
-[mesh]
-cells = 4
-[support]
-kind = "hooks"
-pitch = 60.0
-gather = 0.9
-capacity = 5.0
-[[load.wind]]
-direction = [0.0, 0.0, 1.0]
-speed = 10.0
-[[combination]]
-name = "storm"
-wind = 1.5
-[[obstacle]]
-kind = "wall"
-facing = [0.0, 0.0, -1.0]
-point = [0.0, 0.0, 5.0]
-[load]
-steps = 2
-[solver]
-bounds = true
+curtain = {width = 120.0, height = 120.0}
+mesh = {cells = 4}
+support = {kind = "hooks", pitch = 60.0, gather = 0.9, capacity = 5.0}
+load = {steps = 2, wind = [{direction = [0.0, 0.0, 1.0], speed = 10.0}]}
+combination = [{name = "storm", wind = 1.5}]
+obstacle = [{kind = "wall", facing = [0.0, 0.0, -1.0], point = [0.0, 0.0, 5.0]}]
+solver = {bounds = true}
 """
 BODY = """
-[curtain]
-width = 120.0
-height = 120.0
-[mesh]
-cells = 4
-[support]
-kind = "top"
-[[obstacle]]
-kind = "sphere"
-centre = [60.0, 30.0, -30.0]
-radius = 25.0
-move = [0.0, 0.0, 15.0]
+curtain = {width = 120.0, height = 120.0}
+mesh = {cells = 4}
+support = {kind = "top"}
+obstacle = [{kind = "sphere", centre = [60.0, 30.0, -30.0], radius = 25.0, move = [0.0, 0.0, 15.0]}]
 """
 
 

@@ -162,6 +162,21 @@ def test_every_notebook_is_run_by_a_test_and_is_a_page():
     assert all(f"notebooks/{name}" in (ROOT / "docs" / "index.md").read_text("utf-8") for name in names)
 
 
+def test_records_show_themselves_in_a_notebook(answer, table):
+    mesh, law = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1), homogenize.default_law()
+    force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
+    force[:, 1] = -9.81 * mesh.mass
+    scene, locked = macro_fem.Scene.rectangle(99, 99).hung_by("top"), rve.support(rve.Cell(), [0.5, 0.0, 0.5])
+    rings = mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False)
+    for record in (rve.Cell(), homogenize.fit(table), law, law.strength, scene, answer, locked, rings):
+        assert record._repr_html_().startswith("<"), type(record).__name__
+    assert "Rectangle(" in scene._repr_html_()
+    assert "converged" in answer._repr_html_()
+    assert "converged" in locked._repr_html_()
+    assert "converged" in rings._repr_html_()
+    assert repr(law) == str(law)  # 527 lines of arrays in a console
+
+
 def test_a_scene_of_methods_is_that_of_a_file():
     built = (
         macro_fem.Scene.rectangle(400.0, 300.0, cells=8)

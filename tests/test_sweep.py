@@ -24,14 +24,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 GRID = ("--alpha", "0:45:45", "--beta", "0:90:45")
 SCENE = """
-[curtain]
-width = 100.0
-height = {height}
-areal_mass = 1.0
-[mesh]
-cells = 4
-[support]
-kind = "top"
+curtain = {{width = 100.0, height = {height}, areal_mass = 1.0}}
+mesh = {{cells = 4}}
+support = {{kind = "top"}}
 """
 
 

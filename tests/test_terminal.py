@@ -23,16 +23,10 @@ from rve.common.typed import types_of
 GROUPS = {"rve": rve.cli.main, "homogenize": homogenize.cli.main, "macro_fem": macro_fem.cli.main}
 GRID = ("--alpha", "0,20,45", "--beta", "0:90:30")
 SCENE = """
-[curtain]
-width = 33.0
-height = 25.292139247
-[mesh]
-cells = 4
-[support]
-kind = "corners"
-[load]
-gravity = 9.81
-bar = {mass = 0.5}
+curtain = {width = 33.0, height = 25.292139247}
+mesh = {cells = 4}
+support = {kind = "corners"}
+load = {gravity = 9.81, bar = {mass = 0.5}}
 """
 COMMANDS = {
     "rve table": ("--out", "new.csv", "--alpha", "0,20", "--beta", "30,60", "--rings"),
@@ -173,7 +167,7 @@ def test_quiet_commands_print_only_what_they_are_asked_for(command, there):
 
 
 def test_a_rigid_curtain_on_hooks_says_that_other_forces_balance_its_load_too(tmp_path):
-    hooks = SCENE.replace('kind = "corners"', 'kind = "hooks"\npitch = 11.0')
+    hooks = SCENE.replace('kind = "corners"', 'kind = "hooks", pitch = 11.0')
     told = {}
     for kind in ("rigid", "elastic"):
         (tmp_path / f"{kind}.toml").write_text(f'{hooks}[solver]\nkind = "{kind}"\n')

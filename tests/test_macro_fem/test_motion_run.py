@@ -31,23 +31,11 @@ SHEET = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": 4}, "so
 TOP = {"kind": "top"}
 BALL = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [200.0, 200.0, 9.0]}
 LET_GO = """
-[curtain]
-width = 400.0
-height = 400.0
-[mesh]
-cells = 4
-[solver]
-space = true
-[[support]]
-kind = "point"
-at = [0.0, 400.0]
-[[support]]
-kind = "point"
-at = [400.0, 400.0]
-release = 0.01
-[motion]
-duration = 0.06
-step = 0.01
+curtain = {width = 400.0, height = 400.0}
+mesh = {cells = 4}
+solver = {space = true}
+support = [{kind = "point", at = [0.0, 400.0]}, {kind = "point", at = [400.0, 400.0], release = 0.01}]
+motion = {duration = 0.06, step = 0.01}
 """
 
 
@@ -170,7 +158,7 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     whole, part = tmp_path / "whole.toml", tmp_path / "part.toml"
     whole.write_text(LET_GO)
     part.write_text(LET_GO.replace("0.06", "0.03"))
-    for scene, out, more in ((whole, "one", ()), (part, "two", ()), (whole, "two", ("--continue",))):
+    for scene, out, more in ((whole, "one", ()), (part, "two", ()), (whole, "two", ("--continue", "--html"))):
         asked = ["run", str(scene), "--out", str(tmp_path / out), "--no-picture", *more]
         result = CliRunner().invoke(main, asked)
         assert result.exit_code == 0, result.output
@@ -182,6 +170,7 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     summary = json.loads((tmp_path / "two" / "summary.json").read_text())
     assert summary["reached_s"] == pytest.approx(0.06)
     assert {"motion.csv", "motion.pvd", "motion.npz", "motion_0006.vtu"} <= set(summary["files"])
+    assert '"sliders":[' in (tmp_path / "two" / "motion.html").read_text()
     again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
     assert again.exit_code == 2
     assert "longer duration" in again.output

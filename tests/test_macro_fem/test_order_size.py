@@ -16,16 +16,10 @@ from macro_fem.many.size import _continuous, _discrete
 from rve.common.errors import InputError
 
 HOOKS = """
-[curtain]
-width = 330.0
-height = 252.9
-[mesh]
-cells = 6
-[support]
-kind = "hooks"
-pitch = 110.0
-[load.bar]
-mass = 2.0
+curtain = {width = 330.0, height = 252.9}
+mesh = {cells = 6}
+support = {kind = "hooks", pitch = 110.0}
+load = {bar = {mass = 2.0}}
 """
 
 

@@ -225,20 +225,10 @@ def run(folder, text):
 
 
 MOVED = """
-[curtain]
-width = 100.0
-height = 80.0
-areal_mass = 1.0
-[mesh]
-cells = 4
-[[support]]
-kind = "corners"
-[[support]]
-kind = "point"
-at = [47.0, 0.0]
-move = [3.0, 6.0]
-[load]
-steps = 3
+curtain = {width = 100.0, height = 80.0, areal_mass = 1.0}
+mesh = {cells = 4}
+support = [{kind = "corners"}, {kind = "point", at = [47.0, 0.0], move = [3.0, 6.0]}]
+load = {steps = 3}
 """
 
 

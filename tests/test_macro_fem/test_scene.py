@@ -72,10 +72,11 @@ def run(tmp_path, text, *options):
 
 
 def test_a_scene_becomes_summary_and_vtu(tmp_path, law_file):
-    result, out = run(tmp_path, SCENE, "--law", str(law_file))
+    result, out = run(tmp_path, SCENE, "--law", str(law_file), "--explain")
     assert result.exit_code == 0, result.output
     summary = json.loads((out / "summary.json").read_text())
     assert summary.keys() >= KEYS
+    assert all(one["feature"] in result.output for one in summary["features"])
     assert summary["status"] == "converged"
     assert summary["potential_dual_N_mm"] <= summary["potential_primal_N_mm"]
     weight = 2.785e-6 * 9.81 * 100.0 * 80.0
