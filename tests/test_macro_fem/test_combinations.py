@@ -198,5 +198,5 @@ def test_every_pair_of_keys(row, tmp_path):
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row["element"] == "P1"], ids=lambda row: "-".join(row.values()))
 def test_elastic_solves_what_rigid_solves(row, tmp_path):
-    elastic, rigid = (check({**row, "solver": kind}, tmp_path) for kind in ("elastic", "rigid"))
-    assert elastic == rigid
+    other = {"elastic": "rigid", "rigid": "elastic"}[row["solver"]]
+    assert check({**row, "solver": other}, tmp_path) == row["outcome"]

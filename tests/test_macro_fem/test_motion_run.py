@@ -29,7 +29,6 @@ from rve.common.errors import InputError
 G = 9810.0
 SHEET = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": 4}, "solver": {"space": True}}
 TOP = {"kind": "top"}
-BALL = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [200.0, 200.0, 9.0]}
 LET_GO = """
 curtain = {width = 400.0, height = 400.0}
 mesh = {cells = 4}
@@ -117,32 +116,6 @@ def test_a_history_draws_the_curtain_along_its_track():
         np.ptp(frame.problem.supports.positions[frame.problem.supports.mask.any(axis=1), 0]) for frame in found.frames
     ]
     assert wide[-1] == pytest.approx(0.5 * wide[0], rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        ({"motion": {"duration": 0.1}}, "nothing holds"),
-        ({"support": TOP, "motion": {}}, "duration"),
-        ({"support": TOP, "motion": {"duration": float("nan")}}, "duration"),
-        ({"support": TOP, "motion": {"duration": 1.0, "step": 2.0}}, "longer than the duration"),
-        (
-            {"support": TOP, "motion": {"duration": 1.0}, "body": BALL | {"mass": -1.0}},
-            "mass",
-        ),
-        (
-            {"support": TOP, "motion": {"duration": 1.0}, "body": BALL},
-            "inside it at the start",
-        ),
-        ({"support": TOP | {"history": [[1.0, 0.0], [0.5, 1.0]]}, "motion": {"duration": 1.0}}, "does not come after"),
-        ({"support": TOP | {"history": [[0.0, float("nan")]]}, "motion": {"duration": 1.0}}, "history"),
-        ({"support": TOP | {"release": 0.1}}, "has no effect without \\[motion\\]"),
-        ({"support": TOP, "motion": {"duration": 1.0}, "mesh": {"cells": 4, "element": "P2"}}, "motion needs one of"),
-    ],
-)  # fmt: skip
-def test_senseless_scenes_are_refused_in_a_sentence(tables, words):
-    with pytest.raises(InputError, match=words):
-        solve_motion(read_scene(SHEET | tables), default_law())
 
 
 def test_solvers_at_rest_refuse_motion():

@@ -6,6 +6,7 @@ import pytest
 
 from homogenize import default_law
 from macro_fem import read_scene, solve
+from macro_fem.motion.run import solve_motion
 from rve.common.errors import InputError
 
 BASE = """
@@ -82,6 +83,17 @@ support = [{kind = "top"}, {kind = "edge", edge = "bottom", move = [0, 2]}];
   -> [obstacle]: the curtain cannot clear its obstacles
 start = {origin = [0, 0, 0], y_axis = [1, 1, 0]}; obstacle = {kind = "sphere", centre = [0, 0, 9], radius = 1}
   -> [start] y_axis = [1.0, 1.0, 0.0]: is not at a right angle to x_axis
+motion.duration = 0.1; support = [] -> nothing holds
+motion = {} -> duration
+motion.duration = nan -> [motion] duration = nan
+motion = {duration = 1.0, step = 2.0} -> longer than the duration
+motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
+motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]}
+  -> inside it at the start
+motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
+motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history
+motion.duration = 1.0; mesh.element = "P2" -> motion needs one of
+support = {kind = "top", release = 0.1} -> has no effect without [motion]
 """
 """Lines of a scene, and what is said of it; a line that begins with blanks goes on with the one before."""
 ROWS = [line.rsplit(" -> ", 1) for line in REFUSED.strip().replace("\n  ", " ").splitlines()]
@@ -94,7 +106,8 @@ def test_what_a_scene_may_not_say_is_one_sentence(lines, sentence):
         joined = key in ("curtain", "mesh") and "shape" not in value
         tables[key] = tables[key] | value if joined else value
     with pytest.raises(InputError) as error:
-        solve(read_scene(tables, "front.toml"), default_law())
+        scene = read_scene(tables, "front.toml")
+        (solve if scene.motion is None else solve_motion)(scene, default_law())
     assert str(error.value).startswith("front.toml: ")
     assert sentence in str(error.value)
     assert "\n" not in str(error.value)
