@@ -68,12 +68,3 @@ def test_files_without_rows_hold_a_law_and_no_interval(tmp_path: Path):
         assert not hasattr(interval_or_law(path), "inner")
         with pytest.raises(InputError, match="table_rows"):
             read_law_interval(path)
-
-
-def test_damaged_rows_of_a_file_are_refused_by_name(tmp_path: Path):
-    record = json.loads(DEFAULT_LAW.read_text())
-    record["provenance"]["table_rows"]["S"][3] = [1.0, 0.9, 0.0]
-    path = tmp_path / "law.json"
-    path.write_text(json.dumps(record))
-    with pytest.raises(InputError, match=r"law\.json: provenance table_rows: row 3"):
-        interval_or_law(path)

@@ -15,7 +15,6 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.options import PathOptions
 from macro_fem.solvers.path_result import Terms
-from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import mesh_of, posed, supported
 
 ELASTIC = {"kind": "elastic"}
@@ -257,12 +256,6 @@ def test_patch_in_every_locked_state_of_the_rings(S, element):
     assert point.energy[0] == pytest.approx(0.5 * (S**2 @ [1.0, 2.0, 1.0]) / 10.0, rel=1e-6)
     assert found.primal == pytest.approx(point.energy[0], rel=1e-6)
     np.testing.assert_allclose(found.S, np.broadcast_to(S, found.S.shape), atol=1e-4)
-
-
-def test_bars_on_bent_edges_are_still_refused(scene_tables):
-    tables = scene_tables(load={"bar": {"mass": 1.0, "edge": "outline"}}, solver=ELASTIC)
-    with pytest.raises(InputError, match="outline"):
-        solve_scene(read_scene(tables), diagonal_net(1.1))
 
 
 @pytest.mark.parametrize("load", [{}, {"bar": {"mass": 0.1}}])

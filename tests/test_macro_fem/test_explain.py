@@ -6,7 +6,6 @@ import pytest
 from homogenize.io import default_law
 from macro_fem.curtain import CurtainOptions, solve_problem
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.output.files import features
 from macro_fem.problem import gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
@@ -29,10 +28,6 @@ def problem(law=LAW, cells=4, support="corners", load=None, hang="y", **solver):
         }
     )
     return posed(scene, law)
-
-
-def said(solution):
-    return {one["feature"]: one for one in features(solution, bounds=False, picture=False)}
 
 
 def height_tolerance(solution):
@@ -58,11 +53,6 @@ def test_a_load_step_starts_from_the_last_one():
     assert abs(warm.mean_height() - cold.mean_height()) < height_tolerance(cold)
     assert warm.iterations < cold.iterations
     assert warm.problem.fem.pattern is last.problem.fem.pattern
-
-
-def test_ties_are_told():
-    assert said(solve_problem(problem(support="top", load={"bar": {"mass": 1.0}})))["ties"]["used"]
-    assert not said(solve_problem(problem(support="top")))["ties"]["used"]
 
 
 def test_all_half_spaces_from_the_start_give_the_same_potential():

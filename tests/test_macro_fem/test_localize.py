@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from macro_fem import read_scene, solve
 from macro_fem.cli import main
-from macro_fem.rings.curtain import Curtain, Told, curtain_of, curtain_of_cells, read_curtain
+from macro_fem.rings.curtain import Curtain, Told, curtain_of_cells, read_curtain
 from macro_fem.rings.frames import turns
 from macro_fem.rings.places import find_sites, place_rings
 from rve.common.errors import InputError
@@ -554,17 +553,3 @@ rings_per_hook = 2\n[load.bar]\nmass = 3.0\n"""
     away = f"forces between rings away from supports: at most {found['worst_cell']['largest_force_N']:.4g} N"
     assert away in result.output
     assert f"the ring at support 1 (corners) that takes most is pulled by {force:.4g} N" in result.output
-
-
-@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
-def test_a_curtain_in_memory_is_that_of_its_file(element, tmp_path):
-    """One element of every kind: corners, and strain, line load and state of cells."""
-    tables = {"curtain": {"width": 100, "height": 80}, "support": {"kind": "top"}}
-    answer = solve(read_scene(tables | {"mesh": {"cells": 2, "element": element}}))
-    answer.save(tmp_path, picture=False)
-    read, known = read_curtain(tmp_path), curtain_of(answer.loaded, answer.summary)
-    assert (read.source, known.source) == (str(tmp_path / "curtain.vtu"), "a curtain in memory")
-    assert read.told == known.told
-    for key in ("X", "x", "triangles", "cell", "E", "S", "line_load", "state"):
-        values = getattr(read, key)
-        np.testing.assert_allclose(getattr(known, key), values, rtol=1e-12, atol=1e-12, err_msg=key)

@@ -167,15 +167,6 @@ def test_points_without_a_node_are_told_with_the_nearest(at, words):
             build_mesh(scene(point, load=load, mesh={"cells": 10}, holes=holes), None)
 
 
-def test_elements_without_nodes_at_points_say_so():
-    for support, load in (
-        ({"kind": "point", "at": [0.0, 80.0]}, {}),
-        ({"kind": "top"}, {"point": {"at": [50.0, 0.0], "force": [0, -1]}}),
-    ):
-        with pytest.raises(InputError, match="element 'CR' has no nodes at points"):
-            solve_scene(scene(support, load=load, mesh={"cells": 4, "element": "CR"}), LAW)
-
-
 def test_hooks_are_evenly_spaced_along_an_arch():
     turn = np.linspace(0.0, np.pi, 41)
     arch = [[-50.0, -60.0], [50.0, -60.0], *np.column_stack([50.0 * np.cos(turn), 50.0 * np.sin(turn)]).tolist()]

@@ -11,7 +11,6 @@ import rve
 from homogenize import default_law, fit_table
 from macro_fem.cli import main
 from macro_fem.rings.ring_scene import ring_scene
-from rve.cli import main as rve_main
 from rve.common.errors import InputError
 
 LAW = default_law()
@@ -20,14 +19,6 @@ B_X, B_Y = LAW.cell.b_x_mm, LAW.cell.b_y_mm
 
 def command(group, *arguments):
     return CliRunner().invoke(group, [str(one) for one in arguments])
-
-
-def test_rings_of_microns_and_kilometres_are_refused(tmp_path):
-    for r1, meant in (("0.006", "6"), ("6000", "6")):
-        found = command(rve_main, "table", "--r1", r1, "--r2", "0.0006", "--out", tmp_path / "t.csv")
-        assert (found.exit_code, f"did you mean {meant}?" in found.output) == (2, True)
-    found = command(main, "run", "scene.toml", "--rings", "0.006,0.0006", "--out", tmp_path / "out")
-    assert (found.exit_code, "did you mean 6?" in found.output) == (2, True)
 
 
 @pytest.mark.parametrize(
