@@ -16,7 +16,6 @@ from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import VERMILION
 from rve.common.drawing.scale import Scale, rounded_up
 from rve.common.drawing.space import add, balls, lines, look, new_plotter, surface
-from rve.common.errors import InputError
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -41,11 +40,8 @@ def draw_locking(law: MembraneLaw, rows: LockedRows, plotter: Plotter | None = N
     at, points = _in_space(with_mirror(rows).E), _in_space(E)
     size, scale = float(np.linalg.norm(np.ptp(at, axis=0))), gap_scale(gap)
     _add_grid(plotter, "locking surface", points, scale, gap)
-    net = [
-        np.stack([grid[:, :-1], grid[:, 1:]], axis=-2).reshape(-1, 2, 3)
-        for grid in (points[::EVERY], points[:, ::EVERY].swapaxes(0, 1))
-    ]
-    pieces = np.concatenate(net)
+    nets = points[::EVERY], points[:, ::EVERY].swapaxes(0, 1)
+    pieces = np.concatenate([np.stack([net[:, :-1], net[:, 1:]], axis=-2).reshape(-1, 2, 3) for net in nets])
     pieces = pieces[np.isfinite(pieces).all(axis=(1, 2))]
     add(plotter, "lines of even E12 and E11 - E22", lines(pieces), "#3f4650", line_width=1.5)
     add(plotter, "rows of the table", balls(at, 0.005 * size), "#000000")
@@ -119,19 +115,14 @@ def write_law_page(law: MembraneLaw, rows: LockedRows, path: str | Path, known: 
     InputError without plotly.
     """
     check_page(str(path))
-    told = [
-        f"Locking surface of the {law.name} law and {len(rows)} rows\nstrains that the mesh can reach lie behind it"
-    ]
-    axes = (("E12", "E22", "E11"), ("S12, N/mm", "S22, N/mm", "S11, N/mm"))
-    try:
-        if known is not None:
-            stress = known.yield_stress(None)
-            told.append(f"Strength: {known.joint} rings of {known.material.name}\nyield stress {stress:g} N/mm2")
-    except InputError as failure:
-        told[0] += f"\n{failure}"
-    plotter = new_plotter(len(told))
+    told = [f"Locking surface of the {law.name} law, {len(rows)} rows\nstrains that the mesh can reach lie behind it"]
+    stress = None if known is None else known.material.yield_N_per_mm2
+    plotter = new_plotter(1 if stress is None else 2)
     draw_locking(law, rows, plotter)
-    if known is not None and len(told) > 1:
+    if known is not None and stress is not None:
+        told.append(f"Strength: {known.joint} rings of {known.material.name}\nyield stress {stress:g} N/mm2")
         plotter.subplot(0, 1)
-        draw_strength(known, None, plotter)
-    write_page(path, plotter, *told, axes=axes)
+        draw_strength(known, stress, plotter)
+    elif known is not None:
+        told[0] += f"\n{known.material.name} has no yield stress, so no strength is drawn"
+    write_page(path, plotter, *told, axes=(("E12", "E22", "E11"), ("S12, N/mm", "S22, N/mm", "S11, N/mm")))

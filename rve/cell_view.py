@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -92,10 +93,8 @@ def locking_motion(table: StrainTable, row: int = 0) -> list[tuple[LockedStates,
 
 
 def _moving(states: LockedStates, motion: CellMotion) -> LockedStates:
-    found = Equilibrium(
-        motion.pose, motion.lam, motion.contacts, motion.R, motion.steps, np.array(["converged"]), motion.rejected
-    )
-    return LockedStates(found, states.s, states.unique, states.cell, states.reach)
+    told = (motion.R, motion.steps, np.array(["converged"]), motion.rejected)
+    return replace(states, found=Equilibrium(motion.pose, motion.lam, motion.contacts, *told))
 
 
 def _even(way: list[CellMotion]) -> list[CellMotion]:

@@ -63,10 +63,8 @@ def plot_strength(
     stress = known.yield_stress(yield_N_per_mm2)
     if axes is None:
         figure = new_figure(13.5, 4.8)
-        axes = [
-            *(solid_axes(figure.add_subplot(1, 3, k, projection="3d")) for k in (1, 2)),
-            figure.add_subplot(1, 3, 3),
-        ]
+        solid = [solid_axes(figure.add_subplot(1, 3, k, projection="3d")) for k in (1, 2)]
+        axes = [*solid, figure.add_subplot(1, 3, 3)]
     _plot_locking(law, axes[0])
     first, last = strength_loads(known, stress)
     axes[1].plot_surface(
@@ -118,16 +116,13 @@ def _plot_strength_sections(known: Strength, stress: float, ax: Any) -> None:
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         first, second = np.array([c * c, c * s, s * s]), np.array([s * s, -c * s, c * c])
         S = share[:, None] * first + (1.0 - share[:, None]) * second
-        for used, line, name in (
-            (known.utilisation(S, stress), "-", "first yield"),
-            (known.collapse_utilisation(S, stress), "--", "collapse"),
+        for use, line, name in (
+            (known.utilisation, "-", "first yield"),
+            (known.collapse_utilisation, "--", "collapse"),
         ):
-            style = {"color": colour, "lw": 1.8, "marker": mark, "markevery": 15}
+            used, style = use(S, stress), {"color": colour, "lw": 1.8, "marker": mark, "markevery": 15}
             ax.plot(share / used, (1.0 - share) / used, line, label=f"{degrees:g} deg, {name}", **style)
-    names = {
-        "xlabel": "principal line load at this angle to x (N/mm)",
-        "ylabel": "principal line load across it (N/mm)",
-    }
-    ax.set(**names, title="Principal line loads", xlim=(0.0, None), ylim=(0.0, None))
+    ax.set(title="Principal line loads", xlim=(0.0, None), ylim=(0.0, None))
+    ax.set(xlabel="principal line load at this angle to x (N/mm)", ylabel="principal line load across it (N/mm)")
     ax.grid(alpha=0.3)
     ax.legend(fontsize=9, loc="lower right")

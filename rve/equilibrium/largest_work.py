@@ -1,8 +1,7 @@
-"""The largest work of a load: locked states from several starts, and the best of them.
+"""The largest work of a dead load (`dead_load`): locked states from several starts, and the best of them.
 
-A dead second Piola-Kirchhoff line load S has the potential S:E per unit of reference area. Its locked states are the
-stationary points of S:E over the admissible poses, and the support function h(S) = max S:E is the largest of them. The
-derivative of the load is symmetric, and E is quadratic in the lattice vectors, so it does not depend on the pose.
+The locked states of a load S are the stationary points of S:E over the admissible poses, and the support function
+h(S) = max S:E is the largest of them.
 
 Every locked state is an admissible pose, so it is a start for every other load: a restart from a state that does more
 work than the one known so far climbs from there. The slack pose of a weave has the symmetry of `symmetry`, and paths

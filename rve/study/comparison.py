@@ -82,12 +82,14 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
 
 def cases_csv(study: Study) -> str:
     """One line per case: steps, times, residual, strains of both methods."""
-    header = "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22"
-    rest, direct = study.rest, [["" if np.isnan(x) else x for x in E] for E in study.table.E.tolist()]
-    told = (study.alpha_deg, study.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status)
-    columns = (*(column.tolist() for column in told), study.E.tolist(), direct, study.table.unique.astype(int).tolist())
-    rows = [[i, *row[:-3], *row[-3], *row[-2], row[-1]] for i, row in enumerate(zip(*columns, strict=True), 1)]
-    return csv_text(f"{header},E11_direct,E12_direct,E22_direct,unique".split(","), rows)
+    strains = "E11,E12,E22,E11_direct,E12_direct,E22_direct,unique"
+    header = f"case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,{strains}"
+    rest, E = study.rest, study.table.E
+    direct = np.where(np.isfinite(E), E.astype(object), "")
+    columns = [study.alpha_deg, study.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status]
+    columns += [*study.E.T, *direct.T, study.table.unique.astype(int)]
+    rows = zip(range(1, len(E) + 1), *(column.tolist() for column in columns), strict=True)
+    return csv_text(header.split(","), rows)
 
 
 def history_csv(study: Study, case: int) -> str:
