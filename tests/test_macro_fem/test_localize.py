@@ -388,6 +388,7 @@ def run(*arguments):
 def test_rings_of_a_curtain_from_the_command_line(hung, tmp_path):
     result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", "--no-picture")
     assert result.exit_code == 0, result.output
+    assert "not solved" not in result.output
     out = tmp_path / "rings"
     assert {p.name for p in out.iterdir()} == {"rings.vtu", "worst_cell.csv", "localize.json"}
     summary = json.loads((out / "localize.json").read_text())
@@ -522,12 +523,11 @@ def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
     for name in ("curtain.vtu", "summary.json"):
         (tmp_path / name).write_bytes((hung / name).read_bytes())
     summary = json.loads((tmp_path / "summary.json").read_text())
-    for status, is_said in ((summary["status"], False), ("iterations", True)):
-        (tmp_path / "summary.json").write_text(json.dumps(summary | {"status": status}))
-        done = run(tmp_path, "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")
-        assert done.exit_code == 0, done.output
-        assert ("not solved: its status is iterations" in done.output) is is_said
-        assert json.loads((tmp_path / "rings" / "localize.json").read_text())["curtain_status"] == status
+    (tmp_path / "summary.json").write_text(json.dumps(summary | {"status": "iterations"}))
+    done = run(tmp_path, "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")
+    assert done.exit_code == 0, done.output
+    assert "not solved: its status is iterations" in done.output
+    assert json.loads((tmp_path / "rings" / "localize.json").read_text())["curtain_status"] == "iterations"
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(30.0, 4.0), (20.0, 30.0), (0.0, 80.0)])
