@@ -14,6 +14,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 
@@ -29,7 +32,8 @@ smartquotes = False  # quotes in tables are those of TOML
 html_title = f"ring-mesh {release}"
 
 myst_heading_anchors = 4
-myst_enable_extensions = ["colon_fence"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+html_math_renderer = "mathml"
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
@@ -70,6 +74,14 @@ def notebooks_beside_pages(app: Any) -> None:
         shutil.copyfile(path, place / path.name)
 
 
+def formula(writer: Any, node: Any) -> None:
+    """A formula as MathML, which browsers typeset without a script."""
+    is_block = isinstance(node, nodes.math_block)
+    writer.body.append(convert(node.astext(), display="block" if is_block else "inline"))
+    raise nodes.SkipNode
+
+
 def setup(app: Any) -> None:
+    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("builder-inited", notebooks_beside_pages)
     app.connect("source-read", filled)

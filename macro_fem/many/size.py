@@ -14,6 +14,7 @@ from macro_fem.answer import Solution
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
 from macro_fem.scene.schema import Scene
+from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
 from rve.common.errors import InputError
 from rve.common.files import job, write_text
@@ -105,6 +106,9 @@ def largest_that_holds(
     if best is None:
         most = max(rows.values(), key=lambda row: row.factor or 0.0)
         why = f"the largest factor is {most.factor:.3g}, at {most.value:g}" if most.factor else most.status
+        unsolved = [row for row in rows.values() if row.factor is None]
+        if most.factor and unsolved:
+            why += f"; {len(unsolved)} values have no answer ({unsolved[0].value:g}: {unsolved[0].status})"
         raise InputError(f"{scene.source}: no {vary} from {low:g} to {high:g} holds with a factor {factor:g}: {why}")
     found = rows[best]
     assert found.factor is not None
@@ -192,7 +196,10 @@ def _changed(scene: Scene, vary: str, value: float) -> Scene:
         raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
     changes: Any = {vary: value} | ({"count": None} if vary == "pitch" else {})
     items: list[Any] = list(scene.items)
-    return replace(scene, items=tuple(replace(item, **changes) if has(item) else item for item in items))
+    mesh = scene.mesh
+    if vary == "pitch" and isinstance(scene.curtain, Rectangle):  # hooks are nodes of the mesh
+        mesh = replace(mesh, cells=max(mesh.cells, int(np.ceil(scene.curtain.width / value))))
+    return replace(scene, mesh=mesh, items=tuple(replace(item, **changes) if has(item) else item for item in items))
 
 
 def _draw(path: Path, size: Size) -> None:

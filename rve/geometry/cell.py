@@ -9,14 +9,14 @@ from rve.common.materials import STEEL, Material, named_material
 from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
 from rve.common.texts import as_html
 from rve.common.typed import read_entry
-from rve.geometry.weave import FOUR_IN_ONE, Weave
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave
 
 
 @dataclass(frozen=True)
 class Cell:
     """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
 
-    `material` may be a name.
+    `material` and `weave` may be names.
     `density` follows the material, or the material follows a density other than that of steel. Raises InputError for
     radii that are not positive numbers, for wire too thick for the weave, and for two different densities.
 
@@ -26,7 +26,7 @@ class Cell:
 
     r1: float = 5.0
     r2: float = 0.5
-    weave: Weave = FOUR_IN_ONE
+    weave: Weave = FOUR_IN_ONE  # or its name
     grain: str = "y"
     density: float = STEEL_KG_PER_MM3
     material: Material = STEEL  # or its name, which __post_init__ replaces
@@ -34,6 +34,10 @@ class Cell:
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
             object.__setattr__(self, "material", named_material(self.material))
+        if isinstance(self.weave, str):
+            if self.weave not in WEAVES:
+                raise InputError(f"weave = {self.weave!r}: is not one of {', '.join(WEAVES)}")
+            object.__setattr__(self, "weave", WEAVES[self.weave])
         for name, kind in (("r1", Length), ("r2", Length), ("density", Density)):
             read_entry(vars(self), name, kind)
         self._agree_on_density()

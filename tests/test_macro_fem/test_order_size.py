@@ -114,6 +114,13 @@ def test_the_search_finds_where_a_falling_factor_crosses(asked):
     assert _discrete(lambda _: 0.5, values) == values[-1]
 
 
+def test_a_pitch_finer_than_the_mesh_takes_more_cells():
+    scene = Scene(Rectangle(330.0, 252.9), [Hooks(pitch=110.0)], mesh=Mesh(cells=3))
+    found = macro_fem.largest_that_holds(scene, None, "pitch", (50.0, 110.0), 0.1)
+    assert [row.status for row in found.curve] == ["converged"] * len(found.curve)
+    assert found.value == pytest.approx(110.0)
+
+
 def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_path):
     (tmp_path / "scene.toml").write_text(HOOKS)
     asked = ["--vary", "pitch", "--from", "60", "--to", "330", "--factor", "0.9", "--out", str(tmp_path / "o")]
