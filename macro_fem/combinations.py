@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from homogenize import CellInfo
 from macro_fem.scene.loads import areal_mass
+from macro_fem.scene.moving import scaled
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import Bar, Combination, LiveLoad, Wind
+from macro_fem.scene.tables import Combination, LiveLoad
 from rve.common.texts import csv_text
 
 
@@ -24,22 +24,13 @@ def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> S
     curtain = scene.curtain
     if combination.weight != 1.0:
         curtain = replace(curtain, areal_mass=combination.weight * areal_mass(scene, cell)[0])
-    items = [
-        _scaled(item, getattr(combination, item.kind)) if isinstance(item, LiveLoad) else item for item in scene.items
-    ]
+    items = (
+        scaled(item, getattr(combination, item.kind), ("force", "pressure", "mass"))
+        if isinstance(item, LiveLoad)
+        else item
+        for item in scene.items
+    )
     return replace(scene, curtain=curtain, items=tuple(items), combination=())
-
-
-def _scaled(load: LiveLoad, factor: float) -> LiveLoad:
-    if isinstance(load, Bar):
-        return replace(load, mass=factor * load.mass)
-    if isinstance(load, Wind):
-        if load.speed is not None:
-            return replace(load, speed=sqrt(factor) * load.speed)
-        assert load.pressure is not None
-        return replace(load, pressure=factor * load.pressure)
-    changes: dict[str, Any] = {"force": tuple(factor * one for one in load.force)}  # type: ignore[attr-defined]
-    return replace(load, **changes)
 
 
 def envelope(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.assembly import gradient, load_vector
-from macro_fem.fem.cells import recovered
+from macro_fem.fem.cells import cross, recovered
 from macro_fem.fem.discretization import Discretization, discretize
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2
@@ -152,14 +152,10 @@ def _corners(disc: Discretization, x: Array) -> Array:
 def _inside(p: Array, corners: Array) -> Array:
     """Least barycentric coordinate (n,) of points p (n, 2) in triangles (n, 3, 2); far below 0 in flat ones."""
     a, b, c = (corners[:, i] - p for i in range(3))
-    parts = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=-1)
+    parts = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=-1)
     total = parts.sum(axis=1, keepdims=True)
     flat = np.abs(total) <= 1e-12 * np.abs(parts).max(axis=1, keepdims=True)
     return np.asarray(np.where(flat, -1.0, parts / np.where(flat, 1.0, total)).min(axis=1))
-
-
-def _cross(u: Array, v: Array) -> Array:
-    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
 def senses(problem: CurtainProblem) -> list[float]:

@@ -112,7 +112,7 @@ def _bars(solution: CurtainSolution, dual: DualMesh) -> sparse.csc_matrix | None
     X = dual.disc.nodes
     for bar in solution.problem.scene.of(Bar):
         if bar.straight:
-            facets = dual.mesh.edges[bar.edge]
+            facets = dual.mesh.edge(bar.edge, "[load.bar] edge")
             nodes = np.concatenate([2 * facets, 2 * facets + 1])
             along = X[nodes] @ np.ptp(X[nodes], axis=0)
             lines.append(nodes[np.argsort(along, kind="stable")])

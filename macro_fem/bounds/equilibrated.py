@@ -150,7 +150,7 @@ def dead_and_live(
     disc, mesh = dual.disc, dual.mesh
     force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.of(Bar):
-        facets = mesh.edges[bar.edge]
+        facets = mesh.edge(bar.edge, "[load.bar] edge")
         length = dual.edge_lengths()[facets].sum()
         weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
         force += traction_forces(dual, facets, weight / length)
@@ -159,7 +159,7 @@ def dead_and_live(
     if shaped is not None:
         force += load_vector(disc, np.tile(shaped, (3, 1)))
     for edge in scene.of(EdgeLoad):
-        force += traction_forces(dual, mesh.edges[edge.edge], factor * components(edge.force, scene))
+        force += traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * components(edge.force, scene))
     cost = 0.0
     for point in scene.of(PointLoad):
         part, extra = _spread_point(dual, law, np.array(point.at), factor * components(point.force, scene))

@@ -1,4 +1,4 @@
-"""Triangles and quadrilaterals of a plane mesh: cutting in two, areas, averages at corners."""
+"""Triangles and quadrilaterals of a plane mesh: cutting in two, areas, sense, averages at corners."""
 
 from __future__ import annotations
 
@@ -22,10 +22,25 @@ def as_triangles(cells: Index) -> tuple[Index, Index]:
     return np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(cell, 2)
 
 
+def cross(u: Array, v: Array) -> Array:
+    """The cross product (...) of plane vectors (..., 2)."""
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+
+def signed_areas(corners: Array) -> Array:
+    """Areas (...) of polygons with corners (..., k, 2) in order, positive if counterclockwise."""
+    away = corners - corners[..., :1, :]  # from a corner: far from the origin digits cancel
+    return np.asarray(0.5 * cross(away, np.roll(away, -1, axis=-2)).sum(axis=-1))
+
+
+def counterclockwise(points: Array, cells: Index) -> Index:
+    """The cells (m, 3 or 4), those that are clockwise turned round."""
+    return np.where(signed_areas(points[cells])[:, None] < 0.0, cells[:, ::-1], cells)
+
+
 def triangle_areas(corners: Array) -> Array:
     """Areas (n,) of triangles with corners (n, 3, 2)."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    return np.abs(signed_areas(corners))
 
 
 def mean_at_corners(cells: Index, values: Array, weight: Array | None = None) -> Array:

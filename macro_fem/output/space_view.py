@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from macro_fem.fem.cells import as_triangles, mean_at_corners
+from macro_fem.fem.cells import as_triangles, counterclockwise, mean_at_corners
 from macro_fem.fem.space import padded
 from macro_fem.output.files import corner_positions
 from macro_fem.output.obstacle_meshes import ground_level, moved_obstacles, obstacle_mesh
 from macro_fem.output.space_forces import LEAST_ARROW, LONGEST, pulls, pushes
-from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.obstacles import Cylinder, Floor, Sphere, Wall
 from macro_fem.scene.support_kinds import Hooks
 from macro_fem.scene.tracks import Track, track_of

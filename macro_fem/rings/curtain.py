@@ -13,9 +13,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import as_triangles, recovered, triangle_areas
+from macro_fem.fem.cells import as_triangles, counterclockwise, recovered, triangle_areas
 from macro_fem.output.files import corner_positions
-from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.solution import CurtainSolution
 from rve import Cell, cell_of_sides
 from rve.common.errors import InputError

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import mean_at_corners
+from macro_fem.fem.cells import mean_at_corners, signed_areas
 from macro_fem.rings.curtain import Curtain
 from rve import deformation_gradient
 from rve.common.types import Array
@@ -96,14 +96,7 @@ def _normals(curtain: Curtain) -> Array:
     """Normals (t, 3) of the triangles, averaged over their neighbours by the area of the triangles."""
     corners = curtain.x[curtain.triangles]
     own = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    own *= np.sign(_orientation(curtain))[:, None]
+    own *= np.sign(signed_areas(curtain.X[curtain.triangles]))[:, None]
     each = np.repeat(own[:, None], 3, axis=1)
     around = mean_at_corners(curtain.triangles, each)[curtain.triangles].mean(axis=1)
     return np.asarray(around / np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-300))
-
-
-def _orientation(curtain: Curtain) -> Array:
-    """Twice the signed areas (t,) of the triangles before deformation."""
-    X = curtain.X[curtain.triangles]
-    a, b = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

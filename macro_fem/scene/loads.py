@@ -7,6 +7,7 @@ import skfem
 
 from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.cells import cross
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
@@ -135,15 +136,10 @@ def disk_areas(corners: Array, centre: Array, radius: float) -> Array:
     reach2 = middle**2 - ((a * a).sum(axis=-1) - radius**2) / length2
     reach = np.sqrt(np.maximum(reach2, 0.0))
     enters, leaves = (a + np.clip(middle + sign * reach, 0.0, 1.0)[..., None] * along for sign in (-1.0, 1.0))
-    parts = _cross(enters, leaves) + radius**2 * (_angle(a, enters) + _angle(leaves, b))
+
+    def angle(u: Array, v: Array) -> Array:
+        return np.arctan2(cross(u, v), (u * v).sum(axis=-1))
+
+    parts = cross(enters, leaves) + radius**2 * (angle(a, enters) + angle(leaves, b))
     shares = 0.5 * np.abs(parts.sum(axis=1))
     return np.asarray(np.where(shares > 1e-12 * radius**2, shares, 0.0))
-
-
-def _cross(u: Array, v: Array) -> Array:
-    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
-
-
-def _angle(u: Array, v: Array) -> Array:
-    """The angle from u to v (n, k), radians."""
-    return np.asarray(np.arctan2(_cross(u, v), (u * v).sum(axis=-1)))

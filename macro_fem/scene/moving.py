@@ -44,13 +44,8 @@ class Motion(Typed):
 class Thrown(Item):
     """A body with mass, subject to gravity, that moves freely but for its pushes on the curtain."""
 
-    kinds: ClassVar[dict[str, type[Thrown]]] = {}
+    kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "body"
-
-    def __init_subclass__(cls, kind: str, **more: Any) -> None:
-        """Make the kind known to scene files."""
-        super().__init_subclass__(**more)
-        cls.kind, Thrown.kinds[kind] = kind, cls
 
     @property
     def space_reason(self) -> str:
@@ -74,8 +69,15 @@ class Ball(Thrown, kind="sphere"):
             self.refuse("mass = 0: must be greater than 0")
 
 
-SCALED = ("force", "move", "pressure", "drawn")
-"""Keys that a history multiplies; of a wind with a speed it multiplies the pressure."""
+def scaled(item: Kind, share: float, keys: tuple[str, ...] = ("force", "move", "pressure", "drawn")) -> Kind:
+    """The item with those of its `keys` that it has times `share`, and a speed, whose pressure goes with its square."""
+    new: dict[str, Any] = {}
+    for key in (key for key in keys if getattr(item, key, None) is not None):
+        value = getattr(item, key)
+        new[key] = tuple(share * part for part in value) if isinstance(value, tuple) else share * value
+    if getattr(item, "speed", None) is not None:
+        new["speed"] = float(np.sqrt(max(share, 0.0))) * item.speed  # type: ignore[attr-defined]
+    return replace(item, **new)
 
 
 def at_time(item: Kind, t: float) -> Kind:
@@ -85,16 +87,4 @@ def at_time(item: Kind, t: float) -> Kind:
     >>> at_time(Edge("top", move=(10.0, 0.0), history=((0.0, 0.0), (2.0, 1.0))), 0.5).move
     (2.5, 0.0)
     """
-    if not item.history:
-        return item
-    times, shares = np.transpose(item.history)
-    share = float(np.interp(t, times, shares))
-    new: dict[str, Any] = {}
-    for key in SCALED:
-        value = getattr(item, key, None)
-        if value is not None:
-            new[key] = tuple(share * part for part in value) if isinstance(value, tuple) else share * value
-    speed = getattr(item, "speed", None)
-    if speed is not None:
-        new["speed"] = speed * float(np.sqrt(max(share, 0.0)))
-    return replace(item, **new)
+    return scaled(item, float(np.interp(t, *np.transpose(item.history)))) if item.history else item

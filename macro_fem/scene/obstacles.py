@@ -35,16 +35,10 @@ def unit(v: Vector) -> Array:
 class Obstacle(Timed):
     """What the curtain stays outside of; in motion its `history` scales `move`."""
 
-    kinds: ClassVar[dict[str, type[Obstacle]]] = {}
+    kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "obstacle"
     name: str
     move: Vector
-
-    def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
-        """Make the kind known to scene files."""
-        super().__init_subclass__(**more)
-        if kind:
-            cls.kind, Obstacle.kinds[kind] = kind, cls
 
     def check(self) -> None:
         """BadField for a vector without a direction."""
@@ -81,11 +75,9 @@ class Floor(Obstacle, kind="floor"):
     name: Name = "floor"
 
     def normal(self, x: Array) -> Array:
-        """Normals (n, 3) for places x (n, 3)."""
         return np.tile([0.0, 1.0, 0.0], (len(x), 1))
 
     def support(self, normal: Array) -> Array:
-        """Offsets (n,) for normals (n, 3)."""
         return np.full(len(normal), self.height)
 
 
@@ -99,11 +91,9 @@ class Wall(Obstacle, kind="wall"):
     name: Name = "wall"
 
     def normal(self, x: Array) -> Array:
-        """Normals (n, 3) for places x (n, 3)."""
         return np.tile(unit(self.facing), (len(x), 1))
 
     def support(self, normal: Array) -> Array:
-        """Offsets (n,) for normals (n, 3)."""
         return np.asarray(normal @ in_3d(self.point))
 
 
@@ -118,11 +108,9 @@ class Sphere(Body, kind="sphere"):
     clear: Literal["cells", "nodes"] = "cells"
 
     def normal(self, x: Array) -> Array:
-        """Normals (n, 3) for places x (n, 3)."""
         return _directions(x - self.centre)
 
     def support(self, normal: Array) -> Array:
-        """Offsets (n,) for normals (n, 3)."""
         return np.asarray(normal @ self.centre + self.radius)
 
 
@@ -138,13 +126,11 @@ class Cylinder(Body, kind="cylinder"):
     clear: Literal["cells", "nodes"] = "cells"
 
     def normal(self, x: Array) -> Array:
-        """Normals (n, 3) for places x (n, 3)."""
         axis = unit(self.axis)
         away = x - self.point
         return _directions(away - (away @ axis)[:, None] * axis)
 
     def support(self, normal: Array) -> Array:
-        """Offsets (n,) for normals (n, 3)."""
         return np.asarray(normal @ self.point + self.radius)
 
 
@@ -180,7 +166,6 @@ class Box(Body, kind="box"):
         return _directions(normal)
 
     def support(self, normal: Array) -> Array:
-        """Offsets (n,) for normals (n, 3)."""
         return np.asarray(normal @ self._centre + np.abs(normal) @ self._core + self._radius)
 
     @property

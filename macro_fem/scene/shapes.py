@@ -60,7 +60,6 @@ class Rectangle(Shape, shape="rectangle"):
     height: Length
 
     def corners(self, cells: int) -> Array:
-        """Corners (4, 2)."""
         W, H = self.width, self.height
         return np.array([[0.0, 0.0], [W, 0.0], [W, H], [0.0, H]])
 
@@ -83,7 +82,6 @@ class Outline(Shape, shape="outline"):
     outline: Polygon
 
     def corners(self, cells: int) -> Array:
-        """Corners (n, 2)."""
         return np.array(self.outline)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from macro_fem.scene.cables import sloping, unit_direction
-from macro_fem.scene.meshing.edges import canonical
 from macro_fem.scene.sites import Held, Site, edge_line, placed_along, point_node
 from macro_fem.scene.tables import (
     LEAST_MM,
@@ -122,7 +121,6 @@ class Edge(Support, kind="edge"):
 
     def check(self) -> None:
         """BadField for keys that have no effect with a line, or without one."""
-        object.__setattr__(self, "edge", canonical(self.edge))
         if self.along is None:
             if self.sliding:
                 self.refuse("sliding = true: has no effect without along, the line to slide on")
@@ -163,7 +161,7 @@ class Edge(Support, kind="edge"):
         if self.sliding and not sloping(e):
             mask[:, e != 0.0] = False
         slide = e if self.sliding and sloping(e) else None
-        facets = site.mesh.edges[self.edge]
+        facets = site.mesh.edge(self.edge, f"{site.where} edge")
         return Held(f"edge {self.edge}", nodes, mask, places + factor * site.move, facets, slide)
 
 

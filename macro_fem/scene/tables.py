@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from macro_fem.scene.meshing.edges import canonical
 from rve.common.typed import Typed
 
 if TYPE_CHECKING:
@@ -71,7 +70,15 @@ class Item(Typed):
 
     table: ClassVar[str]
     """The list of a scene file that holds such entries."""
+    kinds: ClassVar[dict[str, type[Any]]]
+    """The classes of this list by the `kind` that files call them."""
     kind: ClassVar[str]
+
+    def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
+        """Make the kind known to scene files."""
+        super().__init_subclass__(**more)
+        if kind:
+            cls.kind, cls.kinds[kind] = kind, cls
 
     @property
     def where(self) -> str:
@@ -103,7 +110,7 @@ class Timed(Item):
 class Support(Timed):
     """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
 
-    kinds: ClassVar[dict[str, type[Support]]] = {}
+    kinds: ClassVar[dict[str, type[Any]]] = {}
     table = "support"
     one: ClassVar[str] = "point"
     """What results call one of the points that it holds."""
@@ -129,22 +136,17 @@ class Support(Timed):
         assert pitch is not None
         return round(min(length / pitch, 1e9))
 
-    def __init_subclass__(cls, kind: str, **more: Any) -> None:
-        """Make the kind known to scene files."""
-        super().__init_subclass__(**more)
-        cls.kind, Support.kinds[kind] = kind, cls
-
 
 class LiveLoad(Timed):
     """A load besides the weight of the mesh; it `grows` over the load steps unless it is a weight."""
 
-    kinds: ClassVar[dict[str, type[LiveLoad]]] = {}
+    kinds: ClassVar[dict[str, type[Any]]] = {}
     grows: ClassVar[bool] = True
 
-    def __init_subclass__(cls, kind: str, **more: Any) -> None:
-        """Make the kind known to scene files."""
-        super().__init_subclass__(**more)
-        cls.kind, cls.table, LiveLoad.kinds[kind] = kind, f"load.{kind}", cls
+    def __init_subclass__(cls, kind: str = "", **more: Any) -> None:
+        """Each kind is a list of its own."""
+        super().__init_subclass__(kind, **more)
+        cls.table = f"load.{kind}"
 
     @property
     def where(self) -> str:
@@ -158,10 +160,6 @@ class EdgeLoad(LiveLoad, kind="edge"):
 
     edge: Name
     force: Forces
-
-    def check(self) -> None:
-        """The edge by the name that it is stored by."""
-        object.__setattr__(self, "edge", canonical(self.edge))
 
 
 @dataclass(frozen=True)
@@ -195,10 +193,6 @@ class Bar(LiveLoad, kind="bar"):
     edge: Name = "bottom"
     straight: bool = True
     grows: ClassVar[bool] = False
-
-    def check(self) -> None:
-        """The edge by the name that it is stored by."""
-        object.__setattr__(self, "edge", canonical(self.edge))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from rve.common.reading import MOST_MESH_BYTES, read_bytes
 
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
 
-DISPLACEMENT, OLD_REFERENCE = "displacement_mm", "reference_mm"
+DISPLACEMENT = "displacement_mm"
 """Fields at the points of a curtain; in files of older versions points are deformed and the reference is a field."""
 STRAIN, STRESS = "E_11_12_22", "S_11_12_22_N_per_mm"
 LINE_LOAD_1, LINE_LOAD_2, DIRECTION_1 = "line_load_1_N_per_mm", "line_load_2_N_per_mm", "direction_1"

@@ -11,9 +11,9 @@ import skfem
 
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
+from macro_fem.fem.cells import counterclockwise
 from macro_fem.output.files import summarize
 from macro_fem.scene.meshing.mesh import cut_in_four
-from macro_fem.scene.meshing.places import counterclockwise
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.pairs import pairs_not_covered

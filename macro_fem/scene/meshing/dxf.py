@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from macro_fem.fem.cells import signed_areas
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
 
@@ -34,13 +35,8 @@ def read_outline(path: Path) -> dict[str, Any]:
         rings.append([(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()])
     if not rings:
         raise InputError(f"{path}: has no closed polyline (LWPOLYLINE or POLYLINE) to be the outline")
-    rings.sort(key=lambda ring: -abs(_area(np.array(ring))))
+    rings.sort(key=lambda ring: -abs(signed_areas(np.array(ring))))
     return {"outline": rings[0], "holes": rings[1:]}
-
-
-def _area(ring: np.ndarray) -> float:
-    x, y = ring.T
-    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def write_outline(path: Path, p: np.ndarray, facets: np.ndarray) -> None:

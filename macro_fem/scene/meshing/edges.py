@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from macro_fem.fem.cells import signed_areas
 from macro_fem.scene.meshing.outline import distance_to_polygon
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -58,8 +59,8 @@ def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> 
     to right. A single hole is also called "hole". A line named in the file comes before an edge of the same name.
     """
     loops = boundary_loops(mesh)
-    outer = [loop for loop in loops if _area(mesh.p[:, loop.nodes].T) > 0.0]
-    inner = _in_order(mesh, [loop for loop in loops if _area(mesh.p[:, loop.nodes].T) <= 0.0], holes)
+    outer = [loop for loop in loops if signed_areas(mesh.p[:, loop.nodes].T) > 0.0]
+    inner = _in_order(mesh, [loop for loop in loops if signed_areas(mesh.p[:, loop.nodes].T) <= 0.0], holes)
     edges = {"outline": np.concatenate([loop.facets for loop in outer])}
     edges |= _sides(mesh, [chain for loop in outer for chain in _chains(mesh, loop)])
     edges |= {f"hole {number}": loop.facets for number, loop in enumerate(inner, start=1)}
@@ -165,11 +166,6 @@ def paths(pairs: Iterable[tuple[int, int]], points: Array) -> list[np.ndarray]:
         if len(path) > 1:
             found.append(np.array(path))
     return found
-
-
-def _area(corners: Array) -> float:
-    x, y = (corners - corners[0]).T
-    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
 def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
 from macro_fem.scene.checks import check_mesh_size
-from macro_fem.scene.meshing.edges import facets_between, inherited_edges, named_edges
+from macro_fem.scene.meshing.edges import canonical, facets_between, inherited_edges, named_edges
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
 from macro_fem.scene.meshing.places import (
@@ -54,9 +54,9 @@ class CurtainMesh:
 
     def edge(self, name: str, where: str) -> np.ndarray:
         """Facet numbers of a named edge; InputError, which begins with `where`, if there is no such edge."""
-        if name not in self.edges:
+        if canonical(name) not in self.edges:
             raise InputError(f"{where} = {name!r}: the curtain has no such edge, only {', '.join(sorted(self.edges))}")
-        return self.edges[name]
+        return self.edges[canonical(name)]
 
     @property
     def height(self) -> float:

@@ -9,14 +9,13 @@ import numpy as np
 import skfem
 from scipy.spatial import cKDTree
 
+from macro_fem.fem.cells import counterclockwise, cross, signed_areas
 from macro_fem.scene.meshing.edges import facets_between, named_edges
-from macro_fem.scene.meshing.places import (
-    counterclockwise,
-)
+from macro_fem.scene.meshing.places import least_sine
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
 from rve.common.errors import InputError
-from rve.common.meshes import DISPLACEMENT, OLD_REFERENCE, read_mesh_file
+from rve.common.meshes import read_mesh_file
 from rve.common.types import Array
 from rve.common.values import shown
 
@@ -27,7 +26,7 @@ MAX_NEAR = 10_000_000
 def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray]]:
     """The plane mesh of scikit-fem in a file, and its named edges: facet numbers per name.
 
-    A curtain.vtu is read as its reference state. InputError for cells that are inverted, doubled, flat or not plane.
+    A curtain.vtu is its reference state. InputError for cells that are inverted, doubled, flat or not plane.
     """
     where = f"{source}: [curtain] file = {shown(curtain.file)}:"
     try:
@@ -37,14 +36,14 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
     kinds = [kind for kind in ("triangle", "quad") if len(data.cells_dict.get(kind, ()))]
     if len(kinds) != 1:
         raise InputError(f"{where} needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
+    if "reference_mm" in data.point_data:
+        raise InputError(f"{where} is the deformed curtain of version 0.2 or before; solve it again")
     cells = np.asarray(data.cells_dict[kinds[0]], dtype=np.int64)
     if cells.size and not 0 <= cells.min() <= cells.max() < len(data.points):
         raise InputError(f"{where} a cell names point {cells.max()}, there are {len(data.points)}")
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
-    points = _plane_points(reference_points(data)[used], where)
-    if DISPLACEMENT in data.point_data:  # older versions wrote the cells of curtain.vtu in either sense
-        cells = counterclockwise(points, cells)
+    points = _plane_points(np.asarray(data.points, dtype=float)[used], where)
     _check_cells(points, cells, where)
     mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
     mesh = mesh_type(points.T.copy(), cells.T.copy())
@@ -55,12 +54,6 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
     except InputError as error:
         raise InputError(f"{where} {error}") from error
     return mesh, edges
-
-
-def reference_points(data: Any) -> Array:
-    """Points (n, 2 or 3) of a mesh without load: those of the file, but `reference_mm` of an old curtain.vtu."""
-    old = data.point_data.get(OLD_REFERENCE)
-    return np.asarray(data.points if old is None or np.shape(old) != data.points.shape else old, dtype=float)
 
 
 def physical_lines(data: Any, mesh: Any, used: np.ndarray, where: str) -> dict[str, np.ndarray]:
@@ -114,7 +107,7 @@ def _check_sides(mesh: Any, where: str) -> None:
     for side, numbers in enumerate(tree.query_ball_point(middle, radius) if pairs else ()):
         along = (b[side] - a[side]) / length[side]
         off = corners[numbers] - a[side]
-        on = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) < 1e-9 * length[side]
+        on = np.abs(cross(along, off)) < 1e-9 * length[side]
         if on.any():
             x, y = corners[numbers][on][0]
             raise InputError(f"{where} the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
@@ -133,31 +126,16 @@ def _plane_points(points: Array, where: str) -> Array:
 
 
 def _check_cells(points: Array, cells: np.ndarray, where: str) -> None:
-    area = signed_areas(points, cells)
+    area = signed_areas(points[cells])
     area *= 1.0 if np.count_nonzero(area > 0.0) >= np.count_nonzero(area < 0.0) else -1.0  # either sense, but one
     scale = np.abs(area).max()
     for bad, what in (
         (area < -1e-12 * scale, "is inverted against most others"),
         (np.abs(area) <= 1e-12 * scale, "has no area"),
-        (_least_corner(points, cells) <= 0.0, "is not convex"),
+        (least_sine(points[counterclockwise(points, cells)]) <= 0.0, "is not convex"),
     ):
         if bad.any():
             raise InputError(f"{where} cell {int(np.flatnonzero(bad)[0])} {what} ({int(bad.sum())} such cells)")
     _, first, counts = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_counts=True)
     if counts.max() > 1:
         raise InputError(f"{where} cell {int(first[counts > 1][0])} is there {int(counts.max())} times")
-
-
-def _least_corner(points: Array, cells: np.ndarray) -> Array:
-    """The smallest area (n_cells,) that two neighbouring sides span: not positive where a corner points inwards."""
-    p = points[cells]
-    side = np.roll(p, -1, axis=1) - p
-    before = np.roll(side, 1, axis=1)
-    turn = before[..., 0] * side[..., 1] - before[..., 1] * side[..., 0]
-    return np.asarray((turn * np.sign(signed_areas(points, cells))[:, None]).min(axis=1))
-
-
-def signed_areas(points: Array, cells: np.ndarray) -> Array:
-    """Areas (n_cells,) of polygons given by their corners in order, positive if counterclockwise."""
-    x, y = np.moveaxis(points[cells] - points[cells[:, :1]], 2, 0)  # from a corner: far from the origin digits cancel
-    return 0.5 * (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)

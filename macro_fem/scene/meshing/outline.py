@@ -7,6 +7,7 @@ import math
 import numpy as np
 from scipy.spatial import Delaunay
 
+from macro_fem.fem.cells import counterclockwise, cross, signed_areas, triangle_areas
 from rve.common.types import Array
 
 MAX_LATTICE = 8_000_000
@@ -42,10 +43,8 @@ def mesh_outline(
     points = np.concatenate([on_border, inner])
     triangles = Delaunay(points).simplices
     triangles = triangles[inside(points[triangles].mean(axis=1), outline, holes)]
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    twice_area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    triangles[twice_area < 0.0] = triangles[twice_area < 0.0][:, ::-1]
-    triangles = triangles[np.abs(twice_area) > 1e-6 * spacing**2]
+    triangles = counterclockwise(points, triangles)
+    triangles = triangles[triangle_areas(points[triangles]) > 0.5e-6 * spacing**2]
     _check_border(triangles, [len(part) for part in border])
     used, triangles = np.unique(triangles, return_inverse=True)
     return points[used], triangles.reshape(-1, 3)
@@ -124,7 +123,7 @@ def _check_polygons(outline: Array, holes: list[Array]) -> None:
             raise ValueError(f"{name}: has two equal corners in a row")
         if _crosses(polygon, polygon, same=True):
             raise ValueError(f"{name}: crosses itself")
-        if abs(_area(polygon)) <= 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2:
+        if abs(signed_areas(polygon)) <= 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2:
             raise ValueError(f"{name}: has no area, its corners lie on a line")
     for k, hole in enumerate(holes, start=1):
         if not np.all(_in_polygon(hole, outline)) or _crosses(hole, outline, same=False):
@@ -134,17 +133,12 @@ def _check_polygons(outline: Array, holes: list[Array]) -> None:
                 raise ValueError(f"holes: hole {k} and hole {j} overlap")
 
 
-def _area(polygon: Array) -> float:
-    """Signed area."""
-    x, y = (polygon - polygon[0]).T
-    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-
-
 def _crosses(one: Array, two: Array, *, same: bool) -> bool:
     """Whether any sides of two polygons cross or touch; of the same polygon, sides that are not neighbours."""
     a, b = one, np.roll(one, -1, axis=0)
     for k, (c, d) in enumerate(zip(two, np.roll(two, -1, axis=0), strict=True)):
-        hit = (_side(a, b, c) * _side(a, b, d) <= 0.0) & (_side(c, d, a) * _side(c, d, b) <= 0.0)
+        sides = [np.sign(cross(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
+        hit = (sides[0] * sides[1] <= 0.0) & (sides[2] * sides[3] <= 0.0)
         if same:
             n = len(one)
             hit[[k, (k - 1) % n, (k + 1) % n]] = False
@@ -154,11 +148,6 @@ def _crosses(one: Array, two: Array, *, same: bool) -> bool:
         if hit.any():
             return True
     return False
-
-
-def _side(a: Array, b: Array, c: Array) -> Array:
-    ab, ac = b - a, c - a
-    return np.sign(ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0])
 
 
 def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:

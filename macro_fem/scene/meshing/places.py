@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from macro_fem.fem.cells import counterclockwise, cross
 from macro_fem.scene.meshing.edges import CORNER, paths
 from macro_fem.scene.tables import Support
 from rve.common.errors import InputError
@@ -70,13 +71,6 @@ def make_sheet(points: Array, cells: np.ndarray, lines: dict[str, np.ndarray] | 
     key = pairs.min(axis=1).astype(np.int64) * len(points) + pairs.max(axis=1)
     _, first, counts = np.unique(key, return_index=True, return_counts=True)
     return Sheet(points, cells, pairs[first[counts == 1]], lines or {})
-
-
-def counterclockwise(points: Array, cells: np.ndarray) -> np.ndarray:
-    """The cells (m, 3 or 4), those that are clockwise turned round."""
-    x, y = points[cells, 0], points[cells, 1]
-    area = (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)
-    return np.where(area[:, None] < 0.0, cells[:, ::-1], cells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,15 +195,14 @@ def _turn(sheet: Sheet, node: int) -> float:
     if len(others) != 2:
         return math.pi
     one, two = sheet.points[node] - sheet.points[others[0]], sheet.points[others[1]] - sheet.points[node]
-    return abs(math.atan2(float(one[0] * two[1] - one[1] * two[0]), float(one @ two)))
+    return abs(math.atan2(float(cross(one, two)), float(one @ two)))
 
 
 def _cell_around(sheet: Sheet, place: Array) -> int:
     """The number of the cell that holds a place, -1 if none does."""
     corners = sheet.points[sheet.cells]
     side, to_place = np.roll(corners, -1, axis=1) - corners, place - corners
-    cross = side[..., 0] * to_place[..., 1] - side[..., 1] * to_place[..., 0]
-    depth = (cross / np.linalg.norm(side, axis=-1)).min(axis=1)
+    depth = (cross(side, to_place) / np.linalg.norm(side, axis=-1)).min(axis=1)
     cell = int(np.argmax(depth))
     return cell if depth[cell] >= -SAME * sheet.size else -1
 
@@ -258,7 +251,7 @@ def _cut_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
 def _bent_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
     """The side from a to b inside the mesh cut, and bent where the place is not quite on it."""
     along, to_place = sheet.points[b] - sheet.points[a], place - sheet.points[a]
-    off = abs(float(along[0] * to_place[1] - along[1] * to_place[0])) / float(np.linalg.norm(along))
+    off = abs(float(cross(along, to_place))) / float(np.linalg.norm(along))
     change = _cut_edge(sheet, place, a, b)
     return None if change is None else replace(change, turns=off > SAME * sheet.size)
 
@@ -274,9 +267,8 @@ def least_sine(corners: Array) -> Array:
     """Least sine (n,) of the corners of counterclockwise polygons (n, k, 2), negative where one is bent in."""
     ahead = np.roll(corners, -1, axis=1) - corners
     back = np.roll(ahead, 1, axis=1)
-    cross = back[..., 0] * ahead[..., 1] - back[..., 1] * ahead[..., 0]
     lengths = np.linalg.norm(ahead, axis=-1) * np.linalg.norm(back, axis=-1)
-    return np.asarray((cross / np.maximum(lengths, 1e-300)).min(axis=1))
+    return np.asarray((cross(back, ahead) / np.maximum(lengths, 1e-300)).min(axis=1))
 
 
 def _applied(sheet: Sheet, change: _Change) -> Sheet:
