@@ -17,7 +17,7 @@ from macro_fem.fem.space import padded
 from macro_fem.motion.kept import KEPT, read_kept, write_kept
 from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
 from macro_fem.motion.shown import as_solution, chosen
-from macro_fem.motion.views import check_views, write_views
+from macro_fem.motion.views import write_views
 from macro_fem.output import strength
 from macro_fem.output.files import collection, write_vtu
 from macro_fem.output.pictures import Pictures
@@ -62,7 +62,8 @@ def run_motion(
     scene = load_scene(scene_path)
     if scene.motion is None:
         raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
-    check_views(scene, picture, animation, html)
+    wanted = Pictures(picture, animation, html, stem="motion")
+    wanted.check(scene)
     curtain = scene.curtain
     mesh_file = scene.source.parent / curtain.file if isinstance(curtain, MeshFile) else None
     inputs = [scene_path, law_path, mesh_file]
@@ -83,7 +84,7 @@ def run_motion(
         write_text(folder / "motion.csv", csv_text(COLUMNS, rows[:, : len(COLUMNS)].tolist()))
         write_frames(folder, run, shown)
         write_kept(folder / KEPT, scene, law, shown, rows)
-        write_views(folder, run, shown, Pictures(picture, animation, html))
+        write_views(folder, run, shown, wanted)
         write_text(folder / RECORD, json_text(summary))
     return summary
 

@@ -14,12 +14,10 @@ from macro_fem.output import plots
 from macro_fem.output.pictures import Pictures
 from macro_fem.output.space_view import Frame as View
 from macro_fem.output.space_view import draw_curtain, line_load_scale
-from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
-from rve.common.drawing.page import check_page, write_moments
+from rve.common.drawing.page import write_moments
 from rve.common.drawing.plane import new_figure, save_figure
-from rve.common.drawing.space import FRAME_MS, check_render, compose, new_plotter, save_animation, save_picture
-from rve.common.errors import require
+from rve.common.drawing.space import FRAME_MS, compose, new_plotter, save_animation, save_picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,18 +25,6 @@ if TYPE_CHECKING:
 
 PANELS, IMAGES = 4, 48
 """Moments in motion.png, and images of motion.gif."""
-
-
-def check_views(scene: Scene, picture: bool, animation: bool, html: bool) -> None:
-    """InputError for what is missing that pictures need."""
-    if html:
-        check_page("motion.html", "leave out --html")
-    asked = ((picture, "motion.png", "ask for --no-picture"), (animation, "motion.gif", "leave out --animation"))
-    for is_asked, name, instead in asked:
-        if is_asked:
-            require("matplotlib", "plots", name, instead)
-        if is_asked and scene.in_space:
-            check_render(name, instead)
 
 
 def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wanted: Pictures) -> None:

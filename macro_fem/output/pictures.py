@@ -22,26 +22,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pyvista import Plotter
 
-PICTURE, ANIMATION, PAGE = "curtain.png", "curtain.gif", "curtain.html"
-
 
 @dataclass(frozen=True)
 class Pictures:
-    """Which pictures are wanted: curtain.png, curtain.gif of the load steps, curtain.html; where a `report` as PDF and
-    the outline of the flat sheet as `dxf` go."""
+    """Which pictures are wanted: STEM.png, STEM.gif of the load steps or moments, STEM.html; where a `report` as PDF
+    and the outline of the flat sheet as `dxf` go."""
 
     picture: bool = True
     animation: bool = False
     html: bool = False
     report: Path | None = None
     dxf: Path | None = None
+    stem: str = "curtain"
 
     def check_packages(self) -> None:
         """InputError if a package is missing that pictures of every scene need."""
         for name, instead in self._drawn():
             require("matplotlib", "plots", name, instead)
         if self.html:
-            check_page(PAGE, "leave out --html")
+            check_page(f"{self.stem}.html", "leave out --html")
         if self.report is not None:
             require("matplotlib", "plots", "--report", "leave it out")
         if self.dxf is not None:
@@ -59,7 +58,7 @@ class Pictures:
     def check(self, scene: Scene) -> None:
         """InputError, before anything is solved, for what is missing or makes no sense in this scene."""
         self.check_packages()
-        if self.animation and scene.load.steps < 2:
+        if self.animation and scene.load.steps < 2 and scene.motion is None:
             raise InputError(
                 f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or leave out "
                 "--animation"
@@ -69,8 +68,8 @@ class Pictures:
 
     def _drawn(self) -> list[tuple[str, str]]:
         """Names of the wanted files, and what to do without each."""
-        asked = ((self.picture, PICTURE, "ask for --no-picture"), (self.animation, ANIMATION, "leave out --animation"))
-        return [(name, instead) for is_asked, name, instead in asked if is_asked]
+        asked = ((self.picture, "png", "ask for --no-picture"), (self.animation, "gif", "leave out --animation"))
+        return [(f"{self.stem}.{ending}", instead) for is_asked, ending, instead in asked if is_asked]
 
 
 def write_pictures(
@@ -80,13 +79,14 @@ def write_pictures(
     last = steps[-1]
     in_space = last.problem.scene.in_space
     if wanted.html:
-        write_curtain_page(folder / PAGE, last)
+        write_curtain_page(folder / f"{wanted.stem}.html", last)
+    picture = folder / f"{wanted.stem}.png"
     if wanted.picture and in_space:
-        save_picture(folder / PICTURE, draw_sides(last), title(last), note(last))
+        save_picture(picture, draw_sides(last), title(last), note(last))
     elif wanted.picture:
-        plots.save_picture(folder / PICTURE, last, error)
+        plots.save_picture(picture, last, error)
     if wanted.animation:
-        save_frames(folder / ANIMATION, frames(steps) if in_space else plots.frames(steps))
+        save_frames(folder / f"{wanted.stem}.gif", frames(steps) if in_space else plots.frames(steps))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:

@@ -7,12 +7,8 @@ from typing import Any
 import numpy as np
 
 from macro_fem.problem import CurtainProblem
-from macro_fem.scene.meshing.places import HookRow
-from macro_fem.scene.sites import Held
-from macro_fem.scene.tables import Support
 from macro_fem.solution import CurtainSolution
 from rve.common.texts import csv_text
-from rve.common.types import Array
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
@@ -28,6 +24,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     taken = np.zeros(reactions.shape, bool)
     forces = []
     for number, (item, held) in enumerate(zip(problem.scene.support, problem.supports.held, strict=True)):
+        row, is_edge = problem.mesh.hooks.get(number), len(held.facets) > 0
         own = np.zeros_like(taken)
         own[held.nodes] = held.mask
         own &= ~taken
@@ -35,38 +32,22 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
         part = np.where(own, reactions, 0.0)
         nodes = held.nodes[own[held.nodes].any(axis=1)]
         largest = float(np.linalg.norm(part, axis=1).max())
+        columns = {"at_mm": problem.disc.nodes, "force_N": part}
+        columns |= {"place_mm": solution.x} if part.shape[1] == 3 else {}
         forces.append(
             {
                 "support": held.name,
                 "force_N": part.sum(axis=0).tolist(),
                 "largest_nodal_force_N": largest,
-                **_per_ring(item, held, largest),
+                **({} if is_edge else {"largest_force_per_ring_N": largest / getattr(item, "rings_per_hook", 1)}),
                 **({"capacity_N": item.capacity} if hasattr(item, "capacity") else {}),
-                **_pitches(item, problem.mesh.hooks.get(number)),
+                **({"pitch_mm": row.pitch, "pitch_asked_mm": getattr(item, "pitch", None)} if row else {}),
                 "nodes_held": len(held.nodes),
                 "length_held_mm": held_length(problem, [held.facets]),
-                "points": _points(problem.disc.nodes[nodes], part[nodes], solution.x[nodes]),
+                "points": [{name: values[node].tolist() for name, values in columns.items()} for node in nodes],
             }
         )
     return forces
-
-
-def _per_ring(item: Support, held: Held, largest: float) -> dict[str, float]:
-    """The largest force that one ring takes at the points of a support; nothing for an edge held as a whole."""
-    return {} if len(held.facets) else {"largest_force_per_ring_N": largest / getattr(item, "rings_per_hook", 1)}
-
-
-def _pitches(item: Support, row: HookRow | None) -> dict[str, float | None]:
-    """The distance of hooks or runners, as it is and as the scene asks for it; nothing for other supports."""
-    return {} if row is None else {"pitch_mm": row.pitch, "pitch_asked_mm": getattr(item, "pitch", None)}
-
-
-def _points(at: Array, force: Array, place: Array) -> list[dict[str, list[float]]]:
-    """Reference position `at` (k, 2) and force (k, d) of each held point, and in space where it is."""
-    columns = {"at_mm": at, "force_N": force} | ({"place_mm": place} if place.shape[1] == 3 else {})
-    return [
-        dict(zip(columns, row, strict=True)) for row in zip(*(part.tolist() for part in columns.values()), strict=True)
-    ]
 
 
 def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:

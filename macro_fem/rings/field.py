@@ -29,6 +29,15 @@ RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
 
 
+def check_outputs(folder: str | Path, inputs: Iterable[str | Path | None], *, picture: bool, html: bool) -> None:
+    """InputError if files cannot be written, or would overwrite `inputs`, or what a picture needs is missing."""
+    if picture:
+        check_render("rings.png")
+    if html:
+        check_page("rings.html", "leave out --html")
+    check_out_job(folder, RECORD, inputs=inputs)
+
+
 @dataclass(frozen=True)
 class WorstCell:
     """The cell with the largest principal line load: number, pose, contact forces, turn (3, 3) into the curtain."""
@@ -109,12 +118,8 @@ class RingField:
         together, and what they replace is gone (`rve.common.files`). InputError where they cannot be written or would
         overwrite one of `inputs`, or if what a picture needs is missing.
         """
-        if picture:
-            check_render("rings.png")
-        if html:
-            check_page("rings.html", "leave out --html")
         inputs = list(inputs)
-        check_out_job(folder, RECORD, inputs=inputs)
+        check_outputs(folder, inputs, picture=picture, html=html)
         with job(folder, RECORD, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
             write_text(staged / "worst_cell.csv", forces_table(self.worst.forces, self.worst.turn))

@@ -11,9 +11,8 @@ import numpy as np
 from msgspec import Meta
 
 from macro_fem.rings.curtain import Curtain, curtain_file, read_curtain
-from macro_fem.rings.field import RECORD, RingField, WorstCell
-from macro_fem.rings.frames import turns
-from macro_fem.rings.places import Sites, find_sites, place_rings
+from macro_fem.rings.field import RingField, WorstCell, check_outputs
+from macro_fem.rings.places import Sites, find_sites, place_rings, turns
 from rve import (
     Cell,
     LockedArrangements,
@@ -26,10 +25,7 @@ from rve import (
     locked_arrangements,
     nearest_poses,
 )
-from rve.common.drawing.page import check_page
-from rve.common.drawing.space import check_render
 from rve.common.errors import InputError
-from rve.common.files import check_out_job
 from rve.common.progress import tell
 from rve.common.typed import Typed
 from rve.common.types import Array
@@ -109,12 +105,8 @@ def run_localize(
     Errors as in `localize` and `RingField.save`. What the picture needs and what `out` would overwrite is checked
     before anything is solved.
     """
-    if picture:
-        check_render("rings.png")
-    if html:
-        check_page("rings.html", "leave out --html")
     inputs = [curtain_file(path)]
-    check_out_job(out, RECORD, inputs=inputs)
+    check_outputs(out, inputs, picture=picture, html=html)
     return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)
 
 

@@ -102,10 +102,10 @@ def held_axes(held: str, d: int) -> tuple[bool, ...]:
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
     """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""
-    ends = mesh.mesh.p[:, mesh.mesh.facets[:, mesh.edge(name, where)]]
-    candidates = np.concatenate([ends[:, 0].T, ends[:, 1].T, ends.mean(axis=1).T])
-    distance, node = cKDTree(disc.nodes).query(candidates)
-    nodes = np.unique(node[distance < 1e-9 * mesh.size])
+    facets = mesh.edge(name, where)
+    nodes = facets if disc.element == "CR" else np.unique(mesh.mesh.facets[:, facets])
+    if disc.element in ("P2", "Q2"):  # corners come first, then the middles of facets
+        nodes = np.concatenate([nodes, mesh.mesh.p.shape[1] + facets])
     return nodes[np.lexsort((disc.nodes[nodes, 1], disc.nodes[nodes, 0]))]
 
 

@@ -86,11 +86,6 @@ class Hooks(Support, kind="hooks"):
     capacity: Capacity | None = None
     rings_per_hook: RingsPerHook = 1
 
-    @property
-    def has_hooks(self) -> bool:
-        """Always."""
-        return True
-
     def check(self) -> None:
         """BadField unless either pitch or count is given."""
         if self.pitch is None and self.count is None:

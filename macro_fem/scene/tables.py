@@ -126,7 +126,7 @@ class Support(Timed):
     @property
     def has_hooks(self) -> bool:
         """Whether it holds single points of the top edge, evenly spaced by its `pitch` or `count`."""
-        return False
+        return getattr(self, "pitch", None) is not None or getattr(self, "count", None) is not None
 
     def spaces(self, length: float) -> int:
         """How many spaces between hooks fit an open line of this length, mm: the number nearest to `pitch`."""

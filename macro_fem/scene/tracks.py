@@ -90,11 +90,6 @@ class Track(Support, kind="track"):
             self.refuse("side = 'end': has no effect with drawn = 1")
 
     @property
-    def has_hooks(self) -> bool:
-        """Whether single points of the edge are held."""
-        return self.pitch is not None or self.count is not None
-
-    @property
     def space_reason(self) -> str:
         """A track is a curve in plan."""
         return "kind = 'track' leaves the plane"

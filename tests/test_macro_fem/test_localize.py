@@ -11,8 +11,7 @@ from click.testing import CliRunner
 
 from macro_fem.cli import main
 from macro_fem.rings.curtain import Curtain, Told, curtain_of_cells, read_curtain
-from macro_fem.rings.frames import turns
-from macro_fem.rings.places import find_sites, place_rings
+from macro_fem.rings.places import find_sites, place_rings, turns
 from rve.common.errors import InputError
 from rve.common.meshes import LINE_LOAD_1, STATE, STRAIN, STRESS
 from rve.drawn import ALONG, AROUND, DrawnRings
