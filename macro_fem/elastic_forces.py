@@ -17,7 +17,6 @@ from macro_fem.curtain import solve_problem
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.meshing.mesh import components
 from macro_fem.solution import CurtainSolution
-from macro_fem.solvers.status import Accuracy
 from rve.common.errors import InputError
 from rve.common.progress import part_of
 from rve.common.types import Array
@@ -92,14 +91,9 @@ def with_forces(found: CurtainSolution) -> CurtainSolution:
     return replace(
         told,
         inner=elastic.inner,
-        asked=_looser(found.asked, elastic.asked),
+        asked=replace(found.asked, unbalanced=max(found.asked.unbalanced, elastic.asked.unbalanced)),
         wall_s=found.wall_s + elastic.wall_s,
     )
-
-
-def _looser(one: Accuracy, other: Accuracy) -> Accuracy:
-    """What both curtains were asked for in gap, and in balance what either was."""
-    return replace(one, unbalanced=max(one.unbalanced, other.unbalanced))
 
 
 def _with_reason(found: CurtainSolution, used: bool, why: str) -> CurtainSolution:

@@ -93,10 +93,11 @@ class MembraneSolution(Solution):
         wanted.check(self.scene)
         check_out_job(folder, RECORD, inputs=inputs)
         summary = self._summary(picture=picture)
-        bounds = self.levels[-1].bounds if self.levels else None
+        density = error_density(self.solution, self.levels[-1].bounds) if self.levels else None
         with job(folder, RECORD, inputs) as staged:
-            _write(staged, self._shown, bounds)
-            density = None if bounds is None else error_density(self.solution, bounds)
+            write_vtu(staged / "curtain.vtu", self.loaded, {} if density is None else {"error_N_mm_per_mm2": density})
+            if len(self.steps) > 1:
+                write_series(staged, self._shown)
             tell("files and pictures")
             write_pictures(staged, self._shown, wanted, density)
             write_summary(staged, summary)
@@ -185,15 +186,6 @@ def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, An
         "lowest_point_mm": float(solution.x[:, 1].min()),
         "potential_primal_N_mm": solution.primal,
     }
-
-
-def _write(out: Path, steps: list[CurtainSolution], bounds: CurtainBounds | None) -> None:
-    """VTU files."""
-    solution = steps[-1]
-    extra = {} if bounds is None else {"error_N_mm_per_mm2": error_density(solution, bounds)}
-    write_vtu(out / "curtain.vtu", solution, extra)
-    if len(steps) > 1:
-        write_series(out, steps)
 
 
 def error_density(solution: CurtainSolution, bounds: CurtainBounds) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from macro_fem.fem.hung_law import HungLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
-from macro_fem.scene.obstacles import Body, Obstacle, PlacedObstacle, breadth, is_flat, placed, with_rounding
+from macro_fem.scene.obstacles import Obstacle, PlacedObstacle, is_flat, placed, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
@@ -152,9 +151,7 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
 
 def _check_is_met(obstacle: Obstacle, scene: Scene, mesh: CurtainMesh) -> None:
     """InputError for a body that is so thin that it would pass between the points of a cell."""
-    if is_flat(obstacle):
-        return
-    half, side = breadth(cast(Body, obstacle)), mesh.longest_side
+    half, side = obstacle.breadth, mesh.longest_side
     if half < THINNEST * side:
         raise InputError(
             f"{scene.source}: [obstacle] {obstacle.name}: half its least width, {half:.4g} mm, is less than a fifth of "

@@ -16,7 +16,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from macro_fem.fem.discretization import FINE
 from macro_fem.mixing import Mixer
 from macro_fem.problem import CurtainProblem, meeting_points, tangent_walls
 from macro_fem.scene.loads import wind_per_area
-from macro_fem.scene.obstacles import Body, PlacedObstacle, breadth, placed
+from macro_fem.scene.obstacles import PlacedObstacle, placed
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
@@ -172,7 +171,7 @@ def _stride(problem: CurtainProblem, before: float, options: ShapeOptions) -> fl
     parts = [1.0]
     for body in problem.bodies:
         way = (problem.factor - before) * float(np.linalg.norm(body.obstacle.move))
-        parts.append(options.pace * breadth(cast(Body, body.obstacle)) / max(way, 1e-300))
+        parts.append(options.pace * body.obstacle.breadth / max(way, 1e-300))
     return max(options.shortest, min(parts))
 
 
@@ -183,7 +182,7 @@ class _Watch:
     """
 
     def __init__(self, problem: CurtainProblem, deepest: float) -> None:
-        disc, half = problem.disc, min([breadth(cast(Body, body.obstacle)) for body in problem.bodies], default=np.inf)
+        disc, half = problem.disc, min([body.obstacle.breadth for body in problem.bodies], default=np.inf)
         fine = max(FINE, math.ceil(3.0 * problem.mesh.longest_side / half))
         lattice = disc.lattice if fine == FINE else disc.lattice_of(fine)
         is_held = np.isin(lattice.node, np.flatnonzero(problem.fem.held.any(axis=1)))
@@ -196,7 +195,7 @@ class _Watch:
         start, end = self.lattice.places(before), self.lattice.places(after)
         way = np.linalg.norm(end - start, axis=1)
         for body in bodies:
-            half = breadth(cast(Body, body.obstacle))
+            half = body.obstacle.breadth
             may = np.flatnonzero(0.5 * (body.gap(start) + body.gap(end) - way) < -self.deepest * half)
             deep = -float(body.least_gap(start[may], end[may]).min(initial=0.0))
             self.deepest = max(self.deepest, deep / half)
@@ -280,6 +279,6 @@ def _measure_settling(
         misfit += float(push @ np.linalg.norm(now.normal - own.normal, axis=1))
         product += float(push @ np.abs(body.gap(own.places(x))))
         inside = max(0.0, -float(body.gap(problem.disc.lattice.places(x)).min()))
-        deepest, depth = max(deepest, inside), max(depth, inside / breadth(cast(Body, body.obstacle)))
+        deepest, depth = max(deepest, inside), max(depth, inside / body.obstacle.breadth)
     product /= total * problem.mesh.size
     return Settling(rounds, misfit / total, product, options.settled, deepest, depth, is_wind=not problem.bodies)

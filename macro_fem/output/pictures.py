@@ -20,7 +20,6 @@ from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pyvista import Plotter
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,11 @@ def write_pictures(
         write_curtain_page(folder / f"{wanted.stem}.html", last)
     picture = folder / f"{wanted.stem}.png"
     if wanted.picture and in_space:
-        save_picture(picture, draw_sides(last), title(last), note(last))
+        plotter = new_plotter(2)
+        for panel, direction in enumerate((FRONT, THREE_QUARTERS)):
+            plotter.subplot(0, panel)
+            draw_curtain(last, plotter, direction=direction)
+        save_picture(picture, plotter, title(last), note(last))
     elif wanted.picture:
         plots.save_picture(picture, last, error)
     if wanted.animation:
@@ -93,15 +96,6 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     """Write the curtain in space as one HTML file that turns in a browser; InputError if plotly is missing."""
     check_page(str(path))
     write_page(path, draw_curtain(solution), f"{title(solution)}\n{note(solution)}".strip())
-
-
-def draw_sides(solution: CurtainSolution) -> Plotter:
-    """A plotter with the curtain from the front and from three quarters."""
-    plotter = new_plotter(2)
-    for panel, direction in enumerate((FRONT, THREE_QUARTERS)):
-        plotter.subplot(0, panel)
-        draw_curtain(solution, plotter, direction=direction)
-    return plotter
 
 
 def frames(steps: Sequence[CurtainSolution]) -> Iterator[Figure]:

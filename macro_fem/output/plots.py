@@ -189,11 +189,4 @@ def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray
 def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
     """What lines and markers mean, and the handles `more`, below the axes."""
     handles = [*more, *ax.get_legend_handles_labels()[0]]
-    below: dict[str, Any] = {
-        "loc": "upper center",
-        "bbox_to_anchor": (0.5, -0.16),
-        "ncols": 2,
-        "frameon": False,
-        "fontsize": 9,
-    }
-    ax.legend(handles=handles, **below)
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize=9)

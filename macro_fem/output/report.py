@@ -90,7 +90,9 @@ def _second(summary: dict[str, Any], name: str, inputs: Sequence[Path]) -> Figur
     page = _page(name, 2)
     y = _title(page, 0.92, "What gives first")
     rows = [(link.name, f"{link.factor:.3g} times the load") for link in sorted(links(summary))]
-    rows += [("material of the rings", f"{_text(summary['ring_material'])}, yield stress {_yield(summary)}")]
+    stress = summary["ring_yield_N_per_mm2"]
+    told = "not known" if stress is None else f"{stress:g} N/mm2"
+    rows += [("material of the rings", f"{_text(summary['ring_material'])}, yield stress {told}")]
     y = _columns(page, y, rows)
     if combinations := summary.get("combinations"):
         y = _title(page, y - 0.012, f"Load combinations; {summary['envelope']['governing']} governs")
@@ -172,11 +174,6 @@ def _loads(solution: CurtainSolution) -> str:
     told += [f"{list(one.force)} N at {list(one.at)}" for one in _forces_at(solution)]
     told += [f"{list(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
     return ", ".join(told)
-
-
-def _yield(summary: dict[str, Any]) -> str:
-    value = summary["ring_yield_N_per_mm2"]
-    return "not known" if value is None else f"{value:g} N/mm2"
 
 
 def _text(value: Any) -> str:

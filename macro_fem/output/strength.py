@@ -146,9 +146,8 @@ def utilisation(solution: CurtainSolution) -> Array | None:
 def _side(solution: CurtainSolution, at: Array) -> float:
     """Side in mm of the largest mesh cell with a corner at a place (2,) of the reference state."""
     mesh = solution.problem.mesh.mesh
-    touching = (np.abs(mesh.p[:, mesh.t] - at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size).any(
-        axis=0
-    )
+    away = np.abs(mesh.p[:, mesh.t] - at[:, None, None]).max(axis=0)
+    touching = (away < 1e-9 * solution.problem.mesh.size).any(axis=0)
     return float(np.sqrt(solution.problem.disc.cell_area[touching].max()))
 
 

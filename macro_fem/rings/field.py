@@ -92,14 +92,36 @@ class RingField:
         return _summary(self) | lines
 
     @property
+    def _drawn_gap(self) -> Array:
+        """Smallest gap of each ring as placed (n,), mm, at most the distance that is searched."""
+        return np.minimum(self.fit.gap_mm, NEAR * self.cell.r1)
+
+    @property
     def drawn(self) -> DrawnRings:
         """The rings to draw, coloured by contact force."""
         return DrawnRings(self.centre_mm, self.normal, self.cell.r1, self.cell.r2, self.contact_force_N)
 
     @property
     def data(self) -> dict[str, Array]:
-        """Numbers per ring, (n,) or (n, w), by their names in rings.vtu."""
-        return _ring_data(self)
+        """Numbers per ring, (n,) or (n, w), by their names in rings.vtu; gaps are at most NEAR r1."""
+        sites, states, row = self.rings.sites, self.states, self.row
+        names = list(POSE_MEANINGS)
+        code = np.array([names.index(str(status)) for status in states.status])
+        listed: dict[str, Any] = {
+            "ring": np.arange(len(row)),
+            "class_i_j": sites.index,
+            "macro_cell": sites.cell,
+            "state_0_slack_1_wrinkled_2_taut": self.curtain.state[sites.cell],
+            f"pose_{'_'.join(f'{i}_{name}' for i, name in enumerate(names))}": code[row],
+            "strain_short": states.short[row],
+            "strain_fold": states.fold[row],
+            "cell_gap_mm": states.gap_mm[row],
+            "drawn_gap_mm": self._drawn_gap,
+            "broken_link": self.fit.broken.astype(int),
+            "contact_force_N": self.contact_force_N,
+            "reference_mm": np.column_stack([sites.X, np.zeros(len(sites.X))]),
+        }
+        return listed
 
     def save(
         self,
@@ -171,37 +193,10 @@ class RingField:
         return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))
 
 
-def _ring_data(field: RingField) -> dict[str, Array]:
-    """Numbers per ring for the VTU; gaps are looked for up to NEAR r1 and given as that where they are larger."""
-    sites, states, row = field.rings.sites, field.states, field.row
-    names = list(POSE_MEANINGS)
-    code = np.array([names.index(str(status)) for status in states.status])
-    listed: dict[str, Any] = {
-        "ring": np.arange(len(row)),
-        "class_i_j": sites.index,
-        "macro_cell": sites.cell,
-        "state_0_slack_1_wrinkled_2_taut": field.curtain.state[sites.cell],
-        f"pose_{'_'.join(f'{i}_{name}' for i, name in enumerate(names))}": code[row],
-        "strain_short": states.short[row],
-        "strain_fold": states.fold[row],
-        "cell_gap_mm": states.gap_mm[row],
-        "drawn_gap_mm": _drawn_gap(field),
-        "broken_link": field.fit.broken.astype(int),
-        "contact_force_N": field.contact_force_N,
-        "reference_mm": np.column_stack([sites.X, np.zeros(len(sites.X))]),
-    }
-    return listed
-
-
-def _drawn_gap(field: RingField) -> Array:
-    """Smallest gap of each ring as placed (n,), mm, at most the distance that is searched."""
-    return np.minimum(field.fit.gap_mm, NEAR * field.cell.r1)
-
-
 def _summary(field: RingField) -> dict[str, Any]:
     """The numbers of all rings, ready for JSON."""
     cell, told, states, fit = field.cell, field.curtain.told, field.states, field.fit
-    force, status, gap = field.contact_force_N, field.status, _drawn_gap(field)
+    force, status, gap = field.contact_force_N, field.status, field._drawn_gap
     names, counts = np.unique(states.status, return_counts=True)
     return {
         "curtain": field.curtain.source,

@@ -12,7 +12,7 @@ import numpy as np
 
 from homogenize import CellInfo
 from macro_fem.scene.moving import Thrown
-from macro_fem.scene.obstacles import Body, breadth, is_flat
+from macro_fem.scene.obstacles import Body, is_flat
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
 from macro_fem.scene.tables import NO_MOVE, LiveLoad, Support, Wind, in_3d
 from rve.common.errors import InputError
@@ -118,8 +118,8 @@ def check_sizes(scene: Scene, r1: float | None) -> None:
         if value < 2.0 * r1:
             _refuse(scene, where, value, f"the diameter of a ring, {2.0 * r1:g} mm")
     for body in scene.of(Body):
-        if 2.0 * breadth(body) < r1:
-            _refuse(scene, f"{body.where} width", 2.0 * breadth(body), f"the radius of a ring, {r1:g} mm")
+        if 2.0 * body.breadth < r1:
+            _refuse(scene, f"{body.where} width", 2.0 * body.breadth, f"the radius of a ring, {r1:g} mm")
 
 
 def check_mesh_size(extents: tuple[float, ...], cell: CellInfo | None, where: str) -> None:

@@ -64,12 +64,14 @@ def nodal_forces(
     """
     dead = load_vector(disc, weight_per_area(scene, cell))
     for bar in scene.of(Bar):
-        dead += bar_weight(bar, scene, mesh, disc)
+        shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
+        dead += shares[:, None] / shares.sum() * bar.mass * np.array(scene.load.acceleration[: scene.d])
     live = np.zeros_like(dead)
     for edge in scene.of(EdgeLoad):
-        live += edge_load(edge, scene, mesh, disc)
+        shares = edge_shares(mesh, disc, edge.edge, f"{scene.source}: [load.edge] edge")
+        live += shares[:, None] * components(edge.force, scene)
     for point in scene.of(PointLoad):
-        live += point_load(point, scene, disc)
+        live[point_node(point.at, disc, f"{scene.source}: [load.point]")] += components(point.force, scene)
     for patch in scene.of(PatchLoad):
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.of(Wind):
@@ -82,30 +84,11 @@ def components(v: Vector, scene: Scene) -> Array:
     return np.array(in_3d(v)[: scene.d])
 
 
-def edge_load(load: EdgeLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
-    """A force per reference length along a named edge."""
-    where = f"{scene.source}: [load.edge] edge"
-    return edge_shares(mesh, disc, load.edge, where)[:, None] * components(load.force, scene)
-
-
-def bar_weight(bar: Bar, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:
-    """The weight of a bar, spread evenly over its edge."""
-    shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-    return shares[:, None] / shares.sum() * bar.mass * np.array(scene.load.acceleration[: scene.d])
-
-
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
     """Integral of every shape function over a named edge (n_nodes,), mm."""
     facets = mesh.edge(name, where)
     basis = skfem.FacetBasis(mesh.mesh, FACET_ELEMENTS[disc.element](), facets=facets, intorder=2)
     return skfem.LinearForm(lambda v, w: v).assemble(basis)
-
-
-def point_load(load: PointLoad, scene: Scene, disc: Discretization) -> Array:
-    """A force on the node at a point; InputError if there is none."""
-    force = np.zeros((disc.n_nodes, scene.d))
-    force[point_node(load.at, disc, f"{scene.source}: [load.point]")] = components(load.force, scene)
-    return force
 
 
 def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretization) -> Array:

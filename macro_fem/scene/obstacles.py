@@ -49,7 +49,13 @@ class Obstacle(Timed):
     @property
     def space_reason(self) -> str:
         """Why the obstacle takes the curtain into space."""
-        return "" if is_in_plane(self) else f"{self.name} is not a half-space of the plane"
+        in_plane = is_flat(self) and not leaves_plane(getattr(self, "facing", NO_MOVE))
+        return "" if in_plane else f"{self.name} is not a half-space of the plane"
+
+    @property
+    def breadth(self) -> float:
+        """Half the least width, mm; infinite for a half-space."""
+        return np.inf
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3)."""
@@ -61,9 +67,14 @@ class Obstacle(Timed):
 
 
 class Body(Obstacle):
-    """An obstacle that is no half-space."""
+    """An obstacle that is no half-space: a round one, or a box."""
 
     clear: str
+    radius: float
+
+    @property
+    def breadth(self) -> float:
+        return self.radius
 
 
 @dataclass(frozen=True)
@@ -151,7 +162,7 @@ class Box(Body, kind="box"):
 
     def check(self) -> None:
         """BadField for a box whose edges are to be rounder than it is thick."""
-        if self.rounding is not None and self.rounding > 0.5 * min(self.size) * (1.0 + 1e-9):
+        if self.rounding is not None and self.rounding > self.breadth * (1.0 + 1e-9):
             self.refuse(f"rounding = {self.rounding:g}: is more than half of its least length, {min(self.size):g} mm")
 
     def normal(self, x: Array) -> Array:
@@ -169,8 +180,12 @@ class Box(Body, kind="box"):
         return np.asarray(normal @ self._centre + np.abs(normal) @ self._core + self._radius)
 
     @property
+    def breadth(self) -> float:
+        return 0.5 * min(self.size)
+
+    @property
     def _radius(self) -> float:
-        return min(self.rounding or 0.0, 0.5 * min(self.size))
+        return min(self.rounding or 0.0, self.breadth)
 
     @property
     def _core(self) -> Array:
@@ -208,29 +223,16 @@ class Start(Typed):
         return np.asarray(np.array(self.origin) + X @ np.array([unit(self.x_axis), unit(self.y_axis)]))
 
 
-def breadth(body: Body) -> float:
-    """Half the least width of a body, mm."""
-    if isinstance(body, Box):
-        return 0.5 * min(body.size)
-    assert isinstance(body, Sphere | Cylinder)
-    return body.radius
-
-
 def with_rounding(obstacle: Obstacle, cell: float) -> Obstacle:
     """The obstacle as a mesh with cells of this length (mm) meets it: a box has round edges."""
     if not isinstance(obstacle, Box) or obstacle.rounding is not None:
         return obstacle
-    return replace(obstacle, rounding=min(cell, 0.5 * min(obstacle.size)))
+    return replace(obstacle, rounding=min(cell, obstacle.breadth))
 
 
 def is_flat(obstacle: Obstacle) -> bool:
     """Whether an obstacle is a half-space, so that the curtain stays a convex problem."""
     return isinstance(obstacle, Floor | Wall)
-
-
-def is_in_plane(obstacle: Obstacle) -> bool:
-    """Whether an obstacle is a half-space whose normal lies in the plane of the reference sheet."""
-    return isinstance(obstacle, Floor) or (isinstance(obstacle, Wall) and not leaves_plane(obstacle.facing))
 
 
 @dataclass(frozen=True)
