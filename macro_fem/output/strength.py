@@ -19,7 +19,7 @@ import numpy as np
 
 from homogenize import Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.output.line_load import FINE, LineLoad, Nearby, on_triangles
+from macro_fem.output.line_load import FINE, LineLoad, Nearby, largest_average, on_triangles
 from macro_fem.output.point_force import Borne, HookRing, hook_ring, largest_borne
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
@@ -42,8 +42,6 @@ KEYS = (
     "first_yield_near",
 )
 """Keys of summary.json that are null where the strength is not known."""
-_TOGETHER = 32
-"""Averages whose utilisation is found at once. Larger: fewer calls, and more averages made for nothing."""
 
 
 def summary(solution: CurtainSolution) -> dict[str, Any]:
@@ -193,27 +191,12 @@ def _largest_asked(solution: CurtainSolution, known: Strength, area: float) -> t
         def of(S: Array) -> Array:
             return value(S, stress)
 
-        return MostAsked(_largest(near, X, trace * most, of), largest_borne(solution, near, own, of, most))
+        return MostAsked(largest_average(near, X, trace * most, of), largest_borne(solution, near, own, of, most))
 
     return (
         asked(known.utilisation, float(known.first_yield.max()) / stress),
         asked(known.collapse_utilisation, float(known.collapse.max()) / stress),
     )
-
-
-def _largest(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> LineLoad:
-    """The largest value of the averages at X (n, 2), of which `bound` (n,) are upper bounds."""
-    order = np.argsort(-bound, kind="stable")
-    best = LineLoad(0.0, X[order[0]])
-    for start in range(0, len(order), _TOGETHER):
-        some = order[start : start + _TOGETHER]
-        some = some[bound[some] > best.value]
-        if not len(some):
-            break
-        values = value(np.array([near.mean(X[i]) for i in some]))
-        top = int(values.argmax())
-        best = LineLoad(float(values[top]), X[some[top]]) if values[top] > best.value else best
-    return best
 
 
 def nearest(solution: CurtainSolution, at: Array) -> str:

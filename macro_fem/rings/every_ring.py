@@ -58,7 +58,54 @@ class EveryRingSolution(Solution):
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
-        return summarize_rings(self.scene, self.found) | {"start": self.start}
+        rings, solution = self.scene, self.found
+        has_forces = bool(np.isfinite(solution.contacts.force).all())
+        largest = float(solution.contacts.force.max(initial=0.0)) if has_forces else math.nan
+        return {
+            "status": solution.status,
+            "message": solution.message,
+            "ring_count": len(rings.mesh.X),
+            "centres": "space" if solution.is_space else "plane",
+            "mean_height_mm": solution.mean_height,
+            "lowest_point_mm": float(solution.centre[:, 1].min()),
+            "depth_mm": float(np.ptp(solution.centre[:, 2])),
+            "potential_N_mm": solution.potential,
+            "min_gap_mm": solution.contacts.min_gap_mm,
+            "notes": list(rings.notes),
+            "links": len(rings.mesh.linked),
+            "links_intact": solution.contacts.links_intact,
+            "kkt_residual": or_none(solution.kkt_residual),
+            "way_left_mm": solution.way_left_mm,
+            "contacts": int((solution.contacts.force > 1e-6 * largest).sum()) if has_forces else None,
+            "largest_contact_force_N": or_none(largest),
+            "total_load_N": solution.load.sum(axis=0).tolist(),
+            "support_forces": [
+                {
+                    "support": name,
+                    "force_N": or_none(solution.reaction[held].sum(axis=0)),
+                    "largest_nodal_force_N": or_none(np.linalg.norm(solution.reaction[held], axis=1).max(initial=0.0)),
+                    "points": [
+                        {"at_mm": X.tolist(), "force_N": or_none(f), "place_mm": x.tolist()}
+                        for X, f, x in zip(
+                            rings.mesh.X[held], solution.reaction[held], solution.centre[held], strict=True
+                        )
+                    ],
+                }
+                for name, held in rings.groups
+            ],
+            "safety_factor": None,
+            "obstacles": [
+                {"obstacle": wall.name, "reaction_N": or_none(force)}
+                for wall, force in zip(solution.walls, solution.wall_force, strict=True)
+            ],
+            "hang_deg": rings.scene.curtain.weave_angle,
+            "rings": rings_of(rings.info),
+            "weave": rings.mesh.cell.weave.name,
+            "iterations": solution.iterations,
+            "wall_s": round(solution.wall_s, 3),
+            "versions": versions("scikit-fem", "scikit-sparse"),
+            "start": self.start,
+        }
 
     def save(
         self,
@@ -94,51 +141,3 @@ class EveryRingSolution(Solution):
     def rings(self) -> FiniteSolution:
         """Every ring."""
         return self.found
-
-
-def summarize_rings(rings: RingScene, solution: FiniteSolution) -> dict[str, Any]:
-    """The numbers of summary.json: lengths in mm, forces in N; null for forces and residual where there are none."""
-    has_forces = bool(np.isfinite(solution.contacts.force).all())
-    largest = float(solution.contacts.force.max(initial=0.0)) if has_forces else math.nan
-    return {
-        "status": solution.status,
-        "message": solution.message,
-        "ring_count": len(rings.mesh.X),
-        "centres": "space" if solution.is_space else "plane",
-        "mean_height_mm": solution.mean_height,
-        "lowest_point_mm": float(solution.centre[:, 1].min()),
-        "depth_mm": float(np.ptp(solution.centre[:, 2])),
-        "potential_N_mm": solution.potential,
-        "min_gap_mm": solution.contacts.min_gap_mm,
-        "notes": list(rings.notes),
-        "links": len(rings.mesh.linked),
-        "links_intact": solution.contacts.links_intact,
-        "kkt_residual": or_none(solution.kkt_residual),
-        "way_left_mm": solution.way_left_mm,
-        "contacts": int((solution.contacts.force > 1e-6 * largest).sum()) if has_forces else None,
-        "largest_contact_force_N": or_none(largest),
-        "total_load_N": solution.load.sum(axis=0).tolist(),
-        "support_forces": [
-            {
-                "support": name,
-                "force_N": or_none(solution.reaction[held].sum(axis=0)),
-                "largest_nodal_force_N": or_none(np.linalg.norm(solution.reaction[held], axis=1).max(initial=0.0)),
-                "points": [
-                    {"at_mm": X.tolist(), "force_N": or_none(f), "place_mm": x.tolist()}
-                    for X, f, x in zip(rings.mesh.X[held], solution.reaction[held], solution.centre[held], strict=True)
-                ],
-            }
-            for name, held in rings.groups
-        ],
-        "safety_factor": None,
-        "obstacles": [
-            {"obstacle": wall.name, "reaction_N": or_none(force)}
-            for wall, force in zip(solution.walls, solution.wall_force, strict=True)
-        ],
-        "hang_deg": rings.scene.curtain.weave_angle,
-        "rings": rings_of(rings.info),
-        "weave": rings.mesh.cell.weave.name,
-        "iterations": solution.iterations,
-        "wall_s": round(solution.wall_s, 3),
-        "versions": versions("scikit-fem", "scikit-sparse"),
-    }

@@ -88,8 +88,37 @@ class RingField:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The numbers of localize.json: lengths in mm, forces in N, line loads in N/mm."""
-        lines = {"worst_cell": _worst_lines(self.curtain, self.worst), "wall_s": self.wall_s, "versions": versions()}
-        return _summary(self) | lines
+        cell, told, states, fit = self.cell, self.curtain.told, self.states, self.fit
+        force, status, gap = self.contact_force_N, self.status, self._drawn_gap
+        names, counts = np.unique(states.status, return_counts=True)
+        return {
+            "curtain": self.curtain.source,
+            "curtain_status": told.status,
+            "weave": cell.weave.name,
+            "grain": cell.grain,
+            "r1_mm": cell.r1,
+            "r2_mm": cell.r2,
+            "hang_deg": told.hang_deg,
+            "rings": len(force),
+            "cells": len(states.E),
+            "solves": states.solves,
+            "cells_by_status": {str(name): int(count) for name, count in zip(names, counts, strict=True)},
+            "meanings": {str(name): POSE_MEANINGS[str(name)] for name in names},
+            "largest_strain_short": float(states.short.max()),
+            "largest_strain_fold": float(states.fold.max()),
+            "smallest_gap_in_a_cell_mm": float(states.gap_mm.min()),
+            "drawn_gap_mm_quantiles_0_5_25_50": {
+                str(name): [float(x) for x in np.quantile(gap[status == name], [0.0, 0.05, 0.25, 0.5])]
+                for name in np.unique(status)
+            },
+            "links": fit.links,
+            "links_intact": fit.linked,
+            "largest_contact_force_N": float(force.max()),
+            "ring_at_support": told.at_support,
+            "worst_cell": _worst_lines(self.curtain, self.worst),
+            "wall_s": self.wall_s,
+            "versions": versions(),
+        }
 
     @property
     def _drawn_gap(self) -> Array:
@@ -191,38 +220,6 @@ class RingField:
     def _repr_html_(self) -> str:
         """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
         return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))
-
-
-def _summary(field: RingField) -> dict[str, Any]:
-    """The numbers of all rings, ready for JSON."""
-    cell, told, states, fit = field.cell, field.curtain.told, field.states, field.fit
-    force, status, gap = field.contact_force_N, field.status, field._drawn_gap
-    names, counts = np.unique(states.status, return_counts=True)
-    return {
-        "curtain": field.curtain.source,
-        "curtain_status": told.status,
-        "weave": cell.weave.name,
-        "grain": cell.grain,
-        "r1_mm": cell.r1,
-        "r2_mm": cell.r2,
-        "hang_deg": told.hang_deg,
-        "rings": len(force),
-        "cells": len(states.E),
-        "solves": states.solves,
-        "cells_by_status": {str(name): int(count) for name, count in zip(names, counts, strict=True)},
-        "meanings": {str(name): POSE_MEANINGS[str(name)] for name in names},
-        "largest_strain_short": float(states.short.max()),
-        "largest_strain_fold": float(states.fold.max()),
-        "smallest_gap_in_a_cell_mm": float(states.gap_mm.min()),
-        "drawn_gap_mm_quantiles_0_5_25_50": {
-            str(name): [float(x) for x in np.quantile(gap[status == name], [0.0, 0.05, 0.25, 0.5])]
-            for name in np.unique(status)
-        },
-        "links": fit.links,
-        "links_intact": fit.linked,
-        "largest_contact_force_N": float(force.max()),
-        "ring_at_support": told.at_support,
-    }
 
 
 def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:

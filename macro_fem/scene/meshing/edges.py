@@ -239,17 +239,10 @@ def _sides(mesh: Any, chains: list[_Chain]) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for name, direction in DIRECTIONS.items():
         d = np.array(direction)
-        axis, is_high = int(np.argmax(np.abs(d))), d.sum() > 0.0
-
-        def depth(chain: _Chain, nearest: bool, axis: int = axis, is_high: bool = is_high) -> float:
-            """How far the chain's nearest or farthest node is from the extreme of the mesh in this direction."""
-            if is_high:
-                return float(high[axis] - (chain.high if nearest else chain.low)[axis])
-            return float((chain.low if nearest else chain.high)[axis] - low[axis])
-
-        facing = [c for c in chains if c.normal @ d > UPRIGHT and depth(c, True) < tiny]
-        level = [c for c in facing if depth(c, False) < tiny]
-        flat = [c for c in facing if c.normal @ d > (1.0 + 1e-9) * abs(c.normal[1 - axis])]
+        extreme = np.maximum(low * d, high * d).sum() - tiny
+        facing = [c for c in chains if c.normal @ d > UPRIGHT and np.maximum(c.low * d, c.high * d).sum() > extreme]
+        level = [c for c in facing if np.minimum(c.low * d, c.high * d).sum() > extreme]
+        flat = [c for c in facing if c.normal @ d > (1.0 + 1e-9) * abs(c.normal @ d[::-1])]
         chosen = level or flat or facing
         chains = [c for c in chains if not any(c is one for one in chosen)]
         if chosen:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -152,12 +153,9 @@ def _crosses(one: Array, two: Array, *, same: bool) -> bool:
 
 def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
     """Every piece of the border is an edge of the mesh: else corners are closer together than the cells."""
-    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    edges = set(map(tuple, pairs.tolist()))
-    start = 0
-    for length in lengths:
-        number = start + np.arange(length)
-        for a, b in zip(number.tolist(), np.roll(number, -1).tolist(), strict=True):
-            if (min(a, b), max(a, b)) not in edges:
-                raise ValueError("outline and holes: come closer to each other than the cells are wide; use more cells")
-        start += length
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).tolist()
+    edges, ends = set(map(frozenset, pairs)), np.cumsum([0, *lengths])
+    for first, end in pairwise(ends):
+        number = np.arange(first, end)
+        if not edges.issuperset(map(frozenset, zip(number.tolist(), np.roll(number, -1).tolist(), strict=True))):
+            raise ValueError("outline and holes: come closer to each other than the cells are wide; use more cells")
