@@ -25,13 +25,7 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
-from macro_fem.scene.wind import (
-    dynamic_pressure,
-    layer_solidity,
-    layered_drag,
-    layered_solidity,
-    wind_pressure,
-)
+from macro_fem.scene.wind import dynamic_pressure, layer_solidity, layered_drag, layered_solidity, wind_pressure
 from macro_fem.solution import CurtainSolution
 from rve.common.errors import InputError
 from rve.common.types import Array

@@ -31,11 +31,9 @@ from macro_fem.rings.ring_scene import in_material, ring_scene
 from macro_fem.scene.checks import check_scene, check_sizes, check_solver
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, load_scene
-from macro_fem.scene.shapes import MeshFile
 from macro_fem.solution import CurtainSolution
 from rve import Cell
-from rve.common.drawing.page import check_page
-from rve.common.errors import InputError, noted_if_stopped, require
+from rve.common.errors import InputError, noted_if_stopped
 from rve.common.files import check_out_job
 from rve.common.progress import part_of
 
@@ -158,10 +156,8 @@ def run_scene(
     wanted.check_packages()
     scene = load_scene(scene_path)
     wanted.check(scene)
-    curtain = scene.curtain
-    mesh_file = scene.source.parent / curtain.file if isinstance(curtain, MeshFile) else None
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
-    inputs = [scene_path, law_path, known, mesh_file]
+    inputs = [scene_path, law_path, known, scene.mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
     wanted.check_paths(inputs)
     law = None if law_path is None else interval_or_law(law_path)
@@ -178,28 +174,18 @@ def run_scene(
 
 
 def run_rings(
-    scene_path: Path,
-    law_path: Path | None,
-    out: Path,
-    *,
-    space: bool = True,
-    start: str = "slack",
-    picture: bool = True,
-    html: bool = False,
+    scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True, html: bool = False, **how: Any
 ) -> dict[str, Any]:
     """Solve the scene in a file ring by ring, write its files into `out`; the summary.
 
-    space, start: see `EveryRing`. InputError in one sentence for what cannot be read, or makes no sense for rings;
-    nothing is written then.
+    how: space and start of `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read, or
+    makes no sense for rings.
     """
-    if picture:
-        require("matplotlib", "plots", "rings.png", "ask for --no-picture")
-    if html:
-        check_page("rings.html", "leave out --html")
+    Pictures(picture, html=html, stem="rings").check_packages()
     scene, inputs = load_scene(scene_path), [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)
-    return solve(scene, EveryRing(law, space, start)).save(out, picture=picture, html=html, inputs=inputs)
+    return solve(scene, EveryRing(law, **how)).save(out, picture=picture, html=html, inputs=inputs)
 
 
 def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: str = "slack") -> Comparison:

@@ -22,7 +22,6 @@ from macro_fem.output import strength
 from macro_fem.output.files import collection, write_vtu
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.schema import load_scene
-from macro_fem.scene.shapes import MeshFile
 from rve.common.errors import InputError
 from rve.common.files import check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
@@ -64,9 +63,7 @@ def run_motion(
         raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
     wanted = Pictures(picture, animation, html, stem="motion")
     wanted.check(scene)
-    curtain = scene.curtain
-    mesh_file = scene.source.parent / curtain.file if isinstance(curtain, MeshFile) else None
-    inputs = [scene_path, law_path, mesh_file]
+    inputs = [scene_path, law_path, scene.mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)
     before: tuple[MotionFrame, ...] = ()

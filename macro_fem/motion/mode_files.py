@@ -17,7 +17,6 @@ from macro_fem.motion.modes import Modes, find_modes
 from macro_fem.motion.stage import scene_at
 from macro_fem.output.files import VTU_CELLS, corner_positions
 from macro_fem.scene.schema import load_scene
-from macro_fem.scene.shapes import MeshFile
 from rve.common.drawing.scale import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
 from rve.common.files import check_out_job, job, versions, write_text
@@ -41,8 +40,7 @@ def run_modes(
     if picture:
         check_render("modes.png", "ask for --no-picture")
     scene = load_scene(scene_path)
-    mesh_file = scene.source.parent / scene.curtain.file if isinstance(scene.curtain, MeshFile) else None
-    inputs = [scene_path, law_path, mesh_file]
+    inputs = [scene_path, law_path, scene.mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)
     found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))

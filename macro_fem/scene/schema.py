@@ -13,16 +13,7 @@ from macro_fem.scene.meshing.dxf import read_outline
 from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
-from macro_fem.scene.tables import (
-    MAX_ENTRIES,
-    Combination,
-    Item,
-    LiveLoad,
-    Load,
-    Solver,
-    Support,
-    leaves_plane,
-)
+from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Support, leaves_plane
 from rve.common.errors import InputError
 from rve.common.materials import described
 from rve.common.reading import expecting, read_toml
@@ -98,6 +89,11 @@ class Scene:
         if self.start is not None:
             return "[start] lays the sheet in space"
         return "[solver] space = true asks for it" if self.solver.space else ""
+
+    @property
+    def mesh_file(self) -> Path | None:
+        """The file of the mesh, if it is from one."""
+        return self.source.parent / self.curtain.file if isinstance(self.curtain, MeshFile) else None
 
     @property
     def d(self) -> int:

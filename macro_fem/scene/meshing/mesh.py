@@ -21,14 +21,7 @@ from macro_fem.scene.checks import check_mesh_size
 from macro_fem.scene.meshing.edges import canonical, facets_between, inherited_edges, named_edges
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
-from macro_fem.scene.meshing.places import (
-    SAME,
-    HookRow,
-    hook_places,
-    make_sheet,
-    through,
-    with_nodes_at,
-)
+from macro_fem.scene.meshing.places import SAME, HookRow, hook_places, make_sheet, through, with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.tables import PatchLoad
