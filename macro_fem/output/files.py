@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
 from macro_fem.drag import wind_summary
@@ -203,21 +202,14 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         **({} if used is None else {"utilisation": [used]}),
         **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
     }
-    document = meshio.Mesh(
-        padded(mesh.p.T),
-        [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))],
-        point_data={
-            DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
-            "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
-            **(
-                {}
-                if solution.problem.walls is None
-                else {"obstacle_force_N": padded(corner_forces(solution.problem, solution.pushes))}
-            ),
-        },
-        cell_data=cell_data,
-    )
-    write_mesh_file(path, document)
+    point_data = {
+        DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
+        "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
+    }
+    if solution.problem.walls is not None:
+        point_data["obstacle_force_N"] = padded(corner_forces(solution.problem, solution.pushes))
+    cells = [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))]
+    write_mesh_file(path, meshio.Mesh(padded(mesh.p.T), cells, point_data, cell_data))
 
 
 def corner_forces(problem: CurtainProblem, forces: Array) -> Array:
@@ -225,14 +217,13 @@ def corner_forces(problem: CurtainProblem, forces: Array) -> Array:
 
     A force at the middle of a side or cell is shared equally between its corners.
     """
-    mesh = problem.mesh.mesh
-    tree = cKDTree(problem.disc.nodes)
+    mesh, first = problem.mesh.mesh, 0
     result = np.zeros((mesh.p.shape[1], forces.shape[1]))
-    left = forces.copy()
-    for groups in (np.arange(mesh.p.shape[1])[None], mesh.facets, mesh.t):  # each of shape (corners, number)
-        distance, node = tree.query(mesh.p[:, groups].mean(axis=1).T)
-        here = distance < 1e-9 * problem.mesh.size
-        for corners in groups[:, here]:
-            np.add.at(result, corners, left[node[here]] / len(groups))
-        left[node[here]] = 0.0
+    corners = np.arange(mesh.p.shape[1])[None]
+    kinds = {"CR": (mesh.facets,), "P2": (corners, mesh.facets), "Q2": (corners, mesh.facets, mesh.t)}
+    for groups in kinds.get(problem.disc.element, (corners,)):  # in the order of the nodes; each (corners, number)
+        own = forces[first : first + groups.shape[1]] / len(groups)
+        for numbers in groups:
+            np.add.at(result, numbers, own)
+        first += groups.shape[1]
     return result
