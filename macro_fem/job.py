@@ -79,11 +79,11 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
     if not (isinstance(law, LawInterval | None) or hasattr(law, "support")):
         raise InputError(f"solve takes a law, OnDemand(cell) or EveryRing(cell), not a {type(law).__name__}")
     if law is None:
-        law = read_law_interval() if asks_bounds(scene) else default_law()
+        law = read_law_interval() if scene.solver.is_bounded else default_law()
     law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     inner, law, outer = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law, law, None)
     check_sizes(scene, None if law.cell is None else law.cell.r1_mm)
-    if not asks_bounds(scene):
+    if not scene.solver.is_bounded:
         return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps)))
     steps = _steps(scene, inner, scene.load.steps)
     levels = tuple(_with_bounds(scene, inner, outer, steps[-1]))
@@ -129,7 +129,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
 def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
     """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds."""
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
-    pose = admissible_problem if asks_bounds(scene) else make_problem
+    pose = admissible_problem if scene.solver.is_bounded else make_problem
     steps: list[CurtainSolution] = []
     for step in range(1, last + 1):
         work = f"{mesh.mesh.t.shape[1]} cells, load step {step} of {count}"
@@ -196,11 +196,6 @@ def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True,
     rings = ring_scene(scene, law)
     disk = solve_membrane(scene, default_law() if law is None else law).solution
     return Comparison(disk, rings, rings.solve(space=space, disk=disk if start == "disk" else None))
-
-
-def asks_bounds(scene: Scene) -> bool:
-    """Whether bounds of the continuous curtain are wanted."""
-    return scene.solver.bounds or scene.solver.adapt > 0
 
 
 def _solved(problem: CurtainProblem, start: CurtainSolution | None) -> CurtainSolution:

@@ -132,7 +132,7 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
     bars = any(bar.straight for bar in scene.of(Bar))
     lines = any(held.slide is not None for held in problem.supports.held)
     ties = ["a bar keeps an edge straight"] * bars + ["an edge slides on a sloping line"] * lines
-    asked = "[solver] bounds or adapt" if solver.bounds or solver.adapt > 0 else "not asked for"
+    asked = "[solver] bounds or adapt" if solver.is_bounded else "not asked for"
     rows = [
         ("third-coordinate", scene.space_reason, "all loads and supports lie in the plane, and so does the answer"),
         ("ties", " and ".join(ties), "no straight bar and no sloping line"),

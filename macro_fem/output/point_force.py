@@ -126,16 +126,14 @@ def largest_borne(
         if one.force * longest / near.area * most <= best.value:
             break
         cells = _cells_at(solution, one)
-        if float(np.sqrt(solution.problem.disc.cell_area[cells].max())) <= RESOLVED * max(
-            np.sqrt(near.area), one.spread
-        ):
+        side = float(np.sqrt(solution.problem.disc.cell_area[cells].max()))
+        if side <= RESOLVED * max(np.sqrt(near.area), one.spread):
             continue
         m = _direction(solution, S, cells, one.at)
         if m is None:
             continue
         width = max(near.area / _chord(near, one.at, m), one.spread)
-        load = one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None])
-        load = law.in_weave(load)
+        load = law.in_weave(one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None]))
         found = float(value(load)[0])
         best = Borne(found, one, load[0]) if found > best.value else best
     return best

@@ -93,7 +93,7 @@ def check_solver(scene: Scene, source: str | Path, by: str = "[solver] bounds an
     element, shape, solver = scene.mesh.element, scene.curtain, scene.solver
     if element in ("Q1", "Q2") and (not isinstance(shape, Rectangle | MeshFile) or shape.holes):
         raise InputError(f"{source}: [mesh] element = {element!r}: needs a rectangle without holes or a mesh file")
-    if not (solver.bounds or solver.adapt):
+    if not solver.is_bounded:
         return
     where = f"{source}: {by}"
     if solver.kind == "elastic":

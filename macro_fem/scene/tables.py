@@ -288,3 +288,8 @@ class Solver(Typed):
     bounds: bool = False
     adapt: Annotated[int, Meta(ge=0, le=12)] = 0
     space: bool = False
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether bounds of the continuous curtain are wanted."""
+        return self.bounds or self.adapt > 0
