@@ -18,6 +18,7 @@ from rve.cli_options import (
     branch_options,
     cell_options,
     grain_option,
+    larger_options,
 )
 from rve.common.commands.command_line import (
     Group,
@@ -57,6 +58,8 @@ def _solve(method: str, directions: tuple[Any, Any], mesh: Any, direct: Any) -> 
         return solve_table(mesh, directions, direct)
     if (direct.branches, direct.reference) != ("largest", "side-by-side"):
         raise InputError("--branches and --reference belong to --method direct: stewart-trinkle follows one motion")
+    if mesh.is_larger:
+        raise InputError("--cells and --centres belong to --method direct: stewart-trinkle moves the paper's cell")
     return solve_table_stewart_trinkle(mesh, directions)
 
 
@@ -80,6 +83,7 @@ def main() -> None:
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
 @_explain_option
 @branch_options
+@larger_options
 @cell_options
 def table(
     out: Path, method: str, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any
@@ -118,6 +122,8 @@ def _say_of_table(found: Any, out: Path, method: str) -> None:
     several = 0 if found.branch is None else int((found.branch != "slack").sum())
     if several:
         say(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
+    if found.provenance.get("bound_note"):
+        say(found.provenance["bound_note"])
     for status in sorted(set(found.status) - {"converged"}):
         say(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
 
@@ -180,16 +186,20 @@ def _check_views(html: Path | None, animation: Path | None) -> None:
 @main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")
 @click.option("--S", "load", required=True, help="S11,S12,S22: dead line load, positive semidefinite, any unit.")
 @branch_options
+@larger_options
 @cell_options
 def support_command(load: str, branches: Any, reference: Any, **cell: Any) -> None:
     """Print h = max S:E of a dead second Piola-Kirchhoff load and the locked state that reaches it, as JSON."""
     from rve.equilibrium.interior_point import DirectOptions
     from rve.support_function import support
 
-    found = support(asked_cell(**cell), parse_load(load), DirectOptions(branches=branches, reference=reference))
+    mesh = asked_cell(**cell)
+    found = support(mesh, parse_load(load), DirectOptions(branches=branches, reference=reference))
     status = str(found.status[0])
     if status != "converged":
         raise NotConverged(f"S = {load}: {status}: {SENTENCES[status]}")
+    if mesh.bound_note:
+        say(mesh.bound_note, err=True)
     answer(found.row(0), always=True)
 
 

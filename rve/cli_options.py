@@ -32,6 +32,16 @@ cell_options = options(
     click.option("--weave", type=click.Choice(WEAVE_NAMES), default="4-in-1", show_default=True, help="Weave."),
     grain_option,
 )
+larger_options = options(
+    click.option("--cells", default="1x1", show_default=True, help="Primitive cells that move independently, as 2x2."),
+    click.option(
+        "--centres",
+        type=click.Choice(["plane", "space"]),
+        default="plane",
+        show_default=True,
+        help="Where the centres of rings may be.",
+    ),
+)
 branch_options = options(
     click.option(
         "--branches",
@@ -50,7 +60,9 @@ branch_options = options(
 )
 
 
-def asked_cell(r1: float, r2: float, grain: str, weave: str, **material: Any) -> Any:
+def asked_cell(
+    r1: float, r2: float, grain: str, weave: str, cells: str = "1x1", centres: str = "plane", **material: Any
+) -> Any:
     """The cell asked for; InputError for rings that no mesh has."""
     from rve.common.materials import material_of
     from rve.common.rings import check_ring_size
@@ -59,7 +71,11 @@ def asked_cell(r1: float, r2: float, grain: str, weave: str, **material: Any) ->
 
     check_ring_size(r1, "--r1")
     metal = material_of(material, prefix="--")
-    return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal)
+    try:
+        nx, ny = (int(part) for part in cells.split("x"))
+    except ValueError:
+        raise InputError(f"--cells = {cells}: write two numbers, such as 2x2") from None
+    return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
 
 
 def asked_rings(rings: bool, joint: str | None) -> Any:

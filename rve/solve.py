@@ -13,14 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import TABLE_FORMAT, versions
 from rve.common.progress import part_of
-from rve.common.records import Flags
+from rve.common.records import Flags, Index
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.directions import grid
-from rve.equilibrium.branches import LoadedCell, RowStates, largest_rows, make_rows
+from rve.equilibrium.branches import MOVED, LoadedCell, RowStates, largest_rows, make_rows
 from rve.equilibrium.dead_load import DeadLoad, solve_dead
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
+from rve.equilibrium.larger_cells import in_cell
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
@@ -29,7 +30,7 @@ from rve.explain import solver_work
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
 from rve.geometry.pairs import unlisted_gap, widened
-from rve.geometry.pose import Pose, deformation, strain_of
+from rve.geometry.pose import Pose, deformation, strain_of, tiled
 from rve.table import RowQuality, StrainTable
 
 BLOCK = 256
@@ -159,6 +160,8 @@ def solve_table(
     record: dict[str, Any] = {"work": solver_work(states, cell)}
     if options.branches == "largest":
         table, record["branches"] = largest_table(alpha, beta, cell, states, options, sides)
+    elif cell.is_larger:
+        raise InputError("--branches first follows the slack pose, which is the same in every cell: leave out --cells")
     else:
         table = replace(table_rows(alpha, beta, cell, states.found, states.unique, sides), states=states)
     provenance = table_provenance(cell, options, sides, table.status, time.perf_counter() - began)
@@ -172,29 +175,51 @@ def largest_table(
     which states coexist, for the sidecar. Pairs of rings that the weave does not list are listed if they overlap.
     """
     began = time.perf_counter()
-    mesh = LoadedCell.of(Equations.of(states.cell.weave, cell.wire), weave_sides(cell, sides_mm), options)
-    first = make_rows(states, mesh)
-    rows, found, where, left = largest_rows(first, states.s, mesh)
-    if found is not None and unlisted_gap(found.pose, states.cell.weave, cell.wire).min() < 0.0:
-        wide = states.listing(replace(cell, weave=widened(cell.weave)))
+    s, planar = states.s, states
+    first = make_rows(
+        states, LoadedCell.of(Equations.of(states.cell.weave, cell.wire), weave_sides(states.cell, sides_mm), options)
+    )
+    states, rows, left = largest_states(states, first, s, options, sides_mm)
+    primitive = rows.E
+    for mesh in cell.stages(states.cell.weave):
+        equations = Equations.of(mesh.weave, cell.wire)
+        states = replace(states, found=in_cell(states.found, states.s, equations, options.reach), cell=mesh)
+        rows = replace(rows, pose=tiled(rows.pose, mesh.weave))
+        states, rows, left = largest_states(states, rows, s, options, sides_mm)
+    beyond = int((np.abs(rows.E - primitive).max(axis=1) > MOVED).sum())
+    record = {"rows_beyond_the_primitive_cell": beyond} if cell.is_larger else {}
+    is_wide = len(planar.cell.weave.pairs) > len(cell.weave.pairs)
+    if not is_wide and unlisted_gap(states.found.pose, states.cell.weave, cell.wire).min() < 0.0:
+        wide = planar.listing(replace(cell, weave=widened(cell.weave)))
         return largest_table(alpha, beta, cell, wide, options, sides_mm)
-    mixed = np.flatnonzero(rows.branch == "coexisting")
-    if found is not None:
-        states = replace(states, found=states.found.put(where, found), unique=states.unique.copy())
-        states.unique[where] = rows.unique[where]
     status = np.where(left, "below", states.found.status).astype("<U16")
     states = replace(states, found=replace(states.found, status=status))
-    states = under_own_load(states, rows, mesh)
-    table = table_rows(alpha, beta, cell, states.found, states.unique, sides_mm)
-    S = second_pk(deformation_gradient(strain_of(states.pose.take(mixed), mesh.sides)), states.s[mixed])
+    mixed = np.flatnonzero(rows.branch == "coexisting")
+    table = table_rows(alpha, beta, states.cell, states.found, states.unique, sides_mm)
+    sides = weave_sides(states.cell, sides_mm)
+    S = second_pk(deformation_gradient(strain_of(states.pose.take(mixed), sides)), states.s[mixed])
     table.S[mixed] = np.where(left[mixed, None], np.nan, S[:, weave_axes(cell)])
     table = replace(table, states=states, branch=rows.branch)
-    return table, branch_record(table, first, rows, left, time.perf_counter() - began)
+    return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
 
 
-def under_own_load(states: LockedStates, rows: RowStates, mesh: LoadedCell) -> LockedStates:
+def largest_states(
+    states: LockedStates, rows: RowStates, s: Array, options: DirectOptions, sides_mm: tuple[float, float]
+) -> tuple[LockedStates, RowStates, Flags]:
+    """Locked states under the Cauchy loads s (n, 3) with those of largest work in their cell; the rows; the rows (n,)
+    that a known state still contradicts."""
+    mesh = LoadedCell.of(Equations.of(states.cell.weave, states.cell.wire), weave_sides(states.cell, sides_mm), options)
+    rows, found, where, left = largest_rows(rows, s, mesh)
+    if found is None:
+        return states, rows, left
+    unique, loads = states.unique.copy(), states.s.copy()
+    unique[where], loads[where] = rows.unique[where], s[where]
+    states = replace(states, found=states.found.put(where, found), unique=unique, s=loads)
+    return under_own_load(states, rows, mesh, where[rows.branch[where] == "coexisting"]), rows, left
+
+
+def under_own_load(states: LockedStates, rows: RowStates, mesh: LoadedCell, mixed: Index) -> LockedStates:
     """The states with the Cauchy load of size 1 that each coexisting one carries in its own pose, and its forces."""
-    mixed = np.flatnonzero(rows.branch == "coexisting")
     F = deformation(states.pose.take(mixed), mesh.sides)
     # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
     s = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(rows.S[mixed]))
@@ -244,6 +269,8 @@ def table_provenance(
         "format": TABLE_FORMAT,
         "format_version": 1,
         "weave": cell.weave.name,
+        "cells": list(cell.cells),
+        "centres": cell.centres,
         "grain": cell.grain,
         "r1_mm": cell.r1,
         "r2_mm": cell.r2,
@@ -255,6 +282,7 @@ def table_provenance(
         "method": "direct",
         "options": asdict(options),
         "rows": {str(k): int(v) for k, v in zip(statuses, counts, strict=True)},
+        "bound_note": cell.bound_note,
         "sentences": {str(k): SENTENCES[str(k)] for k in statuses if k != "converged"},
         "wall_s": round(wall, 3),
         "versions": versions(),

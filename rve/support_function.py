@@ -14,6 +14,7 @@ from rve.common.texts import as_html
 from rve.common.types import Array
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
+from rve.equilibrium.larger_cells import largest_beyond
 from rve.equilibrium.largest_work import KnownStates, Largest, largest
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
@@ -38,7 +39,8 @@ class SupportValue:
     unique (n,): False where the load leaves the strain free, E is then one of many; status (n,); R, min_gap_mm (n,);
     branch (n,): how the state was reached, from the "slack" pose, a "random" admissible one, that of a "neighbour" in
     load, or by a "restart" from a state that does more work; works: per load h of every state that was found under it,
-    ascending; b_x_mm, b_y_mm: the reference cell; states: what `support` can start from next time.
+    ascending; b_x_mm, b_y_mm: the reference cell; states: what `support` can start from next time; cells, centres: see
+    `Cell`.
     """
 
     S: Array
@@ -55,6 +57,8 @@ class SupportValue:
     b_x_mm: float
     b_y_mm: float
     states: KnownStates
+    cells: tuple[int, int] = (1, 1)
+    centres: str = "plane"
 
     def __len__(self) -> int:
         return len(self.h)
@@ -75,6 +79,8 @@ class SupportValue:
             "min_gap_mm": float(self.min_gap_mm[i]),
             "b_x_mm": self.b_x_mm,
             "b_y_mm": self.b_y_mm,
+            "cells": list(self.cells),
+            "centres": self.centres,
         }
 
     def __str__(self) -> str:
@@ -110,21 +116,21 @@ def support(
     options = options or DirectOptions()
     S = checked_loads(S)
     sides_mm = reference_sides(cell, options)
-    sides = weave_sides(cell, sides_mm)
     loads = (S / trace(S)[:, None])[:, weave_axes(cell)]
     states = None if known is None else known.states
     for weave in (cell.weave, widened(cell.weave)):
-        best, unique = solve_largest(loads, cell, weave, sides, options, states)
+        best, unique, mesh = solve_largest(loads, cell, weave, sides_mm, options, states)
         found = best.found
-        if unlisted_gap(found.pose, weave, cell.wire).min() >= 0.0:
+        if unlisted_gap(found.pose, mesh.weave, cell.wire).min() >= 0.0:
             break
+    sides = weave_sides(mesh, sides_mm)
     good, reached = found.status == "converged", best.states(sides)
     E = strain_of(found.pose, sides)[:, weave_axes(cell)]
-    E, x2, x3 = (np.where(good[:, None], values, np.nan) for values in (E, *lattice_mm(found.pose, cell)))
+    E, x2, x3 = (np.where(good[:, None], values, np.nan) for values in (E, *lattice_mm(found.pose, mesh)))
     R, gap = (np.where(good, values, np.nan) for values in (found.R, cell.r1 * found.contacts.min_gap))
     works = [[float(size) * work for work in each] for size, each in zip(trace(S), best.works, strict=True)]
     reached = reached if states is None else states.plus(reached)
-    told = (unique, found.status, R, gap, best.branch, works, *sides_mm, reached)
+    told = (unique, found.status, R, gap, best.branch, works, *sides_mm, reached, mesh.weave.repeat, mesh.weave.centres)
     return SupportValue(S, double_dot(S, E), E, x2, x3, *told)
 
 
@@ -169,11 +175,14 @@ def solve_largest(
     loads: Array,
     cell: Cell,
     weave: Weave,
-    sides: tuple[float, float],
+    sides_mm: tuple[float, float],
     options: DirectOptions,
     known: KnownStates | None,
-) -> tuple[Largest, NDArray[np.bool_]]:
-    """Best states of the loads (n, 3) and flags `unique` (n,), with these pairs of rings."""
+) -> tuple[Largest, NDArray[np.bool_], Cell]:
+    """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses, with the pairs of `weave`."""
+    mesh, stages = replace(cell, weave=weave, cells=(1, 1), centres="plane"), cell.stages(weave)
+    known, beyond = (None, known) if stages else (known, None)
+    sides = weave_sides(mesh, sides_mm)
     equations = Equations.of(weave, cell.wire, load=DeadLoad(sides))
     beside = None
     if options.branches != "first":
@@ -181,4 +190,8 @@ def solve_largest(
         if len(others):
             beside = largest(others, equations, sides, replace(options, branches="first")).states(sides)
     best = largest(loads, equations, sides, options, known, beside)
-    return best, strain_is_unique(equations, best.found, unit_loads(loads))
+    for mesh in stages:
+        sides = weave_sides(mesh, sides_mm)
+        equations = Equations.of(mesh.weave, cell.wire, load=DeadLoad(sides))
+        best = largest_beyond(best, beyond if mesh is stages[-1] else None, equations, sides, options)
+    return best, strain_is_unique(equations, best.found, unit_loads(loads)), mesh

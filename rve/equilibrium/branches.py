@@ -19,9 +19,10 @@ from rve.common.progress import tell
 from rve.common.records import Flags, Index, Rows
 from rve.common.tensor import WEIGHT, double_dot, trace
 from rve.common.types import Array
-from rve.equilibrium.dead_load import MARGINS, DeadLoad, follow_promising, random_poses, restart
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium
-from rve.equilibrium.largest_work import GAIN, KnownStates, largest
+from rve.equilibrium.dead_load import MARGINS, DeadLoad, follow_promising, random_poses, restart, restart_patiently
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
+from rve.equilibrium.larger_cells import balanced, states_beyond
+from rve.equilibrium.largest_work import GAIN, KnownStates, Largest, climbed, largest
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations
@@ -92,13 +93,17 @@ def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell) -> tuple[RowStates
     where, left = np.zeros(0, dtype=np.intp), np.zeros(len(s), dtype=bool)
     if not np.isfinite(rows.E).any():
         return rows, found, where, left
-    known = dead_states(rows, mesh)
+    is_larger = mesh.cauchy.weave.is_larger
+    known = (further_states if is_larger else dead_states)(rows, mesh)
     for count in range(ROUNDS):
         bad, states = find_contradictions(rows, known, mesh)
         if not len(bad):
             break
         tell(f"{len(bad)} loads for which other states do more work, round {count + 1}")
-        best = largest(rows.S[bad], mesh.dead, mesh.sides, mesh.options, states)
+        if is_larger:
+            best = climb(rows.take(bad), states, mesh)
+        else:
+            best = largest(rows.S[bad], mesh.dead, mesh.sides, mesh.options, states)
         rivals = best.states(mesh.sides)
         known = known.plus(rivals.with_images(mesh.cauchy.weave.has_images))
         bad = bad[np.isfinite(best.h)]
@@ -107,6 +112,21 @@ def largest_rows(rows: RowStates, s: Array, mesh: LoadedCell) -> tuple[RowStates
     bad, _ = find_contradictions(rows, known, mesh)
     left[bad] = True
     return rows, found, where, left
+
+
+def further_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
+    """Locked states of a larger cell that do more work under the S of some row than its own, which was found before."""
+    good = rows.take(np.flatnonzero(np.isfinite(rows.E[:, 0])))
+    found = balanced(good.pose, unit_loads(good.S), mesh.dead, mesh.options.reach)
+    return states_beyond(found, good.S, mesh.dead, mesh.sides, mesh.options).with_images(mesh.cauchy.weave.has_images)
+
+
+def climb(rows: RowStates, states: KnownStates, mesh: LoadedCell) -> Largest:
+    """The largest work under the S of these rows that is reached from the states that do more work than their own."""
+    found = balanced(rows.pose, unit_loads(rows.S), mesh.dead, mesh.options.reach)
+    none = np.full(len(rows.S), -np.inf)
+    best = Largest(rows.S, found, none, np.full(len(rows.S), "slack", dtype="<U16"), [[] for _ in rows.S])
+    return climbed(best, states, mesh.dead, mesh.sides, mesh.options)
 
 
 def merge_equilibria(
@@ -168,7 +188,7 @@ def solve_from_rivals(
     from its rival if that is where it came from.
     """
     old = rows.E[bad]
-    new = restart(s[bad], mesh.cauchy, rivals, MARGINS[0], mesh.options)
+    new = restart_patiently(s[bad], mesh.cauchy, rivals, mesh.options)
     E, S = strain_of(new.pose, mesh.sides), np.ones((len(bad), 3))
     got = new.status == "converged"
     S[got] = mesh.conjugate(E[got], s[bad[got]])
@@ -222,7 +242,7 @@ def balance_works(s: Array, first: Pose, second: Pose, mesh: LoadedCell) -> tupl
         t[i] = low[i] + (high[i] - low[i]) * g_low[i] / (g_low[i] - g_high[i])
         S[i] = mesh.conjugate((1.0 - t[i])[:, None] * E[0][i] + t[i][:, None] * E[1][i], s[i])
         for k in range(2):
-            new = restart(S[i], mesh.dead, poses[k].take(i), MARGINS[0], mesh.options)
+            new = restart_patiently(S[i], mesh.dead, poses[k].take(i), mesh.options)
             found[k], poses[k] = found[k].put(i, new), poses[k].put(i, new.pose)
             E[k][i] = strain_of(new.pose, mesh.sides)
             fine[i] &= new.status == "converged"

@@ -117,6 +117,18 @@ def restart(loads: Array, equations: Equations, start: Pose, margin: float, opti
     return follow(unit_loads(loads), equations, near, open_gaps(start, equations, margin, options.reach))
 
 
+def restart_patiently(loads: Array, equations: Equations, start: Pose, options: DirectOptions) -> Equilibrium:
+    """`restart` from gaps of 1e-4; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys."""
+    found = restart(loads, equations, start, MARGINS[0], options)
+    left = np.flatnonzero(found.status != "converged")
+    if len(left) and options.max_iterations:
+        slower = replace(options, attempts=1, mu_start=MARGINS[1], shrink=0.5, power=1.0, rejection=NEVER)
+        slower = replace(slower, corrections=2, tolerance=max(options.tolerance, TOLERANCE), max_iterations=200)
+        opened = open_gaps(start.take(left), equations, MARGINS[1], options.reach)
+        found = found.put(left, follow(unit_loads(loads[left]), equations, slower, opened))
+    return found
+
+
 def follow_promising(
     S: Array, E: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions, start: Pose | None
 ) -> tuple[Index, Equilibrium]:

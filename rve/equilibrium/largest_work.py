@@ -128,7 +128,14 @@ def largest(
     states = best.states(sides)
     states = states.join([more for more in (known, company) if more is not None]).with_images(images)
     best = with_neighbours(best, states, equations, sides, options)
-    states = states.plus(best.states(sides).with_images(images))
+    return climbed(best, states.plus(best.states(sides).with_images(images)), equations, sides, options)
+
+
+def climbed(
+    best: Largest, states: KnownStates, equations: Equations, sides: tuple[float, float], options: DirectOptions
+) -> Largest:
+    """The best states after restarts from those of `states`, and of each other, that do more work, until none does."""
+    images = equations.weave.has_images
     tried: set[tuple[int, int]] = set()
     for _ in range(ROUNDS):
         rows, source = better_states(best, states, tried)
@@ -136,9 +143,9 @@ def largest(
             return best
         for margin in MARGINS:
             start = states.pose.take(source)
-            new = restart(S[rows], equations, start, margin, options)
-            best = best.raised(rows, new, works_of(new, S[rows], sides), "restart")
-            low = best.h[rows] < double_dot(S[rows], states.E[source]) - GAIN
+            new = restart(best.S[rows], equations, start, margin, options)
+            best = best.raised(rows, new, works_of(new, best.S[rows], sides), "restart")
+            low = best.h[rows] < double_dot(best.S[rows], states.E[source]) - GAIN
             rows, source = rows[low], source[low]
             if not len(rows):
                 break

@@ -60,7 +60,7 @@ def symmetry_of(weave: Weave) -> Symmetry | None:
     >>> found.middle, len(found.kept), len(found.source)
     ((1, 1), 14, 28)
     """
-    if weave.classes != 2:
+    if weave.classes != 2 or weave.centres == "space":
         return None
     pose = start_pose(weave, 1)
     steps = np.linalg.solve(np.stack([pose.a1[0], pose.a2[0]], axis=1), 2.0 * pose.centres[0, 1])

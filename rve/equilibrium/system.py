@@ -108,18 +108,19 @@ def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
 
 def mass_matrix(weave: Weave, wire: float) -> Array:
     """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1."""
-    k = weave.classes
-    size = 4 + 2 * (k - 1) + 3 * k
-    M = np.zeros((size, size))
+    k, dims = weave.start_centres.shape
+    turns = 4 + dims * (k - 1)
+    M = np.zeros((turns + 3 * k, turns + 3 * k))
     inertia = 0.5 + 0.625 * wire**2  # of a torus about a diameter; the axial one weighs no coordinate
     for ring, i, j in weave.rings:
-        for x in range(2):
-            v = np.zeros(size)
-            v[x], v[2 + x] = i, j
+        for x in range(dims):
+            v = np.zeros(len(M))
+            if x < 2:
+                v[x], v[2 + x] = i, j
             if ring > 0:
-                v[2 + 2 * ring + x] = 1.0
+                v[4 + dims * (ring - 1) + x] = 1.0
             M += np.outer(v, v)
-        rows = slice(2 + 2 * k + 3 * ring, 5 + 2 * k + 3 * ring)
+        rows = slice(turns + 3 * ring, turns + 3 * ring + 3)
         M[rows, rows] += inertia * np.eye(3)
     return M
 
@@ -161,7 +162,7 @@ class Equations:
     @staticmethod
     def of(weave: Weave, wire: float, modes: Array | None = None, load: CellLoad | None = None) -> Equations:
         """Equations of a weave with wire radius r2/r1; by default all coordinates are free and a line load pulls."""
-        free = np.eye(4 * weave.classes + 1) if modes is None else modes
+        free = np.eye(weave.coordinates) if modes is None else modes
         return Equations(weave, wire, pair_maps(weave), mass_matrix(weave, wire), free, load or CauchyLoad())
 
     def contacts(self, pose: Pose, reach: float) -> CellContacts:

@@ -9,14 +9,19 @@ from rve.common.materials import STEEL, Material, named_material
 from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
 from rve.common.texts import as_html
 from rve.common.typed import read_entry
-from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave
+from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, supercell
+
+MOST_CELLS = 4
+"""Primitive cells on a side of a larger one: 4 x 4 of them have 160 coordinates."""
 
 
 @dataclass(frozen=True)
 class Cell:
     """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
 
-    `material` and `weave` may be names.
+    `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move independently, and
+    centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and `rve.support` look for the
+    largest work there. All else is of the primitive cell with centres in the plane.
     `density` follows the material, or the material follows a density other than that of steel. Raises InputError for
     radii that are not positive numbers, for wire too thick for the weave, and for two different densities.
 
@@ -30,6 +35,8 @@ class Cell:
     grain: str = "y"
     density: float = STEEL_KG_PER_MM3
     material: Material = STEEL  # or its name, which __post_init__ replaces
+    cells: tuple[int, int] = (1, 1)
+    centres: str = "plane"
 
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
@@ -43,6 +50,10 @@ class Cell:
         self._agree_on_density()
         if self.grain not in ("x", "y"):
             raise InputError(f"grain = {self.grain!r}: must be x or y")
+        if self.centres not in ("plane", "space"):
+            raise InputError(f"centres = {self.centres!r}: must be plane or space")
+        if len(self.cells) != 2 or not all(isinstance(n, int) and 1 <= n <= MOST_CELLS for n in self.cells):
+            raise InputError(f"cells = {self.cells!r}: must be two numbers from 1 to {MOST_CELLS}")
         limit = self.weave.jamming_ratio
         if not self.r1 / self.r2 > limit:
             raise InputError(
@@ -62,6 +73,32 @@ class Cell:
             raise InputError(
                 f"density = {self.density:g}: {self.material.name} has {theirs:g} kg/mm3; give one of the two"
             )
+
+    def stages(self, weave: Weave) -> list[Cell]:
+        """One row of the larger cell, then all of it, with the weave of all their rings; [] for the primitive cell.
+
+        weave: the one of the primitive cell, with all the pairs to list. What one row does is a start for several.
+        """
+        nx, ny = self.cells
+        sizes = [(nx, 1), (nx, ny)] if nx > 1 and ny > 1 else [self.cells] if self.is_larger else []
+        plain = replace(self, cells=(1, 1), centres="plane")
+        return [replace(plain, weave=supercell(weave, *size, self.centres)) for size in sizes]
+
+    @property
+    def is_larger(self) -> bool:
+        """Whether more than the planar primitive cell is asked for."""
+        return self.cells != (1, 1) or self.centres == "space"
+
+    @property
+    def bound_note(self) -> str:
+        """Why the work found in this cell is no bound for the mesh, "" where it is, as far as is known."""
+        limit = self.weave.planar_ratio
+        if self.r1 / self.r2 <= limit or (self.centres == "space" and self.cells[0] > 1):
+            return ""
+        return (
+            f"{self.weave.name} with r1/r2 above {limit:g} does more work under some loads where its rings leave the "
+            "plane: these strains are no bound; --cells 2x2 --centres space finds those states"
+        )
 
     @property
     def wire(self) -> float:

@@ -3,7 +3,8 @@
 Internally lengths are in units of r1, so results are free of units. The generalised velocity of a cell with K classes
 is (a1 (2), a2 (2), c_1 .. c_{K-1} (2 each), omega_0 .. omega_{K-1} (3 each)): 12 numbers for K = 2. The reduced one is
 (x2, y3, t = tan gamma; centres; two tilts per ring): 9 numbers for K = 2. The rotation rule (5) has removed one, and
-the spin of a torus about its own axis is no coordinate at all.
+the spin of a torus about its own axis is no coordinate at all. Centres have two components, or three where the weave
+leaves them free across the plane.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from rve.geometry.weave import Weave
 
 @dataclass(frozen=True)
 class Pose(Rows):
-    """Positions of n cells in units of r1: lattice (n, 3) = x2, y3, t; centres (n, K, 2); normals (n, K, 3)."""
+    """Positions of n cells in units of r1: lattice (n, 3) = x2, y3, t; centres (n, K, 2 or 3); normals (n, K, 3)."""
 
     lattice: Array
     centres: Array
@@ -52,8 +53,9 @@ def moved(pose: Pose, v: Array) -> Pose:
     """The pose after the reduced displacement v (n, m): centres add, normals turn by the exponential map."""
     n, k = pose.normals.shape[:2]
     centres = pose.centres.copy()
-    centres[:, 1:] += v[:, 3 : 2 * k + 1].reshape(n, k - 1, 2)
-    tilt = v[:, 2 * k + 1 :].reshape(n, k, 2)
+    tilts = v.shape[1] - 2 * k
+    centres[:, 1:] += v[:, 3:tilts].reshape(centres[:, 1:].shape)
+    tilt = v[:, tilts:].reshape(n, k, 2)
     e1, e2 = tangent_frame(pose.normals)
     omega = tilt[..., :1] * e1 + tilt[..., 1:] * e2
     angle = np.sqrt(dot(omega, omega))[..., None]
@@ -67,9 +69,24 @@ def mirrored(pose: Pose) -> Pose:
 
     Ring (1, 0, 0) comes to lie at the place of ring (1, -1, 0), and its name with it.
     """
-    turned = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres * [-1.0, 1.0], pose.normals * [-1.0, 1.0, 1.0])
-    turned.centres[:, 1:] += turned.a1[:, None]
+    image = np.array([-1.0, 1.0, 1.0])
+    dims = pose.centres.shape[2]
+    turned = Pose(pose.lattice * [1.0, 1.0, -1.0], pose.centres * image[:dims], pose.normals * image)
+    turned.centres[:, 1:, :2] += turned.a1[:, None]
     return turned
+
+
+def tiled(pose: Pose, weave: Weave) -> Pose:
+    """The poses of a cell, of one row of it, or of its primitive cell as poses of `weave`, which has all its cells."""
+    times = weave.classes // pose.centres.shape[1]
+    ny = min(times, weave.repeat[1])
+    cells = [(ix, iy) for iy in range(ny) for ix in range(times // ny)]
+    places = [pose.centres[..., :2] + (ix * pose.a1 + iy * pose.a2)[:, None] for ix, iy in cells]
+    centres = np.zeros((len(pose.lattice), *weave.start_centres.shape))
+    centres[..., :2] = np.concatenate(places, axis=1)
+    if pose.centres.shape[2] == 3:
+        centres[..., 2] = np.tile(pose.centres[..., 2], len(cells))
+    return Pose(pose.lattice * [times // ny, ny, 1.0], centres, np.tile(pose.normals, (1, len(cells), 1)))
 
 
 def deformation(pose: Pose, sides: tuple[float, float]) -> Array:
@@ -85,44 +102,46 @@ def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
 def reduction(pose: Pose) -> Array:
     """Matrix T (n, m_full, m) from reduced to generalised velocities."""
     n, k = pose.normals.shape[:2]
-    full, reduced = 4 + 2 * (k - 1) + 3 * k, 3 + 2 * (k - 1) + 2 * k
-    T = np.zeros((n, full, reduced))
+    places = pose.centres[0, 1:].size
+    T = np.zeros((n, 4 + places + 3 * k, 3 + places + 2 * k))
     x2, y3, t = pose.lattice.T
     T[:, 0, 0], T[:, 1, 0], T[:, 1, 2] = 1.0, t, x2
     T[:, 3, 1], T[:, 2, 1], T[:, 2, 2] = 1.0, t, y3
-    for i in range(2 * (k - 1)):
+    for i in range(places):
         T[:, 4 + i, 3 + i] = 1.0
     e1, e2 = tangent_frame(pose.normals)
     for i in range(k):
-        rows = slice(2 + 2 * k + 3 * i, 5 + 2 * k + 3 * i)
-        T[:, rows, 1 + 2 * k + 2 * i] = e1[:, i]
-        T[:, rows, 2 + 2 * k + 2 * i] = e2[:, i]
+        rows = slice(4 + places + 3 * i, 7 + places + 3 * i)
+        T[:, rows, 3 + places + 2 * i] = e1[:, i]
+        T[:, rows, 4 + places + 2 * i] = e2[:, i]
     return T
 
 
 def pair_maps(weave: Weave) -> Array:
     """Matrices L (p, 9, m_full) from generalised velocities to (d, theta_a, theta_b) of each pair of rings."""
-    k = weave.classes
-    L = np.zeros((len(weave.pairs), 9, 4 + 2 * (k - 1) + 3 * k))
+    k, dims = weave.start_centres.shape
+    turns = 4 + dims * (k - 1)
+    L = np.zeros((len(weave.pairs), 9, turns + 3 * k))
     for p, (a, b, i, j) in enumerate(weave.pairs):
         for x in range(2):
             L[p, x, x], L[p, x, 2 + x] = i, j
+        for x in range(dims):
             if a > 0:
-                L[p, x, 2 + 2 * a + x] -= 1.0
+                L[p, x, 4 + dims * (a - 1) + x] -= 1.0
             if b > 0:
-                L[p, x, 2 + 2 * b + x] += 1.0
+                L[p, x, 4 + dims * (b - 1) + x] += 1.0
         for x in range(3):
-            L[p, 3 + x, 2 + 2 * k + 3 * a + x] = 1.0
-            L[p, 6 + x, 2 + 2 * k + 3 * b + x] = 1.0
+            L[p, 3 + x, turns + 3 * a + x] = 1.0
+            L[p, 6 + x, turns + 3 * b + x] = 1.0
     return L
 
 
 def pair_geometry(pose: Pose, weave: Weave) -> tuple[Array, Array, Array]:
     """Offset d and the two normals of every pair, each (n, p, 3)."""
     a, b, i, j = weave.pairs.T
-    offset = pose.centres[:, b] - pose.centres[:, a]
-    offset = offset + i[:, None] * pose.a1[:, None] + j[:, None] * pose.a2[:, None]
-    d = np.concatenate([offset, np.zeros((*offset.shape[:2], 1))], axis=2)
+    d = np.zeros((len(pose.lattice), len(weave.pairs), 3))
+    d[..., : pose.centres.shape[2]] = pose.centres[:, b] - pose.centres[:, a]
+    d[..., :2] += i[:, None] * pose.a1[:, None] + j[:, None] * pose.a2[:, None]
     return d, pose.normals[:, a], pose.normals[:, b]
 
 

@@ -23,7 +23,9 @@ class Weave:
     residual (the ten rings of the paper for 4-in-1). The slack start pose, in units of r1: start_lattice (3,) = x2, y3,
     tan gamma; start_centres (K, 2); start_normals (K, 3). is_mirrored: start pose and pairs are their own mirror image
     in x, so that (alpha, beta) and (-alpha, beta) are one load and the reference cell is a rectangle.
-    jamming_ratio: r1/r2 below which no slack pose exists. repeat: primitive cells along a1 and a2.
+    jamming_ratio: r1/r2 below which no slack pose exists. planar_ratio: r1/r2 up to which no larger cell was found to
+    do more work than the planar primitive cell (docs/theory.md, 4). repeat: primitive cells along a1 and a2. Start
+    centres (K, 3) leave the centres of the rings free across the plane as well (`centres` is then "space").
     """
 
     name: str
@@ -35,10 +37,11 @@ class Weave:
     start_normals: Array
     is_mirrored: bool
     jamming_ratio: float
+    planar_ratio: float = np.inf
     repeat: tuple[int, int] = (1, 1)
 
     def __repr__(self) -> str:
-        return f"<Weave {self.name}, repeat {self.repeat}>"
+        return f"<Weave {self.name}, repeat {self.repeat}, centres in the {self.centres}>"
 
     @property
     def classes(self) -> int:
@@ -49,6 +52,21 @@ class Weave:
     def has_images(self) -> bool:
         """Whether a mirror shows the poses of this weave as its poses (`rve.geometry.pose.mirrored`)."""
         return self.is_mirrored and self.classes == 2
+
+    @property
+    def coordinates(self) -> int:
+        """Reduced coordinates of a pose: lattice, centres of all rings but the first, two tilts per ring."""
+        return 3 + self.start_centres[1:].size + 2 * self.classes
+
+    @property
+    def is_larger(self) -> bool:
+        """Whether this is more than the planar primitive cell."""
+        return self.repeat != (1, 1) or self.centres == "space"
+
+    @property
+    def centres(self) -> str:
+        """Where the centres of the rings may be, "plane" or "space"."""
+        return "space" if self.start_centres.shape[1] == 3 else "plane"
 
 
 def _two_rows(
@@ -75,6 +93,7 @@ FOUR_IN_ONE = Weave(
     np.array([[0.0, np.sin(_TILT), np.cos(_TILT)], [0.0, -np.sin(_TILT), np.cos(_TILT)]]),
     True,
     3.980926980,
+    12.0,
 )
 
 # Each ring links three rings of the row above and three of the row below, so the rings of a row overlap like shingles
@@ -87,13 +106,14 @@ SIX_IN_ONE = Weave(
     np.array([[-0.41265208, 0.58663338, 0.69683536], [0.41265208, -0.58663338, 0.69683536]]),
     False,
     5.943203815,
+    12.0,
 )
 
 WEAVES = {w.name: w for w in (FOUR_IN_ONE, SIX_IN_ONE)}
 
 
-def supercell(weave: Weave, nx: int, ny: int) -> Weave:
-    """The same weave with nx x ny independent primitive cells in one lattice cell.
+def supercell(weave: Weave, nx: int, ny: int, centres: str = "plane") -> Weave:
+    """The same weave with nx x ny independent primitive cells in one lattice cell, centres in the plane or in space.
 
     Ring (class k, cell ix, iy) gets the class k + K (ix + nx iy).
     """
@@ -111,16 +131,17 @@ def supercell(weave: Weave, nx: int, ny: int) -> Weave:
     ]
     x2, y3, t = weave.start_lattice
     a1, a2 = np.array([x2, t * x2]), np.array([t * y3, y3])
-    centres = [centre + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres]
+    places = np.array([centre[:2] + ix * a1 + iy * a2 for ix, iy in cells for centre in weave.start_centres])
     return Weave(
-        f"{weave.name} {nx} x {ny}",
+        weave.name,
         np.array(pairs),
         np.repeat(weave.linked, len(cells)),
         np.array([(k, i, j) for k in range(count * nx * ny) for i in range(2) for j in range(2)]),
         np.array([nx * x2, ny * y3, t]),
-        np.array(centres),
+        np.pad(places, ((0, 0), (0, 1 if centres == "space" else 0))),
         np.tile(weave.start_normals, (len(cells), 1)),
         weave.is_mirrored,
         weave.jamming_ratio,
+        weave.planar_ratio,
         (nx * weave.repeat[0], ny * weave.repeat[1]),
     )
