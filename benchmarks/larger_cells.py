@@ -1,7 +1,7 @@
 """Where a larger cell with centres in space does more work than the planar primitive cell: a map over r1/r2.
 
-`python -m benchmarks.larger_cells` prints the map of docs/reports/evidence.md. Loads are spread over the disc of dead loads
-of unit trace, every third on its rim, where they are of rank one.
+`python -m benchmarks.larger_cells` prints the map of docs/reports/evidence.md. Loads are spread over the disc
+of dead loads of unit trace, every third on its rim, where they are of rank one.
 """
 
 from __future__ import annotations
