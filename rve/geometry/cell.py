@@ -20,8 +20,8 @@ class Cell:
     """The mesh: radii in mm, weave, grain ("y" or "x": the interlacing direction), density in kg/mm3, material.
 
     `material` and `weave` may be names. cells: primitive cells along the weave's a1 and a2 whose rings move
-    independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and `rve.support` look for the
-    largest work there. All else is of the primitive cell with centres in the plane.
+    independently, and centres: "plane" or "space", where the centres of rings may be; `rve.solve_table` and
+    `rve.support` look for the largest work there. All else is of the primitive cell with centres in the plane.
     `density` follows the material, or the material follows a density other than that of steel. Raises InputError for
     radii that are not positive numbers, for wire too thick for the weave, and for two different densities.
 
