@@ -13,7 +13,7 @@ import numpy as np
 import skfem
 
 from homogenize import MembraneLaw
-from macro_fem.fem.discretization import Discretization
+from macro_fem.fem.discretization import Discretization, reference_shapes
 from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
@@ -43,13 +43,6 @@ def at_corners(disc: Discretization) -> Discretization:
 
     Not for loads, whose shape functions are quadratic.
     """
-    element = skfem.ElementTriP2()
-    local = [element.lbasis(CORNERS, i) for i in range(6)]
-    ones = np.ones(3)
-    gradients = np.stack([np.asarray(gradient) * np.ones_like(CORNERS) for _, gradient in local], axis=-1)
-    return replace(
-        disc,
-        shape_values=np.stack([value * ones for value, _ in local], axis=-1),
-        shape_gradients=gradients.transpose(1, 0, 2).copy(),
-        weight=np.tile(disc.cell_area / 3.0, 3),
-    )
+    values, gradients = reference_shapes(skfem.ElementTriP2(), CORNERS, 6)
+    weight = np.tile(disc.cell_area / 3.0, 3)
+    return replace(disc, shape_values=values, shape_gradients=gradients, weight=weight)

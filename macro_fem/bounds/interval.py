@@ -20,9 +20,7 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.bounds.dual_problem import BOUND, BoundOptions, _at_dual_nodes, dual_problem
-from macro_fem.bounds.equilibrated import (
-    DualProblem,
-)
+from macro_fem.bounds.equilibrated import DualProblem
 from macro_fem.drag import with_wind
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.hung_law import largest_stretch

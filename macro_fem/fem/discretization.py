@@ -163,8 +163,7 @@ class Discretization:
 
     def shapes_at(self, X: Array) -> Array:
         """Shape functions (n, n_local) at the places X (2, n) of the reference element."""
-        element, ones = _ELEMENTS[self.element][1](), np.ones(X.shape[1])
-        return np.stack([element.lbasis(X, a)[0] * ones for a in range(self.cell_dofs.shape[1])], axis=-1)
+        return reference_shapes(_ELEMENTS[self.element][1](), X, self.cell_dofs.shape[1])[0]
 
     def _points_of(self, shape: Array) -> Points:
         """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""
@@ -205,6 +204,14 @@ def _bernstein(X: Array, is_triangle: bool) -> Array:
     return np.asarray((along[:, :, None] * up[:, None, :]).reshape(len(x), 9))
 
 
+def reference_shapes(element: Any, X: Array, n_local: int) -> tuple[Array, Array]:
+    """Shape functions (n, n_local) of a scikit-fem element and their gradients (n, 2, n_local) at places X (2, n)."""
+    local = [element.lbasis(X, a) for a in range(n_local)]
+    values = np.stack([value * np.ones(X.shape[1]) for value, _ in local], axis=-1)
+    gradients = np.stack([np.asarray(gradient) * np.ones_like(X) for _, gradient in local], axis=-1)
+    return values, gradients.transpose(1, 0, 2).copy()
+
+
 def discretize(mesh: Any, element: str, order: int | None = None) -> Discretization:
     """The arrays of a scikit-fem mesh (`MeshTri`, `MeshQuad`) with an element of `ELEMENTS`.
 
@@ -220,12 +227,9 @@ def discretize(mesh: Any, element: str, order: int | None = None) -> Discretizat
     # scikit-fem starts at three points on a triangle; a constant gradient needs one.
     rule = (np.full((2, 1), 1 / 3), np.array([0.5])) if degree <= 1 and mesh_type is skfem.MeshTri1 else None
     basis = skfem.CellBasis(mesh, element_type(), intorder=degree, quadrature=rule)
-    X = basis.X
-    n_local = basis.element_dofs.shape[0]
-    local = [element_type().lbasis(X, a) for a in range(n_local)]
-    ones = np.ones(X.shape[1])
+    shape_values, shape_gradients = reference_shapes(element_type(), basis.X, basis.element_dofs.shape[0])
     # A transposed copy, because the cell is the fast axis of every product below.
-    inverse = np.ascontiguousarray(np.moveaxis(basis.mapping.invDF(X), -1, 2))
+    inverse = np.ascontiguousarray(np.moveaxis(basis.mapping.invDF(basis.X), -1, 2))
     weight = np.ascontiguousarray(basis.dx.T).ravel()
     if not (np.all(np.isfinite(weight)) and np.all(weight > 0.0)):
         bad = int(np.flatnonzero(~(weight > 0.0))[0]) % mesh.nelements
@@ -236,10 +240,8 @@ def discretize(mesh: Any, element: str, order: int | None = None) -> Discretizat
         element=element,
         nodes=np.ascontiguousarray(basis.doflocs.T),
         cell_dofs=np.ascontiguousarray(basis.element_dofs.T.astype(np.int64)),
-        shape_values=np.stack([value * ones for value, _ in local], axis=-1),
-        shape_gradients=np.stack([np.asarray(g) * np.ones_like(X) for _, g in local], axis=-1)
-        .transpose(1, 0, 2)
-        .copy(),
+        shape_values=shape_values,
+        shape_gradients=shape_gradients,
         inverse_jacobian=inverse,
         weight=weight,
     )

@@ -56,17 +56,12 @@ Tangents = Callable[[Array], Walls | None]
 """Half-spaces of obstacles and bodies that touch them where they are closest to nodes at x (n, d)."""
 
 
-@dataclass(frozen=True, eq=False)
-class StepOptions:
-    """rounds: how often tangent half-spaces are found anew; settled: reactions that may still turn, over all forces."""
-
-    rounds: int = 8
-    settled: float = 1e-4
-    first_gap: float = 1.0
-
-
-STEP = StepOptions()
-"""The defaults."""
+ROUNDS = 8
+"""How often tangent half-spaces are found anew."""
+SETTLED = 1e-4
+"""Reactions that may still turn, over all forces."""
+FIRST_GAP = 1.0
+"""Gap of the first state of a step in energy scales."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +89,11 @@ def solve_step(
     x: Array,
     cones: Cones | None,
     tangents: Tangents | None = None,
-    options: StepOptions = STEP,
 ) -> Stepped:
     """The end of a step from positions x (n, d), by the half-spaces `cones` of the step before."""
     fem, inertia = moving.fem, inertia_of(moving, change, forces)
     load = fem.gather(forces.dead + forces.live)
-    path = PathOptions(gap=moving.gap, violation=1e-9, cones=cones, drawn=False, first_gap=options.first_gap)
+    path = PathOptions(gap=moving.gap, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
     place, walls = x, None if tangents is None else tangents(x)
     rounds = 0
     while True:
@@ -113,7 +107,7 @@ def solve_step(
         assert anew is not None
         turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))
         turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
-        if turned < options.settled or rounds == options.rounds:
+        if turned < SETTLED or rounds == ROUNDS:
             return Stepped(place, result, walls, rounds, turned)
         walls, path = anew, replace(path, cones=result.cones)
 

@@ -12,7 +12,6 @@ amount, towards a state inside the law.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import (
     ConeState,
-    Fem,
     Iteration,
     Measure,
     Program,
@@ -93,7 +91,7 @@ class _Place:
 
 
 def solve_path(
-    fem: Fem,
+    fem: SupportedFem,
     law: MembraneLaw,
     load: Array,
     start: Array,
@@ -107,7 +105,6 @@ def solve_path(
     is well inside the law keeps the path inside and makes the primal value a bound.
     """
     loads, inertia = load_scale(load, fem.weight), terms.inertia
-    supported = cast(SupportedFem, fem)
     program = Program(
         fem=fem,
         law=law,
@@ -116,7 +113,7 @@ def solve_path(
         R=compliance_root(terms.compliance),
         scale=loads * size + inertia.energy_scale,
         total=loads + inertia.force_scale,
-        rows=NO_ROWS if terms.walls is None else rows_of(supported, terms.walls, size),
+        rows=NO_ROWS if terms.walls is None else rows_of(fem, terms.walls, size),
         inertia=inertia,
     )
     first = _measure(program, find_first_state(program, start, options.first_gap))
@@ -124,7 +121,7 @@ def solve_path(
     found = _make_result(place.under(load), stop, inner, history, options)
     if terms.walls is None:
         return found
-    return replace(found, wall_forces=all_forces(terms.walls, supported, program.rows, place.state.u))
+    return replace(found, wall_forces=all_forces(terms.walls, fem, program.rows, place.state.u))
 
 
 def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, list[Iteration]]:

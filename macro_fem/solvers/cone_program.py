@@ -29,14 +29,13 @@ A step of motion adds (x - x_hat).W (x - x_hat) / 2 over the nodes to what is mi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from homogenize import MembraneLaw
+from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
 from macro_fem.solvers.inertia import NO_INERTIA, Inertia
@@ -48,31 +47,6 @@ from rve.common.types import Array
 
 REACH = 4.0
 """No point of an admissible state is farther than this many sizes from its place in another one: twice the stretch."""
-
-
-class Fem(Protocol):
-    """What the solver needs of a discretised curtain: linear maps between free unknowns and deformation gradients."""
-
-    @property
-    def weight(self) -> Array:
-        """Reference area of each point (nq,), mm2."""
-        ...
-
-    def gradient(self, z: Array) -> Array:
-        """F (nq, d, 2) of the free unknowns z (n,), supports included."""
-        ...
-
-    def gradient_change(self, dz: Array) -> Array:
-        """B dz (nq, d, 2)."""
-        ...
-
-    def force(self, P: Array) -> Array:
-        """B^T (w P) (n,), the nodal forces of a stress P (nq, d, 2) in N/mm."""
-        ...
-
-    def factorize(self, tangent: Array, added: Array | None = None) -> Callable[[Array], Array]:
-        """A solver of (B^T (w A) B + M) x = b for tangents A (nq, d, 2, d, 2) in N/mm; M is given by its entries."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -110,7 +84,7 @@ class Program:
     each cone; `rows` are half-spaces on nodes. Arrays over the cones keep every component contiguous.
     """
 
-    fem: Fem
+    fem: SupportedFem
     law: MembraneLaw
     load: Array
     cones: Cones

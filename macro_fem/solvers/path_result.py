@@ -8,15 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from homogenize import MembraneLaw
-from macro_fem.solvers.cone_program import (
-    Fem,
-    Iteration,
-)
+from macro_fem.fem.supported import SupportedFem
+from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, first_cones
 from macro_fem.solvers.inertia import NO_INERTIA, Inertia
-from macro_fem.solvers.options import (
-    PATH,
-)
+from macro_fem.solvers.options import PATH
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged
 from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
@@ -91,7 +87,7 @@ class PathResult(Judged):
         return self.status == "converged"
 
 
-def unsolved(fem: Fem, law: MembraneLaw, z: Array, stop: str = "infeasible") -> PathResult:
+def unsolved(fem: SupportedFem, law: MembraneLaw, z: Array, stop: str = "infeasible") -> PathResult:
     """What stands for an answer where supports or obstacles leave none: unknowns z without stress."""
     cones = first_cones(law, len(fem.weight))
     P = 0.0 * fem.gradient(z)
