@@ -6,7 +6,7 @@ from dataclasses import asdict
 import pytest
 from click.testing import CliRunner
 
-from rve import MATERIALS, Cell, Material, named_material, read_table
+from rve import MATERIALS, WEAVES, Cell, Material, named_material, read_table
 from rve.cli import main
 from rve.common.errors import InputError
 from rve.common.materials import material_of, read_material
@@ -54,6 +54,12 @@ def test_a_cell_has_one_density():
     assert Cell(density=8e-6).material == Material(density_kg_per_mm3=8e-6)
     with pytest.raises(InputError, match="give one of the two"):
         Cell(density=8e-6, material=named_material("titanium grade 2"))
+
+
+def test_a_cell_takes_its_weave_by_name():
+    assert Cell(r1=8.0, r2=1.0, weave="6-in-1") == Cell(r1=8.0, r2=1.0, weave=WEAVES["6-in-1"])
+    with pytest.raises(InputError, match="is not one of 4-in-1, 6-in-1"):
+        Cell(weave="5-in-1")
 
 
 def test_columns_and_material_from_the_command_line_to_the_file(tmp_path):
