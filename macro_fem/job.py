@@ -91,14 +91,15 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
 
 
 def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
-    """`solve` with every ring as a rigid body, from the slack weave or guided by the membrane of the law."""
+    """`solve` with every ring as a rigid body, from the start that is asked for."""
     rings = ring_scene(scene, who.rings)
     disk = None
     if who.start == "disk":
         if isinstance(who.rings, Cell):
             raise InputError('start = "disk": needs the law that guides the rings: EveryRing(law, start="disk")')
         disk = solve_membrane(scene, who.rings).solution
-    return EveryRingSolution(rings, rings.solve(space=who.space, disk=disk), who.start)
+    found = rings.solve(space=who.space, disk=disk, by_motion=who.start == "motion")
+    return EveryRingSolution(rings, found, who.start)
 
 
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
@@ -189,13 +190,15 @@ def run_rings(
 
 
 def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True, start: str = "slack") -> Comparison:
-    """The membrane on the mesh of the scene, and its rings from a start "slack" or "disk", see `EveryRing`.
+    """The membrane on the mesh of the scene, and its rings from a start "slack", "disk" or "motion", see `EveryRing`.
 
     InputError for scenes that one of both cannot be.
     """
     rings = ring_scene(scene, law)
     disk = solve_membrane(scene, default_law() if law is None else law).solution
-    return Comparison(disk, rings, rings.solve(space=space, disk=disk if start == "disk" else None))
+    return Comparison(
+        disk, rings, rings.solve(space=space, disk=disk if start == "disk" else None, by_motion=start == "motion")
+    )
 
 
 def _solved(problem: CurtainProblem, start: CurtainSolution | None) -> CurtainSolution:

@@ -127,7 +127,7 @@ def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
         raise InputError(f"{scene.source}: [motion] start = 'hung': nothing holds the curtain, use 'reference'")
     if who.start == "disk":
         raise InputError(f"{scene.source}: --start disk: is for rings at rest; a motion starts from the slack weave")
-    found = asked.solve(space=who.space)
+    found = asked.solve(space=who.space, by_motion=who.start == "motion")
     if found.status != "converged":
         raise NotConverged(f"{scene.source}: the rings at rest at t = 0 are {found.status}: {found.message}")
     return found

@@ -64,12 +64,18 @@ class RingScene:
     info: CellInfo | None = None
 
     def solve(
-        self, *, space: bool, disk: CurtainSolution | None = None, options: FiniteOptions | None = None
+        self,
+        *,
+        space: bool,
+        disk: CurtainSolution | None = None,
+        by_motion: bool = False,
+        options: FiniteOptions | None = None,
     ) -> FiniteSolution:
         """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be, or where
         walls push them along a direction in which nothing holds them.
 
-        Where the membrane `disk` of the scene is given it guides the rings while folds form.
+        Where the membrane `disk` of the scene is given it guides the rings while folds form; by_motion: see
+        `FiniteMesh.solve`.
         """
         if self.scene.in_space and not space:
             raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
@@ -84,6 +90,7 @@ class RingScene:
                 space=space,
                 walls=self.walls,
                 guide=guide,
+                by_motion=by_motion,
                 options=options,
             )
         except InputError as error:

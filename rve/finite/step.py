@@ -35,6 +35,8 @@ STEP = FiniteOptions(tolerance=1e-10, first=1e-8, last=1e-8, retries=0, max_iter
 OTHER_MU = (1e-9, 1e-7, 1e-6)
 """Tried in this order. Where a minimum of a distance is about to split in two, which halves the force of each and so
 doubles its gap, there may be no equilibrium at one mu: neither with two minima nor with one."""
+REST_MU, REST_RETRIES, REST_ITERATIONS = 1e-3, 8, 300
+"""First mu, lifts of mu and iterations with which the equilibrium near a motion is found, or the motion goes on."""
 _STILL = 1e-9
 """Residuals of a step without any force are measured by the force that moves all rings by this part of r1."""
 
@@ -74,6 +76,11 @@ def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpa
     problem = Problem(mesh, none, np.zeros((n, 3), dtype=bool), none, space, tuple(walls))
     centre, normal = mesh.slack()
     centre[:, :2] += (mesh.X - centre[:, :2]).mean(axis=0)
+    return rings_at(problem, centre, normal)
+
+
+def rings_at(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
+    """Rings with these centres (n, 3) in mm and normals (n, 3), without forces."""
     task, unit = problem.task(1.0)
     placed = _placed(problem, centre, normal)
     touching = find_touching(placed, task.linked, task.wire, STEP.reach)
@@ -91,6 +98,7 @@ def step_rings(
     *,
     walls: Sequence[HalfSpace] = (),
     options: FiniteOptions = STEP,
+    other_mu: Sequence[float] = OTHER_MU,
 ) -> RingStep:
     """The rings after a time step from `start`, under forces (n, 3) in N, coordinates held as in `FiniteMesh.solve`.
 
@@ -108,7 +116,7 @@ def step_rings(
     task = replace(task, inertia=_inertia(mesh.cell, weight, aim, unit, len(walls)), beside=False)
     placed = _placed(replace(problem, walls=start.walls), start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, options.reach)
-    for mu in (options.last, *OTHER_MU):
+    for mu in (options.last, *other_mu):
         options = replace(options, first=mu, last=mu)
         found = solve_near(task, placed, touching, _forces(start, touching, unit, options), options)
         if found.status == "converged":
@@ -124,6 +132,17 @@ def step_rings(
     drawn = weight * (rings.normal * (radius * rings.normal - aim[n:])).sum(axis=1)
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
     return RingStep(rings, np.concatenate([pushes[:, :3], axes]), unit * r1 * float(found.force @ closed))
+
+
+def near_equilibrium(problem: Problem, rings: FiniteSolution, options: FiniteOptions) -> FiniteSolution:
+    """The equilibrium near rings whose contacts have forces, with its status."""
+    began = time.perf_counter()
+    task, unit = problem.task()
+    placed = _placed(problem, rings.centre, rings.normal)
+    touching = find_touching(placed, task.linked, task.wire, options.reach)
+    own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
+    found = solve_near(task, placed, touching, _forces(rings, touching, unit, own), own)
+    return as_solution(problem, task, found, unit, time.perf_counter() - began)
 
 
 def _placed(problem: Problem, centre: Array, normal: Array) -> Placed:

@@ -10,7 +10,7 @@ import macro_fem
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.rings.ring_scene import ring_scene
-from rve import Cell, InputError
+from rve import Cell, FiniteOptions, InputError
 
 B_X, B_Y = 11.0, 12.646069623526
 
@@ -258,3 +258,27 @@ def test_the_rings_of_a_cell_are_those_of_the_law_of_its_table():
     one, other = ring_scene(scene, Cell()), ring_scene(scene)
     np.testing.assert_allclose(one.mesh.X, other.mesh.X, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(one.force, other.force, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_damped_motion_comes_to_rest_where_the_path_of_equilibria_stops():
+    """A curtain drawn together to a tenth folds many times over: the path stops at its limit, the motion does not."""
+    rings = ring_scene(scene(4, 3, support={"kind": "corners", "gather": 0.1}))
+    limit = FiniteOptions(max_iterations=300)
+    stopped = rings.solve(space=True, options=limit)
+    assert stopped.status == "iterations"
+    found = rings.solve(space=True, by_motion=True, options=limit)
+    assert found.status == "converged"
+    assert found.potential <= stopped.potential + 1e-6 * abs(stopped.potential)
+    assert found.contacts.links_intact
+    assert found.contacts.min_gap_mm > -1e-9
+
+
+def test_a_motion_ends_where_the_path_does_with_its_floor():
+    """A small sheet hung by its corners over a floor that carries a part of it."""
+    over = scene(2, 2, obstacle=[{"kind": "floor", "height": 4.0}])
+    path, motion = (macro_fem.solve(over, macro_fem.EveryRing(start=start)) for start in ("slack", "motion"))
+    assert {path.status, motion.status} == {"converged"}
+    assert motion.summary["potential_N_mm"] == pytest.approx(path.summary["potential_N_mm"], rel=0.02)
+    assert motion.summary["obstacles"][0]["reaction_N"][1] > 0.0
+    assert motion.summary["start"] == "motion"
