@@ -45,8 +45,8 @@ def measure(full: bool, store: Path = KEPT) -> Section:
         ]
     text = (
         f"The sheet `corners` of the first section, in steps of {1e3 * STEP:g} ms (BDF2, Euler's where rings lock); "
-        f"the right corner lets go at t = 0. Rings in space; the disk has {CELLS} columns of finite elements. Mean heights "
-        "over the height of the sheet. `allowed`: the difference at rest and "
+        f"the right corner lets go at t = 0. Rings in space; the disk has {CELLS} columns of finite elements. Mean "
+        "heights over the height of the sheet. `allowed`: the difference at rest and "
         f"{100.0 * TRAVEL:g} % of how far the disk has fallen."
     )
     forms = {"t, s": ".3f"} | dict.fromkeys(("fallen, %", "rings less disk, %", "allowed, %"), ".2f")

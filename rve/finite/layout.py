@@ -128,10 +128,9 @@ class FiniteMesh:
         In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
         from the slack weave; held rings and half-spaces that cut it travel to their places. guide (n, 3): places in mm
         that pull at the centres in the beginning and no more at the end, nan where none does. by_motion: whether the
-        rings move to rest, damped, which passes folds at which the path of equilibria stops, and takes longer. A local
-        minimum of the potential is found, which need not be the lowest; guide and motion have a part in which it is. An
-        answer that has not converged is returned with its status. InputError for other shapes, no load, and pieces that
-        nothing holds.
+        rings move to rest, damped, before the equilibrium near them is looked for. A local minimum of the potential is
+        found, which need not be the lowest; guide and motion have a part in which it is. An answer that has not
+        converged is returned with its status. InputError for other shapes, no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])

@@ -1,8 +1,8 @@
 """Rest by motion: the rings move, heavily damped, until the equilibrium near them is found.
 
 Steps are Euler's. Where the kinetic energy falls, the rings have passed an equilibrium and are stopped: dynamic
-relaxation with kinetic damping. A motion passes folds at which the path of `solver` stops, since inertia makes the
-matrix of a step positive definite where that of the rings at rest is not.
+relaxation with kinetic damping. Inertia makes the matrix of a step positive definite where that of the rings at rest
+is not.
 """
 
 from __future__ import annotations
