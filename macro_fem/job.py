@@ -32,7 +32,7 @@ from macro_fem.scene.checks import check_scene, check_sizes, check_solver
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
-from rve import Cell
+from rve import Cell, FiniteOptions
 from rve.common.errors import InputError, noted_if_stopped
 from rve.common.files import check_out_job
 from rve.common.progress import part_of
@@ -98,7 +98,7 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
         if isinstance(who.rings, Cell):
             raise InputError('start = "disk": needs the law that guides the rings: EveryRing(law, start="disk")')
         disk = solve_membrane(scene, who.rings).solution
-    found = rings.solve(space=who.space, disk=disk, by_motion=who.start == "motion")
+    found = rings.solve(space=who.space, disk=disk, options=FiniteOptions(by_motion=who.start == "motion"))
     return EveryRingSolution(rings, found, who.start)
 
 
@@ -196,9 +196,9 @@ def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True,
     """
     rings = ring_scene(scene, law)
     disk = solve_membrane(scene, default_law() if law is None else law).solution
-    return Comparison(
-        disk, rings, rings.solve(space=space, disk=disk if start == "disk" else None, by_motion=start == "motion")
-    )
+    guide = disk if start == "disk" else None
+    found = rings.solve(space=space, disk=guide, options=FiniteOptions(by_motion=start == "motion"))
+    return Comparison(disk, rings, found)
 
 
 def _solved(problem: CurtainProblem, start: CurtainSolution | None) -> CurtainSolution:

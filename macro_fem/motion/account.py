@@ -68,14 +68,14 @@ def support_forces(moving: Moving, change: Difference, forces: Forces, end: Step
 class Worked:
     """The forces of supports and of contacts, `pushes` (n, d), in N, and what a step has done, N mm.
 
-    inner, sum of w P+:(F+ - F_n); stored, the change of Psi; moved, pushes times the moves of obstacles along them;
-    touched, pushes times the gaps at x_n.
+    inner, sum of w P+:(F+ - F_n); stored, the change of Psi of an elastic law, None of a rigid one; moved, pushes times
+    the moves of obstacles along them; touched, pushes times the gaps at x_n.
     """
 
     supports: Array
     pushes: Array
     inner: float = 0.0
-    stored: float = 0.0
+    stored: float | None = None
     moved: float = 0.0
     touched: float = 0.0
 
@@ -88,10 +88,8 @@ def next_account(
     forces: Forces,
     x: Array,
     worked: Worked,
-    *,
-    gives: bool = False,
 ) -> Account:
-    """The account after a step of masses (n,) from `now` to positions x (n, d); `gives`: whether the law is elastic."""
+    """The account after a step of masses (n,) from `now` to positions x (n, d)."""
     dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)
     live = forces.live if forces.drag is None else forces.live - (forces.drag @ v[:, :, None])[:, :, 0]
     kinetic = kinetic_energy(mass, v)
@@ -101,14 +99,14 @@ def next_account(
     return Account(
         kinetic=kinetic,
         potential=last.potential - float((forces.dead * dx).sum()),
-        stored=last.stored + worked.stored,
+        stored=last.stored + (worked.stored or 0.0),
         work=last.work + float(((live + worked.supports) * dx).sum()) + worked.moved,
         lost_by_scheme=last.lost_by_scheme
         + float((mass[:, None] * a * dx).sum())
         - (kinetic - kinetic_energy(mass, now.v))
         + (dashpot - damped)
         + (contact - worked.touched)
-        + (worked.inner - worked.stored if gives else 0.0),
-        lost_by_locking=last.lost_by_locking + worked.touched + (0.0 if gives else worked.inner),
+        + (0.0 if worked.stored is None else worked.inner - worked.stored),
+        lost_by_locking=last.lost_by_locking + worked.touched + (worked.inner if worked.stored is None else 0.0),
         lost_by_damping=last.lost_by_damping + damped,
     )

@@ -158,12 +158,11 @@ def _next_frame(stage: Stage, motion: Motion, frame: MotionFrame, before: Moment
             break
     F = [gradient(fem.disc, x) for x in (now.x, end.x)]
     P = end.result.P
-    stored = stored_energy(problem, F[1]) - stored_energy(problem, F[0]) if elastic else 0.0
+    stored = stored_energy(problem, F[1]) - stored_energy(problem, F[0]) if elastic else None
     inner = float((fem.weight[:, None, None] * P * (F[1] - F[0])).sum())
     held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))
     worked = Worked(held, end.pushes, inner, stored, *contacts.work(end, now.x))
-    gives = bool(moving.compliance.any())
-    account = next_account(frame.account, moving.mass, change, now, forces, end.x, worked, gives=gives)
+    account = next_account(frame.account, moving.mass, change, now, forces, end.x, worked)
     moment = Moment(now.t + h, end.x, change.velocity(end.x))
     gap = end.result.evidence.gap
     n = problem.disc.n_nodes

@@ -12,8 +12,7 @@ from macro_fem.motion.run import MotionFrame, MotionRun
 from macro_fem.motion.shown import as_solution, chosen
 from macro_fem.output import plots
 from macro_fem.output.pictures import Pictures
-from macro_fem.output.space_view import Frame as View
-from macro_fem.output.space_view import draw_curtain, line_load_scale
+from macro_fem.output.space_view import PictureFrame, draw_curtain, line_load_scale
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.plane import new_figure, save_figure
@@ -54,7 +53,7 @@ def told(run: MotionRun, frames: Sequence[MotionFrame]) -> Told:
 
 
 def _save_panels(path: Path, steps: Told) -> None:
-    view, plotter = View.of([one for _, one in steps]), new_plotter(len(steps))
+    view, plotter = PictureFrame.of([one for _, one in steps]), new_plotter(len(steps))
     for panel, (_, solution) in enumerate(steps):
         plotter.subplot(0, panel)
         draw_curtain(solution, plotter, view)
@@ -81,7 +80,7 @@ def _save_film(gif: Path, film: Path) -> None:
 
 def _drawn(steps: Told) -> Iterator[tuple[str, Plotter]]:
     """A plotter at each moment, on one scale."""
-    view, plotter = View.of([one for _, one in steps]), new_plotter()
+    view, plotter = PictureFrame.of([one for _, one in steps]), new_plotter()
     for words, solution in steps:
         yield words, draw_curtain(solution, plotter, view)
         plotter.clear_actors()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from macro_fem.output import plots
-from macro_fem.output.space_view import Frame, draw_curtain, note, title
+from macro_fem.output.space_view import PictureFrame, draw_curtain, note, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.page import check_page, write_page
@@ -100,7 +100,7 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
 
 def frames(steps: Sequence[CurtainSolution]) -> Iterator[Figure]:
     """Figures of all load steps in space with one scale of colours and one camera."""
-    frame, plotter = Frame.of(steps), new_plotter()
+    frame, plotter = PictureFrame.of(steps), new_plotter()
     for step in steps:
         draw_curtain(step, plotter, frame)
         yield compose(plotter, f"{plots.progress(step)}\n{title(step)}", note(step))

@@ -40,7 +40,7 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class PictureFrame:
     """What pictures of a series share: colours, box (2, 3) of the curtain in mm, force of the longest arrow in N, and
     y of the lowest tip of an arrow in mm."""
 
@@ -50,7 +50,7 @@ class Frame:
     lowest: float
 
     @classmethod
-    def of(cls, steps: Sequence[CurtainSolution]) -> Frame:
+    def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
         both = [forces(step) for step in steps for forces in (pulls, pushes)]
         at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
@@ -67,7 +67,7 @@ class Frame:
 
 
 def draw_curtain(
-    solution: CurtainSolution, plotter: Plotter | None = None, frame: Frame | None = None,
+    solution: CurtainSolution, plotter: Plotter | None = None, frame: PictureFrame | None = None,
     direction: tuple[float, float, float] = THREE_QUARTERS,
 ) -> Plotter:  # fmt: skip
     """Draw the curtain with all around it into the active panel of a plotter, by default a new one; the plotter.
@@ -75,7 +75,7 @@ def draw_curtain(
     frame: that of a series, by default its own; direction: that the camera looks along.
     """
     plotter = new_plotter() if plotter is None else plotter
-    frame = Frame.of([solution]) if frame is None else frame
+    frame = PictureFrame.of([solution]) if frame is None else frame
     ground, curtain = ground_level(solution, frame.room, frame.lowest), sheet(solution, frame.scale)
     add(plotter, "curtain", curtain, frame.scale)
     _add_supports(plotter, solution, frame.size)
@@ -138,7 +138,7 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
         add(plotter, name, balls(np.concatenate(places), 0.006 * size), HELD)
 
 
-def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: Frame, ground: float) -> None:
+def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, ground: float) -> None:
     """Ground, the curtain's shadow on it, and a person for the scale, or a bar before a small curtain."""
     import pyvista
 

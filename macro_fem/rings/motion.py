@@ -22,7 +22,7 @@ from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed, Wind
-from rve import FiniteSolution, ring_places, slack_rings, step_rings
+from rve import FiniteOptions, FiniteSolution, ring_places, slack_rings, step_rings
 from rve.common.errors import InputError, NotConverged
 from rve.common.types import Array
 
@@ -127,7 +127,7 @@ def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
         raise InputError(f"{scene.source}: [motion] start = 'hung': nothing holds the curtain, use 'reference'")
     if who.start == "disk":
         raise InputError(f"{scene.source}: --start disk: is for rings at rest; a motion starts from the slack weave")
-    found = asked.solve(space=who.space, by_motion=who.start == "motion")
+    found = asked.solve(space=who.space, options=FiniteOptions(by_motion=who.start == "motion"))
     if found.status != "converged":
         raise NotConverged(f"{scene.source}: the rings at rest at t = 0 are {found.status}: {found.message}")
     return found

@@ -68,14 +68,12 @@ class RingScene:
         *,
         space: bool,
         disk: CurtainSolution | None = None,
-        by_motion: bool = False,
         options: FiniteOptions | None = None,
     ) -> FiniteSolution:
         """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be, or where
         walls push them along a direction in which nothing holds them.
 
-        Where the membrane `disk` of the scene is given it guides the rings while folds form; by_motion: see
-        `FiniteMesh.solve`.
+        Where the membrane `disk` of the scene is given it guides the rings while folds form.
         """
         if self.scene.in_space and not space:
             raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
@@ -90,7 +88,6 @@ class RingScene:
                 space=space,
                 walls=self.walls,
                 guide=guide,
-                by_motion=by_motion,
                 options=options,
             )
         except InputError as error:

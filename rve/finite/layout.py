@@ -120,17 +120,15 @@ class FiniteMesh:
         space: bool = True,
         walls: Sequence[HalfSpace] = (),
         guide: Array | None = None,
-        by_motion: bool = False,
         options: FiniteOptions | None = None,
     ) -> FiniteSolution:
         """The rings under dead forces (n, 3) in N, coordinates `held` (n, 3) kept at the places `at` (n, 3) in mm.
 
         In space, or with all centres in the plane z = 0. Every ring stays out of `walls` with its whole wire. Starts
         from the slack weave; held rings and half-spaces that cut it travel to their places. guide (n, 3): places in mm
-        that pull at the centres in the beginning and no more at the end, nan where none does. by_motion: whether the
-        rings move to rest, damped, before the equilibrium near them is looked for. A local minimum of the potential is
-        found, which need not be the lowest; guide and motion have a part in which it is. An answer that has not
-        converged is returned with its status. InputError for other shapes, no load, and pieces that nothing holds.
+        that pull at the centres in the beginning and no more at the end, nan where none does. A local minimum of the
+        potential is found, which need not be the lowest; guide and motion have a part in which. An answer that has
+        not converged is returned with its status. InputError for other shapes, no load, and pieces that nothing holds.
 
         >>> mesh = FiniteMesh.rectangle(Cell(), 1, 1)
         >>> force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
@@ -139,15 +137,16 @@ class FiniteMesh:
         'converged'
         """
         from rve.finite.problem import Problem
-        from rve.finite.records import FiniteOptions
-        from rve.finite.rest import rest_by_motion
         from rve.finite.solution import solve_mesh
+        from rve.finite.step import rest_by_motion
 
         held = np.asarray(held, dtype=bool)
         at = np.asarray(at, dtype=float)
         near = None if guide is None else np.asarray(guide, dtype=float)
         problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls), near)
-        return rest_by_motion(problem, options or FiniteOptions()) if by_motion else solve_mesh(problem, options)
+        if options is not None and options.by_motion:
+            return rest_by_motion(problem, options)
+        return solve_mesh(problem, options)
 
 
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:

@@ -28,6 +28,7 @@ class FiniteOptions:
     first, last: mu at the start and at the end.
     reach: gap beyond which a contact has no force.
     disturbance, seed: size of the random numbers added to z at the start in space, so that folds may form.
+    by_motion: whether the rings move to rest, damped, before the equilibrium near them is looked for.
     """
 
     tolerance: float = 1e-8
@@ -39,10 +40,11 @@ class FiniteOptions:
     seed: int = 0
     first: float = 0.1
     last: float = 1e-9
+    by_motion: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Inertia:
+class RingInertia:
     """The term |x - x_hat|^2_M / (2 (beta h)^2) of a time step, without units: weight (n,) over (beta h)^2, where the
     centres would go without forces (n, 3), the weight (n,) of normals and where these would go (n, 3).
 
@@ -74,7 +76,7 @@ class Task:
     guide: Array | None = None
     tie: sparse.csr_matrix | None = None
     load: float = 1.0
-    inertia: Inertia | None = None
+    inertia: RingInertia | None = None
 
     @property
     def keys(self) -> Index:

@@ -7,9 +7,9 @@ from scipy import sparse
 from homogenize import default_law, elastic_law
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import discretize
+from macro_fem.fem.loose import with_loose_nodes
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
-from macro_fem.motion.loose import with_loose_nodes
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.step import Forces, Moving, solve_step
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -48,7 +48,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
     assert end.result.converged, end.result.message
     F = [moving.fem.gradient(moving.fem.unknowns(x)) for x in (now.x, end.x)]
     P, w = end.result.P, moving.fem.weight
-    stored = 0.0
+    stored = None
     if moving.compliance.any():
         psi = [moving.law.response(green_strain(one)).energy for one in F]
         stored = float(w @ (psi[1] - psi[0]))
@@ -58,8 +58,7 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
         touched = float(end.result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - end.walls.offset))
     held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
     worked = Worked(held, end.pushes, float((w[:, None, None] * P * (F[1] - F[0])).sum()), stored, 0.0, touched)
-    gives = bool(moving.compliance.any())
-    accounts.append(next_account(accounts[-1], moving.mass, change, now, forces, end.x, worked, gives=gives))
+    accounts.append(next_account(accounts[-1], moving.mass, change, now, forces, end.x, worked))
     moments.append(Moment(now.t + h, end.x, change.velocity(end.x)))
     return end
 

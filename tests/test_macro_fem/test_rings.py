@@ -10,7 +10,7 @@ import macro_fem
 from macro_fem import read_scene
 from macro_fem.cli import main
 from macro_fem.rings.ring_scene import ring_scene
-from rve import Cell, InputError
+from rve import Cell, FiniteOptions, InputError
 
 B_X, B_Y = 11.0, 12.646069623526
 
@@ -264,7 +264,7 @@ def test_the_rings_of_a_cell_are_those_of_the_law_of_its_table():
 def test_a_damped_motion_comes_to_rest_with_many_folds():
     """A curtain drawn together to a tenth has many local minima; the motion ends about as low as the path does."""
     rings = ring_scene(scene(4, 3, support={"kind": "corners", "gather": 0.1}))
-    path, found = (rings.solve(space=True, by_motion=by_motion) for by_motion in (False, True))
+    path, found = (rings.solve(space=True, options=FiniteOptions(by_motion=by_motion)) for by_motion in (False, True))
     assert found.status == "converged"
     assert found.potential <= path.potential + 0.02 * abs(path.potential)
     assert found.contacts.links_intact

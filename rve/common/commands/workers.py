@@ -18,7 +18,7 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         yield pool
-    except BaseException:  # GeneratorExit, too: a stop between two results closes the generator that holds the pool
+    except (Exception, KeyboardInterrupt, GeneratorExit):  # a stop between two results closes the generator of the pool
         pool.shutdown(wait=False, cancel_futures=True)
         for child in active_children():
             if child not in before:
