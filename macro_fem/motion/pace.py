@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, Self, TypeVar
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from macro_fem.motion.account import Account
 from macro_fem.motion.scheme import Moment, predicted
-from macro_fem.scene.moving import Motion
+from macro_fem.scene.moving import Ball, Motion
+from macro_fem.scene.schema import Scene
+from rve.common.errors import InputError
 from rve.common.progress import tell
 
 FIRST_STEPS = 400
@@ -75,6 +78,22 @@ Advance = Callable[[F, Moment | None, float], F]
 """The frame after a step of h s from a frame, with the moment before it, None for a step of Euler's method."""
 
 
+@dataclass(frozen=True, eq=False)
+class Run(Generic[F]):
+    """A scene in motion: one frame per step, the first one at the start, and how it ended."""
+
+    scene: Scene
+    frames: tuple[F, ...]
+    status: MotionStatus
+    message: str
+    wall_s: float
+
+    @property
+    def bodies(self) -> tuple[Ball, ...]:
+        """The bodies of the scene, in the order of their nodes, which are the last ones of each moment."""
+        return self.scene.of(Ball)
+
+
 class Failed(Exception):
     """A step that cannot be solved ends the run; the frames so far are kept."""
 
@@ -83,9 +102,16 @@ class Failed(Exception):
         self.status = status
 
 
-def collected(frames: Iterator[F]) -> tuple[tuple[F, ...], MotionStatus, str]:
-    """The frames until the run ends, a step fails or Ctrl-C stops it, with status and message."""
-    kept: list[F] = []
+def motion_of(scene: Scene) -> Motion:
+    """What the scene says of its motion; InputError if nothing moves."""
+    if scene.motion is None:
+        raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
+    return scene.motion
+
+
+def collected(scene: Scene, frames: Iterator[F]) -> Run[F]:
+    """The frames until the run ends, a step fails or Ctrl-C stops it."""
+    begin, kept = time.perf_counter(), list[F]()
     status, message = MotionStatus.CONVERGED, "every step is solved"
     try:
         for frame in frames:
@@ -96,7 +122,7 @@ def collected(frames: Iterator[F]) -> tuple[tuple[F, ...], MotionStatus, str]:
         if not kept:
             raise
         status, message = MotionStatus.STOPPED, f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
-    return tuple(kept), status, message
+    return Run(scene, tuple(kept), status, message, time.perf_counter() - begin)
 
 
 def first_step(motion: Motion) -> float:

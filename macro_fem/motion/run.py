@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -14,7 +13,7 @@ from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.fem.space import in_space_of
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
 from macro_fem.motion.contact import Contacts
-from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, collected, first_step, stepped
+from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import Stage, forces_at, masses_of, scene_at, stored_energy, weights_of
 from macro_fem.motion.step import Moving, Stepped, solve_step
@@ -52,20 +51,7 @@ class MotionFrame:
         return replace(self, pace=pace)
 
 
-@dataclass(frozen=True, eq=False)
-class MotionRun:
-    """A scene in motion: one frame per step, the first one at the start; bodies are the last nodes of each moment."""
-
-    scene: Scene
-    frames: tuple[MotionFrame, ...]
-    status: MotionStatus
-    message: str
-    wall_s: float
-
-    @property
-    def bodies(self) -> tuple[Ball, ...]:
-        """The bodies of the scene, in the order of their nodes."""
-        return self.scene.of(Ball)
+MotionRun = Run[MotionFrame]
 
 
 def solve_motion(scene: Scene, law: MembraneLaw, start: MotionFrame | None = None) -> MotionRun:
@@ -74,16 +60,12 @@ def solve_motion(scene: Scene, law: MembraneLaw, start: MotionFrame | None = Non
     InputError for what cannot begin, NotConverged if the curtain at rest that it begins with is none. A step that fails
     ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
     """
-    begin = time.perf_counter()
-    frames, status, message = collected(motion_frames(scene, law, start))
-    return MotionRun(scene, frames, status, message, time.perf_counter() - begin)
+    return collected(scene, motion_frames(scene, law, start))
 
 
 def motion_frames(scene: Scene, law: MembraneLaw, start: MotionFrame | None = None) -> Iterator[MotionFrame]:
     """The frames of `solve_motion`, each as soon as it is known; the first one is that at the start."""
-    motion = scene.motion
-    if motion is None:
-        raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
+    motion = motion_of(scene)
     law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
     mesh = build_mesh(scene_at(scene, 0.0), law.cell)
     stage = Stage(scene, law, mesh)

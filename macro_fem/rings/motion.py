@@ -5,7 +5,6 @@ Places x (2 n, 3) of a moment are those of `rve.ring_places`: n centres, and n p
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from macro_fem.motion.account import Account, Worked, next_account
 from macro_fem.motion.masses import TONNE
-from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, collected, first_step, stepped
+from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import let_go, scene_at
 from macro_fem.motion.step import Forces
@@ -51,15 +50,7 @@ class RingFrame:
         return replace(self, pace=pace)
 
 
-@dataclass(frozen=True, eq=False)
-class RingRun:
-    """Every ring of a scene in motion: one frame per step, the first one at the start."""
-
-    scene: Scene
-    frames: tuple[RingFrame, ...]
-    status: MotionStatus
-    message: str
-    wall_s: float
+RingRun = Run[RingFrame]
 
 
 class RingStage:
@@ -87,9 +78,7 @@ def solve_ring_motion(scene: Scene, who: EveryRing | None = None) -> RingRun:
     for what cannot begin, NotConverged where there is no such equilibrium. A step that fails ends the run with a
     status; the frames so far are kept, as they are when Ctrl-C stops it.
     """
-    begin = time.perf_counter()
-    frames, status, message = collected(ring_frames(scene, who or EveryRing()))
-    return RingRun(scene, frames, status, message, time.perf_counter() - begin)
+    return collected(scene, ring_frames(scene, who or EveryRing()))
 
 
 def ring_frames(scene: Scene, who: EveryRing) -> Iterator[RingFrame]:
@@ -111,13 +100,12 @@ def ring_frames(scene: Scene, who: EveryRing) -> Iterator[RingFrame]:
 
 def _checked(scene: Scene) -> Motion:
     """The motion of a scene; InputError for what rings in motion cannot be asked for."""
-    if scene.motion is None:
-        raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
+    motion = motion_of(scene)
     if scene.of(Thrown):
         raise InputError(f"{scene.source}: [[body]]: every ring in motion meets floors and walls only, no bodies")
     if any(wind.speed is not None for wind in scene.of(Wind)):
         raise InputError(f"{scene.source}: [load.wind] speed: every ring in motion takes a pressure, no speed")
-    return scene.motion
+    return motion
 
 
 def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
