@@ -1,77 +1,181 @@
-"""Every ring in motion against the disk in motion: a sheet hung by its corners is let go at one of them."""
+"""Every ring in motion against the disk in motion and MuJoCo: a sheet let go at one corner, and a gust on a sheet."""
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.every_ring.cases import KEPT, SHEETS, kept_rows
-from benchmarks.frame import Section, table
+from benchmarks.every_ring import engine
+from benchmarks.every_ring.cases import KEPT, SHEETS, Array, kept_rows
+from benchmarks.frame import Section, Table, table
 from benchmarks.measure import Row
 from homogenize import default_law
-from macro_fem import Motion, Point, Scene
-from macro_fem.motion.files import account_error, row
+from macro_fem import Mesh, Motion, Point, Rectangle, Scene, Top, Wind
+from macro_fem.motion.files import COLUMNS, account_error, row
 from macro_fem.motion.run import solve_motion
-from macro_fem.rings.motion import solve_ring_motion
+from macro_fem.rings.motion import RingRun, solve_ring_motion
 from macro_fem.rings.motion_files import ring_row
 
 DURATION, STEP, CELLS = 0.15, 5e-3, 16
 """Seconds, and cells of the disk across."""
+PRESSURE, HISTORY = 14.0, ((0.0, 0.0), (0.03, 1.0), (0.09, 1.0), (0.12, 0.0))
+"""The gust: half the weight per area, N/m2, and its share over time in s."""
 SHOWN = 5
 """Every so many steps are listed."""
+BESIDE = 2
+"""Size of the sheet beside MuJoCo: 111 rings."""
 TRAVEL = 0.02
 """Part of the travel by which rings and disk may differ beyond their difference at rest."""
+MEAN = [COLUMNS.index(f"mean_{axis}_mm") for axis in "xyz"]
+POTENTIAL, WORK, LOST = (COLUMNS.index(f"{name}_N_mm") for name in ("potential", "work", "lost_by_locking"))
+SCENES = ("corner let go", "gust")
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
-    """The section."""
-    rows, worst = [], []
-    for k in (1, 2) if full else (1,):
-        found = kept_rows(store, {"step": STEP}, {f"let_go_{k}": partial(_row, k)})[0]
-        t, rings, disk = (np.array(found[f"_{name}"]) for name in ("t", "rings", "disk"))
-        height = SHEETS[0].sides(k)[1]
-        allowed = abs(rings[0] - disk[0]) + TRAVEL * np.abs(disk - disk[0])
-        worst.append((found["rings"], float((np.abs(rings - disk) - allowed).max()) / height, found["account"]))
-        rows += [
-            {
-                "rings": found["rings"],
-                "t, s": t[i],
-                "fallen, %": 100.0 * (disk[0] - disk[i]) / height,
-                "rings less disk, %": 100.0 * (rings[i] - disk[i]) / height,
-                "allowed, %": 100.0 * allowed[i] / height,
-            }
-            for i in range(0, len(t), SHOWN)
-        ]
-    text = (
-        f"The sheet `corners` of the first section, in steps of {1e3 * STEP:g} ms (BDF2, Euler's where rings lock); "
-        f"the right corner lets go at t = 0. Rings in space; the disk has {CELLS} columns of finite elements. Mean "
-        "heights over the height of the sheet. `allowed`: the difference at rest and "
-        f"{100.0 * TRAVEL:g} % of how far the disk has fallen."
-    )
-    forms = {"t, s": ".3f"} | dict.fromkeys(("fallen, %", "rings less disk, %", "allowed, %"), ".2f")
-    conclusion = " ".join(
-        f"{count} rings: {'within' if over <= 0.0 else f'{100.0 * over:.2f} % of the height beyond'} what is allowed "
-        f"at every step; the energy account of the rings closes to {account:.0e}."
-        for count, over, account in worst
-    )
-    return Section("A corner let go", text, (table("Mean height over time", rows, forms),), (), conclusion)
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A scene of k: every ring's run, and its seconds; rows of motion.csv of rings and disk, the height in mm."""
+
+    run: RingRun
+    seconds: float
+    rings: Array
+    disk: Array
+    height: float
 
 
-def _row(k: int) -> Row:
-    """Times and mean heights of rings and disk, in mm."""
+def motion_scene(name: str, k: int) -> Scene:
+    """The sheet `corners` of the first section, its right corner let go at t = 0, or hung by its top, in a gust."""
     W, H = SHEETS[0].sides(k)
     away = 0.5 * (1.0 - SHEETS[0].gather) * W
     corners = (Point((0.0, H), move=(away, 0.0)), Point((W, H), move=(-away, 0.0), release=0.0))
-    sheet = Scene.rectangle(W, H, cells=CELLS)
-    scene = replace(sheet, items=(*sheet.items, *corners), motion=Motion(DURATION, STEP))
-    ring_run, disk_run = solve_ring_motion(scene), solve_motion(scene, default_law())
+    gust = (Top(), Wind(direction=(0.0, 0.0, -1.0), pressure=PRESSURE, history=HISTORY))
+    items = corners if name == SCENES[0] else gust
+    return Scene(Rectangle(W, H), items, mesh=Mesh(cells=CELLS), motion=Motion(DURATION, STEP))
+
+
+def solved(name: str, k: int) -> Pair:
+    """Rings and disk."""
+    scene, began = motion_scene(name, k), time.process_time()
+    ring_run = solve_ring_motion(scene)
+    seconds = time.process_time() - began
+    disk_run = solve_motion(scene, default_law())
     rings = np.array([ring_row(frame) for frame in ring_run.frames])
     disk = np.array([row(disk_run, frame) for frame in disk_run.frames])
+    return Pair(ring_run, seconds, rings, disk, SHEETS[0].sides(k)[1])
+
+
+def _row(name: str, k: int) -> Row:
+    """Times and mean places of rings and disk, in mm, and what both have lost by locking at the end, N mm."""
+    pair = solved(name, k)
+    given = float((pair.disk[:, WORK] - pair.disk[:, POTENTIAL]).max() + pair.disk[0, POTENTIAL])
     return {
-        "rings": len(ring_run.frames[0].rings.centre),
-        "account": account_error(rings),
-        "_t": rings[:, 0].tolist(),
-        "_rings": rings[:, 2].tolist(),
-        "_disk": disk[:, 2].tolist(),
+        "scene": name,
+        "rings": len(pair.run.frames[0].rings.centre),
+        "account": account_error(pair.rings),
+        "height": pair.height,
+        "lost": [float(100.0 * rows[-1, LOST] / given) for rows in (pair.rings, pair.disk)],
+        "seconds": pair.seconds,
+        "_t": pair.rings[:, 0].tolist(),
+        "_rings": pair.rings[:, MEAN].tolist(),
+        "_disk": pair.disk[:, MEAN].tolist(),
     }
+
+
+def _engine_row(dt: float) -> Row:
+    """MuJoCo's mean place over time, its seconds and least gap."""
+    scene = replace(motion_scene(SCENES[0], BESIDE), motion=Motion(STEP, STEP))
+    fallen = engine.fall(solve_ring_motion(scene), DURATION, dt)
+    return {"dt": dt, "seconds": fallen.seconds, "gap": fallen.least_gap, "_mean": fallen.mean.tolist()}
+
+
+def measure(full: bool, store: Path = KEPT) -> Section:
+    """The section; `full` takes 413 rings as well."""
+    rows, ends = [], []
+    for name, k in [(name, k) for k in sorted({1, BESIDE, 4} if full else {1, BESIDE}) for name in SCENES]:
+        added, end = _compared(_kept(store, name, k))
+        rows += added
+        ends.append(end)
+    tables = [
+        table("Mean place over time", rows, _forms(rows[0], {"t, s": ".3f"})),
+        table("At the end", ends, _forms(ends[0], {"account, N mm": ".0e", "s of rings": ".0f"})),
+    ]
+    text = (
+        f"The sheet `corners` of the first section, whose right corner lets go at t = 0, and the same sheet hung by "
+        f"its top in a gust of {PRESSURE:g} N/m2, half its weight, that grows in 0.03 s and stays until 0.09 s. Steps "
+        f"of {1e3 * STEP:g} ms (BDF2, Euler's where rings lock). Rings in space; the disk has {CELLS} columns of "
+        "elements. Ways of the mean place over the height of the sheet. `allowed`: the difference at rest and "
+        f"{100.0 * TRAVEL:g} % of the way of the disk. `locking`: what was lost where rings lock, part of the "
+        "energy that weight and wind have given the disk at most."
+    )
+    if engine.is_there():
+        makes = {f"motion_engine_{dt:g}": partial(_engine_row, dt) for dt in engine.STEPS}
+        tables.append(_beside(kept_rows(store, {"step": STEP, "k": BESIDE}, makes), _kept(store, SCENES[0], BESIDE)))
+        text += " " + engine.TEXT
+    held = [end for end in ends if end["beyond, %"] <= 0.0]
+    conclusion = (
+        f"{len(held)} of {len(ends)} runs stay within what is allowed at every step; the energy account of the rings "
+        f"closes to {max(end['account, N mm'] for end in ends):.0e} N mm."
+    )
+    return Section("Rings and disk in motion", text, tuple(tables), (), conclusion)
+
+
+def _kept(store: Path, name: str, k: int) -> Row:
+    makes = {f"motion_{name.replace(' ', '_')}_{k}": partial(_row, name, k)}
+    return kept_rows(store, {"step": STEP, "pressure": PRESSURE}, makes)[0]
+
+
+def _compared(found: Row) -> tuple[list[Row], Row]:
+    """Rows over time of one scene and size, and one of its end."""
+    t, rings, disk = (np.array(found[f"_{name}"]) for name in ("t", "rings", "disk"))
+    share = 100.0 / found["height"]
+    away, way = np.linalg.norm(rings - disk, axis=1), np.linalg.norm(disk - disk[0], axis=1)
+    allowed = away[0] + TRAVEL * way
+    rows = [
+        {
+            "scene": found["scene"],
+            "rings": found["rings"],
+            "t, s": t[i],
+            "way of the disk, %": share * way[i],
+            "rings less disk, up, %": share * (rings - disk)[i, 1],
+            "distance, %": share * away[i],
+            "allowed, %": share * allowed[i],
+        }
+        for i in range(0, len(t), SHOWN)
+    ]
+    end = {
+        "scene": found["scene"],
+        "rings": found["rings"],
+        "beyond, %": share * float((away - allowed).max()),
+        "locking, rings, %": found["lost"][0],
+        "locking, disk, %": found["lost"][1],
+        "account, N mm": found["account"],
+        "s of rings": found["seconds"],
+    }
+    return rows, end
+
+
+def _beside(peers: list[Row], ours: Row) -> Table:
+    """MuJoCo's way against ours."""
+    share, own = 100.0 / ours["height"], np.array(ours["_rings"])
+    rows = []
+    for peer in peers:
+        away = np.array(peer["_mean"]) - own
+        away -= away[0]
+        rows.append(
+            {
+                "step, sqrt(r1 / g)": peer["dt"],
+                **{f"up at {t:g} s, %": share * away[round(t / STEP), 1] for t in (0.05, 0.1, 0.15)},
+                "largest distance, %": share * float(np.linalg.norm(away, axis=1).max()),
+                "least gap, r1": peer["gap"],
+                "s of MuJoCo": peer["seconds"],
+                "s of ours": ours["seconds"],
+            }
+        )
+    forms = {"step, sqrt(r1 / g)": "g", "least gap, r1": "+.4f", "s of MuJoCo": ".0f", "s of ours": ".0f"}
+    title = f"{ours['rings']} rings, a corner let go, in MuJoCo: way of the mean place less ours"
+    return table(title, rows, _forms(rows[0], forms))
+
+
+def _forms(row: Row, own: dict[str, str]) -> dict[str, str]:
+    return {key: ".2f" for key in row if key not in ("scene", "rings")} | own
