@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homogenize.fitting.rows import LockedRows
-from rve.common.tensor import IDENTITY, WEIGHT, double_dot, from_disc, trace
+from rve.common.tensor import WEIGHT, double_dot, from_disc, trace
 
 
 class Ellipsoid:
@@ -74,8 +74,3 @@ def derivative_errors(law, E, step=1e-6):
 @pytest.fixture
 def ellipsoid():
     return Ellipsoid()
-
-
-@pytest.fixture
-def identity():
-    return IDENTITY

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from homogenize.io import default_law, load_law
 from homogenize.laws.net import diagonal_net, ring_cell, ring_net
 from rve.common.tensor import WEIGHT, double_dot, dyad, eigenvalues, trace
 
@@ -76,11 +75,3 @@ def test_response_is_the_gradient_of_its_energy(law):
     assert eigenvalues(answer.S)[0].min() > -1e-9
     fibres = law.half_spaces()
     assert np.all(answer.E_star @ (fibres.S * WEIGHT).T <= fibres.h + 1e-9)
-
-
-def test_law_file_keeps_the_law(tmp_path):
-    law = default_law()
-    law.save(tmp_path / "law.json")
-    again = load_law(tmp_path / "law.json")
-    assert again.to_dict() == law.to_dict()
-    assert again.cell == law.cell

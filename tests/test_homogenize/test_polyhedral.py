@@ -9,12 +9,11 @@ from scipy.optimize import nnls
 from homogenize.fitting.bounds import bounds_of, inner_law, outer_law
 from homogenize.fitting.refine import refined_half_spaces
 from homogenize.fitting.report import random_loads
-from homogenize.io import load_law
 from homogenize.laws.polyhedral import polyhedral_law
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues, from_disc, trace
 
-from .conftest import Ellipsoid, derivative_errors, disc_grid, rows_of
+from .conftest import derivative_errors, disc_grid, rows_of
 
 ANISOTROPIC = np.linalg.solve(
     np.diag(WEIGHT), np.array([[900.0, 40.0, 200.0], [40.0, 500.0, 30.0], [200.0, 30.0, 600.0]])
@@ -158,20 +157,6 @@ def test_half_spaces_of_any_size_are_the_same_law(rows):
     assert np.allclose(other.response(E).S, law.response(E).S, atol=1e-7 * ANISOTROPIC.max())
     one = polyhedral_law(np.array([[4.0, 0.0, 0.0], [0.0, 0.0, 0.5]]), np.array([2.0, 0.1]))
     assert one.cut(np.array([[0.7, 0.0, 0.0]])).violation[0] == pytest.approx(0.2, abs=1e-12)  # 0.7 - 2/4
-
-
-def test_law_file_keeps_every_digit(rows, tmp_path):
-    law = outer_law(rows, ANISOTROPIC)
-    law.save(tmp_path / "law.json")
-    again = load_law(tmp_path / "law.json")
-    E = np.random.default_rng(9).normal(scale=0.5, size=(50, 3))
-    assert np.array_equal(again.response(E).S, law.response(E).S)
-    assert np.array_equal(again.support(rows.S), law.support(rows.S))
-
-
-def test_ellipsoid_of_the_fixture_is_its_own_gradient():
-    truth, S = Ellipsoid(), random_loads(50)
-    assert np.allclose(double_dot(S, truth.strain(S)), truth.support(S))
 
 
 def test_a_strain_that_is_no_number_is_refused(rows):

@@ -27,6 +27,17 @@ def test_a_convex_set_passes(rows):
     assert "holds" in found.sentence()
 
 
+@pytest.mark.parametrize("apart", [1e-12, 3e-9, 3e-8, 1e-6, 1e-2])
+def test_two_strains_of_one_load_may_differ_by_what_solvers_leave(apart):
+    """Twice the load (1/2, 0, 1/2) with strains whose work S:E differs by `apart`."""
+    S, E = np.tile([0.5, 0.0, 0.5], (2, 1)), np.array([[0.1, 0.0, 0.1], [0.1 + apart, 0.0, 0.1 + apart]])
+    rows = LockedRows(S, E, double_dot(S, E), np.ones(2, bool), np.arange(2))
+    assert normality(rows).holds == (apart < 1e-8)
+    assert normality(rows).slack == pytest.approx(-apart, rel=1e-3, abs=1e-16)
+    assert normality(rows, 2.0 * apart).holds
+    assert not normality(rows, 0.5 * apart).holds
+
+
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 27), st.floats(0.05, 0.3))
 def test_one_outlier_is_named(row, size):
@@ -39,14 +50,6 @@ def test_one_outlier_is_named(row, size):
     assert found.blamed == (row,)
     assert f"without rows {row} " in found.sentence()
     assert row in found.worst
-
-
-def test_noise_fails_the_tight_test_and_passes_its_own_level(rows):
-    rng = np.random.default_rng(4)
-    E = rows.E + rng.uniform(-1e-3, 1e-3, rows.E.shape)
-    noisy = LockedRows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
-    assert not normality(noisy).holds
-    assert normality(noisy, 4e-3).holds
 
 
 def test_the_slack_is_the_plain_double_loop(rows):
@@ -70,12 +73,8 @@ def test_failed_doubled_and_compressive_rows_are_dropped_by_name(ellipsoid):
     assert set(rows.source) == set(range(len(S))) - {1, 13, 14}
     assert [text.split(":")[0] for text in rows.dropped] == ["row 1", "row 14", "row 13"]
     assert np.allclose(rows.S[:, 0] + rows.S[:, 2], 1.0)
-
-
-def test_nothing_left_is_refused(ellipsoid):
-    S = disc_grid(1, 3)
     with pytest.raises(InputError, match="no converged tensile row"):
-        rows_from_table(table_of(S, ellipsoid.strain(S), status=np.full(len(S), "stalled")))
+        rows_from_table(table_of(S, E, status=np.full(len(S), "stalled")))
 
 
 def test_mirror_rows_appear_once(rows):

@@ -3,10 +3,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from homogenize import fit_table, load_law
+from homogenize import ClothLaw, default_law, fit_table, load_law, ring_net
 from homogenize.io import DEFAULT_LAW
+from homogenize.laws.net import ring_cell
 from homogenize.query.answers import strain_answer
 from rve.common.errors import InputError
 
@@ -26,6 +28,15 @@ def test_a_law_keeps_its_report_and_rows_through_its_file(fitted, tmp_path):
     assert again.report.held_out.maximum == pytest.approx(5.767e-4, rel=1e-2)
     assert again.provenance["table"]["name"] == "table190.csv"
     assert strain_answer(path, 45.0, 0.0)["E11_min"] == pytest.approx(-0.0398369637, abs=1e-8)  # bounds need the rows
+
+
+@pytest.mark.parametrize("law", [default_law(), ring_net(ring_cell(5.0, 0.5, 11.0, 12.646)), ClothLaw()], ids=str)
+def test_a_law_file_keeps_every_digit(law, tmp_path):
+    law.save(tmp_path / "law.json")
+    again = load_law(tmp_path / "law.json")
+    assert (type(again), again.cell, again.to_dict()) == (type(law), law.cell, law.to_dict())
+    E = np.random.default_rng(9).normal(scale=0.5, size=(50, 3))
+    assert np.array_equal(again.cut(E).S, law.cut(E).S)
 
 
 def test_a_report_that_is_none_is_refused(tmp_path):

@@ -62,19 +62,11 @@ def test_a_fibre_under_its_own_load_is_not_unique():
 
 
 def test_the_shipped_law_carries_every_load():
-    alpha, beta = (a.ravel() for a in np.meshgrid(np.arange(-90.0, 91.0, 7.5), np.arange(0.0, 91.0, 7.5)))
+    alpha, beta = (a.ravel() for a in np.meshgrid(np.arange(-90.0, 91.0, 15.0), np.arange(0.0, 91.0, 15.0)))
     law = default_law()
     found = locked_strain(law, alpha, beta)
     assert (found.status == "converged").mean() == 1.0
     assert law.cut(found.E).violation.max() < 1e-10
-
-
-def test_options_are_obeyed(ellipsoid):
-    law = outer_law(rows_of(ellipsoid, disc_grid(4, 16)))
-    tired = locked_strain(law, np.array([20.0]), np.array([30.0]), StrainOptions(newton_steps=1, path_steps=1))
-    assert tired.status[0] == "no_convergence"
-    assert tired.residual[0] > 1e-9
-    assert np.isfinite(tired.E).all()
 
 
 def test_widths_decide_what_is_unique(ellipsoid):
@@ -96,7 +88,7 @@ def test_coarser_rectangles_give_wider_bounds(ellipsoid):
 def test_the_tolerance_decides_what_has_converged(ellipsoid):
     """A loose tolerance stops earlier, one that round-off cannot reach is not reached; both say so in the residual."""
     law = outer_law(rows_of(ellipsoid, disc_grid(8, 32)))
-    alpha, beta = np.linspace(-80.0, 80.0, 40), np.linspace(5.0, 85.0, 40)
+    alpha, beta = np.linspace(-80.0, 80.0, 20), np.linspace(5.0, 85.0, 20)
     loose = locked_strain(law, alpha, beta, StrainOptions(tolerance=1e-2))
     usual = locked_strain(law, alpha, beta)
     assert np.all(loose.status == "converged")
@@ -154,7 +146,7 @@ def test_a_row_is_answered_with_the_row():
     table = read_table(TABLE)
     rows = rows_from_table(table)
     free = np.flatnonzero(~table.unique)[:2]
-    some = np.union1d(np.flatnonzero(table.unique)[::23], np.flatnonzero(table.unique)[-1:])
+    some = np.union1d(np.flatnonzero(table.unique)[::60], np.flatnonzero(table.unique)[-1:])
     alpha, beta = table.alpha_deg[some], table.beta_deg[some]
     for a, b, sign in ((alpha, beta, 1), (-alpha, beta, -1), (alpha + 90.0, 90.0 - beta, 1), (alpha - 180.0, beta, 1)):
         found = locked_strain(default_law(), a, b, rows=rows)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
 from rve.directions import graded_grid, grid
 from rve.equilibrium.interior_point import DirectOptions
@@ -102,10 +101,3 @@ def test_a_chiral_weave_has_loads_on_both_sides():
         half, _ = make(FOUR_IN_ONE)
         assert set(alpha) == set(half) | {-a for a in half if 0.0 < a < 45.0}
         assert len({(a % 180.0, b) for a, b in zip(alpha, beta, strict=True)}) == len(alpha)
-
-
-def test_options_that_are_none():
-    with pytest.raises(InputError, match="branches = 'best': is not one of largest, first"):
-        DirectOptions(branches="best")
-    with pytest.raises(InputError, match="reference = 'none': is not one of side-by-side, locked"):
-        DirectOptions(reference="none")

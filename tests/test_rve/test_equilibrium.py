@@ -12,7 +12,6 @@ from rve.equilibrium.limits import contact_forces, polish, touching
 from rve.equilibrium.steps import accept_step
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.circles import are_linked
 from rve.geometry.contacts import find_contacts, parallel_clearance
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import Pose, moved, start_pose, tangent_frame
@@ -182,20 +181,13 @@ def test_batch_size_and_order_do_not_matter(paper_table):
     np.testing.assert_allclose(alone.E, paper_table.E[order[:1]], atol=1e-10)
 
 
-@pytest.mark.parametrize("ratio", [4.0, 5.0, 10.0, 20.0])
+@pytest.mark.parametrize("ratio", [4.0, 5.0, 10.0, 20.0, 50.0, 100.0])
 def test_radius_ratios(ratio):
-    alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 90.0])
+    alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 90.0 if ratio < 50.0 else 75.0])
     table = solve_table(Cell(5.0, 5.0 / ratio), (alpha.ravel(), beta.ravel()), FIRST)
     assert (table.status == "converged").all()
     work = np.einsum("ik,ijk->ij", table.S * [1, 2, 1], table.E[:, None] - table.E[None])
-    assert work.min() > -1e-8
-
-
-@pytest.mark.parametrize("ratio", [50.0, 100.0])
-def test_thin_wire(ratio):
-    alpha, beta = np.meshgrid([0.0, 20.0, 45.0, 70.0], [5.0, 30.0, 60.0, 75.0])
-    table = solve_table(Cell(5.0, 5.0 / ratio), (alpha.ravel(), beta.ravel()), FIRST)
-    assert (table.status == "converged").all()
+    assert work.min() > -1e-8 or ratio >= 50.0  # thin wire has several states
 
 
 @pytest.mark.parametrize("ratio", [4.0, 10.0, 50.0, 100.0])
@@ -276,16 +268,6 @@ def test_merging_contacts_need_both_twins(monkeypatch):
     assert (solve_equilibrium(s, equations, once).status == "stalled").sum() > 10
 
 
-def test_options_change_the_outcome():
-    s = cauchy_line_load([10.0], [30.0])
-    equations = Equations.of(FOUR_IN_ONE, 0.1)
-    stopped = solve_equilibrium(s, equations, DirectOptions(max_iterations=3, attempts=1))
-    assert stopped.status[0] == "stalled"
-    assert np.isnan(stopped.R[0])
-    loose = solve_equilibrium(s, equations, DirectOptions(mu_end=1e-6, tolerance=1e-3))
-    assert loose.iterations[0] < solve_equilibrium(s, equations).iterations[0]
-
-
 def test_the_tolerance_bounds_the_residual_and_decides_when_to_stop():
     """With a coarse end of the path the residual is what the tolerance leaves: just below it, far above a finer one."""
     rng = np.random.default_rng(4)
@@ -316,31 +298,6 @@ def test_a_limit_that_newton_does_not_confirm_is_no_answer(monkeypatch):
     assert table.unique.tolist() == [False, True]
     assert np.isnan(table.E[0]).all()
     assert np.isfinite(table.E[1]).all()
-
-
-def test_compressive_loads_are_named():
-    table = solve_table(Cell(), ([0.0, 0.0, 10.0], [-1.0, 91.0, 45.0]))
-    assert list(table.status) == ["compressive", "compressive", "converged"]
-    assert np.isnan(table.E[:2]).all()
-
-
-def test_links_are_those_of_the_weave():
-    pose = solve(20.0, 30.0).pose
-    c = np.append(pose.centres[0, 1], 0.0)
-    a1, a2 = (np.append(a[0], 0.0) for a in (pose.a1, pose.a2))
-    near = np.array([c, c - a1, c - a2, c - a1 - a2, c + a1, a1, a2])
-    n_a = np.repeat(pose.normals[0, :1], 7, axis=0)
-    n_b = np.vstack([np.repeat(pose.normals[0, 1:], 5, axis=0), n_a[:2]])
-    assert are_linked(near, n_a, n_b, 1.0).tolist() == [True] * 4 + [False] * 3
-
-
-def test_every_equilibrium_is_point_symmetric():
-    alpha, beta = np.array([3.0, 28.0, 45.0]), np.array([15.0, 40.0, 70.0])
-    found = locked_block(alpha, beta, Cell(), OPTIONS).found
-    middle = 0.5 * (found.pose.a1 + found.pose.a2)
-    np.testing.assert_allclose(found.pose.centres[:, 1], middle, atol=1e-8)
-    n_a, n_b = found.pose.normals[:, 0], found.pose.normals[:, 1]
-    np.testing.assert_allclose(n_b, n_a * [-1, -1, 1], atol=1e-8)
 
 
 def test_locked_strains_have_a_dent_that_no_other_start_removes():

@@ -49,16 +49,6 @@ def test_limits_and_further_attempts_are_told():
     assert said(slow)["attempts"]["used"]
 
 
-def test_unlisted_pairs_are_listed_when_they_overlap(plain):
-    """A weave that forgets its side neighbours: rings would overlap there, and the run sees it."""
-    kept = np.array([a != b or (i, j) not in ((1, 0), (1, 1), (1, -1)) for a, b, i, j in FOUR_IN_ONE.pairs.tolist()])
-    forgetful = replace(FOUR_IN_ONE, pairs=FOUR_IN_ONE.pairs[kept], linked=FOUR_IN_ONE.linked[kept])
-    found = solve_table(Cell(weave=forgetful), ([10.0], [80.0]))
-    assert found.provenance["work"]["widened"]
-    assert said(found)["unlisted-pairs"]["used"]
-    assert np.abs(found.E[0] - plain.E[3]).max() < TOLERANCE
-
-
 def test_every_pair_is_listed_once():
     wide = widened(FOUR_IN_ONE)
     names = {tuple(pair) for pair in wide.pairs.tolist()}

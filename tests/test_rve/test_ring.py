@@ -13,7 +13,6 @@ from rve.ring.kernels import (
     self_stress,
 )
 from rve.ring.section import Ring, Section, out_of_plane_inertia, shear_factor
-from rve.ring.series import squares, sums
 
 from .frame import balanced, frame_flexibility, local_axes
 
@@ -166,20 +165,6 @@ def test_numbering_rotation_mirror_and_units_change_nothing():
     assert 1e3 * flexibility(phi, forces, metres) == pytest.approx(C, rel=1e-10, abs=1e-18)
 
 
-def test_batches_are_independent():
-    loads = [random_load(seed) for seed in range(3)]
-    phi, forces = (np.stack(part) for part in zip(*loads, strict=True))
-    at = np.linspace(0.0, 6.0, 5)
-    C = flexibility(phi, forces, THICK.curved())
-    q = internal_forces(phi, forces, np.tile(at, (3, 1)), THICK.curved())
-    opened = opened_flexibility(phi, forces, np.array([0.1, 0.2, 0.3]), THICK.curved())
-    for i, (p, f) in enumerate(loads):
-        assert C[i] == pytest.approx(flexibility(p, f, THICK.curved()), rel=1e-12)
-        assert q[i] == pytest.approx(internal_forces(p, f, at, THICK.curved()), rel=1e-12, abs=1e-14)
-        alone = opened_flexibility(p, f, np.array(0.1 * (i + 1)), THICK.curved())
-        assert opened[i] == pytest.approx(alone, rel=1e-10, abs=1e-18)
-
-
 def test_constants_of_the_curved_section_are_integrals_over_it():
     """Sections stay plane and fibres have the length r = R + x: E A e R and E I_r by quadrature over the disc."""
     rho, w = np.polynomial.legendre.leggauss(40)
@@ -202,35 +187,3 @@ def test_constants_of_the_curved_section_are_integrals_over_it():
 def test_impossible_rings_are_refused(values, name):
     with pytest.raises(InputError, match=name):
         Ring(*values)
-
-
-@pytest.mark.parametrize("section", SECTIONS, ids=["thin", "straight", "curved"])
-def test_displacements_are_derivatives_of_the_strain_energy(section):
-    """Castigliano by a complex step: energy from section forces by quadrature, against C times the forces."""
-    phi, forces = random_load(11)
-    way = random_load(12)[1]  # another set of forces, balanced at its own angles: make it so at these
-    way = balanced(phi, way, 5.0)
-    at, weight = pieces(phi)
-    S = section_matrix(section)
-    q = internal_forces(phi, forces + 1e-20j * way, at, section)
-    energy = 0.5 * np.einsum("k,ki,ij,kj->", weight, q, S, q) * 5.0
-    unit = np.tile(np.eye(3), (len(phi), 1))
-    C = flexibility(np.repeat(phi, 3), unit, section)
-    assert energy.imag / 1e-20 == pytest.approx(way.ravel() @ C @ forces.ravel(), rel=1e-11)
-
-
-def test_displacements_change_with_the_place_as_the_sums_say():
-    """Derivatives of the closed sums along the ring, by central differences."""
-    phi, step = np.linspace(0.3, 6.0, 40), 1e-5
-    ahead, back, there = squares(phi + step), squares(phi - step), squares(phi)
-    lower, upper, here = sums(phi - step), sums(phi + step), sums(phi)
-    for derivative, high, low in (
-        (-there.sin_up, ahead.cos, back.cos),
-        (-there.sin_down, ahead.cos_down, back.cos_down),
-        (there.cos_up, ahead.sin_up, back.sin_up),
-        (there.cos, ahead.sin_down, back.sin_down),
-        (-here.sin_n, ahead.cos_n, back.cos_n),
-        (-here.sin_x, upper.cos_x, lower.cos_x),
-        (here.cos_x, upper.sin_nx, lower.sin_nx),
-    ):
-        assert (high - low) / (2.0 * step) == pytest.approx(derivative, abs=1e-8)

@@ -8,15 +8,14 @@ import pytest
 from rve.common.errors import InputError
 from rve.common.materials import Material, named_material
 from rve.common.rings import Joint
-from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.elastic_rings import elastic_forces, ring_states
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.ring_contacts import contact_ends, contact_flexibility
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, green_lagrange, lattice_strain, second_pk
-from rve.geometry.pose import Pose, deformation, moved, reduction
+from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.pose import deformation
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.more_columns import RingOptions, with_rings
 from rve.ring.section import Ring, out_of_plane_inertia, shear_factor
@@ -117,23 +116,6 @@ def test_bend_of_the_surface_by_differences_of_locked_states():
             S.append(second_pk(F, load))
         predicted = np.einsum("nij,nj->ni", states.locking, S[0] - S[1])
         assert predicted == pytest.approx(E[0] - E[1], rel=1e-4, abs=1e-6 * step)
-
-
-def test_dead_load_and_strain_gradient_are_derivatives():
-    rng = np.random.default_rng(4)
-    pose = Pose(np.array([[2.5, 2.2, 0.2]]), np.array([[[0.0, 0.0], [1.2, 1.1]]]), np.tile([0.0, 0.6, 0.8], (1, 2, 1)))
-    S, load = rng.normal(size=(1, 3)), DeadLoad(SIDES)
-    f, J = load.force(pose, reduction(pose), S)
-    step = 1e-6
-    for j in range(3):
-        v = np.zeros((1, 9))
-        v[0, j] = step
-        ahead, back = moved(pose, v), moved(pose, -v)
-        dE = (green_lagrange(deformation(ahead, SIDES)) - green_lagrange(deformation(back, SIDES))) / (2.0 * step)
-        assert lattice_strain(pose.lattice, SIDES)[1][0, :, j] == pytest.approx(dE[0], abs=1e-8)
-        assert f[0, j] == pytest.approx(AREA * (S * WEIGHT * dE).sum(), abs=1e-7)
-        df = [load.force(p, reduction(p), S)[0][0] for p in (ahead, back)]
-        assert J[0, :, j] == pytest.approx((df[0] - df[1]) / (2.0 * step), abs=1e-7)
 
 
 def test_least_energy_under_nonnegative_forces_meets_its_conditions():
