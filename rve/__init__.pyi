@@ -11,12 +11,12 @@ from .drawn import DrawnRings as DrawnRings
 from .equilibrium.interior_point import DirectOptions as DirectOptions
 from .finite.layout import FiniteMesh as FiniteMesh
 from .finite.layout import cell_of_sides as cell_of_sides
-from .finite.records import FiniteOptions as FiniteOptions
 from .finite.solution import FiniteSolution as FiniteSolution
 from .finite.step import RingStep as RingStep
 from .finite.step import ring_places as ring_places
 from .finite.step import slack_rings as slack_rings
 from .finite.step import step_rings as step_rings
+from .finite.task import FiniteOptions as FiniteOptions
 from .finite.walls import HalfSpace as HalfSpace
 from .geometry.cell import Cell as Cell
 from .geometry.kinematics import cauchy_line_load as cauchy_line_load

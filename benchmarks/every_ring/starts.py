@@ -11,8 +11,8 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row, outcomes
 from macro_fem.rings.ring_scene import RingScene, ring_scene
 from rve import FiniteMesh, FiniteOptions
-from rve.finite.records import Found, Task
 from rve.finite.solver import solve_rings
+from rve.finite.task import Found, Task
 from rve.finite.touching import Placed, find_touching, links_intact
 
 SWEEPS, STRIDE = 40, 0.08
@@ -56,7 +56,7 @@ def _row(sheet: int, k: int, count: int, space: bool) -> Row:
     status, potential, intact, gaps = [], [], 0, []
     for seed in range(count):
         found = solved_from(rings, random_start(rings, space, seed), space)
-        placed = found.placed
+        placed = found.touching.placed
         status.append(found.status)
         potential.append(_potential(rings, placed.x * r1) / scale)
         intact += linked_pairs(placed.x, placed.normal, 1.0) == woven
@@ -126,6 +126,6 @@ def random_start(rings: RingScene, space: bool, seed: int) -> Placed:
             if not bad.any():
                 break
             q[con.a[bad]] = q[con.b[bad]] = 0.0
-        if not bad.any() and links_intact(trial, con, keys):
+        if not bad.any() and links_intact(con, keys):
             placed = trial
     return placed

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
 
 from macro_fem.fem.assembly import gradient, internal_force, stiffness
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.linear import Factorize, NotPositiveDefiniteError, Solve, analyze
 from macro_fem.fem.sparsity import SparsityPattern, sparsity, tied_pattern
+from rve.common.factor import Factorizer, Solve
 from rve.common.types import Array
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
@@ -125,7 +125,7 @@ class SupportedFem:
         return out.reshape(self.x_held.shape)
 
     def matrix_data(self, tangent: Array, added: Array | None = None) -> Array:
-        """Data of the lower triangle of B^T (w A) B for tangents A (nq, d, 2, d, 2), in the order of `solver`.
+        """Data of the lower triangle of B^T (w A) B for tangents A (nq, d, 2, d, 2), in the order of its pattern.
 
         `added` (nnz,) is data of `pattern` that is added.
         """
@@ -135,7 +135,7 @@ class SupportedFem:
         return data if self.tie is None else np.asarray(self._tied[1] @ self.pattern.full(data).data)
 
     def factorize(self, tangent: Array, added: Array | None = None) -> Callable[[Array], Array]:
-        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2); NotPositiveDefiniteError if it has none.
+        """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2); ArithmeticError if it has none.
 
         `added` (nnz,) is data of the lower triangle of `pattern` that is added, such as that of walls.
 
@@ -146,20 +146,22 @@ class SupportedFem:
         data = self.matrix_data(tangent, added)
         pattern = self.pattern if self.tie is None else self._tied[0]
         matrix = pattern.full(data)
+        if not np.isfinite(data.sum()):
+            raise ArithmeticError("the matrix holds an entry that is not finite")
+        if not pattern.n:
+            return lambda b: np.zeros(0)
         for shift in SHIFTS:
             shifted = data.copy()
             shifted[pattern.diagonal] *= 1.0 + shift
-            try:
-                solve = self.solver(shifted)
-            except NotPositiveDefiniteError:
-                continue
-            return lambda b: _refined(solve, matrix, b)
-        raise NotPositiveDefiniteError(f"no pivot order works even with the diagonal raised by {SHIFTS[-1]:g}")
+            solve = self.factorizer(pattern.full(shifted))
+            if callable(solve):
+                return partial(_refined, solve, matrix)
+        raise ArithmeticError(f"no pivot order works even with the diagonal raised by {SHIFTS[-1]:g}")
 
     @cached_property
-    def solver(self) -> Factorize:
-        """Factorizes matrices on the free unknowns, ties applied."""
-        return analyze(self.pattern if self.tie is None else self._tied[0])
+    def factorizer(self) -> Factorizer:
+        """Factorizes matrices on the free unknowns, ties applied; their ordering is found once."""
+        return Factorizer()
 
     @cached_property
     def _tied(self) -> tuple[SparsityPattern, sparse.csr_matrix]:

@@ -15,7 +15,6 @@ from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import counterclockwise, mean_at_corners
 from macro_fem.fem.discretization import discretize
-from macro_fem.fem.linear import linear_solver
 from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
 from macro_fem.output.supports import held_length, support_forces, support_table
@@ -24,6 +23,7 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar
 from macro_fem.solution import CurtainSolution
+from rve.common.factor import linear_solver
 from rve.common.files import versions, write_text
 from rve.common.meshes import (
     DIRECTION_1,

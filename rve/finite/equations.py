@@ -7,104 +7,98 @@ depends on where ring b is as seen from ring a and on the tilts of both, d = x_b
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
+import numpy as np
+from scipy import sparse
+
+from rve.common.factor import Solve
+from rve.common.records import Flags, Index
 from rve.common.types import Array
-from rve.finite.touching import Index, Placed, Touching
+from rve.finite.task import BLOCK
+from rve.finite.touching import Touching
 from rve.finite.walls import wall_derivatives
 from rve.geometry.circles import tangent_frame
 from rve.geometry.distance import distance_gradient, distance_hessian
 
-BLOCK = 5
 PAIR = 7
+METRIC = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5])
+"""Weights (7,) of d, theta_a, theta_b squared: how far two rings move relative to each other, how far they turn."""
 _CHUNK = 2048
 """Pairs whose blocks are made together: they stay in the cache of a processor."""
-_TILT = 0.5
-"""Weight of a tilt against that of a way in r1, both squared."""
 
 
-def gradients(placed: Placed, touching: Touching) -> Array:
+def gradients(con: Touching) -> Array:
     """Derivative (m, 7) of each gap with respect to d, theta_a, theta_b of its pair."""
-    g = distance_gradient(touching.minima)
-    Ea, Eb = _frames(placed, touching)
-    out = np.empty((len(g), PAIR))
-    out[:, 0:3] = g[:, :3]
-    out[:, 3:5] = (g[:, 3:6, None] * Ea).sum(axis=1)
-    out[:, 5:7] = (g[:, 6:9, None] * Eb).sum(axis=1)
-    if placed.walls:
-        out[touching.at_wall] = _of_walls(placed, touching, touching.at_wall)[0]
+    g, pair = distance_gradient(con.minima), con.minima.pair
+    frame = np.stack(tangent_frame(con.placed.normal), axis=2)
+    tilt_a = (g[:, 3:6, None] * frame[con.a[pair]]).sum(axis=1)
+    out = np.concatenate([g[:, :3], tilt_a, (g[:, 6:9, None] * frame[con.b[pair]]).sum(axis=1)], axis=1)
+    if con.placed.walls:
+        out[con.at_wall] = _of_walls(con, np.flatnonzero(con.at_wall))[0]
     return out
 
 
-def _of_walls(placed: Placed, touching: Touching, rows: Index | NDArray[np.bool_]) -> tuple[Array, Array]:
+def _of_walls(con: Touching, rows: Index) -> tuple[Array, Array]:
     """First and second derivative of the gaps of contacts `rows`, which are with half-spaces."""
-    pair = touching.minima.pair[rows]
-    ring, wall = touching.a[pair], touching.b[pair]
-    return wall_derivatives(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall])
+    pair, x, normal = con.minima.pair[rows], con.placed.x, con.placed.normal
+    ring, wall = con.a[pair], con.b[pair]
+    return wall_derivatives(x[ring], normal[ring], x[wall], normal[wall])
 
 
-def _frames(placed: Placed, touching: Touching) -> tuple[Array, Array]:
-    """Tangent frames (m, 3, 2) of both rings of each contact."""
-    frame = np.stack(tangent_frame(placed.normal), axis=2)
-    pair = touching.minima.pair
-    return frame[touching.a[pair]], frame[touching.b[pair]]
-
-
-def spread(touching: Touching, G: Array, force: Array, n: int) -> Array:
+def spread(con: Touching, G: Array, force: Array) -> Array:
     """Generalised forces (n, 5) of contact forces (m,): sum of G^T force."""
-    pair, p = touching.minima.pair, len(touching.a)
-    return on_rings(touching, np.stack([np.bincount(pair, G[:, k] * force, p) for k in range(PAIR)], axis=1), n)
+    pair, p = con.minima.pair, len(con.key)
+    return on_rings(con, np.stack([np.bincount(pair, G[:, k] * force, p) for k in range(PAIR)], axis=1))
 
 
-def on_rings(touching: Touching, w: Array, n: int) -> Array:
+def on_rings(con: Touching, w: Array) -> Array:
     """Generalised forces (n, 5) of those of pairs (p, 7)."""
-    a, b = touching.a, touching.b
+    a, b, n = con.a, con.b, len(con.placed.x)
     ways = [np.bincount(b, w[:, k], n) - np.bincount(a, w[:, k], n) for k in range(3)]
     tilts = [np.bincount(a, w[:, 3 + k], n) + np.bincount(b, w[:, 5 + k], n) for k in range(2)]
     return np.stack(ways + tilts, axis=1)
 
 
-def pair_vectors(touching: Touching, q: Array) -> Array:
+def pair_vectors(con: Touching, q: Array) -> Array:
     """d, theta_a, theta_b (p, 7) of each pair, of q (n, 5)."""
-    a, b = q[touching.a], q[touching.b]
+    a, b = q[con.a], q[con.b]
     return np.concatenate([b[:, :3] - a[:, :3], a[:, 3:], b[:, 3:]], axis=1)
 
 
-def times(touching: Touching, pairs: Array, q: Array, n: int) -> Array:
+def times(con: Touching, pairs: Array, q: Array) -> Array:
     """The product (n, 5) of the matrix of blocks (p, 7, 7) with q (n, 5)."""
-    return on_rings(touching, np.matmul(pairs, pair_vectors(touching, q)[:, :, None])[:, :, 0], n)
+    return on_rings(con, np.matmul(pairs, pair_vectors(con, q)[:, :, None])[:, :, 0])
 
 
-def blocks(placed: Placed, touching: Touching, G: Array, stiff: Array, force: Array, idle: float) -> Array:
+def blocks(con: Touching, G: Array, stiff: Array, force: Array, idle: float) -> Array:
     """Blocks (p, 7, 7) of the pairs: sum of stiff G G^T - force d2(gap); contacts below `idle` have no curvature."""
-    pair = touching.minima.pair
-    first = np.searchsorted(pair, np.arange(len(touching.a) + 1))
+    first = np.searchsorted(con.minima.pair, np.arange(len(con.key) + 1))
     some = np.flatnonzero(first[1:] > first[:-1])
-    out = np.zeros((len(touching.a), PAIR, PAIR))
-    frame = np.stack(tangent_frame(placed.normal), axis=2)
+    out = np.zeros((len(con.key), PAIR, PAIR))
+    frame = np.stack(tangent_frame(con.placed.normal), axis=2)
     for part in range(0, len(some), _CHUNK):
         mine = some[part : part + _CHUNK]
         rows = np.arange(first[mine[0]], first[mine[-1] + 1])
         per = (stiff[rows, None] * G[rows])[:, :, None] * G[rows, None, :]
         curved = np.flatnonzero(force[rows] > idle)
-        per[curved] -= force[rows[curved], None, None] * _curvatures(placed, touching, rows[curved], frame)
+        per[curved] -= force[rows[curved], None, None] * _curvatures(con, rows[curved], frame)
         out[mine] = np.add.reduceat(per, first[mine] - rows[0], axis=0)
     return out
 
 
-def _curvatures(placed: Placed, touching: Touching, rows: Index, frame: Array) -> Array:
+def _curvatures(con: Touching, rows: Index, frame: Array) -> Array:
     """Second derivatives (k, 7, 7) of the gaps of contacts `rows` (k,); frame (n, 3, 2) of each ring."""
-    pair = touching.minima.pair[rows]
-    a, b = touching.a[pair], touching.b[pair]
-    H = distance_hessian(touching.minima.take(rows), placed.normal[a], placed.normal[b], 1.0, touching.fixed[rows])
+    pair, normal = con.minima.pair[rows], con.placed.normal
+    a, b = con.a[pair], con.b[pair]
+    H = distance_hessian(con.minima.take(rows), normal[a], normal[b], 1.0, con.fixed[rows])
     B = np.zeros((len(rows), 9, PAIR))
     B[:, [0, 1, 2], [0, 1, 2]] = 1.0
     B[:, 3:6, 3:5], B[:, 6:9, 5:7] = frame[a], frame[b]
     second = np.matmul(B.transpose(0, 2, 1), np.matmul(H, B))
-    if placed.walls:
-        at_wall = touching.at_wall[rows]
-        second[at_wall] = _of_walls(placed, touching, rows[at_wall])[1]
+    if con.placed.walls:
+        at_wall = con.at_wall[rows]
+        second[at_wall] = _of_walls(con, rows[at_wall])[1]
     return np.asarray(second)
 
 
@@ -122,12 +116,87 @@ def lacking(pairs: Array) -> Array:
     return out
 
 
-def metric() -> Array:
-    """Weights (7,) of d, theta_a, theta_b squared: how far two rings move relative to each other, how far they turn."""
-    return np.array([1.0, 1.0, 1.0, _TILT, _TILT, _TILT, _TILT])
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Where the blocks of pairs go in the matrix of the free unknowns: made once for all factors of a step.
+
+    felt: pairs with a block; free (k,): the free unknowns among 5 n; add: sums blocks of pairs to those of the matrix;
+    take: the entries of these by column; indices, indptr: of the compressed columns; diagonal: its entries among them.
+    tie (k, u): the free unknowns of the u that rings on bars leave, None without bars.
+    """
+
+    felt: Index
+    free: Index
+    add: sparse.csr_matrix
+    take: Index
+    indices: Index
+    indptr: Index
+    diagonal: Index
+    tie: sparse.csr_matrix | None = None
+
+    @classmethod
+    def of(cls, con: Touching, felt: Flags, free: Flags, tie: sparse.csr_matrix | None = None) -> Pattern:
+        """The pattern of the pairs that are `felt` (p,), of unknowns `free` (n, 5)."""
+        n, rows = len(free), np.flatnonzero(felt)
+        a, b = con.a[rows], con.b[rows]
+        first, second = np.concatenate([np.arange(n), a, b]), np.concatenate([np.arange(n), b, a])
+        order = np.lexsort((second, first))
+        place = np.empty(len(order), dtype=np.intp)
+        place[order] = np.arange(len(order))
+        p = len(rows)
+        to = np.stack([place[a], place[n : n + p], place[n + p :], place[b]], axis=1).ravel()
+        add = sparse.csr_matrix((np.ones(4 * p), (to, np.arange(4 * p))), shape=(len(order), 4 * p))
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(first, minlength=n))])
+        entries = np.arange(len(order) * BLOCK**2, dtype=float).reshape(-1, BLOCK, BLOCK)
+        size = BLOCK * n
+        whole = sparse.bsr_matrix((entries, second[order], indptr), shape=(size, size)).tocsr()
+        mask, number = free.ravel(), (np.cumsum(free) - 1).astype(np.int32)
+        column = np.repeat(np.arange(size), np.diff(whole.indptr))
+        keep = mask[column] & mask[whole.indices]
+        count = np.bincount(column[keep], minlength=size)[mask]
+        indices, columns = number[whole.indices[keep]], number[column[keep]]
+        # The matrix is symmetric: its rows are its columns.
+        take, indptr = whole.data[keep].astype(np.intp), np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+        return cls(rows, np.flatnonzero(mask), add, take, indices, indptr, np.flatnonzero(indices == columns), tie)
+
+    def matrix(self, pairs: Array, soft: Array) -> sparse.csc_matrix:
+        """The symmetric matrix (k, k) of blocks of pairs (p, 7, 7), `soft` (n, 5) on its diagonal; ties applied."""
+        parts = pairs[self.felt].reshape(-1, PAIR * PAIR)[:, _EXPAND] * _SIGN
+        data = (self.add @ parts.reshape(-1, BLOCK * BLOCK)).ravel()[self.take]
+        data[self.diagonal] += soft.ravel()[self.free]
+        k = len(self.free)
+        full = sparse.csc_matrix((data, self.indices, self.indptr), shape=(k, k))
+        if self.tie is None:
+            return full
+        tied = (self.tie.T @ full @ self.tie).tocsc()
+        tied.sort_indices()
+        return tied
+
+    def rings(self, rows: Index) -> Index:
+        """The rings that rows of the matrix belong to."""
+        if self.tie is not None:
+            rows = self.tie[:, rows].nonzero()[0]
+        return np.asarray(self.free[rows] // BLOCK)
+
+    def solver(self, solve: Solve) -> Solve:
+        """A function of right-hand sides (n, 5, ...) that solves for the free unknowns; the others are 0."""
+
+        def solved(push: Array) -> Array:
+            flat = push.reshape(push.shape[0] * BLOCK, *push.shape[2:])
+            out = np.zeros(flat.shape)
+            right = flat[self.free]
+            out[self.free] = solve(right) if self.tie is None else self.tie @ solve(self.tie.T @ right)
+            return out.reshape(push.shape)
+
+        return solved
 
 
-def add_metric(pairs: Array, weight: Array) -> None:
-    """Add weight (p,) times the metric to blocks (p, 7, 7)."""
-    for k, one in enumerate(metric()):
-        pairs[:, k, k] += one * weight
+def _expansion() -> tuple[Index, Array]:
+    """Entries (100,) of a pair's block (7, 7), with signs, in its four blocks (5, 5) aa, ab, ba, bb of the matrix."""
+    place = np.array([[0, 1, 2, 3, 4], [0, 1, 2, 5, 6]])
+    sign = np.array([[-1.0, -1.0, -1.0, 1.0, 1.0], [1.0] * BLOCK])
+    index = PAIR * place[:, None, :, None] + place[None, :, None, :]
+    return index.ravel(), (sign[:, None, :, None] * sign[None, :, None, :]).ravel()
+
+
+_EXPAND, _SIGN = _expansion()

@@ -25,8 +25,8 @@ from rve.solve import reference_sides, weave_sides
 from rve.strained.placed import axes_of_weave, reference_shares, shares
 
 if TYPE_CHECKING:
-    from rve.finite.records import FiniteOptions
     from rve.finite.solution import FiniteSolution
+    from rve.finite.task import FiniteOptions
     from rve.finite.walls import HalfSpace
 
 Index = NDArray[np.intp]

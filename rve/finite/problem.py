@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix, lil_matrix
+from scipy.sparse import coo_matrix, csr_matrix, eye
 from scipy.sparse.csgraph import connected_components
 
 from rve.common.errors import InputError
+from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.finite.layout import FiniteMesh
-from rve.finite.records import FiniteOptions, Task
+from rve.finite.task import FiniteOptions, Task
 from rve.finite.touching import Placed, find_touching
 from rve.finite.walls import HalfSpace
 
@@ -31,7 +31,7 @@ class Problem:
 
     mesh: FiniteMesh
     force: Array
-    held: NDArray[np.bool_]
+    held: Flags
     at: Array
     is_space: bool
     walls: tuple[HalfSpace, ...] = ()
@@ -44,60 +44,49 @@ class Problem:
         for name, array in (("force", force), ("held", self.held), ("at", self.at), ("guide", guide)):
             if array.shape != (n, 3):
                 raise InputError(f"{name}: has shape {array.shape}, it must be ({n}, 3), one row per ring")
-        if not (np.isfinite(force).all() and np.isfinite(self.at[self.held]).all()):
-            raise InputError("force and places must be finite numbers")
-        if np.isinf(guide).any():
-            raise InputError("guide: places must be finite numbers, or nan for none")
+        if not np.isfinite([*force.ravel(), *self.at[self.held]]).all() or np.isinf(guide).any():
+            raise InputError("force, places and guide must be finite numbers; nan in a guide is none")
         if not np.abs(force).sum() > 0.0:
             raise InputError("the mesh carries no load, so that it has no shape; give it weight or a pull")
-        for bar in self.mesh.bars:
-            self._check_bar(bar)
+        on_bars = np.concatenate([*mesh.bars, np.zeros(0, dtype=np.intp)])
+        if self.held[on_bars].any() or len(np.unique(on_bars)) < len(on_bars):
+            raise InputError("a ring of a straight bar is held or has a second bar; leave one of them out")
+        for bar in mesh.bars:
+            X = mesh.X[bar]
+            across = X - X[0] - along(X)[:, None] * (X[-1] - X[0])
+            if len(bar) < 2 or np.abs(across).max() > 1e-4 * mesh.cell.r1:
+                raise InputError("the rings of a bar lie on no line; let the outline be whole cells of the weave")
         graph = coo_matrix((np.ones(len(mesh.linked)), mesh.linked.T), shape=(n, n))
         count, label = connected_components(graph, directed=False)
         for piece in range(count):
             self._check_piece(np.flatnonzero(label == piece))
 
-    def _check_bar(self, rings: NDArray[np.intp]) -> None:
-        """InputError for rings of a bar that are held, on another bar, or on no line."""
-        others = [bar for bar in self.mesh.bars if bar is not rings]
-        if self.held[rings].any() or any(np.isin(rings, bar).any() for bar in others):
-            raise InputError("a ring of a straight bar is held or has a second bar; leave one of them out")
-        X = self.mesh.X[rings]
-        across = X - X[0] - along(X)[:, None] * (X[-1] - X[0])
-        if len(rings) < 2 or np.abs(across).max() > 1e-4 * self.mesh.cell.r1:
-            raise InputError("the rings of a straight bar lie on no line; let the outline be whole cells of the weave")
-
-    def tie(self, free: NDArray[np.bool_]) -> csr_matrix | None:
-        """Free coordinates (k,) of the u that bars leave: x = (1 - s) x_first + s x_last for the rings between."""
-        if not self.mesh.bars:
-            return None
-        number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-        T = lil_matrix((int(free.sum()), int(free.sum())))
-        T.setdiag(1.0)
-        between = []
-        for bar in self.mesh.bars:
-            s = along(self.mesh.X[bar])
-            for ring, share in zip(bar[1:-1], s[1:-1], strict=True):
-                for axis in np.flatnonzero(free[ring, :3]):
-                    row = number[ring, axis]
-                    T[row, row] = 0.0
-                    T[row, number[bar[0], axis]], T[row, number[bar[-1], axis]] = 1.0 - share, share
-                    between.append(row)
-        return csr_matrix(T)[:, np.setdiff1d(np.arange(T.shape[1]), between)]
-
-    def _check_piece(self, rings: NDArray[np.intp]) -> None:
+    def _check_piece(self, rings: Index) -> None:
         for axis in range(3):
             push = float(self.force[rings, axis].sum())
-            is_kept = axis == 2 and not self.is_space
-            stopped = any(wall.unit[axis] * push < 0.0 for wall in self.walls)
-            if abs(push) > _TINY * np.abs(self.force).sum() and not (
-                self.held[rings, axis].any() or stopped or is_kept
-            ):
+            is_kept = self.held[rings, axis].any() or (axis == 2 and not self.is_space)
+            is_kept |= any(wall.unit[axis] * push < 0.0 for wall in self.walls)
+            if abs(push) > _TINY * np.abs(self.force).sum() and not is_kept:
                 x, y = self.mesh.X[rings].mean(axis=0)
                 raise InputError(
                     f"nothing carries the force of {push:.6g} N along {'xyz'[axis]} on the piece around "
                     f"({x:g}, {y:g}) mm, it would move for ever; hold one of its rings"
                 )
+
+    def _tie(self, free: Flags) -> csr_matrix | None:
+        """Free coordinates (k,) of the u that bars leave: x = (1 - s) x_first + s x_last for the rings between."""
+        if not self.mesh.bars:
+            return None
+        number, k = np.cumsum(free).reshape(free.shape) - 1, int(free.sum())
+        T, between = eye(k, format="lil"), []
+        for bar in self.mesh.bars:
+            for ring, share in zip(bar[1:-1], along(self.mesh.X[bar])[1:-1], strict=True):
+                for axis in np.flatnonzero(free[ring, :3]):
+                    row = number[ring, axis]
+                    T[row, row] = 0.0
+                    T[row, number[bar[0], axis]], T[row, number[bar[-1], axis]] = 1.0 - share, share
+                    between.append(row)
+        return csr_matrix(T)[:, np.setdiff1d(np.arange(k), between)]
 
     def start(self, options: FiniteOptions) -> Placed:
         """The slack weave, as near to the held places as a translation brings it; in space with a disturbance in z.
@@ -118,18 +107,18 @@ class Problem:
             x[:, 2] += np.where(self.held[:, 2], 0.0, shift)
         for bar in self.mesh.bars:
             x[bar] = x[bar[0]] + along(mesh.X[bar])[:, None] * (x[bar[-1]] - x[bar[0]])
-        places, units = self.planes()
-        for place, m in zip(places, units, strict=True):
+        placed = self.placed(r1 * x, normal)
+        for place, m in zip(placed.x[len(x) :], placed.normal[len(x) :], strict=True):
             lowest = float(((x - place) @ m - np.sqrt(1.0 - np.minimum((normal @ m) ** 2, 1.0))).min())
             place += min(0.0, lowest - _CLEAR) * m
-        return Placed(np.concatenate([x, places]), np.concatenate([normal, units]), len(self.walls))
+        return placed
 
-    def planes(self) -> tuple[Array, Array]:
-        """Points (k, 3) in units of r1, r2 off the half-spaces, and unit normals (k, 3)."""
-        units = np.array([wall.unit for wall in self.walls]).reshape(-1, 3)
-        cell = self.mesh.cell
-        off = np.array([wall.offset + cell.r2 for wall in self.walls]) / cell.r1
-        return off[:, None] * units, units
+    def placed(self, centre: Array, normal: Array) -> Placed:
+        """Rings with centres (n, 3) in mm and normals (n, 3), and points of planes r2 off the half-spaces."""
+        units, cell = np.array([wall.unit for wall in self.walls]).reshape(-1, 3), self.mesh.cell
+        off = np.array([wall.offset + cell.r2 for wall in self.walls])
+        x = np.concatenate([centre, off[:, None] * units]) / cell.r1
+        return Placed(x, np.concatenate([normal, units]), len(self.walls))
 
     def task(self, load: float | None = None) -> tuple[Task, float]:
         """The equations without units, half-spaces as held rows after the rings; the unit of force in N.
@@ -147,8 +136,8 @@ class Problem:
         force = np.concatenate([self.force / unit, np.zeros((k, 3))])
         held = np.concatenate([kept, np.ones((k, 3), dtype=bool)])
         guide = None if self.guide is None else np.concatenate([self.guide / r1, np.full((k, 3), np.nan)])
-        at = np.concatenate([at / r1, self.planes()[0]])
-        tie = self.tie(free)
+        at = self.placed(at, at).x
+        tie = self._tie(free)
         return Task(mesh.linked, mesh.cell.wire, force, held, at, free, guide=guide, tie=tie, load=load / unit), unit
 
 

@@ -6,25 +6,14 @@ such pair are damped against each other and the step is asked for again.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
+from rve.common.records import Index
 from rve.common.types import Array
 from rve.finite.equations import spread
-from rve.finite.iterate import Linear, State, Step, Work, barrier
+from rve.finite.newton import Iteration, Step
 from rve.finite.passage import is_passage_safe
-from rve.finite.records import FiniteOptions, Task
-from rve.finite.touching import (
-    Index,
-    Placed,
-    Touching,
-    find_touching,
-    followed_gaps,
-    links_intact,
-    of_pairs,
-)
+from rve.finite.touching import Touching, followed_gaps, links_intact, of_pairs
 
 _TURNS = 3
 """Trials of a step, as it is and corrected."""
@@ -34,117 +23,88 @@ _LEAST = 0.002
 """Part of a pair's gap that must be left after a step."""
 
 
-def searched(
-    state: State,
-    task: Task,
-    line: Linear,
-    step: Step,
-    options: FiniteOptions,
-    work: Work,
-    *,
-    is_last: bool,
-) -> tuple[State | None, float]:
-    """The iterate after the longest good part of the step; None where more damping was asked for instead."""
-    con, gap = state.touching, state.touching.gap
+def search(now: Iteration, step: Step, *, is_last: bool) -> tuple[Touching | None, float]:
+    """The contacts after the longest good part of the step, and the part.
+
+    None where more damping was asked for instead."""
+    added = now.added
     with np.errstate(divide="ignore", invalid="ignore"):
-        open_ = np.where(step.dgap < 0.0, -_FARTHEST * gap / step.dgap, 1.0)
+        open_ = np.where(step.dgap < 0.0, -_FARTHEST * now.con.gap / step.dgap, 1.0)
     length = min(1.0, float(step.safe.min()), float(open_.min(initial=1.0)))
     new = None
     while length > 1e-9:
-        new, bad = _corrected(state, task, line, step, length, options, work)
-        if new is not None and not line.is_moving and not _fell(state, new, line, length * step.slope, task, options):
-            new, work.why = None, "rise"
+        new, why, bad = _try_part(now, step, length)
         if new is not None:
             break
-        if work.why == "gap" and not is_last:
-            _damp_pairs(con, bad, work)
+        if why == "gap" and not is_last:
+            # More damping for the pairs whose gaps would close; for all where one of them was not near before.
+            rows = of_pairs(now.con.key, bad)
+            known = rows[rows >= 0]
+            added.local[known] = np.maximum(30.0 * added.local[known], 5.0)
+            if len(known) < len(bad) or not len(bad):
+                added.damping = max(4.0 * added.damping, 1e-2)
             return None, 0.0
-        if work.why == "rise" and not is_last and length < 0.3:
-            work.damping = max(4.0 * work.damping, 1e-3)
+        if why == "rise" and not is_last and length < 0.3:
+            added.damping = max(4.0 * added.damping, 1e-3)
             return None, 0.0
         length *= 0.5
-    tight = step.safe < 0.5
-    work.local = np.where(tight, np.maximum(2.0 * work.local, 0.1), 0.4 * work.local)
-    work.local[work.local < 1e-3] = 0.0
+    added.local = np.where(step.safe < 0.5, np.maximum(2.0 * added.local, 0.1), 0.4 * added.local)
+    added.local[added.local < 1e-3] = 0.0
     return new, length
 
 
-def _damp_pairs(con: Touching, bad: Index, work: Work) -> None:
-    """More damping for the pairs whose gaps would close; for all where one of them was not near before."""
-    rows = of_pairs(con.key, bad)
-    known = rows >= 0
-    work.local[rows[known]] = np.maximum(30.0 * work.local[rows[known]], 5.0)
-    if not known.all() or not len(bad):
-        work.damping = max(4.0 * work.damping, 1e-2)
+def _try_part(now: Iteration, step: Step, length: float) -> tuple[Touching | None, str, Index]:
+    """The contacts after a part of the step, corrected for what known contacts fall short of.
 
-
-def _corrected(
-    state: State, task: Task, line: Linear, step: Step, length: float, options: FiniteOptions, work: Work
-) -> tuple[State | None, Index]:
-    """The iterate after a part of the step, corrected for what known contacts fall short of.
-
-    None where it is no good; then the keys of the pairs whose gaps would close.
+    None where it is no good; then why ("gap", "way", "link", "rise") and the keys of the pairs whose gaps would close.
     """
-    con, n = state.touching, len(task.force)
+    con, task = now.con, now.task
     q, forecast = length * step.q, con.gap + length * step.dgap
-    least = _LEAST * np.minimum(con.deepest, options.reach)[con.minima.pair]
+    before = np.minimum(con.deepest, con.reach)
+    least = _LEAST * before[con.minima.pair]
     closed: Index = con.key[:0]
     for turn in range(_TURNS):
-        work.trials += 1
-        placed = state.placed.moved(q)
-        gap = followed_gaps(con, placed, task.wire)
+        now.trials += 1
+        placed = con.placed.moved(q)
+        gap = followed_gaps(con, placed)
         if (gap >= least).all():
-            return _found(state, task, placed, q, options, work)
-        work.why, last = "gap", closed
-        closed = np.unique(con.key[con.minima.pair[gap < least]])
-        if turn and len(closed) >= len(last):
             break
-        back = spread(con, line.G, -step.stiff * np.minimum(gap - forecast, 0.0), n)
-        q = q + step.solve(back)
-    return None, closed
+        last, closed = closed, np.unique(con.key[con.minima.pair[gap < least]])
+        if turn and len(closed) >= len(last):
+            return None, "gap", closed
+        q = q + step.solve(spread(con, now.G, -step.stiff * np.minimum(gap - forecast, 0.0)))
+    else:
+        return None, "gap", closed
+    found = task.find(placed, con.reach)
+    row = of_pairs(con.key, found.key)
+    closing = found.deepest < _LEAST * np.where(row >= 0, before[row], con.reach)
+    if closing.any():
+        return None, "gap", found.key[closing]
+    if not is_passage_safe(con, found, q):
+        return None, "way", closed
+    if not links_intact(found, task.keys):
+        return None, "link", closed
+    if not now.is_moving and not _fell(now, found, length * step.slope):
+        return None, "rise", closed
+    return found, "", closed
 
 
-def _found(
-    state: State, task: Task, placed: Placed, q: Array, options: FiniteOptions, work: Work
-) -> tuple[State | None, Index]:
-    """The iterate at a trial that known contacts allow, after a whole search; None as in `_corrected`."""
-    found = find_touching(placed, task.linked, task.wire, options.reach, beside=task.beside)
-    closing = _is_closing(state.touching, found, options.reach)
-    work.why = "gap" if closing.any() else _fault(state, task, placed, found, q, options)
-    return None if work.why else replace(state, placed=placed, touching=found), found.key[closing]
+def _fell(now: Iteration, new: Touching, slope: float) -> bool:
+    """Whether the barrier function fell enough, to rounding.
 
-
-def _is_closing(old: Touching, found: Touching, reach: float) -> NDArray[np.bool_]:
-    """Pairs (p,) of `found` with next to nothing left of the gap that they had."""
-    rows = of_pairs(old.key, found.key)
-    before = np.where(rows >= 0, np.minimum(old.deepest[rows], reach), reach)
-    return np.asarray(found.deepest < _LEAST * before)
-
-
-def _fault(state: State, task: Task, placed: Placed, found: Touching, q: Array, options: FiniteOptions) -> str:
-    """What is wrong with a trial whose gaps are open: "way", "link", or nothing."""
-    if not is_passage_safe(state.placed, state.touching, placed, found, q, task.wire, options.reach):
-        return "way"
-    return "" if links_intact(placed, found, task.keys) else "link"
-
-
-def _fell(old: State, new: State, line: Linear, slope: float, task: Task, options: FiniteOptions) -> bool:
-    """Whether the barrier function fell enough, to rounding."""
-    after = barrier(new.placed, new.touching, task, old.mu, options.reach)
-    after += old.mu * _split(old.touching, new.touching, options.reach)
-    return after <= line.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(line.barrier))
-
-
-def _split(old: Touching, new: Touching, reach: float) -> float:
-    """What the barrier rose by where the number of a pair's contacts changed, its deepest one left out, negative."""
+    Where the number of a pair's contacts has changed, only its deepest one counts.
+    """
 
     def parts(con: Touching) -> tuple[Array, Array]:
-        g, d = (np.minimum(x / reach, 1.0) for x in (con.gap, con.deepest))
+        g, d = (np.minimum(x / con.reach, 1.0) for x in (con.gap, con.deepest))
         total = np.bincount(con.minima.pair, g - 1.0 - np.log(g), minlength=len(con.key))
         return np.asarray(total), d - 1.0 - np.log(d)
 
+    old, mu = now.con, now.state.mu
     (all_old, one_old), (all_new, one_new) = parts(old), parts(new)
     i = of_pairs(old.key, new.key)
     changed = (i >= 0) & (old.count[i] != new.count) & (old.count[i] > 0) & (new.count > 0)
     i = i[changed]
-    return float(((one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])).sum())
+    split = float(((one_new[changed] - one_old[i]) - (all_new[changed] - all_old[i])).sum())
+    after = now.task.barrier(new, mu) + mu * split
+    return after <= now.barrier + 1e-4 * slope + 1e-11 * (1.0 + abs(now.barrier))

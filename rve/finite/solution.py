@@ -16,11 +16,10 @@ from rve.common.texts import as_html
 from rve.common.types import Array
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
-from rve.finite.iterate import springs
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
-from rve.finite.records import SENTENCES, FiniteOptions, Found, Record, Task
 from rve.finite.solver import solve_rings
+from rve.finite.task import SENTENCES, FiniteOptions, Found, Record, Task
 from rve.finite.touching import find_touching, links_intact
 from rve.finite.walls import HalfSpace
 
@@ -212,24 +211,21 @@ def solve_mesh(problem: Problem, options: FiniteOptions | None = None) -> Finite
 def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s: float) -> FiniteSolution:
     """What a solver has found, with its units."""
     mesh, con = problem.mesh, found.touching
-    r1, n = mesh.cell.r1, len(mesh.X)
-    check = find_touching(found.placed, task.linked, task.wire, 0.1)
+    r1, n, pair, ring = mesh.cell.r1, len(mesh.X), con.minima.pair, ~con.at_wall
+    check = find_touching(con.placed, task.linked, task.wire, 0.1)
     lowest = r1 * float(check.deepest.min(initial=np.inf))
-    total = spread(con, gradients(found.placed, con), found.force, len(task.force))[:, :3] + task.force
-    total += springs(found.placed, task, 0.0)[1][:, :3]
+    total = spread(con, gradients(con), found.force)[:, :3] + task.force
+    total += task.springs(con.placed, 0.0)[1][:, :3]
     reaction = np.where(task.held, -unit * total, 0.0)
     if not problem.is_space:  # the plane, not a support, keeps the rings in it
         reaction[:n, 2] = 0.0
-    pair = con.minima.pair
-    ring = ~con.at_wall
     residual = max(found.residual, -lowest / r1)
     if found.status == "out-of-reach":
         unit, residual, reaction = np.nan, np.inf, np.full_like(reaction, np.nan)
-    missing = np.where(task.held, task.at - found.placed.x, 0.0)
     return FiniteSolution(
         mesh=mesh,
-        centre=r1 * found.placed.x[:n],
-        normal=found.placed.normal[:n],
+        centre=r1 * con.placed.x[:n],
+        normal=con.placed.normal[:n],
         load=problem.force,
         reaction=reaction[:n],
         contacts=RingContacts(
@@ -238,13 +234,13 @@ def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s:
             unit * found.force[ring],
             r1 * con.gap[ring],
             lowest,
-            links_intact(found.placed, check, task.keys),
+            links_intact(check, task.keys),
         ),
         walls=problem.walls,
         wall_force=reaction[n:],
         status=found.status,
         is_space=problem.is_space,
-        way_left_mm=r1 * float(np.sqrt((missing**2).sum(axis=1)).max()),
+        way_left_mm=r1 * float(np.linalg.norm(task.way_left(con.placed), axis=1).max()),
         kkt_residual=residual,
         wall_s=wall_s,
         history=found.history,

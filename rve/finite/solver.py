@@ -17,15 +17,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rve.common.factor import Factorizer
 from rve.common.progress import tell, way
 from rve.common.types import Array
 from rve.finite.equations import gradients, spread
-from rve.finite.factor import Factorizer
-from rve.finite.iterate import State, Step, Work, central, springs
-from rve.finite.newton import linearized, newton
-from rve.finite.records import FiniteOptions, Found, Record, Task
-from rve.finite.search import searched
-from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
+from rve.finite.newton import Iteration, Step
+from rve.finite.search import search
+from rve.finite.task import FiniteOptions, Found, Record, State, Task
+from rve.finite.touching import Placed, Touching
 
 _HIGHEST = 0.1
 """Largest mu, the product of force and gap, that lifts lead to."""
@@ -39,21 +38,17 @@ _LIFT = 30.0
 """Factor on mu where the iterates do not settle at it."""
 _TRIES = 3
 """Times a step is damped pair by pair before it is shortened."""
-
 _NEARER = ((1e-2, np.inf), (1e-4, 0.3), (0.0, 0.15))
 """Reach from these mu on, in r1: contacts farther away have next to no force, and cost as much as others."""
-
-
 _PARTS = (1, 8)
 """In how many parts held rings are moved: all at once closes gaps for good from some starts (1 of 100 at random)."""
 
 
 def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     """The equilibrium from a start without overlaps and with its links right; a failure has its status."""
-    touching = find_touching(start, task.linked, task.wire, options.reach, beside=task.beside)
+    touching = task.find(start, options.reach)
     none = np.zeros(len(touching.key))
-    force = central(touching.gap, options.first, options.reach)
-    state = State(start, touching, force, options.first, 1e-3, none, none)
+    state = State(touching, touching.central(options.first), options.first, 1e-3, none, none)
     for parts in _PARTS:
         found = _solve(task, state, options, parts)
         if found.status != "out-of-reach":
@@ -61,41 +56,41 @@ def solve_rings(task: Task, start: Placed, options: FiniteOptions) -> Found:
     return found
 
 
-def solve_near(task: Task, start: Placed, touching: Touching, force: Array, options: FiniteOptions) -> Found:
+def solve_near(task: Task, touching: Touching, force: Array, options: FiniteOptions) -> Found:
     """The equilibrium near a start whose contacts have the forces (m,), such as those of a time step before."""
     none = np.zeros(len(touching.key))
-    near = _near(options, options.first)
-    state = State(start, touching, force, options.first, 0.0, none, none)
-    return _solve(task, _found_again(state, task, near.reach), options, 1)
+    state = State(touching, force, options.first, 0.0, none, none)
+    return _solve(task, state.at(task.find(touching.placed, _reach(options, state.mu)), state.mu), options, 1)
 
 
 def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Found:
     """The equilibrium, held rings moved in so many parts, each once the rings are calm."""
-    start, whole, part = state.placed, task.at, 1
+    start, whole, part = state.touching.placed, task.at, 1
     task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
     factorize = Factorizer()
     history: list[Record] = []
     least, finest = np.inf, state
-    pace, status, is_minimum, near = Patience(float(options.patience)), "iterations", False, _near(options, state.mu)
+    pace, status, is_minimum = Patience(float(options.patience)), "iterations", False
     for _ in range(options.max_iterations):
         share = way(options.first, state.mu, options.last)
         tell(f"{len(task.force)} rings, iteration {len(history) + 1}, force x gap {state.mu:.0e}", share)
-        G = gradients(state.placed, state.touching)
-        residual, product = kkt(state.placed, state.touching, G, state.force, task)
+        G = gradients(state.touching)
+        residual, product = kkt(state, G, task)
         product *= options.tolerance / max(options.tolerance, _PRODUCT * options.last)
-        merit, has_arrived = max(residual, product), _way_to_go(state, task) < 1e-12
+        merit, has_arrived = max(residual, product), np.abs(task.way_left(state.touching.placed)).max() < 1e-12
         is_last = state.mu <= options.last
-        if has_arrived and is_last and merit < options.tolerance and is_minimum:
-            status = "converged"
-            break
-        if has_arrived and is_last and merit < options.tolerance and task.inertia is not None:
-            # A time step needs no more damping here; whether its matrix is positive definite shows without it.
-            none = np.zeros(len(state.local))
-            state = replace(state, damping=0.0, local=none, convex=none)
+        if has_arrived and is_last and merit < options.tolerance:
+            if is_minimum:
+                status = "converged"
+                break
+            if task.inertia is not None:
+                # A time step needs no more damping here; whether its matrix is positive definite shows without it.
+                none = np.zeros(len(state.local))
+                state = replace(state, damping=0.0, local=none, convex=none)
         if has_arrived and is_last and merit < least:
             least, finest = merit, state
         pace = pace.after(merit, history[-1].decrement if history else -1.0)
-        is_calm = not is_last and _is_calm(history, state, options)
+        is_calm = not is_last and _is_calm(history, state)
         if has_arrived and is_calm and part < parts:
             part += 1
             task = replace(task, at=start.x + (whole - start.x) * part / parts)
@@ -107,15 +102,16 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             if not is_calm and is_last:
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
                 task = replace(task, beside=not task.beside)
-            state, near = _at_next_mu(state, task, options, is_calm)
-            pace = pace.at_next(is_calm)
-            G = gradients(state.placed, state.touching)
-        state, record, is_minimum = _advanced(state, task, G, near, factorize)
+            state, pace = _at_next_mu(state, task, options, is_calm), pace.at_next(is_calm)
+            G = gradients(state.touching)
+        state, record, is_minimum = _advance(state, task, G, factorize)
         history.append(replace(record, residual=residual))
-        if _is_stuck(history):
+        if len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:]):
             status = "stalled" if has_arrived else "out-of-reach"
             break
-    return _answer(finest if np.isfinite(least) and status != "converged" else state, task, status, history)
+    best = finest if np.isfinite(least) and status != "converged" else state
+    residual = max(kkt(best, gradients(best.touching), task))
+    return Found(best.touching, best.force, status, residual, tuple(history))
 
 
 @dataclass(frozen=True)
@@ -149,98 +145,68 @@ class Patience:
         return self.idle > 1.5 * options.patience if is_last else self.slow > self.patience
 
 
-def _answer(state: State, task: Task, status: str, history: list[Record]) -> Found:
-    residual = max(kkt(state.placed, state.touching, gradients(state.placed, state.touching), state.force, task))
-    return Found(state.placed, state.touching, state.force, status, residual, tuple(history))
-
-
-def _at_next_mu(state: State, task: Task, options: FiniteOptions, is_calm: bool) -> tuple[State, FiniteOptions]:
+def _at_next_mu(state: State, task: Task, options: FiniteOptions, is_calm: bool) -> State:
     """The state with a lower mu, or a higher one where it did not get calm, and the contacts that count there.
 
-    The smaller mu, the nearer are the contacts that count. Where a fold runs through the mesh at a small mu, every ring
-    that it meets shortens the steps; at a higher one it passes in a few.
+    Where a fold runs through the mesh at a small mu, every ring that it meets shortens the steps; at a higher one it
+    passes in a few.
     """
     mu = max(options.last, min(_SHRINK * state.mu, state.mu**_POWER)) if is_calm else min(_HIGHEST, _LIFT * state.mu)
-    near = _near(options, mu)
-    return _found_again(replace(state, mu=mu), task, near.reach), near
+    return state.at(task.find(state.touching.placed, _reach(options, mu)), mu)
 
 
-def _near(options: FiniteOptions, mu: float) -> FiniteOptions:
-    """The options with the reach of contacts that count at a mu."""
-    return replace(options, reach=min(options.reach, next(part for least, part in _NEARER if mu >= least)))
+def _reach(options: FiniteOptions, mu: float) -> float:
+    """The reach of contacts that count at a mu."""
+    return min(options.reach, next(reach for least, reach in _NEARER if mu >= least))
 
 
-def _found_again(state: State, task: Task, reach: float) -> State:
-    """The state with its contacts looked for again, forces handed on."""
-    con = find_touching(state.placed, task.linked, task.wire, reach, beside=task.beside)
-    force = handed_on(state.touching, state.force, con, central(con.gap, state.mu, reach))
-    rows = of_pairs(state.touching.key, con.key)
-    local, convex = (np.where(rows >= 0, of[rows], 0.0) for of in (state.local, state.convex))
-    return replace(state, touching=con, force=force, local=local, convex=convex)
-
-
-def kkt(placed: Placed, touching: Touching, G: Array, force: Array, task: Task) -> tuple[float, float]:
+def kkt(state: State, G: Array, task: Task) -> tuple[float, float]:
     """Sum of the unbalanced forces over the sum of the loads; sum of force times gap over (links times mean force)."""
-    out = spread(touching, G, force, len(task.force))
+    con = state.touching
+    out = spread(con, G, state.force)
     out[:, :3] += task.force
-    out += springs(placed, task, 0.0)[1]
+    out += task.springs(con.placed, 0.0)[1]
     own = out[task.free]
     unbalanced = np.abs(own if task.tie is None else task.tie.T @ own).sum()
-    return float(unbalanced / task.load), float((force * touching.gap).sum() / len(task.linked))
+    return float(unbalanced / task.load), float((state.force * con.gap).sum() / len(task.linked))
 
 
-def _way_to_go(state: State, task: Task) -> float:
-    return float(np.abs(np.where(task.held, task.at - state.placed.x, 0.0)).max(initial=0.0))
-
-
-def _is_calm(history: list[Record], state: State, options: FiniteOptions) -> bool:
+def _is_calm(history: list[Record], state: State) -> bool:
     """Whether the last step of Newton's method at this mu could have gained next to nothing."""
     if not history or history[-1].mu != state.mu:
         return False
-    return 0.0 <= history[-1].decrement < _CALM * state.mu * len(state.placed.x)
+    return 0.0 <= history[-1].decrement < _CALM * state.mu * len(state.touching.placed.x)
 
 
-def _is_stuck(history: list[Record]) -> bool:
-    return len(history) >= 25 and all(one.length < 1e-6 for one in history[-25:])
-
-
-def _advanced(
-    state: State, task: Task, G: Array, options: FiniteOptions, factorize: Factorizer
-) -> tuple[State, Record, bool]:
+def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple[State, Record, bool]:
     """The next iterate, its record, and whether the matrix was positive definite without damping."""
-    line = linearized(state, task, G, options)
-    work = Work(state.damping, state.local.copy(), state.convex.copy(), np.zeros(len(state.force)))
+    now = Iteration(state, task, G, factorize)
     new, step, length = None, None, 0.0
     for attempt in range(_TRIES + 1):
-        step = newton(state, task, line, options, factorize, work)
+        step = now.step()
         if step is None:
             break
-        new, length = searched(state, task, line, step, options, work, is_last=attempt == _TRIES)
+        new, length = search(now, step, is_last=attempt == _TRIES)
         if new is not None:
             break
-    is_exact = state.damping < 1e-6 and state.convex.max(initial=0.0) == 0.0 and state.local.max(initial=0.0) < 1e-2
-    is_minimum = is_exact and work.failed == 0
+    damping, counts = now.added.damping, (len(state.force), now.trials, now.factors)
     if step is None or new is None:
-        damping = max(10.0 * work.damping, 1e-6)
-        record = Record(state.mu, 0.0, -1.0, 0.0, damping, len(state.force), work.trials, work.factors)
-        return replace(state, damping=min(damping, 1e9)), record, False
-    record = Record(state.mu, 0.0, -step.slope, length, work.damping, len(state.force), work.trials, work.factors)
-    return _accepted(state, new, step, length, options, work), record, is_minimum
+        damping = max(10.0 * damping, 1e-6)
+        return replace(state, damping=min(damping, 1e9)), Record(state.mu, 0.0, -1.0, 0.0, damping, *counts), False
+    is_exact = state.damping < 1e-6 and state.convex.max(initial=0.0) == 0.0 and state.local.max(initial=0.0) < 1e-2
+    record = Record(state.mu, 0.0, -step.slope, length, damping, *counts)
+    return _accept(now, new, step, length), record, is_exact and now.failed == 0
 
 
-def _accepted(state: State, new: State, step: Step, length: float, options: FiniteOptions, work: Work) -> State:
+def _accept(now: Iteration, new: Touching, step: Step, length: float) -> State:
     """The new iterate with its forces and the damping for the next step."""
-    force = state.force
+    state, added = now.state, now.added
     with np.errstate(divide="ignore", invalid="ignore"):
-        longest = np.where(step.dforce < 0.0, -0.99 * force / step.dforce, np.inf).min(initial=1.0)
-    force = force + min(float(longest), length) * step.dforce
-    fresh = central(new.touching.gap, state.mu, options.reach)
-    force = handed_on(state.touching, force, new.touching, fresh)
-    force = np.clip(force, 0.3 * fresh, 1e6 * state.mu / new.touching.gap)
-    damping = 0.3 * work.damping if length > 0.3 else work.damping
-    rows = of_pairs(state.touching.key, new.touching.key)
-    raised = work.convex > state.convex
-    convex = np.where(raised | (length <= 0.3), work.convex, 0.3 * work.convex)
+        longest = np.where(step.dforce < 0.0, -0.99 * state.force / step.dforce, np.inf).min(initial=1.0)
+    force = state.force + min(float(longest), length) * step.dforce
+    damping = 0.3 * added.damping if length > 0.3 else added.damping
+    convex = np.where((added.convex > state.convex) | (length <= 0.3), added.convex, 0.3 * added.convex)
     convex[convex < 0.02] = 0.0
-    local, convex = (np.where(rows >= 0, of[rows], 0.0) for of in (work.local, convex))
-    return replace(new, force=force, damping=damping if damping > 1e-9 else 0.0, local=local, convex=convex)
+    damping = damping if damping > 1e-9 else 0.0
+    end = replace(state, force=force, damping=damping, local=added.local, convex=convex).at(new, state.mu)
+    return replace(end, force=np.clip(end.force, 0.3 * new.central(state.mu), 1e6 * state.mu / new.gap))

@@ -19,21 +19,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rve.common.progress import tell
+from rve.common.records import Flags
 from rve.common.types import Array
 from rve.finite.equations import gradients, spread
-from rve.finite.iterate import central
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem
-from rve.finite.records import FiniteOptions, Found, Record, RingInertia
 from rve.finite.solution import FiniteSolution, as_solution
 from rve.finite.solver import solve_near
-from rve.finite.touching import Placed, Touching, find_touching, nearest, of_pairs
+from rve.finite.task import FiniteOptions, Found, Record, RingInertia
+from rve.finite.touching import Touching, find_touching, nearest, of_pairs
 from rve.finite.walls import HalfSpace
 from rve.geometry.cell import Cell
-from rve.geometry.circles import cross, tangent_frame
+from rve.geometry.circles import cross, rotation
 
 STEP = FiniteOptions(tolerance=1e-10, first=1e-8, last=1e-8, retries=0, max_iterations=60)
 """Options of a step. Smaller values of mu leave smaller gaps at contacts."""
@@ -86,21 +85,18 @@ def ring_places(rings: FiniteSolution) -> Array:
 
 def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
     """The slack weave at rest, without forces, its centres in the plane z = 0 about those of the reference."""
-    n = len(mesh.X)
-    none = np.zeros((n, 3))
-    problem = Problem(mesh, none, np.zeros((n, 3), dtype=bool), none, space, tuple(walls))
+    none = np.zeros((len(mesh.X), 3))
+    problem = Problem(mesh, none, none > 0.0, none, space, tuple(walls))
     centre, normal = mesh.slack()
     centre[:, :2] += (mesh.X - centre[:, :2]).mean(axis=0)
-    return rings_at(problem, centre, normal)
+    return _without_forces(problem, centre, normal)
 
 
-def rings_at(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
+def _without_forces(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
     """Rings with these centres (n, 3) in mm and normals (n, 3), without forces."""
     task, unit = problem.task(1.0)
-    placed = _placed(problem, centre, normal)
-    touching = find_touching(placed, task.linked, task.wire, STEP.reach)
-    found = Found(placed, touching, np.zeros(len(touching.gap)), "converged", 0.0, ())
-    return as_solution(problem, task, found, unit, 0.0)
+    touching = task.find(problem.placed(centre, normal), STEP.reach)
+    return as_solution(problem, task, Found(touching, np.zeros(len(touching.gap)), "converged", 0.0, ()), unit, 0.0)
 
 
 def step_rings(
@@ -108,12 +104,10 @@ def step_rings(
     weight: Array,
     aim: Array,
     force: Array,
-    held: NDArray[np.bool_],
+    held: Flags,
     at: Array,
     *,
     walls: Sequence[HalfSpace] = (),
-    options: FiniteOptions = STEP,
-    other_mu: Sequence[float] = OTHER_MU,
 ) -> RingStep:
     """The rings after a time step from `start`, under forces (n, 3) in N, coordinates held as in `FiniteMesh.solve`.
 
@@ -121,43 +115,50 @@ def step_rings(
     would be without forces, mm. Nothing need hold the mesh. walls: as many as at the start. A step that has not
     converged has its status.
     """
+    return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP, OTHER_MU)
+
+
+def _step(
+    problem: Problem,
+    start: FiniteSolution,
+    weight: Array,
+    aim: Array,
+    options: FiniteOptions,
+    other_mu: Sequence[float] = (),
+) -> RingStep:
+    """`step_rings` to the supports and half-spaces of a problem."""
     began = time.perf_counter()
-    mesh, r1, n = start.mesh, start.mesh.cell.r1, len(force)
-    problem = Problem(mesh, force, held, at, start.is_space, tuple(walls))
-    W = np.tile(weight, 2)[:, None]
-    load = float(np.abs(force).sum() + (W * np.abs(aim - ring_places(start))).sum())
+    mesh, r1, n = start.mesh, start.mesh.cell.r1, len(weight)
+    load = float(np.abs(problem.force).sum() + (np.tile(weight, 2)[:, None] * np.abs(aim - ring_places(start))).sum())
     task, unit = problem.task(max(load, _STILL * r1 * float(weight.sum())))
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
-    task = replace(task, inertia=_inertia(mesh.cell, weight, aim, unit, len(walls)), beside=False)
-    placed = _placed(replace(problem, walls=start.walls), start.centre, start.normal)
+    inertia = _inertia(mesh.cell, weight, aim, unit, len(problem.walls))
+    task = replace(task, inertia=inertia, beside=False)
+    placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, options.reach)
     for mu in (options.last, *other_mu):
-        options = replace(options, first=mu, last=mu)
-        found = solve_near(task, placed, touching, _forces(start, touching, unit, options), options)
+        tuned = replace(options, first=mu, last=mu)
+        found = solve_near(task, touching, _forces(start, touching, unit, mu), tuned)
         if found.status == "converged":
             break
     rings = as_solution(problem, task, found, unit, time.perf_counter() - began)
     con = found.touching
-    own, _ = nearest(con, touching)
+    own = nearest(con, touching)
     closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
-    pushes = unit * spread(con, gradients(found.placed, con), found.force, len(task.force))[:n]
-    e1, e2 = tangent_frame(rings.normal)
-    torque = r1 * (pushes[:, 3:4] * e1 + pushes[:, 4:] * e2)
-    radius = gyration_radius(mesh.cell)
+    pushes = unit * spread(con, gradients(con), found.force)[:n]
+    radius, torque = gyration_radius(mesh.cell), r1 * rotation(rings.normal, pushes[:, 3:])
     drawn = weight * (rings.normal * (radius * rings.normal - aim[n:])).sum(axis=1)
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
     return RingStep(rings, np.concatenate([pushes[:, :3], axes]), unit * r1 * float(found.force @ closed))
 
 
-def near_equilibrium(problem: Problem, rings: FiniteSolution, options: FiniteOptions) -> FiniteSolution:
+def _near_equilibrium(problem: Problem, rings: FiniteSolution, options: FiniteOptions) -> FiniteSolution:
     """The equilibrium near rings whose contacts have forces, with its status."""
-    began = time.perf_counter()
     task, unit = problem.task()
-    placed = _placed(problem, rings.centre, rings.normal)
-    touching = find_touching(placed, task.linked, task.wire, options.reach)
+    touching = task.find(problem.placed(rings.centre, rings.normal), options.reach)
     own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
-    found = solve_near(task, placed, touching, _forces(rings, touching, unit, own), own)
-    return as_solution(problem, task, found, unit, time.perf_counter() - began)
+    found = solve_near(task, touching, _forces(rings, touching, unit, own.first), own)
+    return as_solution(problem, task, found, unit, 0.0)
 
 
 def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
@@ -168,7 +169,7 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     planes = zip(problem.walls, placed.x[placed.rings :], strict=True)
     cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - problem.mesh.cell.r2) for wall, p in planes)
     start = replace(problem, walls=cut)
-    rings = found = rings_at(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
+    rings = found = _without_forces(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
     size = np.linalg.norm(problem.force, axis=1)
     load = np.maximum(size, size.mean())  # masses times 1 mm/s2: on the way to rest they may be any
     share, v, energy = 1.0, np.zeros((2 * len(load), 3)), 0.0
@@ -183,11 +184,8 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
         h = (np.sqrt(speed**2 + 4.0 * share * LONGEST * r1) - speed) / 2.0
         walls = [replace(w, offset=w.offset + part * d) for w, d in zip(rings.walls, walls_way, strict=True)]
         places = ring_places(rings)
-        aim, at = places + h * v, rings.centre + part * way
-        step = step_rings(
-            rings, load / h**2, aim, problem.force, problem.held, at, walls=walls, options=ROUGH, other_mu=()
-        )
-        end = step.rings
+        there = replace(problem, at=rings.centre + part * way, walls=tuple(walls))
+        end = _step(there, rings, load / h**2, places + h * v, ROUGH).rings
         history += end.history
         if end.status != "converged":
             share, v = SHORTER * share, np.zeros_like(v)
@@ -197,18 +195,12 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
         is_past = kinetic < energy
         v, energy = (0.0 * v, 0.0) if is_past else (moved / h, kinetic)
         if part == 1.0 and (is_past or np.abs(moved).max() < CALM * r1):
-            found = near_equilibrium(problem, rings, options)
+            found = _near_equilibrium(problem, rings, options)
             history += found.history
             if found.status == "converged":
                 break
         share = min(1.0, LONGER * share)
     return replace(found, wall_s=time.perf_counter() - began, history=history)
-
-
-def _placed(problem: Problem, centre: Array, normal: Array) -> Placed:
-    places, units = problem.planes()
-    x = np.concatenate([centre / problem.mesh.cell.r1, places])
-    return Placed(x, np.concatenate([normal, units]), len(problem.walls))
 
 
 def _inertia(cell: Cell, weight: Array, aim: Array, unit: float, walls: int) -> RingInertia:
@@ -219,12 +211,9 @@ def _inertia(cell: Cell, weight: Array, aim: Array, unit: float, walls: int) -> 
     return RingInertia(weight * cell.r1 / unit, place, weight * radius**2 / (unit * cell.r1), normal)
 
 
-def _forces(start: FiniteSolution, touching: Touching, unit: float, options: FiniteOptions) -> Array:
+def _forces(start: FiniteSolution, touching: Touching, unit: float, mu: float) -> Array:
     """Forces (m,) of contacts at the start, in a unit in N: those of each pair shared out as on the central path."""
-    fresh = central(touching.gap, options.first, options.reach)
-    pair, count = touching.minima.pair, len(touching.key)
-    pairs = start.contacts.pairs
-    row = of_pairs(touching.key, pairs[:, 0] * (touching.rings + len(start.walls)) + pairs[:, 1])
-    total = np.bincount(row[row >= 0], start.contacts.force[row >= 0] / unit, minlength=count)
-    whole = np.bincount(pair, fresh, minlength=count)
-    return np.asarray(np.where(total[pair] > 0.0, fresh * total[pair] / np.maximum(whole[pair], 1e-300), fresh))
+    pairs, force = start.contacts.pairs, start.contacts.force
+    row = of_pairs(touching.key, pairs[:, 0] * len(touching.placed.x) + pairs[:, 1])
+    total = np.bincount(row[row >= 0], force[row >= 0] / unit, minlength=len(touching.key))
+    return touching.shared(np.asarray(total, float), mu)

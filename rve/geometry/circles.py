@@ -68,6 +68,20 @@ def tangent_frame(n: Array) -> tuple[Array, Array]:
     return e1, e2
 
 
+def rotation(n: Array, tilt: Array) -> Array:
+    """Rotation vectors (..., 3) of tilts (..., 2) about the axes of the tangent frames of n (..., 3)."""
+    e1, e2 = tangent_frame(n)
+    return np.asarray(tilt[..., :1] * e1 + tilt[..., 1:] * e2)
+
+
+def turned(n: Array, tilt: Array) -> Array:
+    """Unit normals n (..., 3) turned by tilts (..., 2), see `rotation`, by the exponential map."""
+    omega = rotation(n, tilt)
+    angle = np.sqrt(dot(omega, omega))[..., None]
+    new = np.cos(angle) * n + np.sinc(angle / np.pi) * cross(omega, n)
+    return np.asarray(new / np.sqrt(dot(new, new))[..., None])
+
+
 def foot_on_circle(p: Array, n: Array, r: float) -> Array:
     """Point of the circle (centre 0, unit normal n, radius r) closest to p (..., 3).
 
@@ -214,12 +228,11 @@ def local_minima(d: Array, n_a: Array, n_b: Array, r1: float, *, reach: float = 
     centre, shift = step * column.astype(np.float64), step * np.clip(vertex, -0.5, 0.5)
     angle, found = _polish(pair, centre, step, (d, n_a, n_b), r1, shift)
     near = found.distance <= reach
-    soft = near & (found.curvature < _SOFT)
+    found, angle = found.take(near), angle[near]
+    soft = found.curvature < _SOFT
     hidden, place = _shoulders(rise, fall, can_reach, step)
-    if not (soft.any() or len(hidden)):
-        return found.take(near)
-    around = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
-    return _with_twins(found, near, soft, around, reach, (d, n_a, n_b), r1)
+    around, angles = np.concatenate([found.pair[soft], hidden]), np.concatenate([angle[soft], place])
+    return _with_twins(found, around, angles, reach, (d, n_a, n_b), r1) if len(around) else found
 
 
 def followed_minima(near: Minima, d: Array, n_a: Array, n_b: Array, r1: float, *, width: float = 0.2) -> Minima:
@@ -255,16 +268,11 @@ def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple
 
 
 def _with_twins(
-    found: Minima,
-    near: Flags,
-    soft: Flags,
-    around: tuple[Index, Array],
-    reach: float,
-    circles: tuple[Array, Array, Array],
-    r1: float,
+    found: Minima, pair: Index, angle: Array, reach: float, circles: tuple[Array, Array, Array], r1: float
 ) -> Minima:
-    """The near minima and those that the coarse sampling has missed: it looks closer `around` these angles."""
-    pair, angle = around
+    """The minima found and those that the coarse sampling has missed, each once, sorted by pair and distance.
+
+    Looked at more closely are pairs (k,) around angles (k,)."""
     d, n_a, n_b = circles
     # Twins may be 0.001 rad apart or 0.1: the samples crowd towards the minimum.
     offset = 0.8 / np.sinh(6.0) * np.sinh(np.linspace(-6.0, 6.0, 97))
@@ -275,21 +283,13 @@ def _with_twins(
     bracket = np.maximum(width[column], width[column + 1])
     _, twins = _polish(pair[row], angle[row] + offset[column + 1], bracket, circles, r1)
     # A symmetric start may sit on the saddle between two twins: stationary, but no minimum.
-    stable = found.curvature > -_ROUND_OFF
+    soft, stable = found.curvature < _SOFT, found.curvature > -_ROUND_OFF
     twins = twins.take((twins.curvature > -_ROUND_OFF) & (twins.distance <= reach))
-    parts = [found.take(near & ~soft), found.take(soft & stable), twins]
-    return _joined(parts, r1)
-
-
-def _joined(parts: list[Minima], r1: float) -> Minima:
-    """All parts, each point once, sorted by pair and distance."""
-    both = parts[0].join(parts[1:])
-    order = np.lexsort((both.distance, both.pair))
-    both = both.take(order)
-    first = np.ones(len(order), dtype=bool)
+    both = found.take(~soft).join([found.take(soft & stable), twins])
+    both = both.take(np.lexsort((both.distance, both.pair)))
+    first = np.ones(len(both.pair), dtype=bool)
     # Two soft minima are found three times each and their order by distance is round-off: look back past all of them.
     for back in range(1, 8):
-        same_pair = both.pair[back:] == both.pair[:-back]
-        gap = both.rho_a[back:] - both.rho_a[:-back]
-        first[back:] &= ~(same_pair & (dot(gap, gap) < (1e-4 * r1) ** 2))
+        apart = both.rho_a[back:] - both.rho_a[:-back]
+        first[back:] &= (both.pair[back:] != both.pair[:-back]) | (dot(apart, apart) >= (1e-4 * r1) ** 2)
     return both.take(first)

@@ -15,7 +15,7 @@ import numpy as np
 
 from rve.common.records import Index, Rows
 from rve.common.types import Array
-from rve.geometry.circles import cross, dot, tangent_frame
+from rve.geometry.circles import tangent_frame, turned
 from rve.geometry.kinematics import green_lagrange
 from rve.geometry.weave import Weave
 
@@ -55,13 +55,7 @@ def moved(pose: Pose, v: Array) -> Pose:
     centres = pose.centres.copy()
     tilts = v.shape[1] - 2 * k
     centres[:, 1:] += v[:, 3:tilts].reshape(centres[:, 1:].shape)
-    tilt = v[:, tilts:].reshape(n, k, 2)
-    e1, e2 = tangent_frame(pose.normals)
-    omega = tilt[..., :1] * e1 + tilt[..., 1:] * e2
-    angle = np.sqrt(dot(omega, omega))[..., None]
-    turn = cross(omega, pose.normals)
-    normals = np.cos(angle) * pose.normals + np.sinc(angle / np.pi) * turn
-    return Pose(pose.lattice + v[:, :3], centres, normals / np.sqrt(dot(normals, normals))[..., None])
+    return Pose(pose.lattice + v[:, :3], centres, turned(pose.normals, v[:, tilts:].reshape(n, k, 2)))
 
 
 def mirrored(pose: Pose) -> Pose:

@@ -7,14 +7,12 @@ import pytest
 from scipy.optimize import minimize
 
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
+from rve.common.factor import Factorizer
 from rve.drawn import ALONG
-from rve.finite.equations import blocks, gradients, lacking, pair_vectors, spread, times
-from rve.finite.factor import Factorizer
-from rve.finite.iterate import State, Work, barrier, central
-from rve.finite.newton import linearized
+from rve.finite.equations import Pattern, blocks, gradients, lacking, pair_vectors, spread, times
+from rve.finite.newton import Factored, Iteration, forces_that_stop
 from rve.finite.passage import is_passage_safe, ways
-from rve.finite.records import Task
-from rve.finite.system import Factored, Pattern, forces_that_stop
+from rve.finite.task import State, Task
 from rve.finite.touching import Placed, find_touching, followed_gaps, links_intact
 from rve.finite.walls import wall_derivatives, wall_gaps
 from rve.geometry.circles import tangent_frame
@@ -80,8 +78,8 @@ def test_the_slack_start_has_gaps_and_the_links_of_the_weave():
     placed = Placed(centre / 5.0, normal)
     con = find_touching(placed, mesh.linked, 0.1, 0.6)
     assert con.deepest.min() > 0.25
-    assert links_intact(placed, con, mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1])
-    assert not links_intact(placed, con, mesh.linked[1:, 0] * len(mesh.X) + mesh.linked[1:, 1])
+    assert links_intact(con, mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1])
+    assert not links_intact(con, mesh.linked[1:, 0] * len(mesh.X) + mesh.linked[1:, 1])
 
 
 def disturbed(seed, size=0.05):
@@ -110,7 +108,7 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     assert same.sum() > 30
     assert (fore.key == con.key).all()
     assert (fore.count == con.count).all()
-    jac = gradients(placed, con)
+    jac = gradients(con)
     moved = pair_vectors(con, q)[con.minima.pair]
     rate = (jac * moved).sum(axis=1)
     assert np.abs(rate - (g1 - g2) / (2 * step))[same].max() < 1e-6
@@ -118,7 +116,7 @@ def test_gradients_and_newton_matrix_are_those_of_differences():
     for row in np.flatnonzero(same)[::7]:
         force = np.zeros(len(gap))
         force[row] = 1.0
-        K = blocks(placed, con, jac, np.zeros(len(gap)), force, 0.0)
+        K = blocks(con, jac, np.zeros(len(gap)), force, 0.0)
         v = moved[row]
         second = (g1[row] - 2 * gap[row] + g2[row]) / step**2
         assert v @ -K[con.minima.pair[row]] @ v == pytest.approx(second, abs=1e-3 * (1.0 + abs(second)))
@@ -130,14 +128,14 @@ def some_matrix():
     mesh, placed, rng = disturbed(2)
     con = find_touching(placed, mesh.linked, 0.1, 0.6)
     n, m = len(mesh.X), len(con.gap)
-    jac, stiff = gradients(placed, con), rng.uniform(1.0, 2.0, m)
+    jac, stiff = gradients(con), rng.uniform(1.0, 2.0, m)
     whole = np.zeros((m, n, 5))
     for row, pair in enumerate(con.minima.pair):
         whole[row, con.a[pair], :3] -= jac[row, :3]
         whole[row, con.b[pair], :3] += jac[row, :3]
         whole[row, con.a[pair], 3:] += jac[row, 3:5]
         whole[row, con.b[pair], 3:] += jac[row, 5:]
-    K = blocks(placed, con, jac, stiff, np.zeros(m), 0.0)
+    K = blocks(con, jac, stiff, np.zeros(m), 0.0)
     free = rng.uniform(size=(n, 5)) > 0.2
     flat = whole.reshape(m, 5 * n)
     dense = flat.T @ (stiff[:, None] * flat) + 0.7 * np.eye(5 * n)
@@ -146,10 +144,9 @@ def some_matrix():
 
 def test_matrix_and_products_are_sums_over_pairs():
     con, jac, whole, K, free, dense, rng = some_matrix()
-    n = len(free)
-    q, force = rng.standard_normal((n, 5)), rng.uniform(size=len(jac))
-    assert np.allclose(times(con, K, q, n).ravel(), dense @ q.ravel() - 0.7 * q.ravel())
-    assert np.allclose(spread(con, jac, force, n), np.einsum("m,mnk->nk", force, whole))
+    q, force = rng.standard_normal(free.shape), rng.uniform(size=len(jac))
+    assert np.allclose(times(con, K, q).ravel(), dense @ q.ravel() - 0.7 * q.ravel())
+    assert np.allclose(spread(con, jac, force), np.einsum("m,mnk->nk", force, whole))
     dense = dense[np.ix_(free.ravel(), free.ravel())]
     pattern = Pattern.of(con, con.count > 0, free)
     found = pattern.matrix(K, np.full(free.shape, 0.7))
@@ -174,7 +171,7 @@ def test_a_factor_serves_for_stiffer_contacts_and_pairs():
     )
     pattern = Pattern.of(con, con.count > 0, free)
     solve = pattern.solver(Factorizer("superlu")(pattern.matrix(K, np.full(free.shape, 0.7))))
-    factored = Factored(solve, con, jac, Work(0.0, np.zeros(len(con.a)), np.zeros(len(con.a)), np.zeros(m)), len(free))
+    factored = Factored(solve, con, jac)
     names = np.append(rows, m + 7 * tight + 3)
     assert factored.stiffened(names[:0], weight[:0]) is solve
     first = factored.stiffened(names[:2], weight[:2])(q)
@@ -220,7 +217,7 @@ def test_circles_that_cross_on_the_way_have_ways_as_long_as_their_distances():
     for size in (0.02, 0.3, 1.0):
         for before, q in crossing_pairs(6, size):
             old, new = (find_touching(placed, pair, 0.0, 9.0, beside=False) for placed in (before, before.moved(q)))
-            ratio.append((old.deepest[0] + new.deepest[0]) / ways(before, old, q)[0])
+            ratio.append((old.deepest[0] + new.deepest[0]) / ways(old, q)[0])
     assert max(ratio) <= 1.0
     assert max(ratio) > 0.5  # the bound is no mere multiple of the way
 
@@ -234,7 +231,7 @@ def test_rings_that_turn_together_have_next_to_no_way():
         e1, e2 = tangent_frame(placed.normal)
         turn = angle * np.cross(about, placed.x - middle)
         q = np.column_stack([turn, angle * e1 @ about, angle * e2 @ about])
-        assert ways(placed, con, q).max() < most
+        assert ways(con, q).max() < most
 
 
 def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
@@ -262,7 +259,7 @@ def test_no_step_carries_a_ring_through_another():
         q[1, :3] = way
         after = before.moved(q)
         old, new = (find_touching(placed, linked, 0.1, 0.6) for placed in (before, after))
-        return is_passage_safe(before, old, after, new, q, 0.1, 0.6)
+        return is_passage_safe(old, new, q)
 
     flat = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
     # parallel rings pass through two wires at once, which no linking number tells
@@ -491,7 +488,7 @@ def test_contacts_that_are_followed_are_those_of_a_whole_search():
     mesh, placed, rng = disturbed(3, 0.03)
     con = find_touching(placed, mesh.linked, 0.1, 0.6)
     after = placed.moved(0.02 * rng.uniform(-1.0, 1.0, (len(mesh.X), 5)))
-    new, gap = find_touching(after, mesh.linked, 0.1, 3.0, beside=False), followed_gaps(con, after, 0.1)
+    new, gap = find_touching(after, mesh.linked, 0.1, 3.0, beside=False), followed_gaps(con, after)
     real = ~con.fixed
     assert np.isinf(gap[con.fixed]).all()
     least = np.full(len(con.key), np.inf)
@@ -624,16 +621,16 @@ def test_the_right_hand_side_is_the_slope_of_the_barrier_function_with_a_guide_t
 
     def at(t):
         con = find_touching(placed.moved(t * q), mesh.linked, 0.1, 0.6, beside=False)
-        return con, barrier(placed.moved(t * q), con, task, mu, 0.6)
+        return con, task.barrier(con, mu)
 
     con, _ = at(0.0)
     (fore, above), (aft, below) = at(step), at(-step)
     assert (fore.count == aft.count).all()
-    state = State(placed, con, central(con.gap, mu, 0.6), mu, 0.0, *np.zeros((2, len(con.key))))
-    slope = -(linearized(state, task, gradients(placed, con), FiniteOptions()).rhs * q).sum()
+    state = State(con, con.central(mu), mu, 0.0, *np.zeros((2, len(con.key))))
+    slope = -(Iteration(state, task, gradients(con), Factorizer()).rhs * q).sum()
     assert (above - below) / (2 * step) == pytest.approx(slope, rel=1e-6)
     for small in (1e-9, 5e-4):
-        assert barrier(placed, con, task, small, 0.6) == barrier(placed, con, replace(task, guide=None), small, 0.6)
+        assert task.barrier(con, small) == replace(task, guide=None).barrier(con, small)
 
 
 def test_a_guide_has_no_part_in_the_answer_but_where_it_is_found():

@@ -1,4 +1,4 @@
-"""Options, task, answer and statuses of the solver of finite meshes. Lengths are in units of r1."""
+"""What the solver of finite meshes solves: options, task, iterate, answer and statuses. Lengths are in units of r1."""
 
 from __future__ import annotations
 
@@ -8,8 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from rve.common.records import Index
 from rve.common.types import Array
-from rve.finite.touching import Index, Placed, Touching
+from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
+from rve.geometry.circles import cross, dot, tangent_frame
+
+BLOCK = 5
+"""Unknowns of a ring: its centre (3) and two tilts about the axes of its tangent frame."""
+_TIE = 0.1
+"""Stiffness of the spring between a ring and its guide over mu, in 1/r1^2."""
+_TIED = 1e-3
+"""mu below which rings are guided no more."""
 
 SENTENCES = {
     "converged": "a local minimum of the potential: forces balance, gaps and links are within tolerance",
@@ -83,6 +92,62 @@ class Task:
         """Keys of the linked pairs."""
         return np.asarray(self.linked[:, 0] * len(self.force) + self.linked[:, 1])
 
+    def find(self, placed: Placed, reach: float) -> Touching:
+        """The contacts of placed rings."""
+        return find_touching(placed, self.linked, self.wire, reach, beside=self.beside)
+
+    def way_left(self, placed: Placed) -> Array:
+        """The way (n, 3) of held coordinates to their places, 0 for others."""
+        return np.where(self.held, self.at - placed.x, 0.0)
+
+    def springs(self, placed: Placed, mu: float) -> tuple[float, Array, Array]:
+        """Energy, generalised forces (n, 5) and stiffness (n, 5) of the springs to the guide, none at a small mu, and
+        of the inertia of a time step."""
+        energy, pull, stiff = 0.0, np.zeros((len(placed.x), BLOCK)), np.zeros((len(placed.x), BLOCK))
+        own, ends = self.inertia, []
+        if self.guide is not None and mu >= _TIED:
+            guided = np.isfinite(self.guide)
+            ends.append((np.where(guided, _TIE * mu, 0.0), np.where(guided, self.guide, 0.0)))
+        if own is not None:
+            ends.append((own.weight[:, None], own.place))
+            energy += 0.5 * float((own.turning * ((placed.normal - own.normal) ** 2).sum(axis=1)).sum())
+            torque = own.turning[:, None] * cross(placed.normal, own.normal)
+            pull[:, 3:] = np.stack([dot(torque, e) for e in tangent_frame(placed.normal)], axis=1)
+            stiff[:, 3:] = (own.turning * dot(placed.normal, own.normal))[:, None]
+        for weight, end in ends:
+            away = end - placed.x
+            energy += 0.5 * float((weight * away**2).sum())
+            pull[:, :3] += weight * away
+            stiff[:, :3] += weight
+        return energy, pull, stiff
+
+    def barrier(self, con: Touching, mu: float) -> float:
+        """-f.x + mu sum (g/R - 1 - log g/R), g the gap and R the reach, and the energy of springs and inertia, all
+        without units: falls along a step at one mu."""
+        gap = np.minimum(con.gap / con.reach, 1.0)
+        energy = self.springs(con.placed, mu)[0] - (self.force * con.placed.x).sum()
+        return float(energy + mu * (gap - 1.0 - np.log(gap)).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """An iterate: forces (m,) of contacts; damping of all pairs, and `local` (p,) of single ones on top of it; convex
+    (p,): which part of the negative curvature of each pair is left out."""
+
+    touching: Touching
+    force: Array
+    mu: float
+    damping: float
+    local: Array
+    convex: Array
+
+    def at(self, touching: Touching, mu: float) -> State:
+        """The iterate with other contacts, forces handed on."""
+        row = of_pairs(self.touching.key, touching.key)
+        local, convex = (np.where(row >= 0, of[row], 0.0) for of in (self.local, self.convex))
+        force = handed_on(self.touching, self.force, touching, mu)
+        return State(touching, force, mu, self.damping, local, convex)
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
@@ -106,7 +171,6 @@ class Found:
     Of iterates that do not converge, the one of least residual.
     """
 
-    placed: Placed
     touching: Touching
     force: Array
     status: str
