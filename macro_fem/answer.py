@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from macro_fem.output.supports import support_rows
+from macro_fem.output.forces import support_rows
 from macro_fem.solvers.status import Status
 from rve.common.errors import require
 from rve.common.texts import as_html

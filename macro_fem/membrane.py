@@ -14,8 +14,8 @@ from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.combinations import envelope, envelope_table
 from macro_fem.elastic_forces import with_forces
 from macro_fem.order import order
-from macro_fem.output import obstacles
 from macro_fem.output.files import features, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.intervals import bounds_summary, interval_summary
 from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
 from macro_fem.rings.curtain import curtain_of
@@ -115,7 +115,7 @@ class MembraneSolution(Solution):
         """Write two pages of PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
         Pictures(report=Path(path)).check_paths(inputs)
         require("matplotlib", "plots", "a report", "read summary.json")
-        from macro_fem.output.report import write_report
+        from macro_fem.report import write_report
 
         write_report(path, self.loaded, self.summary, inputs)
 
@@ -161,7 +161,7 @@ class MembraneSolution(Solution):
             summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
         if self.demand is not None:
             summary |= self.demand.to_dict()
-        summary |= obstacles.summary(self._shown)
+        summary |= obstacle_summary(self._shown)
         if self.combinations:
             summary |= envelope([(one, found.summary) for one, found in self.combinations])
             failed = [row for row in summary["combinations"] if row["status"] != Status.CONVERGED]

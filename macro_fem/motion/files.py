@@ -16,8 +16,7 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.space import padded
 from macro_fem.motion.kept import KEPT, read_kept, write_kept
 from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
-from macro_fem.motion.shown import as_solution, chosen
-from macro_fem.motion.views import write_views
+from macro_fem.motion.views import as_solution, chosen, write_views
 from macro_fem.output import strength
 from macro_fem.output.files import collection, write_vtu
 from macro_fem.output.pictures import Pictures

@@ -17,7 +17,7 @@ from macro_fem.fem.cells import counterclockwise, mean_at_corners
 from macro_fem.fem.discretization import discretize
 from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
-from macro_fem.output.supports import held_length, support_forces, support_table
+from macro_fem.output.forces import held_length, support_forces, support_table
 from macro_fem.output.weakest import weakest
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -55,15 +55,23 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """
     problem = solution.problem
     disc = problem.disc
-    state = solution.state()
-    area = disc.cell_area
-    told, forces = strength.summary(solution), support_forces(solution)
+    area, x, state = disc.cell_area, solution.x, solution.state()
+    parts = np.bincount(state, weights=area, minlength=3) / area.sum()
+    per_area, mass_from = areal_mass(problem.scene, problem.law.cell)
+    told, forces, in_space = strength.summary(solution), support_forces(solution), {}
+    if problem.fem.d == 3:
+        shares = load_vector(discretize(problem.mesh.mesh, disc.element), np.array([1.0]))[:, 0]
+        in_space = {
+            "lowest_point_at_mm": x[x[:, 1].argmin()].tolist(),
+            "out_of_plane_mm": float(np.abs(x[:, 2]).max()),
+            "centre_of_gravity_mm": (shares @ x / shares.sum()).tolist(),
+        }
     return {
         "status": solution.status,
         "message": solution.message,
         "mean_height_mm": solution.mean_height(),
-        "lowest_point_mm": float(solution.x[:, 1].min()),
-        **_places_in_space(solution),
+        "lowest_point_mm": float(x[:, 1].min()),
+        **in_space,
         "max_displacement_mm": float(np.linalg.norm(solution.displacement, axis=1).max()),
         **line_load.summary(solution),
         **told,
@@ -89,25 +97,13 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
         **wind_summary(solution),
-        **masses(solution),
-        "taut_area_fraction": float(area[state == 2].sum() / area.sum()),
-        "wrinkled_area_fraction": float(area[state == 1].sum() / area.sum()),
-        "slack_area_fraction": float(area[state == 0].sum() / area.sum()),
+        **{"areal_mass_kg_per_m2": per_area, "areal_mass_from": mass_from},
+        "mass_kg": per_area * PER_MM2 * float(area.sum()),
+        "taut_area_fraction": float(parts[2]),
+        "wrinkled_area_fraction": float(parts[1]),
+        "slack_area_fraction": float(parts[0]),
         "wall_s": solution.wall_s,
         "versions": versions("scikit-fem", "scikit-sparse"),
-    }
-
-
-def _places_in_space(solution: CurtainSolution) -> dict[str, Any]:
-    """Places that tell the shape of a curtain in space, mm; nothing for a plane one."""
-    problem, x = solution.problem, solution.x
-    if problem.fem.d == 2:
-        return {}
-    shares = load_vector(discretize(problem.mesh.mesh, problem.disc.element), np.array([1.0]))[:, 0]
-    return {
-        "lowest_point_at_mm": x[x[:, 1].argmin()].tolist(),
-        "out_of_plane_mm": float(np.abs(x[:, 2]).max()),
-        "centre_of_gravity_mm": (shares @ x / shares.sum()).tolist(),
     }
 
 
@@ -118,37 +114,28 @@ def rings(cell: CellInfo | None) -> dict[str, float] | None:
     return {key: value for key, value in asdict(cell).items() if key != "areal_mass_kg_per_m2"}
 
 
-def masses(solution: CurtainSolution) -> dict[str, Any]:
-    """The areal mass of the curtain, whether it is from the scene or the law, and the mass of the whole curtain."""
-    mass, source = areal_mass(solution.problem.scene, solution.problem.law.cell)
-    total = mass * PER_MM2 * float(solution.problem.disc.cell_area.sum())
-    return {"areal_mass_kg_per_m2": mass, "areal_mass_from": source, "mass_kg": total}
-
-
 def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[dict[str, Any]]:
     """Rows of feature, used and why; `bounds`, `picture`: whether the curtain was bounded, is drawn."""
     problem, settling = solution.problem, solution.settling
     scene, solver = problem.scene, problem.scene.solver
-    bars = any(bar.straight for bar in scene.of(Bar))
-    lines = any(held.slide is not None for held in problem.supports.held)
-    ties = ["a bar keeps an edge straight"] * bars + ["an edge slides on a sloping line"] * lines
-    asked = "[solver] bounds or adapt" if solver.is_bounded else "not asked for"
+    ties = ["a bar keeps an edge straight"] * any(bar.straight for bar in scene.of(Bar))
+    ties += ["an edge slides on a sloping line"] * any(held.slide is not None for held in problem.supports.held)
+    flat = "all loads and supports lie in the plane, and so does the answer"
     rows = [
-        ("third-coordinate", scene.space_reason, "all loads and supports lie in the plane, and so does the answer"),
-        ("ties", " and ".join(ties), "no straight bar and no sloping line"),
+        ("third-coordinate", bool(scene.space_reason), scene.space_reason or flat),
+        ("ties", bool(ties), " and ".join(ties) or "no straight bar and no sloping line"),
     ]
     if problem.walls is not None:
-        rows.append(("half-spaces-on-nodes", f"{len(problem.walls)} linear cones keep obstacles clear", ""))
+        rows.append(("half-spaces-on-nodes", True, f"{len(problem.walls)} linear cones keep obstacles clear"))
     if settling is not None:
         still = f"forces of {settling.misfit:.1e} of the load still turn"
-        rows.append(("rounds", f"{settling.rounds} convex solves: bodies or wind on the present shape; {still}", ""))
-    table = [{"feature": name, "used": bool(why), "why": why or why_not} for name, why, why_not in rows]
+        rows.append(("rounds", True, f"{settling.rounds} convex solves: bodies or wind on the present shape; {still}"))
     if solution.second_step is not None:
-        used, why = solution.second_step
-        table.append({"feature": "elastic-forces", "used": used, "why": why})
-    second = f"{asked}: a second, equilibrated solution and an error map"
-    table.append({"feature": "bounds", "used": bounds, "why": second})
-    return [*table, {"feature": "picture", "used": picture, "why": "curtain.png" if picture else "--no-picture"}]
+        rows.append(("elastic-forces", *solution.second_step))
+    asked = "[solver] bounds or adapt" if solver.is_bounded else "not asked for"
+    rows.append(("bounds", bounds, f"{asked}: a second, equilibrated solution and an error map"))
+    rows.append(("picture", picture, "curtain.png" if picture else "--no-picture"))
+    return [{"feature": name, "used": used, "why": why} for name, used, why in rows]
 
 
 def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:

@@ -9,14 +9,13 @@ it, in the reference state, that has this area: a disk inside, half a disk on an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import as_triangles, triangle_areas
-from macro_fem.scene.tables import PointLoad
+from macro_fem.output.forces import PointForce, point_forces
 from macro_fem.solution import CurtainSolution
 from rve.common.types import Array
 
@@ -31,18 +30,18 @@ LOCAL = 1.25
 FINE = 0.25
 """Sides of mesh cells over that of the averaging area up to which an average at a held point counts as known: 5 to
 15 % below that of finer meshes (docs/measured/steel.md, cells of 3 mm). Smaller: flags more meshes as too coarse."""
-TOGETHER = 32
-"""Averages that are evaluated at once. Larger: fewer calls, and more averages made for nothing."""
 NEAR = 2.0
 """The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 
 
-@dataclass(frozen=True)
-class LineLoad:
-    """A principal line load in N per mm of reference length, and where it is (2,) in the reference state, mm."""
+class Largest(NamedTuple):
+    """The largest `value` of something, where it is (2,) in the reference state, mm, the line load that it is of, and
+    the force that this follows from, if any."""
 
     value: float
     at: Array
+    load: Array | None = None
+    force: PointForce | None = None
 
 
 def summary(solution: CurtainSolution) -> dict[str, Any]:
@@ -61,61 +60,57 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
     }
 
 
-def warning(solution: CurtainSolution, peak: LineLoad, mean: LineLoad | None, area: float | None) -> str | None:
-    """A sentence where the largest line load depends on the mesh; None where it does not."""
-    is_local = mean is not None and peak.value > LOCAL * mean.value
-    if not (is_local or is_singular(solution, peak)):
+def warning(solution: CurtainSolution, peak: Largest, mean: Largest | None, area: float | None) -> str | None:
+    """A sentence where the largest line load depends on the mesh, as it does at points that are held or loaded."""
+    side = float(np.sqrt(triangle_areas(on_triangles(solution, solution.problem.disc.cell_area)[0]).max()))
+    points = [one.at for one in point_forces(solution) if one.rings]
+    is_near_one = any(np.linalg.norm(at - peak.at) < NEAR * side for at in points)
+    if not is_near_one and (mean is None or peak.value <= LOCAL * mean.value):
         return None
-    x, y = peak.at
     text = (
-        f"the largest line load, at ({x:g}, {y:g}) mm, grows with every refinement of the mesh, as it does at held and "
-        "loaded points"
+        f"the largest line load, at ({peak.at[0]:g}, {peak.at[1]:g}) mm, grows with every refinement of the mesh, as "
+        "it does at held and loaded points"
     )
     if area is None:
         return f"{text}; the law has no cell to average it over"
     text += ": judge the rings by max_line_load_over_a_cell_N_per_mm"
-    side = np.sqrt(float(triangle_areas(_triangles(solution)[0]).max()))
-    if side > FINE * np.sqrt(area):
-        text += (
-            f", which needs mesh cells of {FINE * np.sqrt(area):.2g} mm there, less than the {side:.2g} mm of this mesh"
-        )
+    least = FINE * np.sqrt(area)
+    if side > least:
+        text += f", which needs mesh cells of {least:.2g} mm there, less than the {side:.2g} mm of this mesh"
     return text
 
 
-def largest(solution: CurtainSolution) -> LineLoad:
+def largest(solution: CurtainSolution) -> Largest:
     """The largest principal line load of any cell, and the middle of that cell."""
     values, _ = solution.principal()
     cell = int(values[:, 0].argmax())
     mesh = solution.problem.mesh.mesh
-    return LineLoad(float(values[cell, 0]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
+    return Largest(float(values[cell, 0]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
 
 
-def largest_mean(solution: CurtainSolution, area: float) -> LineLoad:
+def largest_mean(solution: CurtainSolution, area: float) -> Largest:
     """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh.
 
     A mean is at most the largest value of the cells it is taken over.
     """
-    corners, P = _triangles(solution)
-    mesh = solution.problem.mesh.mesh
-    near, X = Nearby(corners, P, area), mesh.p.T[np.unique(mesh.t)]
+    mesh, P = solution.problem.mesh.mesh, solution.recovered(solution.problem.disc.cell_mean(solution.P))
+    near, X = Nearby(*on_triangles(solution, P), area), mesh.p.T[np.unique(mesh.t)]
     return largest_average(near, X, near.bound(X), lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
 
 
-def largest_average(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> LineLoad:
+def largest_average(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> Largest:
     """The largest value (n,) of averages (n, ...) at X (n, 2), of which `bound` (n,) are upper bounds.
 
     Places are visited in the order of this bound, until it is no more than the largest value found.
     """
     order = np.argsort(-bound, kind="stable")
-    best = LineLoad(0.0, X[order[0]])
-    for start in range(0, len(order), TOGETHER):
-        some = order[start : start + TOGETHER]
-        some = some[bound[some] > best.value]
-        if not len(some):
+    best = Largest(0.0, X[order[0]])
+    for i in order:
+        if bound[i] <= best.value:
             break
-        values = value(np.array([near.mean(X[i]) for i in some]))
-        top = int(values.argmax())
-        best = LineLoad(float(values[top]), X[some[top]]) if values[top] > best.value else best
+        mean = near.mean(X[i])
+        found = float(value(mean[None])[0])
+        best = Largest(found, X[i], mean) if found > best.value else best
     return best
 
 
@@ -129,7 +124,7 @@ class Nearby:
     def __init__(self, corners: Array, P: Array, area: float, size: Array | None = None) -> None:
         self.corners, self.P, self.area = corners, P, area
         self.middle = corners.mean(axis=1)
-        self.size = np.linalg.svd(P, compute_uv=False)[:, 0] if size is None else size
+        self.size = np.linalg.norm(P, 2, axis=(1, 2)) if size is None else size
         self.half = np.linalg.norm(corners - self.middle[:, None], axis=-1).max(axis=1)
         self.radius = float(np.sqrt(area / np.pi))
         self.tree = cKDTree(self.middle)
@@ -137,11 +132,6 @@ class Nearby:
     def bound(self, X: Array) -> Array:
         """The largest size of any triangle that an average at each of X (n, 2) may take in (n,)."""
         return np.array([self.size[self._around(x, WIDEST * self.radius)].max() for x in X])
-
-    def _around(self, x: Array, radius: float) -> np.ndarray:
-        """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""
-        cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
-        return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
 
     def mean(self, x: Array) -> Array:
         """P averaged over the area nearest to x (2,); over all triangles if they have less."""
@@ -151,6 +141,11 @@ class Nearby:
     def radius_at(self, x: Array) -> float:
         """How far in mm the area nearest to x (2,) reaches."""
         return self._nearest(x)[2]
+
+    def _around(self, x: Array, radius: float) -> np.ndarray:
+        """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""
+        cells = np.array(self.tree.query_ball_point(x, radius + self.half.max(), return_sorted=True), dtype=int)
+        return cells[np.linalg.norm(self.middle[cells] - x, axis=1) <= radius + self.half[cells]]
 
     def _nearest(self, x: Array) -> tuple[np.ndarray, Array, float]:
         """Triangles (k,) of the pieces around x (2,), the area (k,) of each that counts, and how far they reach."""
@@ -168,24 +163,6 @@ class Nearby:
             radius *= 1.4
 
 
-def is_singular(solution: CurtainSolution, peak: LineLoad) -> bool:
-    """Whether a line load belongs to a point that is held or loaded: there it depends on the mesh."""
-    problem = solution.problem
-    nodes = [held.nodes for held in problem.supports.held if not len(held.facets)]
-    points = [problem.disc.nodes[np.concatenate(nodes)]] if nodes else []
-    points += [np.array([load.at]) for load in problem.scene.of(PointLoad)]
-    if not points:
-        return False
-    corners, _ = _triangles(solution)
-    side = float(np.sqrt(triangle_areas(corners).max()))
-    return bool(np.linalg.norm(np.concatenate(points) - peak.at, axis=1).min() < NEAR * side)
-
-
-def _triangles(solution: CurtainSolution) -> tuple[Array, Array]:
-    """Corners (n, 3, 2) of triangles and the recovered P (n, 2, 2) of their cells."""
-    return on_triangles(solution, solution.recovered(solution.problem.disc.cell_mean(solution.P)))
-
-
 def on_triangles(solution: CurtainSolution, values: Array) -> tuple[Array, Array]:
     """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the `values` (n_cells, ...) of their cells."""
     mesh = solution.problem.mesh.mesh
@@ -195,17 +172,17 @@ def on_triangles(solution: CurtainSolution, values: Array) -> tuple[Array, Array
 
 def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:
     """Middles (n, 2), areas (n,) and triangles (n,) of equal parts of the triangles, of about `side` mm or less."""
-    cuts = np.clip(np.ceil(np.sqrt(triangle_areas(corners)) / side), 1, MOST_CUTS).astype(int)
-    points, weights, cell = [], [], []
+    area = triangle_areas(corners)
+    cuts = np.clip(np.ceil(np.sqrt(area) / side), 1, MOST_CUTS).astype(int)
+    points, which = [], []
     for k in np.unique(cuts):
-        which = np.flatnonzero(cuts == k)
         i, j = np.divmod(np.arange(k * k), k)
         up = i + j < k
         # the lower-left halves of a k x k grid, and the upper-right ones folded back below the diagonal
         u = np.where(up, i + 1.0 / 3.0, k - i - 1.0 / 3.0) / k
         v = np.where(up, j + 1.0 / 3.0, k - j - 1.0 / 3.0) / k
         shape = np.stack([1.0 - u - v, u, v], axis=-1)
-        points.append(np.einsum("pc,nck->npk", shape, corners[which]).reshape(-1, 2))
-        weights.append(np.repeat(triangle_areas(corners[which]) / k**2, k * k))
-        cell.append(np.repeat(which, k * k))
-    return np.concatenate(points), np.concatenate(weights), np.concatenate(cell)
+        points.append(np.einsum("pc,nck->npk", shape, corners[cuts == k]).reshape(-1, 2))
+        which.append(np.repeat(np.flatnonzero(cuts == k), k * k))
+    cell = np.concatenate(which)
+    return np.concatenate(points), (area / cuts**2)[cell], cell

@@ -1,25 +1,29 @@
-"""Pictures of a solved curtain: curtain.png, curtain.gif and curtain.html, in the plane or in space."""
+"""Pictures of solved curtains: NAME.png, NAME.gif and NAME.html, in the plane or in space, of load steps or moments."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from macro_fem.output import plots
-from macro_fem.output.space_view import PictureFrame, draw_curtain, note, title
+from macro_fem.output.space_view import Told, draw_curtain, drawn, note, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.space import FRONT, THREE_QUARTERS, check_render, compose, new_plotter, save_picture
-from rve.common.drawing.space import save_animation as save_frames
+from rve.common.drawing.plane import save_figure
+from rve.common.drawing.space import (
+    FRONT,
+    THREE_QUARTERS,
+    check_render,
+    compose,
+    new_plotter,
+    save_animation,
+    save_picture,
+)
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
 from rve.common.types import Array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -76,20 +80,20 @@ def write_pictures(
 ) -> None:
     """Write the wanted pictures into `folder`; `error`: density of the error of a plane curtain (n_cells,)."""
     last = steps[-1]
-    in_space = last.problem.scene.in_space
+    picture = folder / f"{wanted.stem}.png"
     if wanted.html:
         write_curtain_page(folder / f"{wanted.stem}.html", last)
-    picture = folder / f"{wanted.stem}.png"
-    if wanted.picture and in_space:
+    if wanted.picture and last.problem.scene.in_space:
         plotter = new_plotter(2)
         for panel, direction in enumerate((FRONT, THREE_QUARTERS)):
             plotter.subplot(0, panel)
             draw_curtain(last, plotter, direction=direction)
         save_picture(picture, plotter, title(last), note(last))
     elif wanted.picture:
-        plots.save_picture(picture, last, error)
+        save_figure(picture, plots.panels(last, error))
     if wanted.animation:
-        save_frames(folder / f"{wanted.stem}.gif", frames(steps) if in_space else plots.frames(steps))
+        shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{title(step)}" for step in steps]
+        write_animation(folder / f"{wanted.stem}.gif", list(zip(shares, steps, strict=True)))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
@@ -98,11 +102,8 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     write_page(path, draw_curtain(solution), f"{title(solution)}\n{note(solution)}".strip())
 
 
-def frames(steps: Sequence[CurtainSolution]) -> Iterator[Figure]:
-    """Figures of all load steps in space with one scale of colours and one camera."""
-    frame, plotter = PictureFrame.of(steps), new_plotter()
-    for step in steps:
-        draw_curtain(step, plotter, frame)
-        yield compose(plotter, f"{plots.progress(step)}\n{title(step)}", note(step))
-        plotter.clear_actors()
-    plotter.close()
+def write_animation(path: Path, steps: Told) -> None:
+    """Write the curtain at each step as GIF, with one scale of colours and one camera."""
+    solution = steps[0][1]
+    in_space, words = solution.problem.scene.in_space, note(solution)
+    save_animation(path, (compose(one, head, words) for head, one in drawn(steps)) if in_space else plots.frames(steps))

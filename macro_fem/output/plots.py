@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +10,9 @@ import numpy as np
 from macro_fem.fem.cells import as_triangles
 from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
-from macro_fem.output.space_view import line_load_scale, title
+from macro_fem.output.space_view import Told, line_load_scale, title
 from macro_fem.solution import CurtainSolution
-from rve.common.drawing.plane import new_axes, new_figure, save_figure
+from rve.common.drawing.plane import new_axes, new_figure
 from rve.common.drawing.scale import Scale, rounded_up
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -31,15 +30,6 @@ NARROW = 1.5
 """The title over a curtain that is this many times higher than wide has two lines."""
 
 
-def plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None = None) -> Axes:
-    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
-    ax = new_axes() if ax is None else ax
-    _colour(solution, np.maximum(values, scale.low), ax, cmap=scale.colour_map(), norm=scale.norm())
-    scale.add_bar(ax, shrink=0.75, pad=0.02)
-    _finish(solution, ax)
-    return ax
-
-
 def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale: Scale | None = None) -> Axes:
     """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
 
@@ -47,7 +37,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale:
     """
     values, direction = solution.principal()
     scale = line_load_scale([solution]) if scale is None else scale
-    ax = plot_field(solution, values[:, 0], scale, ax)
+    ax = _plot_field(solution, values[:, 0], scale, ax)
     _directions(solution, (values, direction), scale, ax)
     _legend(ax)
     width, tall = np.ptp(solution.problem.disc.nodes[:, :2], axis=0)
@@ -61,80 +51,86 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     used = strength.utilisation(solution)
     if used is None:
         raise InputError(f"utilisation: {strength.reason(solution.problem.law)}")
-    ax = plot_field(solution, used, Scale.of(used, "utilisation of the rings (1: first yield)"), ax)
+    ax = _plot_field(solution, used, Scale.of(used, "utilisation of the rings (1: first yield)"), ax)
     _legend(ax)
     return ax
 
 
-def plot_states(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+def plot_states(solution: CurtainSolution, ax: Axes) -> Axes:
     """Where the curtain is slack, drawn in one direction (it would wrinkle) or taut in both."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    ax = new_axes() if ax is None else ax
     _colour(solution, solution.state().astype(float), ax, cmap=ListedColormap(STATE_COLOURS), vmin=0.0, vmax=2.0)
-    _finish(solution, ax)
     _legend(ax, [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)])
     return ax
 
 
-def plot_error(solution: CurtainSolution, density: Array, ax: Axes | None = None) -> Axes:
+def plot_error(solution: CurtainSolution, density: Array, ax: Axes) -> Axes:
     """Where the gap between the bounds comes from: its density (n_cells,) over four decades."""
     largest = float(density.max(initial=0.0))
     top = rounded_up(largest)
-    scale = Scale("gap between the bounds, N mm per mm2", 1e-4 * top, top, largest, "log")
-    ax = plot_field(solution, density, scale, ax)
+    ax = _plot_field(
+        solution, density, Scale("gap between the bounds, N mm per mm2", 1e-4 * top, top, largest, "log"), ax
+    )
     ax.set_title("where the bounds differ", fontsize=11)
     return ax
 
 
-def save_picture(path: Path, solution: CurtainSolution, error: Array | None = None) -> None:
-    """curtain.png: line loads with directions beside the states, and the error map if there is one."""
+def panels(solution: CurtainSolution, error: Array | None = None) -> Figure:
+    """Line loads with directions beside the states, and the error map if there is one."""
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
-    panels = 2 if error is None else 3
-    figure = new_figure(5.2 * panels, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
-    axes = figure.subplots(1, panels)
+    count = 2 if error is None else 3
+    figure = new_figure(5.2 * count, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
+    axes = figure.subplots(1, count)
     plot_line_loads(solution, axes[0])
     plot_states(solution, axes[1])
     if error is not None:
         plot_error(solution, error, axes[2])
-    save_figure(path, figure)
+    return figure
 
 
-def progress(solution: CurtainSolution) -> str:
-    """The share of the loads at this load step, in words."""
-    return f"{100.0 * solution.problem.factor:.0f} % of live loads and moves"
+def side_by_side(steps: Told) -> Figure:
+    """Line loads of several solutions on one scale."""
+    scale, figure = line_load_scale([one for _, one in steps]), new_figure(5.2 * len(steps), 6.0)
+    for ax, (words, solution) in zip(figure.subplots(1, len(steps), squeeze=False)[0], steps, strict=True):
+        plot_line_loads(solution, ax, scale=scale).set_title(words, fontsize=11)
+    return figure
 
 
-def frames(steps: Sequence[CurtainSolution]) -> Iterator[Figure]:
-    """Figures of the line loads at each load step, with one scale of colours and one frame."""
-    scale = line_load_scale(steps)
-    points = np.concatenate([*(step.x for step in steps), steps[0].problem.disc.nodes])
+def frames(steps: Told) -> Iterator[Figure]:
+    """Figures of the line loads at each step, with one scale of colours and one frame."""
+    solutions = [one for _, one in steps]
+    scale = line_load_scale(solutions)
+    points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.04 * float((high - low).max())
-    for step in steps:
+    for words, solution in steps:
         figure = new_figure(7.0, 6.2)
-        ax = plot_line_loads(step, figure.subplots(), scale=scale)
+        ax = plot_line_loads(solution, figure.subplots(), scale=scale)
         ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-        ax.set_title(f"{progress(step)}\n{title(step)}", fontsize=11)
+        ax.set_title(words, fontsize=11)
         yield figure
 
 
+def _plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None) -> Axes:
+    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
+    ax = new_axes() if ax is None else ax
+    _colour(solution, np.maximum(values, scale.low), ax, cmap=scale.colour_map(), norm=scale.norm())
+    scale.add_bar(ax, shrink=0.75, pad=0.02)
+    return ax
+
+
 def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) -> None:
-    """Triangles of the deformed curtain in the colours of cell values (n_cells,)."""
-    triangles, cell = as_triangles(solution.problem.mesh.mesh.t.T)
-    x, y = corner_positions(solution)[:, :2].T
-    ax.tripcolor(x, y, triangles, facecolors=values[cell], **style)
-
-
-def _finish(solution: CurtainSolution, ax: Axes) -> None:
-    """Outline of the reference, what is held, equal scales and units.
+    """Triangles in the colours of cell values (n_cells,), outline of the reference, what is held, equal scales, units.
 
     Held are lines along edges, triangles at nodes held in both components, circles where one slides.
     """
     from matplotlib.collections import LineCollection
 
     mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, corner_positions(solution)[:, :2]
+    triangles, cell = as_triangles(mesh.t.T)
+    ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=values[cell], **style)
     outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
     dashes: Any = (0, (4, 3))
     ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=dashes, label="before deformation"))
@@ -143,9 +139,12 @@ def _finish(solution: CurtainSolution, ax: Axes) -> None:
         lines = list(corners[mesh.facets[:, facets].T])
         ax.add_collection(LineCollection(lines, colors=HELD, linewidths=2.5, label="held edge"))
     count = supports.mask.sum(axis=1)
-    both, one = count == supports.mask.shape[1], (count > 0) & (count < supports.mask.shape[1])
+    both = count == supports.mask.shape[1]
     size = 45.0 if np.count_nonzero(count) < 40 else 14.0
-    for nodes, marker, face, label in ((both, "v", HELD, "held in x and y"), (one, "o", "white", "held in x or y")):
+    for nodes, marker, face, label in (
+        (both, "v", HELD, "held in x and y"),
+        ((count > 0) & ~both, "o", "white", "held in x or y"),
+    ):
         if nodes.any():
             x, y = solution.x[nodes, :2].T
             ax.scatter(x, y, marker=marker, s=size, color=face, edgecolors=HELD, zorder=5, label=label)

@@ -1,6 +1,6 @@
 """What rings bear at hooks, corners and loaded points, from the force there instead of the cells of the mesh.
 
-The force goes through the ring or the few rings that the hook passes: `hook_ring`. The mesh around is next:
+The force goes through the ring or the few rings that the hook passes: `hook_rings`. The mesh around is next:
 
 Around a force f at a point the line load grows until it is spread over the rings of one cell of the weave. A mesh whose
 cells are larger spreads f over its own cells: utilisation is then too low in proportion to the side of the cells. But f
@@ -19,15 +19,14 @@ that of averages on cells of 1.5 mm 0.83 (docs/measured/steel.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
 from homogenize import Strength
 from macro_fem.fem.hung_law import largest_stretch
-from macro_fem.output.line_load import Nearby
-from macro_fem.scene.tables import PatchLoad, PointLoad
+from macro_fem.output.forces import PointForce, point_forces
+from macro_fem.output.line_load import Largest, Nearby
 from macro_fem.solution import CurtainSolution
 from rve import pulled_ring
 from rve.common.tensor import dyad
@@ -37,91 +36,37 @@ RESOLVED = 0.125
 """Sides of mesh cells at a point over that of the averaging area with which the averages themselves are used."""
 STEPS = np.linspace(0.0, 1.5, 7)
 """Centres of averages along the line of the force, in radii of the average at the point."""
-_SHARPEST = np.pi / 6.0
+SHARPEST = np.pi / 6.0
 """Angle of a corner in which averages reach farthest; bounds their chord, so that few points are looked at."""
 
 
-@dataclass(frozen=True)
-class PointForce:
-    """A force in N at a point `at` (2,) of the reference state, and the diameter over which it is spread, mm.
-
-    `rings` share the force at the point `place`, such as "hook 3"; none of a patch, whose rings are many.
-    """
-
-    name: str
-    at: Array
-    force: float
-    spread: float = 0.0
-    rings: int = 0
-    place: str = ""
-
-
-@dataclass(frozen=True)
-class Borne:
-    """The largest `value` that a force asks for, and the line load S (3,) in N/mm, in the frame of the weave."""
-
-    value: float
-    force: PointForce | None = None
-    S: Array | None = None
-
-
-def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
-    """Forces of supports that hold single points, and of loads on points and patches, at their present share."""
-    problem = solution.problem
-    nodes, scene, factor = problem.disc.nodes, problem.scene, problem.factor
-    size = np.linalg.norm(solution.reactions, axis=1)
-    for number, held in enumerate(problem.supports.held, 1):
-        if len(held.facets):
-            continue
-        item = scene.support[number - 1]
-        of = f" of support {number}" if len(problem.supports.held) > 1 else ""
-        name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
-        for count, node in enumerate(held.nodes, 1):
-            place = f"{item.one} {count}{of}"
-            yield PointForce(name, nodes[node], float(size[node]), rings=rings, place=place)
-    for number, point in enumerate(scene.of(PointLoad), 1):
-        force, name = factor * float(np.linalg.norm(point.force)), f"load.point {number}"
-        yield PointForce(name, np.array(point.at), force, rings=point.rings_per_hook, place=name)
-    for number, patch in enumerate(scene.of(PatchLoad), 1):
-        force = factor * float(np.linalg.norm(patch.force))
-        yield PointForce(f"load.patch {number}", np.array(patch.at), force, 2.0 * patch.radius)
-
-
-@dataclass(frozen=True)
-class HookRing:
-    """The ring at a point whose force comes nearest to its strength: utilisations at first yield and at collapse."""
-
-    value: float = 0.0
-    collapse: float = 0.0
-    force: PointForce | None = None
-
-
-def hook_ring(solution: CurtainSolution, known: Strength) -> HookRing:
-    """The ring that bears most of all at hooks, corners, runners, held and loaded points; utilisation 0 without any.
+def hook_rings(solution: CurtainSolution, known: Strength) -> list[Largest]:
+    """The ring that bears most of all at hooks, corners, runners, held and loaded points: its utilisations at first
+    yield and at collapse; [] without any.
 
     Each of the rings there is pulled by two opposed forces, its share of the force and that of its neighbours
     (`rve.pulled_ring`). A butted ring turns on its hook, so its joint is where it is worst.
     """
-    cell, at = solution.problem.law.cell, [one for one in point_forces(solution) if one.rings]
-    if cell is None or not at:
-        return HookRing()
+    cell, points = solution.problem.law.cell, [one for one in point_forces(solution) if one.rings]
+    if cell is None or not points:
+        return []
     joint = "welded" if known.joint == "welded" else "butted:worst"
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
-    one = max(at, key=lambda one: one.force / one.rings)
-    share = one.force / one.rings
-    return HookRing(share / ring.first_yield_N, share / ring.collapse_N, one)
+    most = max(points, key=lambda one: one.force / one.rings)
+    limits = ring.first_yield_N, ring.collapse_N
+    return [Largest(most.force / most.rings / limit, most.at, force=most) for limit in limits]
 
 
 def largest_borne(
     solution: CurtainSolution, near: Nearby, S: Array, value: Callable[[Array], Array], most: float
-) -> Borne:
+) -> Largest:
     """The largest value that any force at a point asks for, where the mesh is too coarse to tell; 0 without any.
 
     `near`: averages of the line loads S (n_cells, 3) of the curtain in its own frame; `value` (n,) of line loads (n, 3)
     in the frame of the weave, at most `most` times their trace.
     """
-    law, best = solution.problem.law, Borne(0.0)
-    longest = 2.0 * np.sqrt(2.0 * near.area / _SHARPEST)
+    law, best = solution.problem.law, Largest(0.0, np.full(2, np.nan))
+    longest = 2.0 * np.sqrt(2.0 * near.area / SHARPEST)
     for one in sorted(point_forces(solution), key=lambda one: -one.force):
         if one.force * longest / near.area * most <= best.value:
             break
@@ -135,7 +80,7 @@ def largest_borne(
         width = max(near.area / _chord(near, one.at, m), one.spread)
         load = law.in_weave(one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None]))
         found = float(value(load)[0])
-        best = Borne(found, one, load[0]) if found > best.value else best
+        best = Largest(found, one.at, load[0], one) if found > best.value else best
     return best
 
 
@@ -149,22 +94,18 @@ def _cells_at(solution: CurtainSolution, one: PointForce) -> np.ndarray:
 
 def _direction(solution: CurtainSolution, S: Array, cells: np.ndarray, at: Array) -> Array | None:
     """The reference direction (2,) of the larger principal line load of some cells, into the curtain; None if slack."""
-    area = solution.problem.disc.cell_area[cells]
+    mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area[cells]
     S11, S12, S22 = area @ S[cells] / area.sum()
     if not np.hypot(S11 - S22, 2.0 * S12) + S11 + S22 > 0.0:
         return None
     angle = 0.5 * np.arctan2(2.0 * S12, S11 - S22)
     m = np.array([np.cos(angle), np.sin(angle)])
-    mesh = solution.problem.mesh.mesh
     inwards = area @ mesh.p[:, mesh.t[:, cells]].mean(axis=1).T / area.sum() - at
     return m if inwards @ m >= 0.0 else -m
 
 
 def _chord(near: Nearby, at: Array, m: Array) -> float:
     """Longest part in mm of the line from `at` (2,) along m (2,) that lies in one of the averages centred on it."""
-    reach = near.radius_at(at)
-    chords = []
-    for t in STEPS * reach:
-        radius = near.radius_at(at + t * m)
-        chords.append(radius + min(t, radius))
-    return max(chords)
+    steps = STEPS * near.radius_at(at)
+    radii = [near.radius_at(at + t * m) for t in steps]
+    return max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True))

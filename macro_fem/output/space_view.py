@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,10 +11,9 @@ import numpy as np
 from macro_fem.fem.cells import as_triangles, counterclockwise, mean_at_corners
 from macro_fem.fem.space import padded
 from macro_fem.output.files import corner_positions
-from macro_fem.output.obstacle_meshes import ground_level, moved_obstacles, obstacle_mesh
-from macro_fem.output.space_forces import LEAST_ARROW, LONGEST, pulls, pushes
-from macro_fem.scene.obstacles import Cylinder, Floor, Sphere, Wall
+from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
 from macro_fem.scene.support_kinds import Hooks
+from macro_fem.scene.tables import in_3d
 from macro_fem.scene.tracks import Track, track_of
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.scale import Scale, rounded_up
@@ -31,6 +30,16 @@ LEAST_FOR_PERSON = 800.0
 PERSON_MM = 1750.0
 LIGHT = np.array([0.3, -1.0, -0.45])
 """Direction of the light that throws the shadow: from the left, above and the front."""
+MOST_ARROWS = 14
+"""Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""
+LONGEST, LEAST_ARROW = 0.16, 0.04
+"""Length of the largest force's arrow over the size of the scene; forces below this part of it have no arrow."""
+SHRUNK, REACH = 0.003, 0.25
+"""Parts of the size of the curtain by which obstacles are drawn smaller, so that it is seen on them, and at which away
+from it they are cut off."""
+
+Told = Sequence[tuple[str, CurtainSolution]]
+"""Solutions of a series, each with what its picture is headed by."""
 
 
 def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
@@ -41,12 +50,13 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
 
 @dataclass(frozen=True, eq=False)
 class PictureFrame:
-    """What pictures of a series share: colours, box (2, 3) of the curtain in mm, force of the longest arrow in N, and
-    y of the lowest tip of an arrow in mm."""
+    """What pictures of a series share: colours, box (2, 3) of the curtain in mm, size of the box in mm, length of
+    arrows in mm/N, and y of the lowest tip of an arrow in mm."""
 
     scale: Scale
     room: Array
-    force: float
+    size: float
+    arrow: float
     lowest: float
 
     @classmethod
@@ -54,16 +64,12 @@ class PictureFrame:
         """The frame of one solution, or of all load steps."""
         both = [forces(step) for step in steps for forces in (pulls, pushes)]
         at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
-        largest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
         points = np.concatenate([padded(corner_positions(step)) for step in steps])
         room = np.stack([points.min(axis=0), points.max(axis=0)])
-        way = LONGEST * float(np.linalg.norm(room[1] - room[0])) / max(largest, 1e-300)
-        return cls(line_load_scale(steps), room, largest, float((at + way * force)[:, 1].min(initial=np.inf)))
-
-    @property
-    def size(self) -> float:
-        """Diagonal of the box, mm."""
-        return float(np.linalg.norm(self.room[1] - self.room[0]))
+        size = float(np.linalg.norm(room[1] - room[0]))
+        arrow = LONGEST * size / max(float(np.linalg.norm(force, axis=1).max(initial=0.0)), 1e-300)
+        lowest = float((at + arrow * force)[:, 1].min(initial=room[0, 1] - 0.06 * size))
+        return cls(line_load_scale(steps), room, size, arrow, lowest)
 
 
 def draw_curtain(
@@ -76,21 +82,31 @@ def draw_curtain(
     """
     plotter = new_plotter() if plotter is None else plotter
     frame = PictureFrame.of([solution]) if frame is None else frame
-    ground, curtain = ground_level(solution, frame.room, frame.lowest), sheet(solution, frame.scale)
+    obstacles, curtain = moved_obstacles(solution), sheet(solution, frame.scale)
+    floors = [item.height + shift[1] for item, shift in obstacles if isinstance(item, Floor)]
+    ground = float(max(floors, default=frame.lowest))
     add(plotter, "curtain", curtain, frame.scale)
     _add_supports(plotter, solution, frame.size)
-    for item, shift in moved_obstacles(solution):
-        mesh = obstacle_mesh(item, shift, frame.room, ground)
+    for item, shift in obstacles:
+        mesh = obstacle_mesh(item, shift, frame, ground)
         if mesh is not None:
             style = {"opacity": 0.35 if isinstance(item, Wall) else 0.75}
             add(plotter, item.name, mesh, OBSTACLE, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
     for name, colour, (at, force) in (("supports", REACTION, pulls(solution)), ("obstacles", PUSH, pushes(solution))):
-        longest, way = np.linalg.norm(force, axis=1).max(initial=0.0), LONGEST * frame.size / max(frame.force, 1e-300)
-        shown = arrows(at, way * force, LEAST_ARROW * LONGEST * frame.size)
-        add(plotter, f"force of {name}, longest {longest:.3g} N", shown, colour)
+        shown = arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
+        add(plotter, f"force of {name}, longest {np.linalg.norm(force, axis=1).max(initial=0.0):.3g} N", shown, colour)
     _add_surroundings(plotter, curtain, frame, ground)
     look(plotter, direction)
     return plotter
+
+
+def drawn(steps: Told) -> Iterator[tuple[str, Plotter]]:
+    """A plotter, the same one, with the curtain at each step on one scale and with one camera."""
+    frame, plotter = PictureFrame.of([one for _, one in steps]), new_plotter()
+    for words, solution in steps:
+        yield words, draw_curtain(solution, plotter, frame)
+        plotter.clear_actors()
+    plotter.close()
 
 
 def title(solution: CurtainSolution) -> str:
@@ -116,6 +132,92 @@ def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     return shown
 
 
+def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up."""
+    groups: list[np.ndarray] = []
+    taken = np.zeros(len(solution.x), bool)
+    for held in solution.problem.supports.held:
+        nodes = held.nodes[~taken[held.nodes]]
+        taken[nodes] = True
+        groups += halved(padded(solution.x), nodes, MOST_ARROWS if len(held.facets) else len(nodes))
+    return _summed_up(solution, solution.reactions, groups)
+
+
+def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of obstacles on the curtain, summed up."""
+    size = np.linalg.norm(solution.pushes, axis=1)
+    nodes = np.flatnonzero(size > 1e-6 * size.max(initial=0.0))
+    return _summed_up(solution, solution.pushes, halved(padded(solution.x), nodes, MOST_ARROWS))
+
+
+def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
+    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
+
+    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
+    [[1], [2, 0]]
+    """
+    if most < 2 or len(nodes) < 2:
+        return [nodes] if len(nodes) else []
+    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
+    first, half = most // 2, len(order) // 2
+    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
+
+
+def _summed_up(solution: CurtainSolution, forces: Array, groups: list[np.ndarray]) -> tuple[Array, Array]:
+    """The middle and the sum of the nodal forces (n_nodes, d) of each group."""
+    x, forces = padded(solution.x), padded(forces)
+    size = np.linalg.norm(forces, axis=1) + 1e-300
+    at = [np.average(x[nodes], axis=0, weights=size[nodes]) for nodes in groups]
+    return np.reshape(at, (-1, 3)), np.reshape([forces[nodes].sum(axis=0) for nodes in groups], (-1, 3))
+
+
+def moved_obstacles(solution: CurtainSolution) -> list[tuple[Obstacle, Array]]:
+    """The obstacles of the scene and how far each is moved (3,) at this load step, mm."""
+    problem = solution.problem
+    as_solved = {body.number: body.obstacle for body in problem.bodies}  # with the rounding of boxes
+    items = [as_solved.get(number, item) for number, item in enumerate(problem.scene.obstacle)]
+    return [(item, problem.factor * np.array(in_3d(item.move))) for item in items]
+
+
+def obstacle_mesh(item: Obstacle, shift: Array, frame: PictureFrame, ground: float) -> PolyData | None:
+    """The part of an obstacle, moved by `shift`, that is near the curtain and above the ground; None for a floor, which
+    is the ground."""
+    import pyvista
+
+    room, less, middle = frame.room, SHRUNK * frame.size, frame.room.mean(axis=0)
+    match item:
+        case Sphere():
+            return ball(max(item.radius - less, 0.9 * item.radius), item.centre + shift)
+        case Cylinder():
+            axis, point = unit(item.axis), np.array(in_3d(item.point)) + shift
+            height = 1.08 * float((room[1] - room[0]) @ np.abs(axis))
+            radius, centre = max(item.radius - less, 0.9 * item.radius), point + ((middle - point) @ axis) * axis
+            return pyvista.Cylinder(center=centre, direction=axis, radius=radius, height=height, resolution=72)
+        case Wall():
+            normal = unit(item.facing)
+            centre = middle - ((middle - np.array(in_3d(item.point)) - shift) @ normal + less) * normal
+            return pyvista.Plane(center=centre, direction=normal, i_size=frame.size, j_size=frame.size)
+        case Box():  # a ball whose eight parts are moved to the corners, cut off far from the curtain
+            low, high = item.corner + shift + less, item.corner + shift + np.array(item.size) - less
+            radius = min(item.rounding or 0.0, 0.499 * float((high - low).min()))
+            mesh = ball(1.0, np.zeros(3))
+            way = np.sign(np.round(mesh.points, 6)) * (0.5 * (high - low) - radius) + radius * mesh.points
+            least, most = room[0] - REACH * frame.size, room[1] + REACH * frame.size
+            least[1] = max(least[1], ground)
+            apart = (high < least) | (low > most)
+            ends = np.where(apart, -np.inf, least), np.where(apart, np.inf, most)
+            mesh.points = np.clip(0.5 * (low + high) + way, *ends)
+            return mesh
+    return None
+
+
+def ball(radius: float, centre: Array) -> PolyData:
+    """A smooth ball."""
+    import pyvista
+
+    return pyvista.Sphere(radius=radius, center=centre, theta_resolution=64, phi_resolution=64)
+
+
 def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> None:
     """Held edges and tracks as lines, held points, hooks and runners as balls."""
     problem = solution.problem
@@ -125,8 +227,7 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if isinstance(item, Track):
             _, _, curve = track_of(item, problem.mesh, "track")
-            line = curve.at(np.linspace(0.0, curve.length, 200))
-            add(plotter, "track", lines(line[None]), TRACK, line_width=7)
+            add(plotter, "track", lines(curve.at(np.linspace(0.0, curve.length, 200))[None]), TRACK, line_width=7)
         elif len(held.facets):
             edges.append(corners[mesh.facets[:, held.facets].T])
         if not len(held.facets):
@@ -146,14 +247,13 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     shadow.points = curtain.points + (curtain.points[:, 1:2] - ground) * LIGHT
     shadow.points[:, 1] = ground
     box, size = frame.room, frame.size
+    foot = np.array([box[0, 0], ground, box[1, 2] + 0.05 * size])
     if float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON:
-        foot = np.array([box[0, 0] - 0.4 * PERSON_MM, ground, box[1, 2] + 0.05 * size])
-        add(plotter, "person, 1.75 m", person(foot), FIGURE)
+        add(plotter, "person, 1.75 m", person(foot - [0.4 * PERSON_MM, 0.0, 0.0]), FIGURE)
     else:
         length = rounded_up(0.12 * size, (1.0, 2.0, 5.0, 10.0))
-        start = np.array([box[0, 0], ground + 0.006 * size, box[1, 2] + 0.05 * size])
-        bar = lines(np.stack([start, start + np.array([length, 0.0, 0.0])])[None])
-        add(plotter, f"bar of {length:g} mm", bar, FIGURE, line_width=9)
+        ends = foot + np.array([[0.0, 0.006 * size, 0.0], [length, 0.006 * size, 0.0]])
+        add(plotter, f"bar of {length:g} mm", lines(ends[None]), FIGURE, line_width=9)
     add(plotter, "_shadow", shadow, SHADOW, **FLAT)
     x0, x1, _, _, z0, z1 = plotter.renderer.bounds
     middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.12 * size
@@ -162,20 +262,10 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
 
 
 def person(foot: Array) -> PolyData:
-    """A standing person with the feet at `foot` (3,), facing the viewer: limbs from (x, y) to (x, y) with a radius."""
+    """A standing person with the feet at `foot` (3,): a body and a head."""
     import pyvista
 
-    legs = [((s * 0.05, 0.03), (s * 0.05, 0.47), 0.036) for s in (-1, 1)]
-    arms = [((s * 0.15, 0.42), (s * 0.1, 0.78), 0.024) for s in (-1, 1)]
-    body = [((0.0, 0.49), (0.0, 0.74), 0.085), ((0.0, 0.8), (0.0, 0.87), 0.034), ((0.0, 0.92), (0.0, 0.945), 0.053)]
-    made = []
-    for start, end, radius in (*legs, *arms, *body):
-        ends = PERSON_MM * np.array([[*start, 0.0], [*end, 0.0]])
-        length = float(np.linalg.norm(ends[1] - ends[0]))
-        made.append(
-            pyvista.Capsule(
-                center=foot + ends.mean(axis=0), direction=ends[1] - ends[0], radius=PERSON_MM * radius,
-                cylinder_length=length,
-            )
-        )  # fmt: skip
-    return pyvista.merge(made)
+    up = PERSON_MM * np.array([0.0, 1.0, 0.0])
+    radius, length = 0.08 * PERSON_MM, 0.68 * PERSON_MM
+    body = pyvista.Capsule(center=foot + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
+    return body + pyvista.Sphere(radius=0.065 * PERSON_MM, center=foot + 0.93 * up)

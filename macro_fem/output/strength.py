@@ -11,16 +11,16 @@ the load as long as the shape stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from homogenize import Strength, strength_of_law
+from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.output.line_load import FINE, LineLoad, Nearby, largest_average, on_triangles
-from macro_fem.output.point_force import Borne, HookRing, hook_ring, largest_borne
+from macro_fem.output.line_load import FINE, Largest, Nearby, largest_average, on_triangles
+from macro_fem.output.point_force import hook_rings, largest_borne
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
@@ -30,36 +30,26 @@ from rve.common.types import Array
 EVEN = 1.05
 """Pointwise utilisations this many times the largest average vary over a cell of the weave."""
 KEYS = (
-    "utilisation_max",
-    "utilisation_max_at_mm",
-    "utilisation_of_averages_max",
-    "utilisation_of_point_forces_max",
-    "utilisation_of_hook_rings_max",
-    "ring_at_hook",
-    "utilisation_mesh_too_coarse",
-    "safety_factor",
-    "collapse_factor",
-    "first_yield_near",
+    *("utilisation_max", "utilisation_max_at_mm", "utilisation_of_averages_max", "utilisation_of_point_forces_max"),
+    *("utilisation_of_hook_rings_max", "ring_at_hook", "utilisation_mesh_too_coarse"),
+    *("safety_factor", "collapse_factor", "first_yield_near"),
 )
 """Keys of summary.json that are null where the strength is not known."""
+MEANING = (
+    "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held or loaded "
+    "point over the width of that average where the mesh is too coarse there, or of the ring that takes that force; "
+    "utilisation_pointwise_max grows with every refinement of the mesh at held and loaded points; "
+    "utilisation_mesh_too_coarse says when the mesh is too coarse for both"
+)
 
 
 def summary(solution: CurtainSolution) -> dict[str, Any]:
     """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
     law = solution.problem.law
-    known, why, cell = strength(law), reason(law), law.cell
+    known, why, cell, used = strength_of_law(law.own), reason(law), law.cell, utilisation(solution)
     found: dict[str, Any] = dict.fromkeys(KEYS)
-    used = utilisation(solution)
     if used is not None and known is not None and cell is not None:
-        first, last = _largest_asked(solution, known, cell.b_x_mm * cell.b_y_mm)
-        found = _numbers(solution, first, last, hook_ring(solution, known), float(used.max()))
-        why = (
-            "utilisation_max is that of the line load averaged over one cell of the weave, or of the force at a held "
-            "or loaded point over the width of that average where the mesh is too coarse there, or of the ring that "
-            "takes that force; "
-            "utilisation_pointwise_max grows with every refinement of the mesh at held and loaded points; "
-            "utilisation_mesh_too_coarse says when the mesh is too coarse for both"
-        )
+        found, why = _numbers(solution, known, cell, float(used.max())), MEANING
     return found | {
         "utilisation_pointwise_max": None if used is None else float(used.max()),
         "ring_material": None if known is None else known.material.name,
@@ -70,63 +60,35 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
-class MostAsked:
-    """What is asked of the rings: the largest of the `averages`, and of the forces at `points`."""
-
-    averages: LineLoad
-    points: Borne
-
-    @property
-    def value(self) -> float:
-        """The larger one."""
-        return max(self.averages.value, self.points.value)
-
-    @property
-    def is_force(self) -> bool:
-        """Whether a force at a point asks for more than any average."""
-        return self.points.value > self.averages.value
-
-    @property
-    def at(self) -> Array:
-        """Where it is (2,), mm, in the reference state."""
-        return self.points.force.at if self.is_force and self.points.force is not None else self.averages.at
-
-
-def _numbers(
-    solution: CurtainSolution, first: MostAsked, last: MostAsked, ring: HookRing, pointwise: float
-) -> dict[str, Any]:
-    """The values of `KEYS` where the strength is known, from what first yield and collapse ask of mesh and `ring`."""
-    mean, cell = first.averages, solution.problem.law.cell
-    side = 0.0 if cell is None else np.sqrt(cell.b_x_mm * cell.b_y_mm)
-    is_coarse = _side(solution, mean.at) > FINE * side and pointwise > EVEN * mean.value
-    force = first.points.force if first.is_force else None
-    most, collapse, at = max(first.value, ring.value), max(last.value, ring.collapse), first.at
-    if ring.force is not None and ring.value >= first.value:
-        force, at = ring.force, ring.force.at
-    near = nearest(solution, at) if force is None else force.name
+def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo, pointwise: float) -> dict[str, Any]:
+    """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
+    first, last = _largest_asked(solution, known, cell)
+    hooks = hook_rings(solution, known)
+    mean, points = first
+    most = max(*hooks[:1], mean, points, key=lambda one: one.value)
+    collapse = max(one.value for one in (*hooks[1:], *last))
+    mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area
+    touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size
+    side = np.sqrt(area[touching.any(axis=0)].max() / (cell.b_x_mm * cell.b_y_mm))
+    is_coarse = side > FINE and pointwise > EVEN * mean.value and points.value <= mean.value
+    near = nearest(solution, most.at) if most.force is None else most.force.name
     return {
-        "utilisation_max": most,
-        "utilisation_max_at_mm": at.tolist(),
+        "utilisation_max": most.value,
+        "utilisation_max_at_mm": most.at.tolist(),
         "utilisation_of_averages_max": mean.value,
-        "utilisation_of_point_forces_max": first.points.value,
-        "utilisation_of_hook_rings_max": ring.value,
-        "ring_at_hook": None if ring.force is None else f"ring at {ring.force.place}",
-        "utilisation_mesh_too_coarse": bool(is_coarse and not first.is_force),
-        "safety_factor": 1.0 / most if most > 0.0 else None,
+        "utilisation_of_point_forces_max": points.value,
+        "utilisation_of_hook_rings_max": hooks[0].value if hooks else 0.0,
+        "ring_at_hook": f"ring at {hooks[0].force.place}" if hooks and hooks[0].force else None,
+        "utilisation_mesh_too_coarse": bool(is_coarse),
+        "safety_factor": 1.0 / most.value if most.value > 0.0 else None,
         "collapse_factor": 1.0 / collapse if collapse > 0.0 else None,
-        "first_yield_near": near if most > 0.0 else None,
+        "first_yield_near": near if most.value > 0.0 else None,
     }
-
-
-def strength(law: HungLaw) -> Strength | None:
-    """The strength of the rings behind the law of a problem, in the frame of the weave; None if it has none."""
-    return strength_of_law(law.own)
 
 
 def reason(law: HungLaw) -> str | None:
     """Why the utilisation under a law is not known; None if it is."""
-    known = strength(law)
+    known = strength_of_law(law.own)
     if known is None:
         return "the law was made without it: make its table with rve table --rings and fit it again"
     if known.material.yield_N_per_mm2 is None:
@@ -137,85 +99,55 @@ def reason(law: HungLaw) -> str | None:
 def utilisation(solution: CurtainSolution) -> Array | None:
     """Utilisation of the rings of each cell (n_cells,), averaged over neighbours as S is; None if it is not known."""
     law = solution.problem.law
-    known = strength(law)
-    return None if known is None or reason(law) is not None else known.utilisation(_loads(solution))
-
-
-def _side(solution: CurtainSolution, at: Array) -> float:
-    """Side in mm of the largest mesh cell with a corner at a place (2,) of the reference state."""
-    mesh = solution.problem.mesh.mesh
-    away = np.abs(mesh.p[:, mesh.t] - at[:, None, None]).max(axis=0)
-    touching = (away < 1e-9 * solution.problem.mesh.size).any(axis=0)
-    return float(np.sqrt(solution.problem.disc.cell_area[touching].max()))
+    known = strength_of_law(law.own)
+    return None if known is None or reason(law) else known.utilisation(law.in_weave(_loads(solution)))
 
 
 def critical_load(solution: CurtainSolution) -> Array | None:
     """S (3,) in the frame of the weave, averaged over one cell where the utilisation is largest; None without any."""
     law = solution.problem.law
-    known, cell = strength(law), law.cell
-    if known is None or cell is None or reason(law) is not None:
+    known, cell = strength_of_law(law.own), law.cell
+    if known is None or cell is None or reason(law):
         return None
-    area = cell.b_x_mm * cell.b_y_mm
-    first, _ = _largest_asked(solution, known, area)
-    if first.is_force:
-        return first.points.S
-    if not first.value > 0.0:
-        return None
-    corners, S = on_triangles(solution, _loads(solution))
-    return Nearby(corners, S, area, np.ones(len(S))).mean(first.at)
+    return max(_largest_asked(solution, known, cell)[0], key=lambda one: one.value).load
 
 
 def _loads(solution: CurtainSolution) -> Array:
-    """S (n_cells, 3) in the frame of the weave, averaged over neighbours."""
-    return solution.problem.law.in_weave(_own_loads(solution))
-
-
-def _own_loads(solution: CurtainSolution) -> Array:
     """S (n_cells, 3) in the frame of the curtain, averaged over neighbours."""
     return solution.recovered(solution.problem.disc.cell_mean(solution.S))
 
 
-def _largest_asked(solution: CurtainSolution, known: Strength, area: float) -> tuple[MostAsked, MostAsked]:
-    """Largest utilisation, and largest share of the collapse load: of S averaged over `area` mm2, and of forces."""
-    corners, S = on_triangles(solution, _loads(solution))
+def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Largest, Largest]]:
+    """Largest utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
+    yield and at collapse."""
+    own = _loads(solution)
+    corners, S = on_triangles(solution, solution.problem.law.in_weave(own))
     low, high = eigenvalues(S)
-    near = Nearby(corners, S, area, np.maximum(low, 0.0) + np.maximum(high, 0.0))
+    near = Nearby(corners, S, cell.b_x_mm * cell.b_y_mm, np.maximum(low, 0.0) + np.maximum(high, 0.0))
     mesh = solution.problem.mesh.mesh
     X = mesh.p.T[np.unique(mesh.t)]
     # The tensile trace is convex, so that of an average is at most the largest; times the largest strength it bounds
     # the utilisation, whose values are weighted means of those strengths.
-    trace, stress = near.bound(X), known.yield_stress()
-    own = _own_loads(solution)
+    trace = near.bound(X)
 
-    def asked(value: Callable[[Array, float], Array], most: float) -> MostAsked:
-        def of(S: Array) -> Array:
-            return value(S, stress)
+    def asked(value: Callable[[Array], Array], strengths: Array) -> tuple[Largest, Largest]:
+        most = float(strengths.max()) / known.yield_stress()
+        return largest_average(near, X, trace * most, value), largest_borne(solution, near, own, value, most)
 
-        return MostAsked(largest_average(near, X, trace * most, of), largest_borne(solution, near, own, of, most))
-
-    return (
-        asked(known.utilisation, float(known.first_yield.max()) / stress),
-        asked(known.collapse_utilisation, float(known.collapse.max()) / stress),
-    )
+    return [asked(known.utilisation, known.first_yield), asked(known.collapse_utilisation, known.collapse)]
 
 
 def nearest(solution: CurtainSolution, at: Array) -> str:
     """The name of the support or load next to a place `at` (2,) of the reference state: "support 1 (corners)"."""
-    return min(_places(solution), key=lambda item: float(np.linalg.norm(item[1] - at, axis=1).min()))[0]
-
-
-def _places(solution: CurtainSolution) -> Iterator[tuple[str, Array]]:
-    """Names and places (k, 2) of supports and live loads."""
     problem = solution.problem
     nodes, scene = problem.disc.nodes, problem.scene
-    for number, held in enumerate(problem.supports.held, 1):
-        yield f"support {number} ({held.name})", nodes[held.nodes]
-    at = [("point", number, one.at) for number, one in enumerate(scene.of(PointLoad), 1)]
-    at += [("patch", number, one.at) for number, one in enumerate(scene.of(PatchLoad), 1)]
-    for kind, number, place in at:
-        yield f"load.{kind} {number}", np.array([place])
-    edges = [("edge", number, one.edge) for number, one in enumerate(scene.of(EdgeLoad), 1)]
-    edges += [("bar", number, one.edge) for number, one in enumerate(scene.of(Bar), 1)]
-    for kind, number, name in edges:
-        on_edge = edge_nodes(problem.mesh, problem.disc, name, f"{scene.source}: [load.{kind}] edge")
-        yield f"load.{kind} {number} ({name})", nodes[on_edge]
+    places = {f"support {n} ({held.name})": nodes[held.nodes] for n, held in enumerate(problem.supports.held, 1)}
+    spots: tuple[type[PointLoad | PatchLoad], ...] = (PointLoad, PatchLoad)
+    edges: tuple[type[EdgeLoad | Bar], ...] = (EdgeLoad, Bar)
+    for spot in spots:
+        places |= {f"load.{spot.kind} {n}": np.array([one.at]) for n, one in enumerate(scene.of(spot), 1)}
+    for along in edges:
+        for n, one in enumerate(scene.of(along), 1):
+            on_edge = edge_nodes(problem.mesh, problem.disc, one.edge, f"{scene.source}: {one.where} edge")
+            places[f"load.{along.kind} {n} ({one.edge})"] = nodes[on_edge]
+    return min(places, key=lambda name: float(np.linalg.norm(places[name] - at, axis=1).min()))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-_OF_FORCE = (
+OF_FORCE = (
     "triangles there are too large for an average over one cell of the rings, so for the mesh the factor is that of "
     "the force at this point over the width of one cell"
 )
@@ -35,31 +34,28 @@ def weakest(summary: dict[str, Any]) -> dict[str, Any]:
 
 def links(summary: dict[str, Any]) -> list[Link]:
     """The links of a curtain that are loaded and whose strength is known."""
-    used = [summary.get(f"utilisation_of_{what}_max") or 0.0 for what in ("averages", "point_forces", "hook_rings")]
-    mesh, ring = max(used[:2]), used[2]
-    found = [Link(1.0 / mesh, "mesh", _mesh(summary))] if mesh > 0.0 else []
-    found += [Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}")] if ring > 0.0 else []
-    return found + list(_hooks(summary["support_forces"]))
-
-
-def _mesh(summary: dict[str, Any]) -> str:
-    """Where the mesh gives first, if this place is told; else only its name."""
-    near, place = summary.get("first_yield_near"), summary.get("utilisation_max_at_mm")
-    mesh = max(summary["utilisation_of_averages_max"], summary["utilisation_of_point_forces_max"])
-    if near is None or place is None or mesh < (summary.get("utilisation_of_hook_rings_max") or 0.0):
-        return "the mesh"
-    return f"rings near {near}, at ({place[0]:g}, {place[1]:g}) mm"
-
-
-def _hooks(support_forces: list[dict[str, Any]]) -> Iterator[Link]:
-    """Each loaded support by hooks or runners that states a capacity."""
-    for number, support in enumerate(support_forces, 1):
+    averages, points, ring = _utilisations(summary)
+    mesh, found = max(averages, points), []
+    if mesh > 0.0:
+        near, place = summary.get("first_yield_near"), summary.get("utilisation_max_at_mm")
+        is_told = near is not None and place is not None and mesh >= ring
+        text = f"rings near {near}, at ({place[0]:g}, {place[1]:g}) mm" if is_told and place else "the mesh"
+        found.append(Link(1.0 / mesh, "mesh", text))
+    if ring > 0.0:
+        found.append(Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}"))
+    supports = summary["support_forces"]
+    for number, support in enumerate(supports, 1):
         capacity, force = support.get("capacity_N"), support["largest_nodal_force_N"]
         if capacity is not None and force > 0.0:
             kind = "runner" if support["support"] == "track" else "hook"
-            of = f" of support {number}" if len(support_forces) > 1 else ""
+            of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {force:.4g} N of {capacity:g} N"
-            yield Link(capacity / force, f"{kind} capacity{of}", text)
+            found.append(Link(capacity / force, f"{kind} capacity{of}", text))
+    return found
+
+
+def _utilisations(summary: dict[str, Any]) -> list[float]:
+    return [summary.get(f"utilisation_of_{what}_max") or 0.0 for what in ("averages", "point_forces", "hook_rings")]
 
 
 def holds_line(summary: dict[str, Any]) -> str:
@@ -79,23 +75,19 @@ def holds_line(summary: dict[str, Any]) -> str:
     found, is_coarse = sorted(links(summary)), bool(summary.get("utilisation_mesh_too_coarse"))
     least = found[0].factor if found else float("inf")
     if least < 1.0:
-        head = f"does not hold, factor {least:.3g}"
+        parts = [f"does not hold, factor {least:.3g}"]
     elif summary["strength_note"] is not None and summary.get("utilisation_max_at_mm") is None:
-        head = f"strength of the rings not known: {summary['strength_note']}"
+        parts = [f"strength of the rings not known: {summary['strength_note']}"]
     else:
-        head = f"holds with a factor {'of at most ' if is_coarse else ''}{least:.3g}" if found else "no load"
-    parts = [head, *(_told(link, is_first=link is found[0], summary=summary) for link in found)]
+        parts = [f"holds with a factor {'of at most ' if is_coarse else ''}{least:.3g}" if found else "no load"]
+    for number, link in enumerate(found):
+        material = f"({summary.get('ring_material')}, {summary.get('ring_yield_N_per_mm2') or 0.0:g} N/mm2)"
+        verb = "yields" if link.text.startswith("the ") else "yield"
+        of_rings = f"would yield first {material}" if not number else f"{verb} at {link.factor:.3g} times the load"
+        parts.append(link.text if "capacity" in link.name else f"{link.text} {of_rings}")
+    averages, points, _ = _utilisations(summary)
     if is_coarse:
         parts.append("the mesh is too coarse there: the factor of the rings falls with refinement")
-    elif (summary.get("utilisation_of_point_forces_max") or 0.0) > (summary.get("utilisation_of_averages_max") or 0.0):
-        parts.append(_OF_FORCE)
+    elif points > averages:
+        parts.append(OF_FORCE)
     return "; ".join(parts)
-
-
-def _told(link: Link, *, is_first: bool, summary: dict[str, Any]) -> str:
-    """A link in words."""
-    if "capacity" in link.name:
-        return link.text
-    if is_first:
-        return f"{link.text} would yield first ({summary['ring_material']}, {summary['ring_yield_N_per_mm2']:g} N/mm2)"
-    return f"{link.text} {'yields' if link.text.startswith('the ') else 'yield'} at {link.factor:.3g} times the load"

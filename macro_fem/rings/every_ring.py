@@ -14,7 +14,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.answer import RECORD, Solution
 from macro_fem.output.files import rings as rings_of
-from macro_fem.output.supports import support_table
+from macro_fem.output.forces import support_table
 from macro_fem.rings.ring_scene import RingScene
 from rve import Cell, FiniteSolution
 from rve.common.drawing.plane import new_axes, save_figure

@@ -11,8 +11,7 @@ import numpy as np
 
 from homogenize import default_law, load_law
 from macro_fem.motion.files import COLUMNS, IMPULSES, RECORD, account_error, force_peaks
-from macro_fem.motion.shown import chosen
-from macro_fem.motion.views import IMAGES, PANELS
+from macro_fem.motion.views import IMAGES, PANELS, chosen
 from macro_fem.output.files import collection, versions
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.motion import RingFrame, RingRun, solve_ring_motion

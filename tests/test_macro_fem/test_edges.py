@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_scene
 from macro_fem.output.files import summarize
-from macro_fem.output.supports import held_length
+from macro_fem.output.forces import held_length
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.edges import named_edges
 from macro_fem.scene.meshing.mesh import build_mesh, refine

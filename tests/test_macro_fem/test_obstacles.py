@@ -6,7 +6,7 @@ import pytest
 from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
-from macro_fem.output.obstacles import obstacle_forces, pushes_of
+from macro_fem.output.forces import obstacle_forces, pushes_of
 from macro_fem.scene.obstacles import Box, Obstacle, placed, with_rounding
 from macro_fem.scene.schema import read_kinds, read_scene
 from macro_fem.shape_loop import ShapeOptions, solve_shape

@@ -6,7 +6,7 @@ from click.testing import CliRunner
 
 import macro_fem
 from macro_fem.cli import main
-from macro_fem.output.space_forces import pulls
+from macro_fem.output.space_view import pulls
 from rve.common.errors import InputError
 
 HAMMOCK = {

@@ -12,7 +12,7 @@ import pytest
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.drag import wind_summary
-from macro_fem.output.supports import support_forces
+from macro_fem.output.forces import support_forces
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT

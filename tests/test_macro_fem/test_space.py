@@ -14,7 +14,7 @@ from homogenize.io import default_law
 from macro_fem.curtain import solve_scene
 from macro_fem.job import compare, solve
 from macro_fem.output.files import features
-from macro_fem.output.supports import support_table
+from macro_fem.output.forces import support_table
 from macro_fem.problem import gathered_start
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import load_scene, read_scene

@@ -10,8 +10,8 @@ from homogenize import default_law, ring_net, with_material
 from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
 from macro_fem.output.files import summarize, write_vtu
+from macro_fem.output.forces import support_forces
 from macro_fem.output.strength import critical_load, summary, utilisation
-from macro_fem.output.supports import support_forces
 from macro_fem.output.weakest import holds_line
 from macro_fem.scene.schema import read_scene
 from rve import named_material, pulled_ring

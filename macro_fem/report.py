@@ -1,0 +1,151 @@
+"""The report of a run: two pages of A4 as PDF, vector graphics by matplotlib."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from macro_fem.output.plots import plot_line_loads
+from macro_fem.output.weakest import holds_line, links
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from macro_fem.solution import CurtainSolution
+from macro_fem.told import combination_lines, order_lines
+from rve.common.drawing.plane import BLUE, VERMILION, new_figure
+from rve.common.files import atomic_path, checksum
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+A4 = (8.27, 11.69)
+WIDTH = 108
+"""Characters of a line."""
+MOST_ROWS = 22
+"""Most points in the table of forces: those with the largest ones."""
+LIMITS = (
+    "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
+    "bend; friction would hold folds that are shown as free to slip.",
+    "The mesh is a homogenized membrane: holes, seams and repairs are not in it. Forces at a hook are those of the "
+    "rings that share it, as the scene states.",
+    "Factors are times all loads until the first ring yields, or a hook reaches its stated capacity, at the shape that "
+    "is shown. They are no margin for wear, fatigue, impact, or wire weaker than stated. Partial factors are those of "
+    "the load combinations, if there are any.",
+)
+"""What holds for every answer by a law."""
+
+
+def write_report(
+    path: str | Path, solution: CurtainSolution, summary: dict[str, Any], inputs: Iterable[Path | None] = ()
+) -> None:
+    """Write the report as PDF: scene with dimensions, shape, order; then forces, factors, limits, versions.
+
+    `inputs`: files whose checksums the report states. InputError if the file cannot be written.
+    """
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    name = Path(solution.problem.scene.source).stem
+    first = _page(name, 1)
+    _draw_scene(solution, first.add_axes((0.1, 0.57, 0.8, 0.31)))
+    shape = first.add_axes((0.14, 0.23, 0.74, 0.3))
+    plot_line_loads(solution, shape).legend().remove()
+    shape.set_title("")
+    shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
+    verdict = holds_line(summary) if summary["status"] == "converged" else f"{summary['status']}: {summary['message']}"
+    # The first sentence says whether it holds; the second page has the rest.
+    _section(first, 0.945, "; ".join(verdict.split("; ")[:2]), [], colour=BLUE)
+    height = f"mean height {summary['mean_height_mm']:.1f} mm"
+    _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
+    second, y = _page(name, 2), 0.93
+    for title, lines in _sections(summary, [one for one in inputs if one is not None]):
+        y = _section(second, y, title, lines)
+    told = {"Title": f"Curtain of ring mesh: {name}", "Creator": "macro_fem", "CreationDate": None}
+    with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
+        file.savefig(first)
+        file.savefig(second)
+
+
+def _page(name: str, number: int) -> Figure:
+    """A page with its head and foot."""
+    figure = new_figure(*A4)
+    figure.set_layout_engine("none")
+    figure.text(0.08, 0.955, f"Curtain of ring mesh: {name}", size=15, weight="bold")
+    figure.text(0.92, 0.03, f"page {number} of 2", size=8, ha="right")
+    return figure
+
+
+def _section(page: Figure, y: float, title: str, lines: Iterable[str], colour: str = "#111111") -> float:
+    """A title and lines of text below the height `y`; the height below them."""
+    head = textwrap.wrap(title, 90)
+    page.text(0.08, y, "\n".join(head), size=10, weight="bold", va="top", color=colour, linespacing=1.25)
+    y -= 0.006 + 0.0148 * len(head)
+    text = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="    ")]
+    page.text(0.08, y, "\n".join(text), size=7, family="monospace", va="top", linespacing=1.25)
+    return y - 0.0128 * len(text) - 0.01
+
+
+def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str, Iterable[str]]]:
+    """Titles and lines of the second page."""
+    stress = summary["ring_yield_N_per_mm2"]
+    told = "not known" if stress is None else f"{stress:g} N/mm2"
+    material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
+    yield (
+        "What gives first",
+        [*(f"{one.name}: {one.factor:.3g} times the load" for one in sorted(links(summary))), material],
+    )
+    if "combinations" in summary:
+        yield "Load combinations", combination_lines(summary)
+    points = [
+        (np.linalg.norm(point["force_N"]), one["support"], *point["at_mm"], point["force_N"])
+        for one in summary["support_forces"]
+        for point in one["points"]
+    ]
+    largest = sorted(points, key=lambda row: -row[0])[: 2 * MOST_ROWS]
+    shown = sorted(largest, key=lambda row: (row[1], row[2], -row[3]))
+    rows = [
+        f"{name:<8}{x:>7.0f}{h:>7.0f}{size:>9.3g}  ({', '.join(f'{part:.3g}' for part in force)})"
+        for size, name, x, h, force in shown
+    ]
+    half = (len(rows) + 1) // 2
+    columns = [f"{left:<54}{right}".rstrip() for left, right in zip(rows[:half], [*rows[half:], ""], strict=False)]
+    head = "Forces of supports" + ("" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}")
+    yield f"{head} (N; place in the flat sheet, mm)", columns
+    notes = [summary["support_forces_note"], summary["line_load_warning"]]
+    yield "Assumptions and limits", [*LIMITS, *filter(None, notes)]
+    versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
+    yield "Versions and files", [versions, *(f"{one.name}: SHA-256 {checksum(one)}" for one in inputs)]
+
+
+def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
+    """The flat sheet with its outline, dimensions, held points and edges, and loads."""
+    scene, mesh = solution.problem.scene, solution.problem.mesh.mesh
+    ends = mesh.p[:, mesh.facets[:, mesh.boundary_facets()]]
+    ax.plot(*ends, color="#555555", lw=1.0)
+    for held in solution.problem.supports.held:
+        marker, size = ("s", 2) if len(held.facets) else ("v", 5)
+        ax.plot(*solution.problem.disc.nodes[held.nodes].T, marker, color="#111111", ms=size)
+    (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
+    size = max(x1 - x0, y1 - y0)
+    off = 0.06 * size
+    for start, end, length, turn in (
+        ((x0, y0 - off), (x1, y0 - off), x1 - x0, 0),
+        ((x1 + off, y0), (x1 + off, y1), y1 - y0, 90),
+    ):
+        ax.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.8})
+        x, y = 0.5 * np.add(start, end)
+        ax.text(x, y, f"{length:g} mm", ha="center", va="center", rotation=turn, size=8, backgroundcolor="white")
+    forces: tuple[PointLoad | PatchLoad, ...] = (*scene.of(PointLoad), *scene.of(PatchLoad))
+    for one in forces:
+        way = np.array(one.force[:2]) / (np.linalg.norm(one.force) or 1.0) * 0.1 * size
+        ax.annotate("", np.add(one.at, way), one.at, arrowprops={"arrowstyle": "->", "color": VERMILION, "lw": 1.5})
+    winds = ((one.speed, "m/s") if one.speed is not None else (one.pressure, "N/m2") for one in scene.of(Wind))
+    loads = ["Loads: weight", *(f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar))]
+    loads += [f"wind of {value:g} {unit}" for value, unit in winds]
+    loads += [f"{list(one.force)} N at {list(one.at)}" for one in forces]
+    loads += [f"{list(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
+    ax.text(0.0, 1.02, "Flat sheet, mm. " + ", ".join(loads), transform=ax.transAxes, size=8, wrap=True)
+    ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 0.5 * off), aspect="equal")
+    ax.axis("off")
