@@ -153,20 +153,6 @@ def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code,
     assert not list(tmp_path.glob(".part-*"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--r1", "5", "--r2", "0.5", "--cluster", "tcp://127.0.0.1:9"), "no Dask scheduler answers there"),
-        (("--r1", "5", "--r2", "0.5", "--cluster", "x", "--jobs", "2"), "two ways to run a sweep"),
-    ],
-)
-def test_bad_input_is_one_sentence(tmp_path, monkeypatch, arguments, sentence):
-    monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
-    found = run(rve, "sweep", "--out", tmp_path, *arguments)
-    assert found.exit_code == 2
-    assert sentence in found.output
-
-
 @pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, single):
     import distributed

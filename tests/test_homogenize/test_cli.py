@@ -98,23 +98,6 @@ def test_loads_outside_the_sampled_cone_are_marked(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("strain", DEFAULT_LAW, "--alpha", "nan", "--beta", "3"), ("--alpha nan", "finite")),
-        (("strain", DEFAULT_LAW, "--alpha", "10", "--beta", "-5"), ("--beta -5", "push")),
-        (("support", DEFAULT_LAW, "--S", "1,x,0"), ("1,x,0",)),
-        (("support", "nowhere.json", "--S", "1,0,0"), ("nowhere.json", "cannot be read")),
-        (("fit", TABLE, "--out", "law.json", "--kind", "spline"), ("'spline' is not one of", "refined")),
-        (("fit", TABLE, "--out", "nowhere/law.json"), ("nowhere", "cannot be written")),
-    ],
-)
-def test_bad_input_is_one_sentence(arguments, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert refused(run(*arguments), *words)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda record: record | {"kind": "magic"}, ("kind = 'magic'", "net, polyhedral")),

@@ -4,10 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from homogenize import ClothLaw, load_law
-from homogenize.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
@@ -49,26 +47,6 @@ def test_a_law_file_with_a_parameter_is_refused(tmp_path):
     path.write_text(json.dumps(record | {"parameters": {"limit": 1.0}}))
     with pytest.raises(InputError, match=r"parameters limit: unknown key; cloth has no parameters"):
         load_law(path)
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("support", "--S", "1,0,1"), '"h": 0.0'),
-        (("strain", "--alpha", "10", "--beta", "45"), "kind = cloth: the law is inextensible, its strain is 0"),
-        (("strength", "--S", "1,0,1"), "strength"),
-        (("export", "--out", "umat.f"), "kind = cloth: only polyhedral laws are exported"),
-    ],
-)
-def test_commands_work_or_say_why_not(words, says, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    LAW.save("cloth.json")
-    result = CliRunner().invoke(main, [words[0], "cloth.json", *words[1:]])
-    assert says in result.output
-    answered = words[0] == "support"
-    assert result.exit_code == (0 if answered else 2)
-    if not answered:
-        assert len(result.output.strip().splitlines()) == 1
 
 
 def test_an_elastic_curtain_of_cloth_is_refused():

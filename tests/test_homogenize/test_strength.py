@@ -132,15 +132,6 @@ def test_the_command_prints_both_loads(law, tmp_path):
     assert found["collapse_N_per_mm"] == pytest.approx(2.0 * found["first_yield_N_per_mm"], rel=1e-9)
     assert found["extrapolated"] is False
     assert json.loads(run("--S", "0,0,5").stdout)["yield_N_per_mm2"] == 400.0
-    for words, name in (
-        (("--S", "1,2,1"), "not tensile"),
-        (("--S", "1,0,1", "--yield", "-4"), "--yield = -4.0: must be greater than 0"),
-        (("--S", "1e308,0,1e308"), "at most 1e+100"),
-        (("--S", "1,nan,1"), "three finite numbers"),
-    ):
-        failed = run(*words)
-        assert failed.exit_code == 2
-        assert name in failed.stderr
 
 
 @pytest.mark.parametrize(

@@ -34,22 +34,10 @@ FLAT = 1e-12
 
 
 ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
-
-
-@dataclass(frozen=True)
-class ClarabelOptions:
-    """When to stop."""
-
-    gap: float = 1e-10
-    """Relative gap that clarabel is asked for."""
-    feasibility: float = 1e-10
-    """Relative residuals that clarabel is asked for. Smaller ones take more iterations."""
-    violation: float = 1e-8
-    """Violation of the law (strain) that ends the cutting planes. Smaller ones take more rounds."""
-    max_rounds: int = 30
-    """Programs solved at most, each with the half-spaces that the one before violated."""
-    attained: Accuracy = ATTAINED
-    """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
+"""Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
+ASKED, VIOLATION, ROUNDS = 1e-10, 1e-8, 30
+"""Relative gap and residuals that clarabel is asked for; violation of the law (strain) that ends the cutting planes;
+programs solved at most, each with the half-spaces that the one before violated."""
 
 
 def curtain_by_clarabel(problem: CurtainProblem) -> CurtainSolution:
@@ -60,12 +48,7 @@ def curtain_by_clarabel(problem: CurtainProblem) -> CurtainSolution:
 
 
 def solve_clarabel(
-    fem: SupportedFem,
-    law: MembraneLaw,
-    load: Array,
-    size: float,
-    options: ClarabelOptions = ClarabelOptions(),
-    walls: Walls | None = None,
+    fem: SupportedFem, law: MembraneLaw, load: Array, size: float, walls: Walls | None = None
 ) -> PathResult:
     """The rigid curtain under generalised forces `load` (n,) of a curtain of extent `size`; see `PathResult`.
 
@@ -77,24 +60,24 @@ def solve_clarabel(
     cones = first_cones(law, len(fem.weight))
     history: list[Iteration] = []
     tell("clarabel, round 1")
-    found = _solve(task, cones, options)
+    found = _solve(task, cones)
     while True:
         if found.is_refuted:
             stop = "blocked" if task.A.shape[0] else "infeasible"
             break
         S, h, g = law_cut(law, green_strain(fem.gradient(found.z)))
-        new = np.flatnonzero(g < -options.violation)
+        new = np.flatnonzero(g < -VIOLATION)
         history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
         if not found.is_solved or not len(new):
             stop = "closed" if found.is_solved else "stalled"
             break
-        if len(history) == options.max_rounds:
+        if len(history) == ROUNDS:
             stop = "iterations"
             break
         cones, _ = with_cuts(cones, new, S[new], h[new])
         tell(f"clarabel, round {len(history) + 1}")
-        found = _solve(task, cones, options)
-    record = _record(stop, law, task, cones, found, options, history)
+        found = _solve(task, cones)
+    record = _record(stop, law, task, cones, found, history)
     return record if walls is None else replace(record, wall_forces=all_forces(walls, fem, rows, found.u))
 
 
@@ -174,7 +157,7 @@ def square_roots(S: Array) -> tuple[Array, np.ndarray]:
     return vectors[:, :, ::-1] * np.sqrt(np.maximum(values, 0.0))[:, None, :], 1 + (values[:, 1] > FLAT)
 
 
-def _solve(task: _Task, cones: Cones, options: ClarabelOptions) -> _Found:
+def _solve(task: _Task, cones: Cones) -> _Found:
     """clarabel's answer to the program of these half-spaces, posed in units of the size and the total load."""
     fem, B, size = task.fem, task.B, task.size
     d = fem.d
@@ -196,8 +179,8 @@ def _solve(task: _Task, cones: Cones, options: ClarabelOptions) -> _Found:
     b[start[:-1]] = c
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = options.gap
-    settings.tol_feas = options.feasibility
+    settings.tol_gap_abs = settings.tol_gap_rel = ASKED
+    settings.tol_feas = ASKED
     A = sparse.vstack([-size * (M @ B), -size * task.A]).tocsc()
     zero = np.zeros(fem.n)
     b = np.concatenate([b, task.rows.slack(zero)])
@@ -239,7 +222,6 @@ def _record(
     task: _Task,
     cones: Cones,
     found: _Found,
-    options: ClarabelOptions,
     history: list[Iteration],
 ) -> PathResult:
     fem = task.fem
@@ -247,7 +229,7 @@ def _record(
     return PathResult(
         stop=stop,
         evidence=Evidence(found.gap, found.unbalanced, -float(room)),
-        asked=options.attained,
+        asked=ATTAINED,
         z=found.z,
         lam=found.lam,
         y_tail=np.zeros((len(found.lam), 2 * fem.d)),

@@ -1,19 +1,17 @@
 """The two bounds: they contain exact answers, close with the mesh, and each part of the proof is checked alone."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from homogenize.laws.net import diagonal_net
 from macro_fem.bounds.adapt import levels, mark
-from macro_fem.bounds.dual_problem import dual_problem
 from macro_fem.bounds.equilibrated import dual_mesh
-from macro_fem.bounds.interval import _near_points, bound
+from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
 from macro_fem.fem.assembly import gradient, internal_force
-from macro_fem.scene.meshing.mesh import build_mesh, refine
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 
 NET_MEAN_HEIGHT = 14.187635  # 40 x 40 net square, top gathered to 70 %, DESIGN section 6
@@ -131,36 +129,3 @@ def test_marking_takes_the_fewest_cells():
     assert error[chosen].sum() - error[chosen].min() < 0.6 * error.sum()
     assert set(chosen) == set(np.argsort(-error)[: len(chosen)])
     assert len(mark(np.zeros(3))) == 0
-
-
-def test_refined_meshes_keep_their_named_edges():
-    scene = net_scene("aligned", 4)
-    mesh = build_mesh(scene, None)
-    finer = refine(mesh, np.arange(5), scene)
-    assert finer.mesh.t.shape[1] > mesh.mesh.t.shape[1]
-    for name in ("top", "bottom", "left", "right"):
-        ends = finer.mesh.p[:, finer.mesh.facets[:, finer.edges[name]]]
-        assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=0).sum() == pytest.approx(40.0)
-
-
-def test_dual_problem_holds_what_the_primal_holds(ring_like, scene_tables):
-    solution = solve_scene(read_scene(scene_tables(support={"kind": "rail"})), ring_like)
-    dual = dual_problem(solution, 1.0)
-    top = np.isclose(dual.dual.disc.nodes[:, 1], 100.0)
-    held = ~dual.fem.free.reshape(-1, 2)
-    on_edge = np.arange(len(top)) < 2 * dual.dual.facets.shape[1]
-    facets = dual.dual.mesh.edges["top"]
-    assert held[2 * facets, 1].all()
-    assert held[2 * facets + 1, 1].all()
-    assert held[:, 1].sum() == 2 * len(facets)
-    assert held[:, 0].sum() == 1  # one component is pinned against sliding
-    assert top[on_edge].sum() >= 2 * len(facets)
-
-
-def test_what_points_cost_is_laid_on_the_cells_beside_their_edges():
-    """Facet 0 lies between cells 0 and 1, facet 1 on the rim of cell 1; shares go by the moments, the sum is kept."""
-    mesh = SimpleNamespace(mesh=SimpleNamespace(f2t=np.array([[0, 1], [1, -1]])))
-    dual = SimpleNamespace(dual=SimpleNamespace(disc=SimpleNamespace(n_cells=3), mesh=mesh))
-    dual.tethers = SimpleNamespace(facet=np.array([0, 1]))
-    assert _near_points(dual, np.array([3.0, 1.0]), 14.0) == pytest.approx([6.0, 8.0, 0.0])
-    assert _near_points(dual, np.zeros(2), 14.0) == pytest.approx([0.0, 0.0, 0.0])

@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import macro_fem
@@ -15,16 +14,12 @@ from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from rve import Cell
 from rve.common.errors import InputError
+from tests.test_macro_fem.test_space_hammock import Catenary
 
 
 def catenary_mean(length, span, rise):
     """Mean height of a hanging rope above its lower end, whose ends are `span` and `rise` apart."""
-    chord = np.sqrt(length**2 - rise**2)
-    a = brentq(lambda a: 2.0 * a * np.sinh(span / (2.0 * a)) - chord, span / 1400.0, 1e6 * span, xtol=1e-12)
-    middle = a * np.arctanh(rise / length)
-    left, right = middle - span / 2.0, middle + span / 2.0
-    integral = 0.5 * a * span + 0.25 * a**2 * (np.sinh(2.0 * right / a) - np.sinh(2.0 * left / a))
-    return integral / length - a * min(np.cosh(left / a), np.cosh(right / a))
+    return Catenary(length, span, rise).mean
 
 
 def hammock(scene_tables, move, cells, **solver):

@@ -99,12 +99,6 @@ def test_held_on_a_line_is_the_moved_edge(ring_like, scene_tables):
     assert one.x == pytest.approx(other.x, abs=1e-9)
 
 
-def test_what_slides_along_its_line_must_not_be_pushed(ring_like, scene_tables):
-    support = line(TURN, "left", (0.0, 0.0, 0.0), (0.0, 100.0, 0.0), sliding=True)
-    with pytest.raises(InputError, match=r"scene: \[load\]: nothing carries the force of -0.273\d* N along"):
-        solved(scene_tables, ring_like, TURN, support)
-
-
 def test_supports_that_do_not_meet_on_a_line_are_refused(ring_like, scene_tables):
     """A top edge whose end is off the cable; a point that is held in part where an edge slides."""
     cable = line(TURN, "left", (0.0, 0.0, 0.0), (0.0, 100.0, 0.0), sliding=True)

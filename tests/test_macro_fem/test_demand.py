@@ -6,24 +6,20 @@ over them. What the real rings answer is tested in tests/test_rve; scenes of rea
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from homogenize import default_law, law_interval, read_law_interval
 from homogenize.fitting.rows import with_mirror
-from homogenize.io import DEFAULT_LAW
 from macro_fem.bounds.adapt import levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
-from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import ring_answers as rings_module
 from macro_fem.demand.cache import RingAnswer, keep_answer, read_answer
-from macro_fem.demand.directions import between, widest
+from macro_fem.demand.directions import widest
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.options import OnDemand
 from macro_fem.demand.record import DemandOptions
@@ -91,13 +87,6 @@ def test_a_quadratic_curtain_with_the_law_at_corners_is_admissible_everywhere_an
     usual = replace(scene, mesh=replace(scene.mesh, element="P2"))
     loose = solve_problem(make_problem(usual, law, mesh))
     assert loose.primal < quadratic.primal - 1e-3 * scale
-
-
-def test_the_mean_height_of_a_quadratic_curtain_is_that_of_its_potential():
-    scene, law = square(cells=4), default_law()
-    found = solve_problem(admissible_problem(scene, law, build_mesh(scene, law.cell)))
-    weight = -found.problem.force[:, 1].sum()
-    assert found.mean_height() == pytest.approx(50.0 + found.primal / weight, abs=1e-9)
 
 
 def test_the_distance_of_two_potentials_is_within_the_part_of_the_law():
@@ -306,22 +295,6 @@ def test_directions_are_asked_where_they_widen_most_and_apart():
     assert widest(x, part, known, 1, False)[0, 1] == pytest.approx(heavy[1], abs=0.02)
 
 
-def test_loads_near_the_rim_are_asked_on_it_first():
-    x, known = np.array([[0.99, 0.0]]), np.array([[0.0, 0.0]])
-    assert widest(x, np.ones(1), known, 1, True).tolist() == [[1.0, 0.0]]
-    known = np.vstack([known, [1.0, 0.0]])
-    assert widest(x, np.ones(1), known, 1, True).tolist() == [[0.99, 0.0]]
-
-
-def test_directions_far_from_all_known_ones():
-    known = first_directions(True)
-    x = between(known, 3, True)
-    folded = known * [1.0, 1.0]
-    assert (x[:, 1] >= 0.0).all()
-    assert np.hypot(*x.T).max() <= 1.0 + 1e-12
-    assert np.linalg.norm(folded[:, None] - x[None], axis=2).min() > 0.15
-
-
 def test_directions_are_rounded_into_the_disc():
     angle = np.linspace(0.0, 6.0, 200)
     x = rounded(np.column_stack([np.cos(angle), np.sin(angle)]))
@@ -369,27 +342,6 @@ def test_bounds_by_a_law_alone_say_so():
     assert high > outside - 1e-3
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--rings=-5,0.5"], "r1 = -5: rings are from 0.1 to 200 mm"),
-        (["--rings", "5,0.5", "--cache", "c", "--no-cache"], "contradict"),
-        (["--accuracy", "1e-3"], "belongs to --rings"),
-        (["--rings", "8,0.5", "--law", str(DEFAULT_LAW)], "rings_10.json: r2, b_x and b_y over r1 are"),
-        (["--rings", "5,0.5", "--cache", "/proc/none"], "--cache = /proc/none: cannot be made"),
-    ],
-)
-def test_options_that_make_no_sense_end_in_a_sentence(tmp_path, monkeypatch, options, sentence):
-    monkeypatch.chdir(tmp_path)
-    Path("scene.toml").write_text('[curtain]\nwidth = 90.0\nheight = 90.0\n[support]\nkind = "top"\n')
-    run = CliRunner().invoke(main, ["run", "scene.toml", "--out", "out", *options])
-    assert run.exit_code == 2
-    assert run.stderr.split("\n\n")[-1].count("\n") == 1  # below the usage, if click refuses
-    assert sentence in run.stderr
-    assert not Path("out").exists()
-    assert not Path("c").exists()
-
-
 def test_elements_without_bounds_are_refused():
     for tables in ({"mesh": {"cells": 3, "element": "Q1"}}, {"solver": {"kind": "elastic"}}):
         with pytest.raises(InputError, match="bounds"):
@@ -405,20 +357,6 @@ def test_rings_tell_their_strength_at_the_loads_they_were_asked_for():
     for name in ("utilisation", "collapse_utilisation"):
         one, other = (getattr(x, name)(some.S[inside], 235.0) for x in (found, law))
         np.testing.assert_allclose(one, other, rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_curtain_on_demand_knows_its_utilisation():
-    scene = square(curtain={"width": 100.0, "height": 100.0, "weave_angle": 20.0})
-    few = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 6)), cell=KNOWN.law.cell)
-    found = solve(scene, OnDemand(Cell(material=named_material("steel 1.4404")), 0.2, few)).summary
-    by_law = solve(scene, KNOWN).summary
-    assert found["status"] == "converged"
-    assert found["ring_material"] == "steel 1.4404"
-    strength = found["utilisation_max"] * found["ring_yield_N_per_mm2"]
-    assert strength == pytest.approx(by_law["utilisation_max"] * by_law["ring_yield_N_per_mm2"], rel=0.1)
-    assert found["safety_factor"] == pytest.approx(1.0 / found["utilisation_max"])
-    assert found["first_yield_near"] == "support 1 (corners)"
 
 
 def test_a_scene_may_say_what_the_rings_asked_on_demand_are_made_of():

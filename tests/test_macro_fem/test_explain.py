@@ -1,11 +1,9 @@
 """What a curtain leaves out: the same answer with it forced, and words that agree with what was done."""
 
 import numpy as np
-import pytest
 
 from homogenize.io import default_law
 from macro_fem.curtain import CurtainOptions, solve_problem
-from macro_fem.fem.hung_law import HungLaw
 from macro_fem.problem import gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
@@ -64,11 +62,3 @@ def test_all_half_spaces_from_the_start_give_the_same_potential():
     few, all_of = (solve_path(plane.fem, LAW, load, start, size, one) for one in (PathOptions(), every))
     assert len(all_of.cones) == len(facets.h) * points
     assert abs(few.primal - all_of.primal) < 3e-9 * float(np.abs(plane.force).sum()) * size
-
-
-def test_half_spaces_of_a_turned_law():
-    E = np.random.default_rng(1).normal(size=(50, 3))
-    for law in (LAW, HungLaw(LAW, 30.0)):
-        facets = law.facets()
-        worst = (E @ (facets.S * [1.0, 2.0, 1.0]).T - facets.h).max(axis=1)
-        assert worst == pytest.approx(law.cut(E).violation, abs=1e-12)

@@ -10,18 +10,16 @@ import pytest
 from click.testing import CliRunner
 
 from macro_fem.cli import main
-from macro_fem.rings.curtain import Curtain, Told, curtain_of_cells, read_curtain
+from macro_fem.rings.curtain import Curtain, Told, curtain_of_cells
 from macro_fem.rings.places import find_sites, place_rings, turns
-from rve.common.errors import InputError
 from rve.common.meshes import LINE_LOAD_1, STATE, STRAIN, STRESS
 from rve.drawn import ALONG, AROUND, DrawnRings
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import find_contacts
-from rve.geometry.kinematics import cauchy_line_load, cauchy_of, deformation_gradient, lattice_strain, second_pk
-from rve.geometry.pose import Pose, mirrored
+from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, lattice_strain, second_pk
 from rve.geometry.weave import SIX_IN_ONE
 from rve.solve import locked_block
-from rve.strained.forces import cell_forces, directions, largest_forces
+from rve.strained.forces import cell_forces, largest_forces
 from rve.strained.placed import axes_of_weave, fit_rings, shares
 from rve.strained.poses import PoseOptions, locked_arrangements, nearest_poses
 
@@ -302,23 +300,6 @@ def _centre_of_second(found):
     return found.branch[row]
 
 
-def test_forces_of_rounded_directions_are_those_of_the_cell():
-    loads = np.array([2.0 * cauchy_line_load([30.0], [20.0])[0], [0.0, 0.0, 0.0], cauchy_line_load([30.0], [20.4])[0]])
-    largest = largest_forces(loads, CELL)
-    exact = cell_forces(loads[0], CELL)
-    assert largest[0].max() == pytest.approx(exact.force.max(), rel=1e-8)
-    assert np.all(largest[1] == 0.0)
-    np.testing.assert_allclose(largest[2], 0.5 * largest[0], rtol=1e-12)
-
-
-def test_directions_are_those_of_the_load(table):
-    _, _, S, s = table
-    alpha, beta, size = directions(1.5 * s)
-    np.testing.assert_allclose(size[:, None] * cauchy_line_load(alpha, beta), 1.5 * s, atol=1e-14)
-    _, E, _, _ = table
-    np.testing.assert_allclose(cauchy_of(S, E), s, atol=1e-12)
-
-
 def test_six_in_one_has_poses_too():
     cell = Cell(8.0, 1.0, SIX_IN_ONE)
     states = locked_arrangements(cell, OPTIONS)
@@ -423,21 +404,6 @@ def test_a_window_and_the_picture(hung, tmp_path):
     assert points[:, 0].max() < 60.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--window", "0,0,1"], "--window"),
-        (["--window", "5000,5000,6000,6000"], "not one ring"),
-        (["--max-rings", "3"], "--max-rings"),
-        (["--window", "0,0,nan,9"], "window"),
-    ],
-)
-def test_bad_options_end_in_one_sentence(hung, tmp_path, arguments, words):
-    result = run(hung / "curtain.vtu", "--out", tmp_path / "rings", *arguments)
-    assert_one_sentence(result, words)
-    assert not (tmp_path / "rings").exists()
-
-
 def assert_one_sentence(result, words):
     assert result.exit_code == 2, result.output
     message = result.stderr.strip()
@@ -477,24 +443,6 @@ def test_a_bad_summary_beside_the_curtain_is_one_sentence(hung, tmp_path, text, 
     (tmp_path / "curtain.vtu").write_bytes((hung / "curtain.vtu").read_bytes())
     (tmp_path / "summary.json").write_text(text)
     assert_one_sentence(run(tmp_path, "--out", tmp_path / "rings"), words)
-
-
-def test_reading_keeps_tension_tensile(hung):
-    curtain = read_curtain(hung / "curtain.vtu")
-    mean, radius = (
-        0.5 * (curtain.S[:, 0] + curtain.S[:, 2]),
-        np.hypot(0.5 * (curtain.S[:, 0] - curtain.S[:, 2]), curtain.S[:, 1]),
-    )
-    assert (mean - radius).min() > -1e-9
-    with pytest.raises(InputError, match="nowhere"):
-        read_curtain(hung / "nowhere.vtu")
-
-
-def test_a_pose_in_a_mirror_keeps_its_links(states):
-    pose = Pose(states.pose.lattice, states.pose.centres, states.pose.normals)
-    contacts = find_contacts(mirrored(pose), CELL.weave, CELL.wire, 0.6)
-    assert contacts.links_intact.all()
-    np.testing.assert_allclose(contacts.min_gap, find_contacts(pose, CELL.weave, CELL.wire, 0.6).min_gap, atol=1e-12)
 
 
 def test_a_curtain_of_another_run_is_not_taken_for_that_of_the_summary(hung, tmp_path):

@@ -10,9 +10,9 @@ from macro_fem.problem import gathered_start
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, mean_product, measure
-from macro_fem.solvers.cone_step import advance, find_step, step_lengths
+from macro_fem.solvers.cone_step import find_step, step_lengths
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
-from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
+from macro_fem.solvers.cutting_planes import find_nearest, join, widen
 from macro_fem.solvers.options import PathOptions
 from rve.common.tensor import double_dot, trace
 from tests.test_macro_fem.sheets import posed
@@ -112,18 +112,6 @@ def test_joining_keeps_the_unknowns_and_the_central_path(problem, rings):
     E = green_strain(problem.fem.gradient(state.z + shorter.primal * step.dz))
     end = find_nearest(into.program, E, shorter.d_wanted)
     assert end.violation[found.is_missing].max() < 0.0
-
-
-def test_pruning_leaves_what_carries(problem):
-    program, state = begun(problem)
-    while (now := measure(program, state)).gap > 0.03:
-        state = advance(state, find_step(program, state, now, 1e-10))
-    few, left = prune(program, state)
-    assert len(few.c) < 0.9 * len(program.c)
-    assert np.array_equal(np.unique(few.cones.point), np.arange(len(few.cones.first)))
-    load = state.y.head * program.c
-    gone = load.sum() - (left.y.head * few.c).sum()
-    assert 0.0 < gone < 0.2 * load.sum()
 
 
 def test_the_path_takes_few_steps_though_the_law_has_thousands_of_half_spaces(problem, rings):

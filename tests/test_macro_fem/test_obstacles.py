@@ -7,10 +7,9 @@ from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_forces, pushes_of
-from macro_fem.scene.obstacles import Box, Obstacle, placed, with_rounding
+from macro_fem.scene.obstacles import Obstacle, placed
 from macro_fem.scene.schema import read_kinds, read_scene
 from macro_fem.shape_loop import ShapeOptions, solve_shape
-from macro_fem.solvers.walls import Walls, rows_of
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed
@@ -315,23 +314,6 @@ def test_points_between_nodes_are_where_the_element_puts_them(scene_tables, fitt
     assert to_node.max() < 1e-9
 
 
-def test_rows_of_walls_enter_the_matrix(scene_tables, fitted_law):
-    """A^T (v w) A beside that of the cells, for rows of nodes and of points between them."""
-    problem = posed(scene_tables(mesh={"cells": 2, "element": "P2"}, solver={"space": True}), fitted_law)
-    rng, points = np.random.default_rng(3), problem.disc.meeting
-    normal = rng.normal(size=(len(points), 3))
-    for fem in (problem.fem, problem.fem.tied()):
-        walls = Walls(points.node, normal, np.zeros(len(points)), share=points.share)
-        rows = rows_of(fem, walls.only(walls.is_movable(fem)), 7.0)
-        weight = rng.uniform(size=len(rows.walls))
-        tangent = np.zeros((problem.disc.n_points, 3, 2, 3, 2))
-        pattern = fem.pattern if fem.tie is None else fem._tied[0]
-        matrix = pattern.full(fem.matrix_data(tangent, rows.added(weight)))
-        z = rng.normal(size=fem.n)
-        assert matrix @ z == pytest.approx(rows.force(weight * rows.change(z)), rel=1e-9, abs=1e-12)
-        assert rows.change(z) == pytest.approx(rows.slack(z) - rows.slack(np.zeros(fem.n)), abs=1e-12)
-
-
 def test_a_body_that_has_passed_between_nodes_on_the_way_is_told():
     """Rows of nodes 38 mm apart let a bar of 30 mm through, and the strip ends below it without touching it."""
     strip = {
@@ -368,30 +350,3 @@ def test_an_obstacle_must_not_push_where_nothing_holds(fitted_law, scene_tables)
     slope = {"kind": "wall", "facing": [1.0, 1.0], "point": [50.0, 10.0]}
     with pytest.raises(InputError, match=r"nothing carries the force of .* N along x"):
         solve(read_scene(tables | {"obstacle": slope}), fitted_law)
-
-
-def test_only_the_direction_of_a_direction_counts(fitted_law, scene_tables):
-    """Squares of components below 1e-154 are 0: such normals once were not numbers, and walls held nothing."""
-    sizes = (1.0, 1e-200)
-    wall, wind = ({"kind": "wall", "point": [0.0, 10.0, 0.0], "facing": [0.0, s, s]} for s in sizes), {"pressure": 1.0}
-    one, two = (
-        posed(scene_tables(load={"wind": wind | {"direction": [0.0, 0.0, s]}}) | {"obstacle": item}, fitted_law)
-        for item, s in zip(wall, sizes, strict=True)
-    )
-    assert two.walls.normal == pytest.approx(one.walls.normal, abs=1e-12)
-    assert two.force == pytest.approx(one.force, rel=1e-12)
-
-
-def test_walls_join_and_scale():
-    one = Walls(np.array([0]), np.array([[0.0, 1.0]]), np.array([2.0]), np.array([4]))
-    two = Walls.joined([one, one.scaled(3.0)])
-    assert Walls.joined([]) is None
-    assert two.offset.tolist() == [2.0, 6.0]
-    assert two.owner.tolist() == [4, 4]
-    assert two.gap(np.array([[0.0, 5.0]])).tolist() == [3.0, -1.0]
-
-
-def test_edges_of_a_thin_box_are_as_round_as_it_is_thick_on_a_coarse_mesh():
-    thin = Box((0.0, 0.0, 0.0), (100.0, 20.0, 100.0))
-    assert with_rounding(thin, 50.0).rounding == 10.0
-    assert with_rounding(thin, 5.0).rounding == 5.0

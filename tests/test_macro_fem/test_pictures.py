@@ -81,16 +81,6 @@ def test_the_command_writes_picture_animation_and_page_in_space(tmp_path):
         assert film.n_frames == 2
 
 
-def test_one_load_step_cannot_be_animated(tmp_path):
-    (tmp_path / "scene.toml").write_text('[curtain]\nwidth = 50\nheight = 50\n[support]\nkind = "top"\n')
-    done = CliRunner().invoke(
-        main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--animation"]
-    )
-    assert done.exit_code == 2
-    assert "[load] steps = 1: there is nothing to animate" in done.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_rings_of_a_curtain_in_space_are_those_of_its_files_and_lie_on_it(hammock, tmp_path):
     hammock.save(tmp_path / "curtain", picture=False)
     window = macro_fem.LocalizeOptions(window=(60.0, 40.0, 130.0, 110.0))

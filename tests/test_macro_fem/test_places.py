@@ -57,14 +57,6 @@ def test_hooks_every_200_mm_on_3_m(element):
     np.testing.assert_allclose(force.sum(axis=0), [0.0, 1e-6 * 9.81 * 3000.0 * 300.0], rtol=1e-6, atol=1e-6)
 
 
-def test_columns_that_fit_hooks_keep_the_sides_of_the_weave():
-    """Every rectangle of the mesh but those of the lowest row has b_y / b_x as its ratio of sides."""
-    mesh = build_mesh(scene({"kind": "hooks", "pitch": 200.0}, 3000.0, 1000.0, mesh={"cells": 32}), RINGS)
-    y = np.unique(np.round(mesh.mesh.p[1], 6))
-    rows = np.diff(y[y > 120.0])[1:]
-    assert rows == pytest.approx(0.5 * 100.0 * RINGS.b_y_mm / RINGS.b_x_mm)
-
-
 def test_hooks_slide_where_they_may():
     """A hook that slides carries no force along the rail; one that does not carries much of the load's size."""
     sideways = []
@@ -293,14 +285,6 @@ def test_inner_edges_follow_the_turned_weave(shape, hang):
         assert share_along(mesh, hang + family) > 0.25
         if hang % 90.0:
             assert share_along(mesh, -hang + family) < 0.05
-
-
-def test_the_mesh_of_a_weave_hung_along_x_has_its_other_aspect():
-    """Rectangles b_x high and b_y wide: turned by 90 degrees, not the cell upright."""
-    mesh = build_mesh(scene({"kind": "top"}, weave_angle="x", mesh={"cells": 10}), RINGS)
-    high = 10.0 * RINGS.b_x_mm / RINGS.b_y_mm
-    y = np.unique(np.round(mesh.mesh.p[1], 6))
-    assert np.diff(y)[-4:] == pytest.approx(0.5 * high)
 
 
 def test_quadrilaterals_move_a_node_to_a_place():

@@ -11,7 +11,6 @@ import pytest
 
 from homogenize.io import default_law
 from macro_fem.curtain import solve_problem
-from macro_fem.drag import wind_summary
 from macro_fem.output.forces import support_forces
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
@@ -260,43 +259,3 @@ def test_what_slides_at_random_carries_nothing_along_its_way():
 @pytest.mark.slow
 def test_200_scenes_that_slide():
     check_outcomes(range(16, 216))
-
-
-def draw_windy(seed):
-    """Tables of a curtain that is gathered on a track, straight or curved, fully drawn or not, and its unit wind."""
-    rng = np.random.default_rng([seed, 14])
-    w, h = (float(one) for one in rng.choice([500.0, 1000.0, 2000.0], 2))
-    track = {"kind": "track", "fullness": float(rng.uniform(1.05, 2.0)), "drawn": float(rng.uniform(0.4, 1.0))}
-    track |= {"radius": 0.5 * w} if rng.random() < 0.5 else {}
-    along = np.array([float(rng.uniform(-0.5, 0.5)), 0.0, 1.0])
-    wind = {"speed": float(rng.uniform(3.0, 18.0)), "direction": along.tolist()}
-    tables = {"curtain": {"width": w, "height": h}, "mesh": {"cells": 4}, "support": track, "load": {"wind": wind}}
-    return tables, along / np.linalg.norm(along), 0.5 * 1.25 * wind["speed"] ** 2
-
-
-def check_windy(seed):
-    """The status; the drag is at most that of a plate on the front, and what supports carry along the wind."""
-    tables, along, pressure = draw_windy(seed)
-    law, scene = default_law(), read_scene(tables, "scene")
-    solution = solve_problem(posed(scene, law))
-    if solution.status != "converged":
-        return solution.status
-    (told,) = wind_summary(solution)["wind"]
-    assert 0.0 < told["drag_N"] <= 4.0 / 3.0 * pressure * told["front_area_m2"]
-    carried = np.sum([line["force_N"] for line in support_forces(solution)], axis=0)
-    weight = np.array([0.0, -9.81e-6 * law.cell.areal_mass_kg_per_m2 * solution.problem.disc.weight.sum(), 0.0])
-    scale = np.abs(solution.problem.force).sum()
-    assert abs((carried + weight) @ along + told["drag_N"]) < solution.noise + 2e-6 * scale
-    seen = np.abs(np.cross(solution.F[:, :, 0], solution.F[:, :, 1]) @ along)
-    assert told["front_area_m2"] <= 1e-6 * (solution.problem.disc.weight @ seen) * (1.0 + 1e-6)
-    return solution.status
-
-
-def test_gathered_curtains_in_wind_take_at_most_the_drag_of_a_plate():
-    assert [check_windy(seed) for seed in range(4)] == 4 * ["converged"]
-
-
-@pytest.mark.slow
-def test_30_gathered_curtains_in_wind():
-    outcomes = [check_windy(seed) for seed in range(4, 34)]
-    assert outcomes.count("converged") >= 0.9 * len(outcomes), outcomes

@@ -43,6 +43,8 @@ support = {kind = "track", fullness = 1.5, angle = 0.0} -> angle = 0: makes no a
 support = {kind = "track", fullness = 1.5, side = "end"} -> side = 'end': has no effect with drawn = 1
 support = {kind = "track", fullness = 1.5, capacity = 5.0} -> capacity = 5: has no effect without pitch
 support = {kind = "track", fullness = 1.5, rings_per_hook = 2} -> rings_per_hook = 2: has no effect without pitch
+support = {kind = "track", fullness = 2.0, path = [[0, 0], [200, 0]]} -> fullness = 2: contradicts a track of 200 mm
+support = {kind = "track", fullness = 0.5, radius = 5.0} -> radius = 5: a track of 200 mm
 load.steps = 3 -> steps = 3: has no effect without live loads and moves
 load.point = {at = [0, 0]} -> [load.point] force: is missing
 load.bar = {mass = 1.0, edge = "top"} -> held

@@ -93,17 +93,6 @@ def test_the_disk_guides_the_rings_to_an_equilibrium_of_the_same_scene(tmp_path)
     assert disk["total_load_N"] == slack["total_load_N"]
 
 
-def test_places_of_the_disk_are_those_of_its_nodes():
-    from macro_fem.job import solve
-
-    solution = solve(scene()).solution
-    nodes = solution.problem.disc.nodes
-    assert solution.places(nodes)[:, :2] == pytest.approx(solution.x, abs=1e-9)
-    beside = solution.places(nodes[:1] - 1e-3)
-    assert beside.shape == (1, 3)
-    assert np.isfinite(beside).all()
-
-
 def test_supports_out_of_reach_are_said_to_be_so(tmp_path):
     path, out = tmp_path / "scene.toml", tmp_path / "out"
     size = f"[curtain]\nwidth = {B_X}\nheight = {B_Y}\n[mesh]\ncells = 8\n"
@@ -182,15 +171,6 @@ def test_a_wall_that_pushes_rings_along_their_rail_is_refused(space):
     wall = {"kind": "wall", "facing": [1.0, 1.0], "point": [10.0, 0.0]}
     with pytest.raises(InputError, match=r"\[obstacle\]: nothing carries the force of 0.00\d* N along x"):
         ring_scene(scene(support={"kind": "rail"}, obstacle=[wall])).solve(space=space)
-
-
-def test_rings_that_nothing_holds_have_no_support_force(tmp_path):
-    """In the plane, which keeps all rings in it: its forces are no support's."""
-    rings = ring_scene(scene())
-    found = rings.solve(space=False)
-    held = np.concatenate([nodes for _, nodes in rings.groups])
-    assert not np.delete(found.reaction, held, axis=0).any()
-    assert found.reaction[:, 1].sum() == pytest.approx(-rings.force[:, 1].sum(), rel=1e-8)
 
 
 @pytest.mark.parametrize("space", [False, True])

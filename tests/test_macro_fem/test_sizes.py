@@ -7,11 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 import macro_fem
-import rve
-from homogenize import default_law, fit_table
+from homogenize import default_law
 from macro_fem.cli import main
 from macro_fem.rings.ring_scene import ring_scene
-from rve.common.errors import InputError
 
 LAW = default_law()
 B_X, B_Y = LAW.cell.b_x_mm, LAW.cell.b_y_mm
@@ -52,34 +50,3 @@ def test_nearly_whole_cells_keep_the_rings_at_the_corners():
     assert len(rounded.mesh.X) == len(exact.mesh.X)
     for (_, one), (_, other) in zip(exact.groups, rounded.groups, strict=True):
         assert rounded.mesh.X[other] == pytest.approx(exact.mesh.X[one])
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("files")
-    rve.solve_table(rve.Cell(r1=5, r2=0.5), rve.grid(45.0)).save(folder / "table.csv")
-    LAW.save(folder / "law.json")
-    (folder / "scene.toml").write_text("[curtain]\nwidth = 300\nheight = 200\n[support]\nkind = 'top'\n")
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("law", "told"),
-    [
-        ("table.csv", "a strain-load table, which homogenize fit"),
-        ("table.json", "the record beside a strain-load table"),
-        ("scene.toml", "a scene"),
-    ],
-)
-def test_a_wrong_file_as_law_is_named(files, tmp_path, law, told):
-    found = command(main, "run", files / "scene.toml", "--law", files / law, "--out", tmp_path / "out")
-    assert found.exit_code == 2
-    assert f"{law}: is {told}" in found.output
-    assert "not a law" in found.output
-
-
-def test_a_law_as_table_or_scene_is_named(files, tmp_path):
-    with pytest.raises(InputError, match="is a law, which macro_fem run takes as --law, not a table"):
-        fit_table(files / "law.json")
-    found = command(main, "run", files / "law.json", "--out", tmp_path / "out")
-    assert (found.exit_code, "is a law, which macro_fem run takes as --law, not a scene" in found.output) == (2, True)

@@ -17,7 +17,6 @@ SIZE = 200.0
 RAIL = {"kind": "rail"}
 HOOKS = {"kind": "hooks", "pitch": 50.0, "sliding": True}
 DIAGONAL = {"kind": "edge", "edge": "top", "along": [[0, SIZE, 0], [0.8 * SIZE, SIZE, 0.6 * SIZE]], "sliding": True}
-SLOPE = {"kind": "edge", "edge": "top", "along": [[0, SIZE], [180, 150]], "sliding": True}
 
 
 def wall(facing, point, **keys):
@@ -80,12 +79,6 @@ def test_a_sloping_line_slides_along_a_wall():
     assert found.x[:, 0].min() > 20.0 - 1e-6
     with pytest.raises(InputError, match=r"edge top is 20 mm inside it, and nothing but that holds it along \[0.8, 0"):
         solved(DIAGONAL, wall([1.0, 0.0, 0.0], [100.0, 0.0, 0.0]))
-
-
-def test_a_cylinder_along_a_rail_and_in_it_is_refused():
-    cylinder = {"kind": "cylinder", "axis": [1, 0, 0], "point": [0, SIZE, 5], "radius": 30.0}
-    with pytest.raises(InputError, match="cylinder: rail is 25 mm inside it"):
-        solved(RAIL, cylinder)
 
 
 @pytest.mark.parametrize(

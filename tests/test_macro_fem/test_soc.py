@@ -5,9 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homogenize.laws.net import ring_net
-from homogenize.laws.protocol import CellInfo
-from macro_fem.fem.hung_law import HungLaw, rotation_on_triples
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import symmetric_roots, times_root
 
@@ -66,28 +63,3 @@ def test_roots_square_to_their_tensor_also_at_rank_one():
     L = symmetric_roots(S)
     square = times_root(np.stack([L[:, [0, 1]], L[:, [1, 2]]], axis=1), L).reshape(-1, 2, 2)
     assert np.abs(square - full).max() < 1e-12 * np.abs(full).max() * 10
-
-
-@given(st.floats(-360.0, 360.0))
-@settings(deadline=None, max_examples=40)
-def test_a_turned_law_is_the_law_seen_turned(angle):
-    law = ring_net(CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785))
-    rng = np.random.default_rng(1)
-    E = 0.3 * rng.normal(size=(20, 3))
-    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-    R = np.array([[c, -s], [s, c]])
-    full = np.stack([E[:, [0, 1]], E[:, [1, 2]]], axis=1)
-    there = np.einsum("ki,nkl,lj->nij", R, full, R)
-    in_weave = np.stack([there[:, 0, 0], there[:, 0, 1], there[:, 1, 1]], axis=-1)
-    assert np.abs(E @ rotation_on_triples(-angle).T - in_weave).max() < 1e-12
-    one, two = HungLaw(law, angle), law
-    assert np.abs(one.cut(E).violation - two.cut(in_weave).violation).max() < 1e-9
-    assert np.abs(one.response(E).energy - two.response(in_weave).energy).max() < 1e-9 * 1000.0
-    S = np.abs(rng.normal(size=(5, 1))) * np.array([[0.5, 0.1, 0.5]])
-    assert np.abs(one.support(S) - two.support(S @ rotation_on_triples(-angle).T)).max() < 1e-9
-    # work conjugacy: the response's stress is the gradient of its energy, in the turned frame too
-    h = 1e-6
-    gradient = np.stack(
-        [(one.response(E + h * e).energy - one.response(E - h * e).energy) / (2 * h) for e in np.eye(3)], axis=-1
-    )
-    assert np.abs(gradient / np.array([1.0, 2.0, 1.0]) - one.response(E).S).max() < 1e-2

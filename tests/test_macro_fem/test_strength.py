@@ -10,7 +10,6 @@ from homogenize import default_law, ring_net, with_material
 from macro_fem.curtain import solve_scene
 from macro_fem.job import solve
 from macro_fem.output.files import summarize, write_vtu
-from macro_fem.output.forces import support_forces
 from macro_fem.output.strength import critical_load, summary, utilisation
 from macro_fem.output.weakest import holds_line
 from macro_fem.scene.schema import read_scene
@@ -210,14 +209,6 @@ def test_laws_that_do_not_know_say_so(tmp_path):
     assert "utilisation" not in read_mesh_file(tmp_path / "curtain.vtu").cell_data
 
 
-def test_bounds_keep_the_strength():
-    """The curtain is then that of the inner law."""
-    tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 4}}
-    plain = solve(read_scene(tables)).summary
-    bounded = solve(read_scene(tables | {"solver": {"bounds": True}})).summary
-    assert bounded["utilisation_max"] == pytest.approx(plain["utilisation_max"], rel=0.2)
-
-
 def two_hooks(law=None, **support):
     """Two sliding hooks that carry half of the bar each, and no force along their rail; its summary."""
     return summarize(hung(law, kind="hooks", pitch=WIDTH, sliding=True, **support))
@@ -327,15 +318,3 @@ def test_a_material_needs_a_law_that_knows_its_own():
     )
     with pytest.raises(InputError, match="needs a law that knows the material of its rings; make the table again"):
         solve(scene, replace(default_law(), strength=None))
-
-
-def test_runners_are_compared_with_their_capacity():
-    """Two runners on a straight track carry half of the bar each upwards; the track is told by its name."""
-    half = 0.5 * MASS * GRAVITY
-    solution = hung(kind="track", fullness=1.25, pitch=WIDTH, capacity=0.5 * half)
-    (held,) = support_forces(solution)
-    assert held["capacity_N"] == 0.5 * half
-    assert np.array(held["points"][0]["force_N"])[1] == pytest.approx(half, rel=1e-6)
-    line = holds_line(summarize(solution))
-    assert line.startswith("does not hold, factor 0.")
-    assert f"runners of support 1 bear up to {held['largest_nodal_force_N']:.4g} N of {0.5 * half:g} N" in line

@@ -1,0 +1,113 @@
+"""Command lines that make no sense: one sentence, exit code 2, and nothing is written."""
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import homogenize.cli
+import macro_fem.cli
+import rve.cli
+from homogenize import ClothLaw
+from homogenize.io import DEFAULT_LAW
+
+GROUPS = {"rve": rve.cli.main, "homogenize": homogenize.cli.main, "macro_fem": macro_fem.cli.main}
+DATA = Path(__file__).parent / "test_homogenize" / "data"
+HOOKS = """
+curtain = {width = 330.0, height = 252.9}
+mesh = {cells = 4}
+support = {kind = "hooks", pitch = 110.0}
+load = {bar = {mass = 2.0}}
+"""
+REFUSED = """
+rve table --out new.csv --r2 2 -> jams
+rve table --out new.csv --alpha 0:10 -> --alpha
+rve table --out new.csv --graded --beta 10 -> --graded
+rve table --out new.csv --cells 2 -> cells
+rve table --out new.csv --cells 9x1 -> cells
+rve table --out new.csv --cells 2x1 --method stewart-trinkle -> cells
+rve table --out new.csv --material mithril -> known are steel
+rve table --out new.csv --young 210 -> young = 210.0: must be at least 500
+rve table --out new.csv --rings --joint glued -> --joint = 'glued'
+rve table --out new.csv --joint butted -> --joint: belongs to --rings
+rve table --out table.json -> sidecar
+rve case --alpha 0 --beta 45 --plot case.xyz -> xyz
+rve case --alpha 0 --beta 45 --animation cell.mp4 -> ends in .gif
+rve support --S 1,0 -> --S
+rve support --S 1,0,-1 -> has the eigenvalue -1
+rve support --S 1,0,0 --branches none -> 'none' is not one of
+rve sweep --out tables --r1 5 --r2 0.5 --cluster tcp://127.0.0.1:9 -> no Dask scheduler answers there
+rve sweep --out tables --r1 5 --r2 0.5 --cluster x --jobs 2 -> two ways to run a sweep
+homogenize strain law.json --alpha nan --beta 3 -> --alpha nan
+homogenize strain law.json --alpha 10 --beta -5 -> push
+homogenize strain cloth.json --alpha 10 --beta 45 -> kind = cloth: the law is inextensible, its strain is 0
+homogenize support law.json --S 1,x,0 -> 1,x,0
+homogenize support nowhere.json --S 1,0,0 -> nowhere.json: cannot be read
+homogenize strength law.json --S 1,2,1 -> not tensile
+homogenize strength law.json --S 1,nan,1 -> three finite numbers
+homogenize strength law.json --S 1e308,0,1e308 -> at most 1e+100
+homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: must be greater than 0
+homogenize strength cloth.json --S 1,0,1 -> strength
+homogenize fit table.csv --out new.json --kind spline -> 'spline' is not one of
+homogenize fit table.csv --out nowhere/law.json -> nowhere
+homogenize fit law.json --out new.json -> is a law, which macro_fem run takes as --law, not a table
+homogenize export cloth.json --out umat.f -> kind = cloth: only polyhedral laws are exported
+homogenize plot law.json --table nowhere.csv --out new -> nowhere.csv
+macro_fem run scene.toml --out new --rings=-5,0.5 -> r1 = -5: rings are from 0.1 to 200 mm
+macro_fem run scene.toml --out new --rings 5,0.5 --cache c --no-cache -> contradict
+macro_fem run scene.toml --out new --accuracy 1e-3 -> belongs to --rings
+macro_fem run scene.toml --out new --rings 8,0.5 --law law.json -> law.json: r2, b_x and b_y over r1 are
+macro_fem run scene.toml --out new --rings 5,0.5 --cache /proc/none -> --cache = /proc/none: cannot be made
+macro_fem run scene.toml --out new --animation -> [load] steps = 1: there is nothing to animate
+macro_fem run scene.toml --out new --report r.txt -> ends in .pdf
+macro_fem run scene.toml --out new --dxf scene.toml -> scene.toml
+macro_fem run scene.toml --out new --law table.csv -> table.csv: is a strain-load table, which homogenize fit
+macro_fem run scene.toml --out new --law table.json -> table.json: is the record beside a strain-load table
+macro_fem run scene.toml --out new --law scene.toml -> scene.toml: is a scene
+macro_fem run law.json --out new -> is a law, which macro_fem run takes as --law, not a scene
+macro_fem run half.toml --out new -> TOML
+macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> the scene has no wind with a speed
+macro_fem size scene.toml --vary mass --from 3 --to 2 --factor 1 -> the smaller one first
+macro_fem size scene.toml --vary mass --from 1 --to 2 --factor nan -> --factor = nan: must be positive
+macro_fem size scene.toml --vary r2 --from 0.4 --to 0.6 --factor 1 -> needs the rings, by --rings R1,R2
+macro_fem size scene.toml --vary mass --from 1 --to 2 --factor 1e6 -> no mass from 1 to 2 holds with a factor
+macro_fem size scene.toml --vary pitch --from 120 --to 150 --factor 1 -> divides the edge of 330 mm
+macro_fem localize curtain --out new --window 0,0,1 -> --window
+macro_fem localize curtain --out new --window 0,0,nan,9 -> window
+macro_fem localize curtain --out new --window 5000,5000,6000,6000 -> not one ring
+macro_fem localize curtain --out new --max-rings 3 -> --max-rings
+macro_fem localize nowhere --out new -> nowhere
+"""
+ROWS = [line.split(" -> ") for line in REFUSED.strip().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Scenes, a table, laws and a solved curtain for the commands to read."""
+    out = tmp_path_factory.mktemp("refused")
+    (out / "scene.toml").write_text(HOOKS)
+    (out / "half.toml").write_text("[mesh")
+    shutil.copy(DEFAULT_LAW, out / "law.json")
+    ClothLaw().save(out / "cloth.json")
+    for ending in ("csv", "json"):
+        shutil.copy(DATA / f"table190.{ending}", out / f"table.{ending}")
+    words = ["run", str(out / "scene.toml"), "--out", str(out / "curtain"), "--no-picture"]
+    assert CliRunner().invoke(macro_fem.cli.main, words).exit_code == 0
+    return out
+
+
+@pytest.mark.parametrize(("command", "sentence"), ROWS, ids=[command for command, _ in ROWS])
+def test_what_makes_no_sense_is_one_sentence(command, sentence, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("rve.common.commands.sweeps.CONNECT_S", 0.5)
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    package, *words = shlex.split(command)
+    done = CliRunner().invoke(GROUPS[package], words)
+    assert done.exit_code == 2, done.output
+    message = done.stderr.strip().split("\n\n")[-1]  # below the usage, if click refuses
+    assert message.startswith("Error: ")
+    assert "\n" not in message
+    assert sentence in message
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
