@@ -16,6 +16,8 @@ SAME = 1e-9
 """Loads in the disc closer than this are one load."""
 FLAT = 1e-12
 """Twice the area in the disc below which a triangle holds no load."""
+FOLDS = 5
+"""Parts in which loads are left out, to learn how wrong what is known between the others is there."""
 CHUNK = 500
 """Loads looked up together: 15 MB for the triangles of 190 rows."""
 
@@ -94,3 +96,31 @@ def tensile_part(S: Array) -> Array:
     share = 0.5 * (top - bottom) / np.where(half > 0.0, half, 1.0)
     middle = 0.5 * (top + bottom)
     return np.stack([middle + share * (S[:, 0] - mean), share * S[:, 1], middle + share * (S[:, 2] - mean)], axis=1)
+
+
+def hull_of(S: Array, is_mirrored: bool) -> Array:
+    """Corners (k, 2) in the disc of the hull of loads S (n, 3), mirror images included, in turn.
+
+    InputError for loads on one line.
+    """
+    x = disc(np.vstack([S, mirror(S[np.abs(S[:, 1]) > SAME])]) if is_mirrored else S)
+    try:
+        return np.asarray(x[ConvexHull(x).vertices])
+    except QhullError as error:
+        raise InputError(
+            "the rows' loads lie on one line: a law needs loads that differ in angle and in ratio"
+        ) from error
+
+
+def folds_of(S: Array, is_mirrored: bool) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Numbers of loads that are left out together, and of those that stay, FOLDS times; none if the loads are too few.
+
+    Each load is left out once with its neighbours kept; corners of the hull of all stay in, they span it.
+    """
+    if len(S) < 2 * FOLDS:
+        return []
+    away = np.abs(disc(S)[:, None] - hull_of(S, is_mirrored)).max(axis=2).min(axis=1)
+    inner = np.flatnonzero(away > 1e-7)
+    if len(inner) < 2 * FOLDS:
+        return []
+    return [(inner[fold::FOLDS], np.setdiff1d(np.arange(len(S)), inner[fold::FOLDS])) for fold in range(FOLDS)]

@@ -16,10 +16,10 @@ from homogenize.fitting.bounds import inner_law, outer_law
 from homogenize.fitting.fit import cell_of
 from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_table, with_mirror
 from homogenize.io import DEFAULT_LAW, load_law
+from homogenize.laws.geometry import highest
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import StoredLaw
-from homogenize.laws.vertices import highest
 from homogenize.strength import Strength, strength_of_table
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -63,21 +63,10 @@ def law_interval(
     >>> bool(found.width(np.array([[0.5, 0.0, 0.5]]))[0] < 1e-3)
     True
     """
-    found = rows_with_largest_work(rows)
+    found = replace(rows, h=np.maximum(rows.h, highest(rows.S, with_mirror(rows).E)))
     inner = replace(inner_law(found, stiffness, cell), strength=strength)
     outer = outer_law(found, stiffness, cell)
     return LawInterval(inner, inner if law is None else law, outer, found, float((found.h - rows.h).max()))
-
-
-def rows_with_largest_work(rows: LockedRows) -> LockedRows:
-    """LockedRows whose h is at least the work S:E that any other row's strain does under their load.
-
-    >>> S = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]])
-    >>> E = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
-    >>> rows_with_largest_work(LockedRows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2))).h
-    array([0.1, 0.1])
-    """
-    return replace(rows, h=np.maximum(rows.h, highest(rows.S, with_mirror(rows).E)))
 
 
 def read_law_interval(path: str | Path = DEFAULT_LAW) -> LawInterval:
@@ -117,9 +106,7 @@ def interval_of_law(law: StoredLaw, source: str) -> LawInterval | None:
 
     InputError names `source` if the rows are none.
     """
-    if not isinstance(law, PolyhedralLaw):
-        return None
-    rows = rows_from_provenance(law.provenance, source)
-    if rows is None:
+    rows = rows_from_provenance(law.provenance, source) if isinstance(law, PolyhedralLaw) else None
+    if rows is None or not isinstance(law, PolyhedralLaw):
         return None
     return replace(law_interval(rows, law, law.stiffness, law.cell, law.strength), source=source)

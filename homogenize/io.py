@@ -82,21 +82,16 @@ def load_law(path: str | Path) -> StoredLaw:
     """
     with expecting("law", path):
         record = read_json(path)
-        return law_from_record(record, str(path))
-
-
-def law_from_record(record: Any, source: str) -> StoredLaw:
-    """The law of a parsed file; `source` names it in the messages of InputError."""
-    if not isinstance(record, dict):
-        raise InputError(f"{source}: a law file holds one JSON object, this one holds a {type(record).__name__}")
-    found = read_typed(LawEntries, record, f"{source}:")
-    provenance = found.provenance or {}
-    if provenance.get("sampled_loads") is not None:
-        read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{source}: provenance")
-    check_rings(found.cell or {}, f"{source}: cell")
-    return replace(
-        law_kinds()[found.kind].from_dict(found.parameters, f"{source}: parameters"),
-        cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{source}: cell"),
-        strength=None if found.strength is None else read_strength(found.strength, f"{source}: strength"),
-        provenance=provenance,
-    )
+        if not isinstance(record, dict):
+            raise InputError(f"{path}: a law file holds one JSON object, this one holds a {type(record).__name__}")
+        found = read_typed(LawEntries, record, f"{path}:")
+        provenance, strength = found.provenance or {}, found.strength
+        if provenance.get("sampled_loads") is not None:
+            read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{path}: provenance")
+        check_rings(found.cell or {}, f"{path}: cell")
+        return replace(
+            law_kinds()[found.kind].from_dict(found.parameters, f"{path}: parameters"),
+            cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{path}: cell"),
+            strength=None if strength is None else read_strength(strength, f"{path}: strength"),
+            provenance=provenance,
+        )

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 from homogenize.interval import LawInterval
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
-from homogenize.strength import MAKE_AGAIN, Strength
+from homogenize.strength import MAKE_AGAIN
 from rve.common.errors import InputError
 from rve.common.materials import Material, material_of
 
@@ -31,7 +31,8 @@ def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
     """
     if not given:
         return law
-    known = _strength(law)
+    laws = (law.inner, law.law, law.outer) if isinstance(law, LawInterval) else (law,)
+    known = next((one.strength for one in laws if isinstance(one, StoredLaw) and one.strength is not None), None)
     if known is None:
         raise InputError(f"{where} needs a law that knows the material of its rings; {MAKE_AGAIN}".lstrip())
     if given.get("poisson") is not None:
@@ -40,24 +41,18 @@ def with_material(law: Kind, given: Mapping[str, Any], where: str = "") -> Kind:
             "table again with rve table --rings --poisson".lstrip()
         )
     old, new = known.material, material_of(given, where, base=known.material)
+    changed = {id(one): _changed(one, old, new) for one in laws}
     if not isinstance(law, LawInterval):
-        return cast("Kind", _changed(law, old, new))
-    inner, own, outer = (_changed(one, old, new) for one in (law.inner, law.law, law.outer))
-    changed = replace(law, inner=inner, law=inner if law.law is law.inner else own, outer=outer)
-    return cast("Kind", changed)
-
-
-def _strength(law: MembraneLaw | LawInterval) -> Strength | None:
-    laws = (law.inner, law.law) if isinstance(law, LawInterval) else (law,)
-    return next((one.strength for one in laws if isinstance(one, StoredLaw) and one.strength is not None), None)
+        return cast("Kind", changed[id(law)])
+    inner, own, outer = (changed[id(one)] for one in laws)
+    return cast("Kind", replace(law, inner=inner, law=own, outer=outer))
 
 
 def _changed(law: MembraneLaw, old: Material, new: Material) -> MembraneLaw:
     """The law with areal mass, strength and stiffness of rings of `new` in place of `old`."""
     if not isinstance(law, StoredLaw):
         return law
-    softer = old.young_N_per_mm2 / new.young_N_per_mm2
-    cell, known = law.cell, law.strength
+    softer, cell, known = old.young_N_per_mm2 / new.young_N_per_mm2, law.cell, law.strength
     if cell is not None:
         mass = cell.areal_mass_kg_per_m2 * new.density_kg_per_mm3 / old.density_kg_per_mm3
         cell = replace(cell, areal_mass_kg_per_m2=mass)

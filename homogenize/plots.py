@@ -1,97 +1,47 @@
-"""Pictures of a law beside its table: locking surface, strains over the load angles, errors, sections."""
+"""Pictures of a law beside its table: locking surface, strains over the load angles, errors, sections; and a page of
+the locking surface and the strength that turns in a browser."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from homogenize.fitting.bounds import bounds_of
+from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import LockedRows, rows_from_table, with_mirror
-from homogenize.laws.pictures import plot_sections as sections_of
-from homogenize.laws.pictures import solid_axes
+from homogenize.laws import pictures
+from homogenize.laws.pictures import locking_surface, solid_axes, strength_loads
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
-from homogenize.view import gap_scale, surface_with_gap, write_law_page
-from rve.common.drawing.plane import new_axes, new_figure, save_figure, shade
+from rve.common.drawing.page import write_page
+from rve.common.drawing.plane import VERMILION, new_axes, new_figure, save_figure, shade
+from rve.common.drawing.scale import Scale, rounded_up
+from rve.common.drawing.space import add, balls, lines, look, new_plotter, surface
 from rve.common.files import job, write_text
 from rve.common.progress import tell
+from rve.common.tensor import trace
 from rve.common.texts import json_text
+from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pyvista import Plotter
 
     from rve import StrainTable
 
-COMPONENTS = ("E11", "E12", "E22")
 PAGE = "law.html"
 RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.files`)."""
-
-
-def plot_surface(law: MembraneLaw, rows: LockedRows, ax: Any = None) -> Any:
-    """The locking surface in strain space, coloured by the gap between the bounds of h, the rows and their mirrors."""
-    ax = solid_axes(new_figure(8.0, 6.0).add_subplot(projection="3d")) if ax is None else ax
-    E, gap = surface_with_gap(law, rows, 71)
-    scale, both = gap_scale(gap), with_mirror(rows)
-    shades = scale.colour_map()(scale.norm()(np.clip(gap, scale.low, scale.top)), alpha=0.75)
-    ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=71, ccount=71, shade=False)
-    ax.plot(*both.E.T, ".", color="black", ms=4, label="rows of the table and their mirror images")
-    scale.add_bar(ax, shrink=0.7, pad=0.02)
-    ax.legend(loc="upper left", fontsize=10)
-    title = f"Locking surface of the {law.name} law and {len(rows)} rows"
-    ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title=title)
-    return ax
-
-
-def plot_strains(law: MembraneLaw, table: StrainTable, axes: Any = None) -> Any:
-    """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
-    axes = new_figure(12.5, 4.2).subplots(1, 3) if axes is None else axes
-    alphas = np.unique(table.alpha_deg[table.converged])
-    beta = np.linspace(1.0, 89.0, 89)
-    for number, alpha in enumerate(alphas):
-        colour = shade(number / max(len(alphas) - 1, 1))
-        found = locked_strain(law, np.full(len(beta), alpha), beta)
-        E = np.where((found.status == "converged")[:, None], found.E, np.nan)
-        at = table.converged & (table.alpha_deg == alpha)
-        for k, ax in enumerate(axes):
-            ax.plot(beta, E[:, k], color=colour, lw=1.2, label=f"{alpha:g} deg" if k == 2 else None)
-            ax.plot(table.beta_deg[at], table.E[at, k], "o", color=colour, ms=3.5)
-    for ax, name in zip(axes, COMPONENTS, strict=True):
-        ax.set(xlabel="ratio angle beta (degrees)", ylabel=name, xlim=(0.0, 90.0))
-        ax.grid(alpha=0.3)
-    axes[2].legend(title="alpha", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    axes[0].figure.suptitle("Locked strain under a Cauchy load: law (lines), rows (points)")
-    return axes
-
-
-def plot_errors(law: MembraneLaw, rows: LockedRows, ax: Axes | None = None) -> Axes:
-    """Histogram of the error of h at the rows, and of the distance of the bounds half-way between them."""
-    from homogenize.fitting.bounds import bounds_of
-    from homogenize.fitting.report import random_loads
-
-    ax = new_axes() if ax is None else ax
-    S, bounds = random_loads(), bounds_of(rows)
-    floor = 1e-16
-    bins = np.logspace(-16, 0, 65).tolist()
-    ax.hist(np.abs(law.support(rows.S) - rows.h) + floor, bins, label="|error of h| at the rows", alpha=0.7)
-    gap = np.maximum(bounds.upper(S) - bounds.lower(S), 0.0) + floor
-    ax.hist(gap, bins, label=f"outer - inner bound of h at {len(S)} random loads", alpha=0.7)
-    ax.set(xscale="log", xlabel="strain (h at unit trace of S)", ylabel="loads", title=f"Errors of the {law.name} law")
-    ax.legend()
-    return ax
-
-
-def plot_sections(law: MembraneLaw, rows: LockedRows, ax: Axes | None = None) -> Axes:
-    """The sections of `homogenize.laws.pictures` over the range of the rows, and the rows without shear."""
-    shears = tuple(np.linspace(0.0, np.abs(rows.E[:, 1]).max(), 5).tolist())
-    ax = sections_of(law, shears, (-0.2, 0.5 * (rows.E[:, 0] - rows.E[:, 2]).max() + 0.2), ax)
-    plane = np.abs(rows.E[:, 1]) < 1e-9
-    ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
-    ax.legend(fontsize=10)
-    return ax
+POINTS, EVERY = 81, 8
+"""Points of the locking surface along each side, and how many lie between drawn lines."""
+DECADES = 3.0
+"""The scale of gaps goes over this many powers of ten."""
+FROM_OUTSIDE = (1.0, -0.9, -1.3)
+"""Onto the side of the surfaces that loads press against."""
 
 
 def write_pictures(
@@ -105,17 +55,149 @@ def write_pictures(
     folder = Path(folder)
     rows = rows_from_table(table)
     tell("drawing")
-    pictures = {
+    figures = {
         "surface.png": plot_surface(law, rows).figure,
         "strains.png": plot_strains(law, table)[0].figure,
         "errors.png": plot_errors(law, rows).figure,
         "sections.png": plot_sections(law, rows).figure,
     }
     with job(folder, RECORD, inputs) as staged:
-        for number, (name, figure) in enumerate(pictures.items()):
-            tell(f"drawing, {name}", number / len(pictures))
+        for number, (name, figure) in enumerate(figures.items()):
+            tell(f"drawing, {name}", number / len(figures))
             save_figure(staged / name, figure)
         if html:
-            write_law_page(law, rows, staged / PAGE, law.strength)
+            write_law_page(law, rows, staged / PAGE)
         write_text(staged / RECORD, json_text({"law": law.name, "rows": len(rows)}))
-    return [folder / name for name in (*pictures, *([PAGE] if html else []))]
+    return [folder / name for name in (*figures, *([PAGE] if html else []))]
+
+
+def plot_surface(law: MembraneLaw, rows: LockedRows) -> Any:
+    """The locking surface in strain space, coloured by the gap between the bounds of h, the rows and their mirrors."""
+    ax = solid_axes(new_figure(8.0, 6.0).add_subplot(projection="3d"))
+    E, gap, scale = surface_with_gap(law, rows)
+    shades = scale.colour_map()(scale.norm()(np.clip(gap, scale.low, scale.top)), alpha=0.75)
+    ax.plot_surface(*np.moveaxis(E, -1, 0), facecolors=shades, linewidth=0, rcount=71, ccount=71, shade=False)
+    ax.plot(*with_mirror(rows).E.T, ".", color="black", ms=4, label="rows of the table and their mirror images")
+    scale.add_bar(ax, shrink=0.7, pad=0.02)
+    ax.legend(loc="upper left", fontsize=10)
+    title = f"Locking surface of the {law.name} law and {len(rows)} rows"
+    ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title=title)
+    return ax
+
+
+def plot_strains(law: MembraneLaw, table: StrainTable) -> Any:
+    """E11, E12, E22 against beta for each alpha, as Fig. 13 of the paper: the law as lines, the rows as points."""
+    axes = new_figure(12.5, 4.2).subplots(1, 3)
+    alphas = np.unique(table.alpha_deg[table.converged])
+    beta = np.linspace(1.0, 89.0, 89)
+    for number, alpha in enumerate(alphas):
+        colour = shade(number / max(len(alphas) - 1, 1))
+        found = locked_strain(law, np.full(len(beta), alpha), beta)
+        E = np.where((found.status == "converged")[:, None], found.E, np.nan)
+        at = table.converged & (table.alpha_deg == alpha)
+        for k, ax in enumerate(axes):
+            ax.plot(beta, E[:, k], color=colour, lw=1.2, label=f"{alpha:g} deg" if k == 2 else None)
+            ax.plot(table.beta_deg[at], table.E[at, k], "o", color=colour, ms=3.5)
+    for ax, name in zip(axes, ("E11", "E12", "E22"), strict=True):
+        ax.set(xlabel="ratio angle beta (degrees)", ylabel=name, xlim=(0.0, 90.0))
+        ax.grid(alpha=0.3)
+    axes[2].legend(title="alpha", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes[0].figure.suptitle("Locked strain under a Cauchy load: law (lines), rows (points)")
+    return axes
+
+
+def plot_errors(law: MembraneLaw, rows: LockedRows) -> Axes:
+    """Histogram of the error of h at the rows, and of the distance of the bounds at random loads."""
+    ax, S, floor = new_axes(), random_loads(), 1e-16
+    bins = np.logspace(-16, 0, 65).tolist()
+    ax.hist(np.abs(law.support(rows.S) - rows.h) + floor, bins, label="|error of h| at the rows", alpha=0.7)
+    gap = bounds_of(rows).gap(S) + floor
+    ax.hist(gap, bins, label=f"outer - inner bound of h at {len(S)} random loads", alpha=0.7)
+    ax.set(xscale="log", xlabel="strain (h at unit trace of S)", ylabel="loads", title=f"Errors of the {law.name} law")
+    ax.legend()
+    return cast("Axes", ax)
+
+
+def plot_sections(law: MembraneLaw, rows: LockedRows) -> Axes:
+    """Cuts through the admissible strains at the shears of the rows, and the rows without shear."""
+    ax = pictures.plot_sections(law, tuple(np.linspace(0.0, np.abs(rows.E[:, 1]).max(), 5).tolist()))
+    plane = np.abs(rows.E[:, 1]) < 1e-9
+    ax.plot(rows.E[plane, 0], rows.E[plane, 2], "k.", ms=4, label="rows with E12 = 0")
+    ax.legend(fontsize=10)
+    return ax
+
+
+def surface_with_gap(law: MembraneLaw, rows: LockedRows) -> tuple[Array, Array, Scale]:
+    """Strains (POINTS, POINTS, 3) on the locking surface over the range of the rows, how far the bounds of h there are
+    apart (POINTS, POINTS) at the load of unit trace normal to the surface, and their colours.
+
+    nan where the surface lies below all rows.
+    """
+    E = with_mirror(rows).E
+    D, G = 0.5 * (E[:, 0] - E[:, 2]), E[:, 1]
+    grid = np.linspace(D.min() - 0.02, D.max() + 0.02, POINTS), np.linspace(G.min(), G.max(), POINTS)
+    found = locking_surface(law, *np.meshgrid(*grid), lowest=0.5 * trace(E).min() - 0.02)
+    gap = np.full(found.shape[:2], np.nan)
+    is_there = np.isfinite(found[..., 0])
+    gap[is_there] = bounds_of(rows).gap(law.cut(found[is_there]).S)
+    largest = float(np.nanmax(gap, initial=0.0))
+    top = rounded_up(largest)
+    return found, gap, Scale("outer - inner bound of h (S of unit trace)", top * 10.0**-DECADES, top, largest, "log")
+
+
+def write_law_page(law: StoredLaw, rows: LockedRows, path: str | Path) -> None:
+    """Write the locking surface, and the strength beside it where it is known with a yield stress, as one HTML file.
+
+    InputError without plotly.
+    """
+    known = law.strength
+    stress = None if known is None else known.material.yield_N_per_mm2
+    told = [f"Locking surface of the {law.name} law, {len(rows)} rows\nstrains that the mesh can reach lie behind it"]
+    plotter = new_plotter(1 if stress is None else 2)
+    _draw_locking(law, rows, plotter)
+    if known is not None and stress is not None:
+        told.append(f"Strength: {known.joint} rings of {known.material.name}\nyield stress {stress:g} N/mm2")
+        plotter.subplot(0, 1)
+        _draw_strength(*strength_loads(known, stress), plotter)
+    elif known is not None:
+        told[0] += f"\n{known.material.name} has no yield stress, so no strength is drawn"
+    write_page(path, plotter, *told, axes=(("E12", "E22", "E11"), ("S12, N/mm", "S22, N/mm", "S11, N/mm")))
+
+
+def _draw_locking(law: MembraneLaw, rows: LockedRows, plotter: Plotter) -> None:
+    """The locking surface, coloured by the gap of the bounds, and the rows with their mirror images on it."""
+    E, gap, scale = surface_with_gap(law, rows)
+    at, points = _in_space(with_mirror(rows).E), _in_space(E)
+    _add_grid(plotter, "locking surface", points, scale, gap)
+    nets = points[::EVERY], points[:, ::EVERY].swapaxes(0, 1)
+    pieces = np.concatenate([np.stack([net[:, :-1], net[:, 1:]], axis=-2).reshape(-1, 2, 3) for net in nets])
+    pieces = pieces[np.isfinite(pieces).all(axis=(1, 2))]
+    add(plotter, "lines of even E12 and E11 - E22", lines(pieces), "#3f4650", line_width=1.5)
+    add(plotter, "rows of the table", balls(at, 0.005 * float(np.linalg.norm(np.ptp(at, axis=0)))), "#000000")
+    look(plotter, FROM_OUTSIDE)
+
+
+def _draw_strength(first: Array, last: Array, plotter: Plotter) -> None:
+    """First yield as a surface, coloured by S11 + S22, and collapse as a net, over all tensile line loads, N/mm."""
+    size, net = trace(first), _in_space(last)
+    scale = Scale("S11 + S22, N/mm", float(size.min()), rounded_up(float(size.max())), float(size.max()))
+    _add_grid(plotter, "first yield", _in_space(first), scale, size)
+    add(plotter, "plastic collapse", lines(net[::6]), VERMILION, line_width=2)
+    add(plotter, "_plastic collapse", lines(net[:, ::4].swapaxes(0, 1)), VERMILION, line_width=2)
+    look(plotter, FROM_OUTSIDE)
+
+
+def _in_space(values: Array) -> Array:
+    """Components 11, 12, 22 as coordinates: 22 points up, 11 towards the viewer."""
+    return values[..., [1, 2, 0]]
+
+
+def _add_grid(plotter: Plotter, name: str, points: Array, scale: Scale, values: Array) -> None:
+    """The surface through a grid of points (n, m, 3), coloured by values (n, m), with gaps where points are nan."""
+    number = np.arange(values.size).reshape(values.shape)
+    quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
+    flat = points.reshape(-1, 3)
+    used, place = np.unique(quads[np.isfinite(flat[quads]).all(axis=(1, 2))], return_inverse=True)
+    mesh = surface(flat[used], place.reshape(-1, 4))
+    mesh[scale.label] = values.ravel()[used]
+    add(plotter, name, mesh, scale)

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from scipy.spatial import ConvexHull
 
-from homogenize.directions import Directions, tensile_part
+from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
 from rve.common.errors import InputError
 from rve.common.materials import Material, Stress, read_material
 from rve.common.rings import read_joint
-from rve.common.tensor import IDENTITY, WEIGHT, disc, eigenvalues, mirror, trace
+from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
 from rve.common.texts import as_html
 from rve.common.typed import Typed, numbers_or_none, read_entry, read_typed
 from rve.common.types import Array
@@ -29,9 +28,7 @@ from rve.common.types import Array
 if TYPE_CHECKING:
     from rve import StrainTable
 
-FOLDS = 5
 MAKE_AGAIN = "make the table again with rve table --rings, and fit the law again"
-
 
 Share = Annotated[float, Meta(ge=0.0, le=1e300)]
 Component = Annotated[float, Meta(ge=-1.0, le=1.0)]
@@ -191,24 +188,17 @@ def strength_of_table(table: StrainTable) -> Strength | None:
 
 def off_grid(strength: Strength) -> OffGrid | None:
     """Relative errors at rows inside the hull, each left out once with its neighbours kept; None with too few rows."""
-    if len(strength.S) < 2 * FOLDS:
-        return None
-    x = disc(np.vstack([strength.S, mirror(strength.S)]) if strength.is_mirrored else strength.S)
-    rim = x[ConvexHull(x).vertices]
-    inner = np.flatnonzero([np.abs(rim - point).max(axis=1).min() > 1e-7 for point in disc(strength.S)])
-    if len(inner) < 2 * FOLDS:
-        return None
     values = np.stack([strength.first_yield, strength.collapse])
-    error = np.zeros((2, 0))
-    for fold in range(FOLDS):
-        out = inner[fold::FOLDS]
-        keep = np.setdiff1d(np.arange(len(strength.S)), out)
+    errors = []
+    for out, keep in folds_of(strength.S, strength.is_mirrored):
         others = Directions.of(strength.S[keep], strength.cauchy[keep], strength.is_mirrored)
         rows, weights = others.at(strength.S[out])
         guess = (weights * values[:, keep][:, rows]).sum(axis=2)
-        error = np.concatenate([error, np.abs(guess / values[:, out] - 1.0)], axis=1)
-    first, last = error
-    return OffGrid(len(inner), float(first.max()), float(first.mean()), float(last.max()), float(last.mean()))
+        errors.append(np.abs(guess / values[:, out] - 1.0))
+    if not errors:
+        return None
+    first, last = np.concatenate(errors, axis=1)
+    return OffGrid(len(first), float(first.max()), float(first.mean()), float(last.max()), float(last.mean()))
 
 
 def read_strength(table: Any, where: str) -> Strength:

@@ -21,7 +21,7 @@ from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.combinations import combined
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.options import OnDemand
+from macro_fem.demand.options import DemandOptions, OnDemand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures
 from macro_fem.problem import CurtainProblem, make_problem
@@ -104,7 +104,7 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
 
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
-    from macro_fem.demand.loop import DemandOptions, solve_on_demand
+    from macro_fem.demand.loop import solve_on_demand
     from macro_fem.demand.ring_strength import with_strength
     from rve.common.cache import open_cache
 

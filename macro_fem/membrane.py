@@ -34,7 +34,7 @@ from rve.common.types import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from macro_fem.demand.record import Demand
+    from macro_fem.demand.loop import Demand
     from macro_fem.rings.field import RingField
     from macro_fem.rings.localize import LocalizeOptions
 

@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
-from macro_fem.fem.cells import recovered
+from macro_fem.fem.cells import padded, recovered
 from macro_fem.fem.discretization import discretize
-from macro_fem.fem.space import padded
 from macro_fem.problem import CurtainProblem, gathered_start, unit_tensors
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import (

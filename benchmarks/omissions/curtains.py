@@ -12,7 +12,8 @@ from benchmarks.measure import Row, least_seconds
 from benchmarks.omissions.compare import LEFT_OUT, USED, bars, trial, trial_table, verdict
 from benchmarks.problems import square
 from homogenize.io import default_law
-from homogenize.laws.protocol import MembraneLaw
+from homogenize.laws.polyhedral import PolyhedralLaw
+from homogenize.laws.protocol import HalfSpaces, MembraneLaw
 from macro_fem.curtain import CURTAIN, CurtainOptions, solve_problem
 from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
@@ -104,9 +105,9 @@ def third_coordinate(law: MembraneLaw, hung: str, cells: int, load: dict[str, An
 
 def all_half_spaces(law: MembraneLaw, cells: int) -> Row:
     """All half-spaces of the law from the start, by the potential."""
-    facets, points = law.facets(), problem_of(law, "corners", cells).disc.n_points
-    assert facets is not None
-    every = replace(KEEP_IDLE, cones=same_cones(facets, points))
+    assert isinstance(law, PolyhedralLaw)
+    points = problem_of(law, "corners", cells).disc.n_points
+    every = replace(KEEP_IDLE, cones=same_cones(HalfSpaces(law.S, law.h), points))
     return by_option(law, "all-half-spaces", cells, PATH, every)
 
 

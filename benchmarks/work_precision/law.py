@@ -14,8 +14,8 @@ from homogenize.fitting import refine
 from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.fit import builder, cell_of
 from homogenize.fitting.rows import rows_from_table
+from homogenize.laws.geometry import ProjectionError
 from homogenize.laws.net import STATED_STIFFNESS
-from homogenize.laws.projection import ProjectionError
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain import locked_strain
 from rve.common.tensor import double_dot, from_disc, trace

@@ -23,9 +23,10 @@ from homogenize import CellInfo, LockedRows, MembraneLaw, law_interval
 from homogenize.fitting.fit import FitOptions, fit
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.curtain import solve_problem
+from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand
-from macro_fem.demand.record import DemandOptions
-from macro_fem.demand.ring_answers import first_directions, ring_info, rounded
+from macro_fem.demand.options import DemandOptions
+from macro_fem.demand.rings import Rings
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, read_scene
 from macro_fem.solution import CurtainSolution
@@ -66,7 +67,7 @@ def curtain(law: MembraneLaw, cells: int) -> CurtainSolution:
 
 def nested(cell: Cell, cells: int) -> Nested:
     """The curtain whose every point asks its rings in every round, all points at once."""
-    info = ring_info(cell)
+    info = Rings(cell).info
     rows = answered(cell, first_directions(cell.weave.is_mirrored), None)
     solves, rounds = len(rows), 0
     for _ in range(MOST_ROUNDS):
@@ -118,7 +119,7 @@ def on_demand(cell: Cell, cells: int, accuracy: float) -> tuple[float, int, floa
     heights = [curtain(one, cells).mean_height() for one in (law.inner, law.outer)]
     bounds = found.level.bounds
     scale = float(np.abs(found.level.solution.problem.force).sum()) * HEIGHT
-    return float(np.mean(heights)), found.asked.solves, bounds.gap / scale
+    return float(np.mean(heights)), found.rings.solves, bounds.gap / scale
 
 
 def rows_of(cell: Cell, cells: int, accuracies: Sequence[float]) -> list[Row]:
@@ -168,7 +169,7 @@ def measure(full: bool) -> Section:
 def curtain_points(cells: int) -> int:
     """Points at which the law holds."""
     one = scene(cells)
-    return 3 * int(build_mesh(one, ring_info(Cell())).mesh.t.shape[1])
+    return 3 * int(build_mesh(one, Rings(Cell()).info).mesh.t.shape[1])
 
 
 def _end(rows: Sequence[Row]) -> str:

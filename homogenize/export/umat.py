@@ -7,7 +7,7 @@ rotation; across the thickness a stiffness of its own, which the plane does not 
 PROPS(1) is the nominal thickness (mm) by which line loads (N/mm) are divided; PROPS(2), if given, scales the stiffness;
 PROPS(3) is a stiffness (N/mm) of slack mesh too in the first step, a hundredth of it in each further one.
 `umat.f` beside this module is its source with @names@ for what a law fills in. Its iteration is that of
-`homogenize.laws.projection`, one point at a time. The stiffness is the law's constant one;
+`homogenize.laws.geometry`, one point at a time. The stiffness is the law's constant one;
 elastic curtains use that of each direction (`homogenize.elastic_law`).
 """
 
@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from homogenize.laws.geometry import DEPENDENT, MAX_ROUNDS, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.projection import DEPENDENT, MAX_ROUNDS, polyhedron_of
 from homogenize.laws.protocol import MembraneLaw
 from rve.common.errors import InputError
 from rve.common.files import write_text

@@ -12,11 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from homogenize.fitting.rows import LockedRows, with_mirror
+from homogenize.laws.geometry import fibres, highest, outer_vertices
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
 from homogenize.laws.protocol import CellInfo
-from homogenize.laws.vertices import highest, outer_vertices
-from rve.common.tensor import WEIGHT, dyad, eigenvalues, trace
+from rve.common.tensor import WEIGHT, eigenvalues, trace
 from rve.common.types import Array
+
+RIM = 720
+"""Loads of rank one of the inner law."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +37,10 @@ class SupportBounds:
         """Upper bound of h at S (n, 3), (n,)."""
         return highest(S, self.outer)
 
+    def gap(self, S: Array) -> Array:
+        """How far both are apart at S (n, 3), (n,), zero or more."""
+        return np.maximum(self.upper(S) - self.lower(S), 0.0)
+
 
 def bounds_of(rows: LockedRows) -> SupportBounds:
     """Inner and outer bound of the convex set behind the rows, mirror images included.
@@ -42,9 +49,6 @@ def bounds_of(rows: LockedRows) -> SupportBounds:
     """
     both = with_mirror(rows)
     return SupportBounds(both.E, outer_vertices(both.S, both.h))
-
-
-RIM = 720
 
 
 def outer_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo | None = None) -> PolyhedralLaw:
@@ -58,10 +62,8 @@ def inner_law(rows: LockedRows, stiffness: Array | None = None, cell: CellInfo |
     from scipy.spatial import ConvexHull
 
     E = with_mirror(rows).E
-    angle = np.pi * np.arange(RIM) / RIM
-    rim = dyad(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
     facets = ConvexHull(E, qhull_options="QJ").equations[:, :3] / WEIGHT
     facets = facets[trace(facets) > 0.0]
     facets = facets[eigenvalues(facets)[0] >= 0.0]
-    S = np.vstack([facets / trace(facets)[:, None], rim])
+    S = np.vstack([facets / trace(facets)[:, None], fibres(RIM)])
     return polyhedral_law(S, highest(S, E), stiffness, cell)

@@ -1,4 +1,11 @@
-"""From a table file to a law with its error report: test the rows, build the law, measure it, write it."""
+"""From a table file to a law with its error report: test the rows, build the law, measure it, write it.
+
+Rings that give, or contacts of finite stiffness, make the locked strain depend on the size of the load, E = dh/dS + A
+S. The compliance D = dE/dS of a row holds both: the bend of the locking surface, which has no part along S because h is
+homogeneous of degree one, and A. So S:D S = S:A S, and one positive definite A with the symmetry of the weave is fitted
+to these. The strength of the law keeps S:D S of every direction (`homogenize.strength`), of which
+`homogenize.laws.giving` makes the law of elastic curtains.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +14,20 @@ import platform
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
 
+from homogenize.directions import hull_of
 from homogenize.fitting.bounds import inner_law, outer_law
-from homogenize.fitting.refine import RESOLUTION, RefineOptions, Resolution, refined_half_spaces
-from homogenize.fitting.report import error_report, sampled_cone
+from homogenize.fitting.refine import RESOLUTION, Resolution, refined_half_spaces
+from homogenize.fitting.report import error_report
 from homogenize.fitting.rows import NORMALITY_TOLERANCE, LockedRows, normality, rows_from_table, rows_to_dict
-from homogenize.fitting.stiffness import stiffness_by_direction, stiffness_of
-from homogenize.laws.net import ring_cell, ring_net
-from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.laws.protocol import CellInfo
+from homogenize.laws.giving import constant_compliance, giving_law, work_along
+from homogenize.laws.net import STATED_STIFFNESS, ring_cell, ring_net
+from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
+from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
@@ -32,7 +40,8 @@ from rve.common.types import Array
 if TYPE_CHECKING:
     from rve import StrainTable
 
-Builder = Callable[[LockedRows], StoredLaw]
+STATED_LOAD = 1.0
+"""Size S11 + S22 in N/mm of the line load at which the compliance of elastic curtains is compared with the rows'."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +70,6 @@ class FitResult:
     law: StoredLaw
     report: ErrorReport
 
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """Where the law comes from."""
-        return self.law.provenance
-
     def save(self, path: str | Path) -> None:
         """Writes the law file."""
         self.law.save(path)
@@ -92,7 +96,7 @@ def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     source = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-    return replace(result, law=replace(result.law, provenance=result.provenance | {"table": source}))
+    return replace(result, law=replace(result.law, provenance=result.law.provenance | {"table": source}))
 
 
 def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
@@ -107,7 +111,12 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         raise InputError(found.sentence())
     cell = cell_of(table)
     stiffness, origin = stiffness_of(table)
-    build = builder(options.kind, cell, stiffness, options.resolution)
+    build: Callable[[LockedRows], StoredLaw] = {
+        "refined": lambda some: polyhedral_law(*refined_half_spaces(some, options.resolution), stiffness, cell),
+        "outer": lambda some: outer_law(some, stiffness, cell),
+        "inner": lambda some: inner_law(some, stiffness, cell),
+        "net": lambda _: ring_net(cell),
+    }[options.kind]
     law = replace(build(rows), strength=strength_of_table(table))
     refit = None if options.kind == "net" else build  # the net does not depend on the rows
     provenance = {
@@ -115,7 +124,7 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
         "rows": len(rows),
         "stiffness": origin,
         "stiffness_by_direction": stiffness_by_direction(law),
-        "sampled_loads": sampled_cone(rows).tolist(),
+        "sampled_loads": hull_of(rows.S, rows.is_mirrored).tolist(),
         "table_rows": rows_to_dict(rows),
         "table_provenance": dict(table.provenance),
         "python": platform.python_version(),
@@ -125,17 +134,33 @@ def fit(table: StrainTable, options: FitOptions | None = None) -> FitResult:
     return FitResult(replace(law, provenance=provenance | {"report": report.to_dict()}), report)
 
 
-def builder(kind: str, cell: CellInfo, stiffness: Array, resolution: float = RESOLUTION) -> Builder:
-    """The function that makes a law of this kind from rows; `resolution` belongs to the refined law (`FitOptions`)."""
-    kinds: dict[str, Builder] = {
-        "refined": lambda rows: polyhedral_law(
-            *refined_half_spaces(rows, RefineOptions.of(resolution)), stiffness, cell
-        ),
-        "outer": lambda rows: outer_law(rows, stiffness, cell),
-        "inner": lambda rows: inner_law(rows, stiffness, cell),
-        "net": lambda rows: ring_net(cell),
-    }
-    return kinds[kind]
+def stiffness_of(table: StrainTable) -> tuple[Array, str]:
+    """Stiffness (3, 3) in tensor components, N/mm, and where it comes from: the table's compliance, or stated.
+
+    InputError if the table has a compliance but no row with a finite positive S:D S.
+    """
+    if table.compliance is None:
+        return STATED_STIFFNESS * np.eye(3), f"stated: {STATED_STIFFNESS:g} N/mm for every strain, not from the table"
+    work = work_along(table.S, table.compliance)
+    known = table.converged & table.unique & np.isfinite(work) & (work > 0.0)
+    if not known.any():
+        raise InputError("no row of the table has a compliance with S:D S > 0")
+    A = constant_compliance(table.S[known], work[known], table.is_mirrored)
+    share = work_along(table.S[known], A) / work[known]
+    origin = (
+        f"the rows' compliance along their own load, S:D S of the rows times {share.min():.3g} to {share.max():.3g}"
+    )
+    return np.asarray(np.linalg.inv(A)), origin
+
+
+def stiffness_by_direction(law: MembraneLaw) -> str | None:
+    """How well elastic curtains of a law meet S:D S of its rows, in words; None if it knows none."""
+    giving = giving_law(law) if isinstance(law, PolyhedralLaw) else None
+    if giving is None or giving.strength is None:
+        return None
+    known = giving.strength.stretched
+    share = giving.compliance_along(known.S, STATED_LOAD) / known.compliance
+    return f"elastic curtains: S:D S of the rows times {share.min():.3g} to {share.max():.3g} at {STATED_LOAD:g} N/mm"
 
 
 def cell_of(table: StrainTable) -> CellInfo:

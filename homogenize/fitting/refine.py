@@ -9,7 +9,7 @@ disc, closely, because a polyhedron carries no load outside the hull of its norm
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from homogenize.fitting.bounds import SupportBounds, bounds_of
 from homogenize.fitting.rows import ROUNDING, LockedRows, with_mirror
 from rve.common.tensor import disc, double_dot, from_disc, mirror
-from rve.common.typed import Typed
 from rve.common.types import Array
 
 Index = NDArray[np.intp]
@@ -29,36 +28,23 @@ RESOLUTION, FINEST = 3e-5, 1e-7
 Resolution = Annotated[float, Meta(ge=FINEST, le=1.0)]
 
 
-@dataclass(frozen=True)
-class RefineOptions(Typed):
-    """How many half-spaces are predicted between the rows; InputError for values out of range.
+FINE, MOST_PARTS = 1e-4, 10
+"""Ways between rows are cut in sqrt(gap / FINE) parts, MOST_PARTS at most, where gap is the distance of the bounds; at
+another resolution in the same measure."""
+COARSE, SHARE = 2e-3, 0.2
+"""Where the bounds are farther apart than COARSE the slope turns unevenly between the rows and cubics are not used; the
+support is put this SHARE of the way from the inner to the outer bound. Largest error on the paper's grid and the 1000
+directions that the share was chosen on: 5.2e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without."""
+RIM_STEP_DEG = 2.5
+"""Largest angle in the disc between rim loads; with this the hull of the normals misses the rim by 2.4e-4 of the
+load."""
 
-    resolution: a prediction less than this strain below the rows' outer bound is left out, because the rows meet in a
-    vertex there. fine, most_parts: ways between rows are cut in sqrt(gap / fine) parts, most_parts at most, where gap
-    is the distance of the bounds; `of` scales them with the resolution. coarse: where the bounds are farther apart, the
-    slope turns unevenly between the rows and cubics are not used. share: there the support is put this share of the way
-    from the inner to the outer bound. Largest error on the paper's grid and the 1000 directions that the share was
-    chosen on: 5.2e-4 with 0.2, 6.9e-4 with 0.25, 1.6e-3 without. rim_step_deg: largest angle in the disc between rim
-    loads; at 2.5 the hull of the normals misses the rim by 2.4e-4 of the load.
-    """
 
-    resolution: Resolution = RESOLUTION
-    fine: Annotated[float, Meta(gt=0.0, le=10.0)] = 1e-4
-    most_parts: Annotated[int, Meta(ge=3, le=10_000)] = 10
-    coarse: Annotated[float, Meta(gt=0.0, le=1.0)] = 2e-3
-    share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.2
-    rim_step_deg: Annotated[float, Meta(ge=0.01, le=180.0)] = 2.5
-
-    @staticmethod
-    def of(resolution: float) -> RefineOptions:
-        """Options that go with a resolution: parts finer, or coarser, in the same measure."""
-        least = RefineOptions(resolution=resolution)
-        share = resolution / RESOLUTION
-        return replace(least, fine=least.fine * share, most_parts=max(3, round(least.most_parts / np.sqrt(share))))
-
-    def parts(self, gap: Array, least: int) -> Index:
-        """Parts of ways with these distances of the bounds, (k,)."""
-        return np.clip(np.ceil(np.sqrt(np.maximum(gap, 0.0) / self.fine)), least, self.most_parts).astype(np.intp)
+def parts_of(gap: Array, resolution: float, least: int) -> Index:
+    """Parts of ways with these distances of the bounds, (k,)."""
+    finer = resolution / RESOLUTION
+    most = max(3, round(MOST_PARTS / np.sqrt(finer)))
+    return np.clip(np.ceil(np.sqrt(gap / (FINE * finer))), least, most).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,45 +84,40 @@ def nodes_of(rows: LockedRows) -> Nodes:
     return Nodes(disc(both.S[first]), both.h[first], both.E, of_row.ravel())
 
 
-def refined_half_spaces(rows: LockedRows, options: RefineOptions | None = None) -> tuple[Array, Array]:
+def refined_half_spaces(rows: LockedRows, resolution: float = RESOLUTION) -> tuple[Array, Array]:
     """Half-spaces S (m, 3), h (m,): those of the rows, their mirror images, and predictions between neighbours.
 
-    Predictions that tell nothing new (`RefineOptions.resolution`) are left out, except on the rim.
+    A prediction less than the strain `resolution` below the rows' outer bound is left out, except on the rim: the rows
+    meet in a vertex there.
     """
-    options = options or RefineOptions()
     bounds, nodes = bounds_of(rows), nodes_of(rows)
     triangles = triangles_of(nodes)
-    x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds, options)
+    x_chord, h_chord = on_chords(nodes, chords_of(triangles, nodes), bounds, resolution)
     x_centre, h_centre = in_triangles(nodes, triangles)
-    x_coarse = coarse_lattice(nodes, triangles, bounds, options)
-    x_rim, h_rim = on_arcs(nodes, options.rim_step_deg)
+    x_coarse = coarse_lattice(nodes, triangles, bounds, resolution)
+    x_rim, h_rim = on_arcs(nodes, RIM_STEP_DEG)
     S = from_disc(np.vstack([x_chord, x_centre, x_coarse, x_rim]))
     h = np.concatenate([h_chord, h_centre, np.full(len(x_coarse), np.inf), h_rim])
     lower, upper = bounds.lower(S), bounds.upper(S)
-    top = np.where(upper - lower > options.coarse, lower + options.share * (upper - lower), upper)
+    top = np.where(upper - lower > COARSE, lower + SHARE * (upper - lower), upper)
     h = np.clip(h, lower, top)
-    keep = (upper - h > options.resolution) | (np.arange(len(h)) >= len(h) - len(h_rim))
+    keep = (upper - h > resolution) | (np.arange(len(h)) >= len(h) - len(h_rim))
     S, h = S[keep], h[keep]
     if rows.is_mirrored:
         S, h = np.vstack([S, mirror(S)]), np.concatenate([h, h])
     return np.vstack([from_disc(nodes.x), S]), np.concatenate([nodes.h, h])
 
 
-def coarse_lattice(nodes: Nodes, triangles: Index, bounds: SupportBounds, options: RefineOptions) -> Array:
+def coarse_lattice(nodes: Nodes, triangles: Index, bounds: SupportBounds, resolution: float) -> Array:
     """Loads (k, 2) on a lattice in every triangle in which the bounds are far apart; finer, the farther."""
-
-    def gap(x: Array) -> Array:
-        S = from_disc(x)
-        return np.maximum(bounds.upper(S) - bounds.lower(S), 0.0)
-
-    centre_gap = gap(nodes.x[triangles].mean(axis=1))
+    centre_gap = bounds.gap(from_disc(nodes.x[triangles].mean(axis=1)))
     found = [np.zeros((0, 2))]
-    wide = np.flatnonzero(centre_gap > 0.5 * options.coarse)
-    for k, n in zip(wide, options.parts(centre_gap[wide], 3), strict=True):
+    wide = np.flatnonzero(centre_gap > 0.5 * COARSE)
+    for k, n in zip(wide, parts_of(centre_gap[wide], resolution, 3), strict=True):
         i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
         found.append(np.stack([i, j, n - i - j], axis=1) / n @ nodes.x[triangles[k]])
     x = np.vstack(found)
-    return x[gap(x) > options.coarse]
+    return x[bounds.gap(from_disc(x)) > COARSE]
 
 
 def triangles_of(nodes: Nodes) -> Index:
@@ -172,15 +153,14 @@ def in_triangles(nodes: Nodes, triangles: Index) -> tuple[Array, Array]:
     return nodes.x[triangles].mean(axis=1), (corners + 3.0 * beside + 6.0 * middle) / 27.0
 
 
-def on_chords(nodes: Nodes, pairs: Index, bounds: SupportBounds, options: RefineOptions) -> tuple[Array, Array]:
+def on_chords(nodes: Nodes, pairs: Index, bounds: SupportBounds, resolution: float) -> tuple[Array, Array]:
     """Loads between the pairs as points of the disc (k, 2), and their predicted support (k,).
 
     The farther the bounds are apart half-way, the more loads: the error of the polyhedron between two of them falls
     with the square of their number.
     """
     middle = from_disc(0.5 * (nodes.x[pairs[:, 0]] + nodes.x[pairs[:, 1]]))
-    gap = bounds.upper(middle) - bounds.lower(middle)
-    chord, t = subdivision(options.parts(gap, 2))
+    chord, t = subdivision(parts_of(bounds.gap(middle), resolution, 2))
     i, j = pairs[chord].T
     way = from_disc(nodes.x[j]) - from_disc(nodes.x[i])
     ends = nodes.slope(i, way, last=False), nodes.slope(j, way, last=True)

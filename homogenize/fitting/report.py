@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from homogenize.directions import folds_of
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.rows import LockedRows, Normality, with_mirror
+from homogenize.fitting.rows import LockedRows, Normality
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
 from rve.common.errors import InputError
@@ -18,7 +19,6 @@ from rve.common.types import Array
 
 DIRECTIONS = 1000
 SEED = 2026
-FOLDS = 5
 
 
 def misfit_of(S: Array, error: Array) -> Misfit:
@@ -60,42 +60,18 @@ def error_report(
 
 
 def held_out_misfit(rows: LockedRows, refit: Callable[[LockedRows], MembraneLaw]) -> Misfit | None:
-    """Every row left out once, with its neighbours kept; rows at the rim of the sampled cone stay in, they span it."""
-    inner = np.flatnonzero(~on_hull(rows))
-    if len(inner) < FOLDS:
-        return None
+    """The error at every row inside the hull, left out once, with its neighbours kept; None with too few rows."""
     S, error = [], []
-    for fold in range(FOLDS):
-        tell("error of the law at rows left out", fold / FOLDS)
-        out = inner[fold::FOLDS]
-        keep = np.setdiff1d(np.arange(len(rows)), out)
+    folds = folds_of(rows.S, rows.is_mirrored)
+    for number, (out, keep) in enumerate(folds):
+        tell("error of the law at rows left out", number / len(folds))
         try:
             law = refit(rows.take(keep))
         except InputError:
             return None
         S.append(rows.S[out])
         error.append(law.support(rows.S[out]) - rows.h[out])
-    return misfit_of(np.concatenate(S), np.concatenate(error))
-
-
-def on_hull(rows: LockedRows) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """True for rows whose load spans the sampled cone, (n,): corners of the hull of all loads in the disc."""
-    polygon = sampled_cone(rows)
-    x = disc(rows.S)
-    return np.array([bool((np.abs(polygon - point).max(axis=1) < 1e-7).any()) for point in x])
-
-
-def sampled_cone(rows: LockedRows) -> Array:
-    """Corners (k, 2) in the disc of the hull of all loads of the rows, mirror images included, in turn."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    x = disc(with_mirror(rows).S)
-    try:
-        return np.asarray(x[ConvexHull(x).vertices])
-    except QhullError as error:
-        raise InputError(
-            "the rows' loads lie on one line: a law needs loads that differ in angle and in ratio"
-        ) from error
+    return misfit_of(np.concatenate(S), np.concatenate(error)) if folds else None
 
 
 RIM_STEP_DEG = 45.0

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from homogenize.laws.geometry import fibres
 from homogenize.laws.protocol import Cut, HalfSpaces, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common.errors import InputError
-from rve.common.tensor import dyad, eigenvalues
+from rve.common.tensor import eigenvalues
 from rve.common.types import Array
 
 FIRST_FIBRES = 8
@@ -42,9 +43,7 @@ class ClothLaw(StoredLaw, kind="cloth"):
 
     def half_spaces(self) -> HalfSpaces:
         """No fibre of a few directions and no mean of all of them stretches."""
-        angle = np.pi * np.arange(FIRST_FIBRES) / FIRST_FIBRES
-        fibres = dyad(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-        return HalfSpaces(np.vstack([fibres, [0.5, 0.0, 0.5]]), np.zeros(FIRST_FIBRES + 1))
+        return HalfSpaces(np.vstack([fibres(FIRST_FIBRES), [0.5, 0.0, 0.5]]), np.zeros(FIRST_FIBRES + 1))
 
     def cut(self, E: Array) -> Cut:
         """The fibre that each E (n, 3) stretches most: the eigenvector of the larger eigenvalue, which it violates."""

@@ -10,23 +10,21 @@ the largest convex energy that is nowhere above these. It is convex and differen
 positive definite, and its stress is a sum of the S_i, so tensile. d_i = S_i:D S_i with one D for all would be the
 constant compliance.
 
-With y = (R E, tau) as in `homogenize.laws.projection` this is the closest point of a polyhedron in four dimensions, of
+With y = (R E, tau) as in `homogenize.laws.geometry` this is the closest point of a polyhedron in four dimensions, of
 whose half-spaces at most four are active.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
-from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response
-from homogenize.laws.vertices import highest, outer_vertices
+from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, check_finite
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, disc, double_dot
 from rve.common.types import Array
@@ -65,70 +63,37 @@ def work_along(S: Array, A: Array) -> Array:
     return np.asarray(double_dot(S, (A @ S[:, :, None])[:, :, 0]))
 
 
-@dataclass(frozen=True, eq=False)
-class GivingLaw:
-    """`law` whose rings give by direction: compliance (3, 3), the floor D0 in tensor components, mm/N, and extra (m,),
-    the roots g_i of the law's half-spaces, in (mm/N)^0.5.
+@dataclass(frozen=True, eq=False, repr=False)
+class GivingLaw(PolyhedralLaw):
+    """A polyhedral law whose rings give by direction: its stiffness is that of the floor D0, `extra` (m,) are the roots
+    g_i of its half-spaces, in (mm/N)^0.5.
 
-    A membrane law for elastic curtains. Strains may have a fourth component, tau, by which `cut` widens every
-    half-space.
+    A law of elastic curtains. Strains may have a fourth component, tau, by which `cut` widens every half-space.
     """
 
-    law: PolyhedralLaw
-    compliance: Array = field(repr=False)
-    extra: Array = field(repr=False)
-
-    @property
-    def name(self) -> str:
-        """Name of the law."""
-        return self.law.name
-
-    @property
-    def cell(self) -> CellInfo | None:
-        """The rings behind the law."""
-        return self.law.cell
-
-    def support(self, S: Array) -> Array:
-        """h(S) of the locked rings, see MembraneLaw."""
-        return self.law.support(S)
+    extra: Array
 
     def half_spaces(self) -> HalfSpaces:
-        """Half-spaces to start with, see MembraneLaw."""
-        start = self.law.half_spaces()
-        return replace(start, extra=self.widening(start.S, start.h))
-
-    def widening(self, S: Array, h: Array) -> Array:
-        """g (n,) of half-spaces S (n, 3) of unit trace, h (n,): the law's own, or the largest, which holds for all."""
-        known = cKDTree(np.column_stack([disc(self.law.S), self.law.h]))
-        distance, which = known.query(np.column_stack([disc(S), h]))
-        return np.asarray(np.where(distance < SAME, self.extra[which], self.extra.max()))
+        """Half-spaces to start with: the widening of each is its own, or the largest, which holds for all."""
+        start = super().half_spaces()
+        known = cKDTree(np.column_stack([disc(self.S), self.h]))
+        distance, which = known.query(np.column_stack([disc(start.S), start.h]))
+        return replace(start, extra=np.where(distance < SAME, self.extra[which], self.extra.max()))
 
     def cut(self, E: Array) -> Cut:
         """The most violated half-space of strains E (n, 3), or (n, 4) with tau, see MembraneLaw."""
+        check_finite(E)
         E = E if E.shape[1] == 4 else np.column_stack([E, np.zeros(len(E))])
         worst, violation = self._body.worst(E)
-        return Cut(self.law.S[worst], self.law.h[worst], violation, self.extra[worst])
-
-    def response(self, E: Array) -> Response:
-        """Energy, stress and tangent; E_star is the strain E* of the minimum."""
-        return respond(E, self._body)
+        return Cut(self.S[worst], self.h[worst], violation, self.extra[worst])
 
     @cached_property
     def _body(self) -> Polyhedron:
-        stiffness = np.asarray(np.linalg.inv(self.compliance))
-        return polyhedron_of(self.law.S, self.law.h, stiffness, self.extra)
-
-    def facets(self) -> HalfSpaces:
-        """All half-spaces of the law."""
-        return HalfSpaces(self.law.S, self.law.h, self.extra)
+        return polyhedron_of(self.S, self.h, self.stiffness, self.extra)
 
     def elastic(self) -> GivingLaw:
         """Itself."""
         return self
-
-    def to_dict(self) -> dict[str, Any]:
-        """The law, floor and roots as plain numbers; law files hold the strength, from which these follow."""
-        return self.law.to_dict() | {"floor_mm_per_N": self.compliance.tolist(), "extra": self.extra.tolist()}
 
     def compliance_along(self, S: Array, size: float) -> Array:
         """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads
@@ -138,7 +103,7 @@ class GivingLaw:
         concave in tau and taken as linear between LEVELS of it.
         """
         tau = size * self.extra.max() * np.linspace(0.0, 1.0, LEVELS) ** 2
-        H = np.stack([highest(S, outer_vertices(self.law.S, self.law.h + one * self.extra)) for one in tau])
+        H = np.stack([highest(S, outer_vertices(self.S, self.h + one * self.extra)) for one in tau])
         slope = np.diff(H, axis=0) / np.diff(tau)[:, None]
         at = np.clip(size * slope, tau[:-1, None], tau[1:, None])
         most = (size * (H[:-1] + slope * (at - tau[:-1, None])) - 0.5 * at**2).max(axis=0)
@@ -170,4 +135,6 @@ def giving_law(law: PolyhedralLaw) -> GivingLaw | None:
     A = constant_compliance(known.S, known.compliance, known.is_mirrored)
     along = work_along(law.S, A)
     floor = FLOOR * float((work / along).min()) * A
-    return GivingLaw(law, floor, np.sqrt(work - work_along(law.S, floor)))
+    stiffness, extra = np.linalg.inv(floor), np.sqrt(work - work_along(law.S, floor))
+    same = {one.name: getattr(law, one.name) for one in fields(law)}
+    return GivingLaw(**(same | {"stiffness": stiffness, "extra": extra}))

@@ -146,10 +146,6 @@ class ElasticNet(NetLaw):
     locked parts E - D S need not.
     """
 
-    def facets(self) -> HalfSpaces:
-        """The two fibres."""
-        return self.half_spaces()
-
     def cut(self, E: Array) -> Cut:
         """The fibre that each E (n, 3) stretches more beyond its limit."""
         check_finite(E)

@@ -22,28 +22,25 @@ MARGIN = 0.2
 UNIAXIAL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def surface_height(law: MembraneLaw, D: Array, G: Array) -> Array:
-    """(E11 + E22)/2 on the locking surface over D = (E11 - E22)/2 and G = E12, arrays of one shape."""
-    flat = np.stack([D.ravel(), G.ravel(), -D.ravel()], axis=1)
-    return np.asarray(-law.cut(flat).violation.reshape(D.shape))
+def locking_surface(law: MembraneLaw, D: Array, G: Array, lowest: float = -np.inf) -> Array:
+    """Strains (..., 3) on the locking surface over D = (E11 - E22)/2 and G = E12, arrays of one shape.
 
-
-def plot_sections(
-    law: MembraneLaw, shears: tuple[float, ...] = SHEARS, reach: tuple[float, float] | None = None, ax: Any = None
-) -> Axes:
-    """Cuts through the set of admissible strains at constant shear E12: E22 over E11.
-
-    `reach`: least and greatest (E11 - E22)/2, by default what the supports under loads along x and y allow.
+    nan where (E11 + E22)/2 is below `lowest`, or where a side of I + 2E would be.
     """
+    flat = np.stack([D.ravel(), G.ravel(), -D.ravel()], axis=1)
+    T = -law.cut(flat).violation.reshape(D.shape)
+    T = np.where((np.minimum(T + D, T - D) > -0.5) & (lowest < T), T, np.nan)
+    return np.stack([T + D, G, T - D], axis=-1)
+
+
+def plot_sections(law: MembraneLaw, shears: tuple[float, ...] = SHEARS, ax: Any = None) -> Axes:
+    """Cuts through the set of admissible strains at constant shear E12: E22 over E11."""
     ax = new_axes() if ax is None else ax
     along, across = law.support(UNIAXIAL)
-    least, most = (-across - MARGIN, along + MARGIN) if reach is None else reach
-    D = np.linspace(least, most, 400)
+    D = np.linspace(-across - MARGIN, along + MARGIN, 400)
     for number, shear in enumerate(shears):
-        T = surface_height(law, D, np.full_like(D, shear))
-        is_open = np.minimum(T + D, T - D) > -0.5  # I + 2E has positive sides
-        colour = shade(number / max(len(shears) - 1, 1))
-        ax.plot((T + D)[is_open], (T - D)[is_open], color=colour, label=f"E12 = {shear:.3f}")
+        E = locking_surface(law, D, np.full_like(D, shear))
+        ax.plot(E[:, 0], E[:, 2], color=shade(number / max(len(shears) - 1, 1)), label=f"E12 = {shear:.3f}")
     ax.set(xlabel="E11", ylabel="E22", title="Admissible strains lie below and left of the curves")
     ax.grid(alpha=0.3)
     ax.legend(fontsize=10)
@@ -91,10 +88,9 @@ def _plot_locking(law: MembraneLaw, ax: Any) -> None:
     """The locking surface over the strains that loads along the axes allow."""
     along, across = law.support(UNIAXIAL)
     shear = float(law.support(np.array([[0.5, 0.5, 0.5]]))[0] - law.support(np.array([[0.5, 0.0, 0.5]]))[0])
-    D, G = np.meshgrid(np.linspace(-across - 0.1, along + 0.1, 60), np.linspace(-1.0, 1.0, 61) * (shear + 0.1))
-    T = surface_height(law, D, G)
-    T = np.where(np.minimum(T + D, T - D) > -0.5, T, np.nan)
-    ax.plot_surface(T + D, G, T - D, cmap="cividis", linewidth=0.2, edgecolor="0.3", rcount=30, ccount=30)
+    grid = np.meshgrid(np.linspace(-across - 0.1, along + 0.1, 60), np.linspace(-1.0, 1.0, 61) * (shear + 0.1))
+    E = np.moveaxis(locking_surface(law, *grid), -1, 0)
+    ax.plot_surface(*E, cmap="cividis", linewidth=0.2, edgecolor="0.3", rcount=30, ccount=30)
     ax.set(xlabel="E11", ylabel="E12", zlabel="E22", title="Strain space: locking surface")
 
 

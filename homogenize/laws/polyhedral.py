@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhedron_of, respond
 from homogenize.laws.net import STATED_STIFFNESS
-from homogenize.laws.projection import Polyhedron, polyhedron_of, respond
 from homogenize.laws.protocol import (
     CellInfo,
     Cut,
@@ -26,9 +26,8 @@ from homogenize.laws.protocol import (
     stiffness_matrix,
 )
 from homogenize.laws.stored import StoredLaw
-from homogenize.laws.vertices import highest, outer_vertices
 from rve.common.errors import InputError
-from rve.common.tensor import double_dot, eigenvalues, from_disc, trace
+from rve.common.tensor import eigenvalues, from_disc, trace
 from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
 
@@ -74,10 +73,6 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         S = from_disc(np.vstack([np.zeros((1, 2)), 0.5 * ring, ring]))
         return HalfSpaces(S, self.support(S))
 
-    def facets(self) -> HalfSpaces:
-        """All half-spaces of the law; those that others imply are among them."""
-        return HalfSpaces(self.S, self.h)
-
     def elastic(self) -> MembraneLaw:
         """The law whose rings give by direction where `strength` tells their compliance, else the law itself."""
         from homogenize.laws.giving import giving_law
@@ -87,9 +82,8 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
     def cut(self, E: Array) -> Cut:
         """The most violated of the law's own half-spaces; no load between them is violated more."""
         check_finite(E)
-        worst, _ = self._body.worst(E)
-        S, h = self.S[worst], self.h[worst]
-        return Cut(S, h, double_dot(S, E) - h)
+        worst, violation = self._body.worst(E)
+        return Cut(self.S[worst], self.h[worst], violation)
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent beyond locking, by exact active sets."""

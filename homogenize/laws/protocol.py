@@ -7,7 +7,7 @@ S:E = S11 E11 + 2 S12 E12 + S22 E22. Line loads and stiffnesses are in N/mm, str
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from msgspec import Meta
@@ -134,14 +134,6 @@ class MembraneLaw(Protocol):
         """Energy, stress and tangent of the elastic law at E (n, 3)."""
         ...
 
-    def facets(self) -> HalfSpaces | None:
-        """All half-spaces of K+; None if they are not a finite list."""
-        ...
-
     def elastic(self) -> MembraneLaw:
         """The law of elastic curtains: K+ with a compliance behind it, by direction where the law knows it."""
-        ...
-
-    def to_dict(self) -> dict[str, Any]:
-        """The law as plain numbers, lists and strings: what its file holds."""
         ...

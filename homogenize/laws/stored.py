@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from homogenize.laws.protocol import CellInfo, HalfSpaces, MembraneLaw
+from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
 from rve.common.errors import require
@@ -41,6 +41,10 @@ class StoredLaw(MembraneLaw):
         if kind is not None:
             cls.kind, StoredLaw.kinds[kind] = kind, cls
 
+    def to_dict(self) -> dict[str, Any]:
+        """The parameters of the law as plain numbers, lists and strings: what its file holds."""
+        raise NotImplementedError
+
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str) -> Self:
         """The law whose `to_dict` wrote `data`; InputError, which begins with `where`, for what is none."""
@@ -56,10 +60,6 @@ class StoredLaw(MembraneLaw):
         """How wrong the law can be; None for a law that was not fitted. InputError if its file holds no such report."""
         known = self.provenance.get("report")
         return None if known is None else read_typed(ErrorReport, known, "the law's report:")
-
-    def facets(self) -> HalfSpaces | None:
-        """None: most laws have infinitely many half-spaces."""
-        return None
 
     def elastic(self) -> MembraneLaw:
         """The law itself, whose compliance is constant."""

@@ -8,20 +8,18 @@ smoothly through vertices, where E stands still, and through flat faces, where S
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
 
 from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.query.strain_bounds import strain_bounds
+from rve import cauchy_line_load, cauchy_of, deformation_gradient, second_pk
 from rve.common.errors import InputError
 from rve.common.progress import part_of, tell
 from rve.common.records import Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, from_disc, trace
-from rve.common.typed import Typed
 from rve.common.types import Array
 
 FLAT = 1e-6
@@ -39,30 +37,24 @@ FAR = 10.0
 """Multiple of the offset at which the first guess starts."""
 
 
-@dataclass(frozen=True)
-class StrainOptions(Typed):
-    """How the strain under a load is found; InputError for values out of range.
-
-    offset: length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface
-    smoother for Newton. tolerance: largest error of the load direction (unit trace). newton_steps: limit per load.
-    path_steps: loads on the way from beta = 45 degrees to a load that fails at first. width: strains under one load
-    that differ by more are not one strain; facets between rows are an order smaller.
-    """
-
-    offset: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1
-    tolerance: Annotated[float, Meta(ge=0.0, le=1.0)] = 1e-9
-    newton_steps: Annotated[int, Meta(ge=1, le=100_000)] = 60
-    path_steps: Annotated[int, Meta(ge=1, le=100_000)] = 18
-    width: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.05
+OFFSET = 0.1
+"""Length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface smoother for
+Newton."""
+TOLERANCE = 1e-9
+"""Largest error of the load direction (unit trace)."""
+NEWTON_STEPS, PATH_STEPS = 60, 18
+"""Limit of steps per load; loads on the way from beta = 45 degrees to a load that fails at first."""
+WIDTH = 0.05
+"""Strains under one load that differ by more are not one strain; facets between rows are an order smaller."""
 
 
 @dataclass(frozen=True, eq=False)
 class LockedStrain:
-    """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status`, `iterations` (n,).
+    """E (n, 3), S (n, 3) of unit trace, `residual` (n,) of the load direction, `unique`, `status` (n,).
 
     E_min, E_max (n, 3): bounds of the rings' locked strain from the rows of the table, nan if there are no rows.
-    status is "converged" or "no_convergence" (the residual says by how much: try a larger offset or more steps).
-    unique is false where another strain carries the same load, and where the bounds are wider than the options' width.
+    status is "converged" or "no_convergence" (the residual says by how much).
+    unique is false where another strain carries the same load, and where the bounds are wider than `WIDTH`.
     """
 
     E: Array
@@ -72,21 +64,11 @@ class LockedStrain:
     residual: Array
     unique: NDArray[np.bool_]
     status: NDArray[np.str_]
-    iterations: NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """What stays the same during a search: the law, its options, and the trace of S (N/mm) in X = E + A S."""
-
-    law: MembraneLaw
-    options: StrainOptions
-    scale: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Evaluation(Rows):
-    """One evaluation at X (n, 3): surface strain, residual (n, 3) and its Jacobian (n, 3, 3)."""
+    """One evaluation at X (n, 3): surface strain, load, residual (n, 3) and its Jacobian (n, 3, 3)."""
 
     X: Array
     E: Array
@@ -94,55 +76,46 @@ class _Evaluation(Rows):
     r: Array
     J: Array
 
+    @property
     def size(self) -> Array:
         return np.abs(self.r).max(axis=1)
 
 
-def locked_strain(
-    law: MembraneLaw,
-    alpha_deg: Array,
-    beta_deg: Array,
-    options: StrainOptions | None = None,
-    rows: LockedRows | None = None,
-) -> LockedStrain:
+def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: LockedRows | None = None) -> LockedStrain:
     """Locked strain and load under the principal angle alpha and the ratio angle beta, in degrees, arrays (n,).
 
     With the `rows` of the table behind the law the answer has bounds (a tenth of a second per load), and a load that is
     a row's own gets this row's strain. Without them the answer is the law's alone.
     Starts where the load on the undeformed cell would lock; loads that fail are approached from beta = 45 degrees.
     """
-    options = options or StrainOptions()
     if not law.compliance.any():
         raise InputError(f"kind = {law.name}: the law is inextensible, its strain is 0 under every tensile load")
     alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
     beta = np.asarray(beta, float)
-    search = _Search(law, options, options.offset / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max()))
-    state, steps = _newton(search, alpha, beta, _start(search, alpha, beta))
+    scale = OFFSET / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())  # trace of S in X = E + A S, N/mm
+    state = _newton(law, scale, alpha, beta, _start(law, scale, alpha, beta))
     for factor in RETRIES:
-        failed = np.flatnonzero(state.size() > options.tolerance)
+        failed = np.flatnonzero(state.size > TOLERANCE)
         if not failed.size:
             break
-        wider = replace(search, scale=factor * search.scale)
-        start = _start(wider, alpha[failed], np.full(len(failed), 45.0))
-        again, more = _walk(wider, alpha[failed], beta[failed], start)
-        steps[failed] += more
-        better = again.size() < state.size()[failed]
+        again = _walk(law, factor * scale, alpha[failed], beta[failed])
+        better = again.size < state.size[failed]
         state = state.put(failed[better], again.take(better))
-    good = state.size() <= options.tolerance
+    good = state.size <= TOLERANCE
     S = state.S / np.where(good, trace(state.S), 1.0)[:, None]
-    unique = face_width(law, S) < options.width
+    unique = face_width(law, S) < WIDTH
     status = np.where(good, "converged", "no_convergence")
     unknown = np.full(S.shape, np.nan)
-    found = LockedStrain(state.E, unknown, unknown, S, state.size(), unique, status, steps)
-    return found if rows is None else _with_rows(found, rows, alpha, beta, options.width)
+    found = LockedStrain(state.E, unknown, unknown, S, state.size, unique, status)
+    return found if rows is None else _with_rows(found, rows, alpha, beta)
 
 
-def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array, width: float) -> LockedStrain:
+def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array) -> LockedStrain:
     """The answer with the bounds that follow from the rows; a row's own load gets the row's strain and flag."""
-    from rve import cauchy_line_load
-
     s, both, slack = cauchy_line_load(alpha, beta), with_mirror(rows), -normality(rows).slack
-    same = np.abs(s[:, None] - _cauchy_load(both)).max(axis=2)
+    own = cauchy_of(both.S, both.E)
+    own /= np.sqrt((own * own) @ WEIGHT)[:, None]
+    same = np.abs(s[:, None] - own).max(axis=2)
     at, row = np.flatnonzero(same.min(axis=1) < SAME_LOAD), same.argmin(axis=1)
     row = row[at]
     alone = both.unique[row]
@@ -152,18 +125,10 @@ def _with_rows(found: LockedStrain, rows: LockedRows, alpha: Array, beta: Array,
     low[open_], high[open_] = bounds.E_min, bounds.E_max
     low[at[alone]] = high[at[alone]] = both.E[row[alone]]
     E, S, residual, status = found.E.copy(), found.S.copy(), found.residual.copy(), found.status.copy()
-    unique = found.unique & ((high - low).max(axis=1) < width)
+    unique = found.unique & ((high - low).max(axis=1) < WIDTH)
     E[at], S[at], unique[at], residual[at], status[at] = both.E[row], both.S[row], alone, 0.0, "converged"
     low[at], high[at] = np.fmin(low[at], E[at]) - slack, np.fmax(high[at], E[at]) + slack
     return replace(found, E=E, E_min=low, E_max=high, S=S, residual=residual, unique=unique, status=status)
-
-
-def _cauchy_load(rows: LockedRows) -> Array:
-    """Unit Cauchy loads (n, 3) of the rows, F S F^T scaled to s:s = 1."""
-    from rve import cauchy_of
-
-    s = cauchy_of(rows.S, rows.E)
-    return np.asarray(s / np.sqrt((s * s) @ WEIGHT)[:, None])
 
 
 def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
@@ -186,29 +151,24 @@ def face_width(law: MembraneLaw, S: Array, step: float = 2e-3) -> Array:
     return width
 
 
-def _start(search: _Search, alpha: Array, beta: Array) -> Array:
+def _start(law: MembraneLaw, scale: float, alpha: Array, beta: Array) -> Array:
     """X (n, 3) of the strain that locks under the load at the undeformed cell, seen from far along its normal."""
-    from rve import cauchy_line_load
-
-    S = search.scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta))
-    away = S @ search.law.compliance.T
-    return search.law.response(FAR * away).E_star + away
+    away = scale * _load(np.zeros((len(alpha), 3)), cauchy_line_load(alpha, beta)) @ law.compliance.T
+    return law.response(FAR * away).E_star + away
 
 
-def _evaluate(search: _Search, s: Array, X: Array) -> _Evaluation:
+def _evaluate(law: MembraneLaw, scale: float, s: Array, X: Array) -> _Evaluation:
     """Residual S/scale - load(E) of unit trace and its derivative with respect to X."""
-    answer, step = search.law.response(X), 1e-6
+    answer, step = law.response(X), 1e-6
     E, S = answer.E_star, answer.S
     sides = [(_load(E + step * e, s), _load(E - step * e, s)) for e in np.eye(3)]
     d_load = np.stack([(ahead - behind) / (2.0 * step) for ahead, behind in sides], axis=-1)
-    dE = np.eye(3) - search.law.compliance @ answer.C
-    return _Evaluation(X, E, S, S / search.scale - _load(E, s), answer.C / search.scale - d_load @ dE)
+    dE = np.eye(3) - law.compliance @ answer.C
+    return _Evaluation(X, E, S, S / scale - _load(E, s), answer.C / scale - d_load @ dE)
 
 
 def _load(E: Array, s: Array) -> Array:
     """Direction of the second Piola-Kirchhoff load at E, unit trace, (n, 3), kept `INWARD` from the rim of the cone."""
-    from rve import deformation_gradient, second_pk
-
     S = second_pk(deformation_gradient(_possible(E)), s)
     x = disc(S / trace(S)[:, None])
     radius = np.hypot(x[:, 0], x[:, 1])
@@ -227,48 +187,41 @@ def _possible(E: Array) -> Array:
     return scale[:, None] * E
 
 
-def _newton(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_Evaluation, NDArray[np.int64]]:
-    """Damped Newton from X (n, 3), least-norm steps where the strain is not unique; last state and steps taken."""
-    from rve import cauchy_line_load
+def _newton(law: MembraneLaw, scale: float, alpha: Array, beta: Array, X: Array) -> _Evaluation:
+    """Damped Newton from X (n, 3), least-norm steps where the strain is not unique; the last state.
 
-    options, s = search.options, cauchy_line_load(alpha, beta)
-    state = _evaluate(search, s, X)
-    steps = np.zeros(len(X), np.int64)
-    for _ in range(options.newton_steps):
-        todo = np.flatnonzero(state.size() > options.tolerance)
+    Steps are halved until the residual falls; after six halvings the last one is taken, to leave a corner.
+    """
+    s = cauchy_line_load(alpha, beta)
+    state = _evaluate(law, scale, s, X)
+    for _ in range(NEWTON_STEPS):
+        todo = np.flatnonzero(state.size > TOLERANCE)
         if not todo.size:
             break
         tell(f"strains under {len(X)} loads", 1.0 - todo.size / len(X))
-        steps[todo] += 1
         dX = -np.einsum("nij,nj->ni", np.linalg.pinv(state.J[todo], rcond=SINGULAR), state.r[todo])
         dX *= np.minimum(1.0, 0.3 / np.maximum(np.abs(dX).max(axis=1), 1e-300))[:, None]
-        state = _line_search(search, s, state, todo, dX)
-    return state, steps
+        before = state.size
+        for half in range(7):
+            length = 0.5**half
+            trial = _evaluate(law, scale, s[todo], state.X[todo] + length * dX)
+            ok = (trial.size < (1.0 - 1e-4 * length) * before[todo]) | (half == 6)
+            state = state.put(todo[ok], trial.take(ok))
+            todo, dX = todo[~ok], dX[~ok]
+            if not todo.size:
+                break
+    return state
 
 
-def _walk(search: _Search, alpha: Array, beta: Array, X: Array) -> tuple[_Evaluation, NDArray[np.int64]]:
-    """Newton along a path of loads from beta = 45 degrees, where it starts at X (n, 3), to beta.
+def _walk(law: MembraneLaw, scale: float, alpha: Array, beta: Array) -> _Evaluation:
+    """Newton along a path of loads from beta = 45 degrees to beta.
 
     The steps get shorter towards the end, because strains change fast at beta = 0.
     """
-    steps = np.zeros(len(X), np.int64)
-    for turn, left in enumerate(np.linspace(1.0, 0.0, search.options.path_steps + 1) ** 3):
-        share = turn / (search.options.path_steps + 1)
+    X = _start(law, scale, alpha, np.full(len(beta), 45.0))
+    for turn, left in enumerate(np.linspace(1.0, 0.0, PATH_STEPS + 1) ** 3):
+        share = turn / (PATH_STEPS + 1)
         with part_of("loads that failed, again along a path", share, share):
-            state, more = _newton(search, alpha, beta + left * (45.0 - beta), X)
-        X, steps = state.X, steps + more
-    return state, steps
-
-
-def _line_search(search: _Search, s: Array, state: _Evaluation, todo: NDArray[np.int64], dX: Array) -> _Evaluation:
-    """Halves the step until the residual falls; after six halvings takes the last one, to leave a corner."""
-    length, waiting = 1.0, np.arange(len(todo))
-    before = state.size()[todo]
-    for half in range(7):
-        trial = _evaluate(search, s[todo[waiting]], state.X[todo[waiting]] + length * dX[waiting])
-        ok = (trial.size() < (1.0 - 1e-4 * length) * before[waiting]) | (half == 6)
-        state = state.put(todo[waiting[ok]], trial.take(ok))
-        waiting, length = waiting[~ok], 0.5 * length
-        if not waiting.size:
-            break
+            state = _newton(law, scale, alpha, beta + left * (45.0 - beta), X)
+        X = state.X
     return state

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homogenize.fitting.rows import LockedRows, normality, with_mirror
+from rve import deformation_gradient, second_pk
 from rve.common.records import Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
 from rve.common.types import Array
@@ -64,8 +65,6 @@ class _Known:
 
     def sizes(self, shape: Array, s: Array) -> _Sizes:
         """Sizes of cells of these shapes (n, 2) under the load s (3,)."""
-        from rve import deformation_gradient, second_pk
-
         m, cosh = np.exp(shape[:, 0]), np.cosh(shape[:, 1])
         C0 = np.stack([cosh / m, np.sinh(shape[:, 1]), cosh * m], axis=1)
         S = second_pk(deformation_gradient(0.5 * (C0 - IDENTITY)), np.broadcast_to(s, (len(C0), 3)))
@@ -97,7 +96,7 @@ class _Sizes(Rows):
         return np.asarray(np.log(self.most / self.least))
 
 
-def strain_bounds(rows: LockedRows, s: Array, resolution: float = RESOLUTION) -> StrainBounds:
+def strain_bounds(rows: LockedRows, s: Array) -> StrainBounds:
     """Bounds of the locked strain under the Cauchy loads s (n, 3) from the rows of a table and their mirror images.
 
     They hold if the locked strains lie on one convex set; rows that contradict each other by some strain widen them by
@@ -106,12 +105,12 @@ def strain_bounds(rows: LockedRows, s: Array, resolution: float = RESOLUTION) ->
     both = with_mirror(rows)
     slack = -normality(rows).slack
     known = _Known(both.S * WEIGHT, 1.0 + 2.0 * (both.h + slack), both.E * WEIGHT, slack)
-    ends = [_bounds_under(load, known, resolution) for load in np.asarray(s, float)]
+    ends = [_bounds_under(load, known) for load in np.asarray(s, float)]
     low, high = (np.array([pair[k] for pair in ends]).reshape(-1, 3) for k in (0, 1))
     return StrainBounds(low, high)
 
 
-def _bounds_under(s: Array, known: _Known, resolution: float) -> tuple[Array, Array]:
+def _bounds_under(s: Array, known: _Known) -> tuple[Array, Array]:
     """Least and largest strain components (3,) under the load s (3,), by halving rectangles of the plane of shapes."""
     half = np.full(2, LARGEST / FIRST)
     ticks = (2.0 * np.arange(FIRST) + 1.0 - FIRST) * half[0]
@@ -123,7 +122,7 @@ def _bounds_under(s: Array, known: _Known, resolution: float) -> tuple[Array, Ar
         if not keep.any():
             return np.full(3, np.nan), np.full(3, np.nan)
         x, known = x[keep], known.near(seen[0].take(keep), 2.0 * change[keep].max())
-        coarse = half > np.maximum(resolution * (np.ptp(x, axis=0) + 2.0 * half), SMALLEST)
+        coarse = half > np.maximum(RESOLUTION * (np.ptp(x, axis=0) + 2.0 * half), SMALLEST)
         if not coarse.any():
             return _extremes([known.sizes(x + way * half, s) for way in CORNERS])
         half = np.where(coarse, 0.5 * half, half)

@@ -15,7 +15,7 @@ from macro_fem.bounds.equilibrated import (
     dual_mesh,
     edges_at_corner,
 )
-from macro_fem.fem.space import in_space_of
+from macro_fem.fem.cells import in_space_of
 from macro_fem.scene.cables import Sliding, sliding_nodes
 from macro_fem.scene.sites import Held
 from macro_fem.scene.supports import Supports, pin_sliding, straight_ties

@@ -7,6 +7,8 @@ from scipy.spatial import cKDTree
 
 from rve.common.types import Array
 
+DIGITS = 9
+"""Digits of a direction: nearer ones are one question."""
 BIN = 0.02
 """Width in the disc within which stresses count as one direction."""
 RIM = 0.02
@@ -15,6 +17,31 @@ APART = 0.5
 """A question keeps this part of its distance to the nearest known direction free of other questions of its round."""
 SAME = 1e-4
 """Directions nearer to each other than this are one."""
+
+
+def rounded(x: Array) -> Array:
+    """Directions (n, 2) with DIGITS digits, inside the disc.
+
+    >>> rounded(np.array([[0.6, 0.8000000001], [0.1234567891, 0.0]])).tolist()
+    [[0.6, 0.8], [0.123456789, 0.0]]
+    """
+    x = np.round(x, DIGITS) + 0.0
+    size = np.hypot(x[:, 0], x[:, 1])
+    return np.asarray(np.where(size[:, None] > 1.0, x / np.maximum(size, 1.0)[:, None], x))
+
+
+def first_directions(is_mirrored: bool) -> Array:
+    """Directions (n, 2) to begin with: the centre, some half-way to the rim, and most on it, where meshes wrinkle.
+
+    Of a mesh that is its own mirror image, x2 -> -x2, one half is enough.
+
+    >>> len(first_directions(True)), len(first_directions(False))
+    (12, 19)
+    """
+    rim = np.pi * np.arange(7) / 6.0 if is_mirrored else np.pi * np.arange(12) / 6.0
+    ring = np.pi * np.arange(4) / 3.0 if is_mirrored else np.pi * np.arange(6) / 3.0
+    points = [np.zeros((1, 2)), *(r * np.column_stack([np.cos(a), np.sin(a)]) for r, a in ((0.6, ring), (1.0, rim)))]
+    return rounded(np.vstack(points))
 
 
 def widest(x: Array, part: Array, known: Array, most: int, is_mirrored: bool) -> Array:

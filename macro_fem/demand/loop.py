@@ -12,25 +12,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from homogenize import CellInfo, LawInterval, MembraneLaw, law_interval
+from homogenize import LawInterval, MembraneLaw
 from macro_fem.bounds.adapt import Level, mark, with_cones_of
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import Loads, bound, loads_of
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.directions import between, widest
-from macro_fem.demand.record import DEMAND, SENTENCES, Demand, DemandOptions, Turn
-from macro_fem.demand.ring_answers import GAIN, Samples, ask, first_directions, ring_info, rounded, settle
+from macro_fem.demand.directions import between, first_directions, widest
+from macro_fem.demand.options import DEMAND, DemandOptions
+from macro_fem.demand.rings import GAIN, Rings
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell
 from rve.common.cache import NO_CACHE, Cache
 from rve.common.errors import InputError
-from rve.common.progress import heard_by, part_of, tell
+from rve.common.progress import part_of
 from rve.common.tensor import disc
 from rve.common.types import Array
 
@@ -47,34 +48,73 @@ QUESTIONS = 8
 """Ring problems between two looks at the law."""
 LOOKS = 6
 """Looks at the law within one turn."""
-SAME_RINGS = 1e-6
-"""Relative difference of radii and reference cells that are taken for the same."""
 LOST = 4
 """How often directions are asked because no curtain hangs on the inner law yet."""
+SENTENCES = {
+    "converged": "the interval of rings and continuous curtain is as narrow as asked",
+    "mesh_limit": "the mesh would need more than {cells} triangles; ask for less accuracy, or start with fewer cells",
+    "law_limit": "the law's part, {law:.2g} of the height, is the larger one and further ring solves cannot "
+    "narrow the interval within {solves} ring problems ({failed} directions without an answer); ask for less accuracy",
+    "bound_limit": "the lower bound ended with status {bound}; allow more [solver] max_iterations or start with other "
+    "cells",
+    "contradiction": "answers of the rings contradict each other by {raised:.1e}: some are not the largest work, the "
+    "lower bound is not proved; make a table with rve table, which seeks the largest states, and begin with it",
+    "turn_limit": "the limit of turns was reached; ask for less accuracy",
+    "curtain_limit": "the curtain of the next turn was not solved, and the interval is that of the turn before: {why}",
+}
+"""What each status says; only the first means that the accuracy was reached."""
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part in N mm.
+
+    lower is nan in turns that only asked the rings.
+    """
+
+    cells: int
+    rows: int
+    ring_solves: int
+    cache_hits: int
+    upper: float
+    lower: float
+    law_part: float
+    wall_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For summary.json, units in the names."""
+        names = {"upper": "upper_N_mm", "lower": "lower_N_mm", "law_part": "law_part_N_mm"}
+        return {names.get(key, key): value for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)
-class _RingsOnDemand:
-    """What does not change: scene, rings, their reference cell, cache, options, and when the run began, s."""
+class Demand:
+    """The answer on demand: the last curtain with its bounds, the law of the rings that were asked, and the way there.
 
-    scene: Scene
-    cell: Cell
-    info: CellInfo
-    cache: Cache
-    options: DemandOptions
-    began: float = field(default_factory=time.perf_counter)
+    status: "converged" if the interval is as narrow as asked; `message` says what limits it otherwise.
+    """
 
-    @property
-    def is_mirrored(self) -> bool:
-        return self.cell.weave.is_mirrored
+    level: Level
+    law: LawInterval
+    rings: Rings
+    turns: tuple[Turn, ...]
+    accuracy: float
+    status: str
+    message: str
 
-    def law(self, asked: Samples) -> LawInterval:
-        """What is known of the law; InputError if the rings answered too few questions."""
-        if asked.rows is None or len(asked.rows) < 4:
-            raise InputError(
-                f"--rings: {asked.failed} of {len(asked.x)} load directions found no locked state; try other radii"
-            )
-        return law_interval(asked.rows, cell=self.info)
+    def to_dict(self) -> dict[str, Any]:
+        """For summary.json: status and message of the whole, how the rings were asked, and every turn."""
+        return {
+            "status": self.status,
+            "message": self.message,
+            "accuracy": self.accuracy,
+            "ring_solves": self.rings.solves,
+            "cache_hits": self.rings.hits,
+            "ring_failures": self.rings.failed,
+            "rows": self.rings.count,
+            "largest_contradiction_of_rows": self.law.raised,
+            "turns": [turn.to_dict() for turn in self.turns],
+        }
 
 
 def solve_on_demand(
@@ -90,182 +130,126 @@ def solve_on_demand(
     known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
     upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
     """
-    rings = _RingsOnDemand(scene, cell, ring_info(cell), cache, options)
-    asked = _first(rings, known)
-    mesh = build_mesh(scene, rings.info)
-    turns: list[Turn] = []
-    last, level, share = None, None, FIRST_GAP
-    law = rings.law(asked)
+    began, rings = time.perf_counter(), Rings(cell, cache, known)
+    if known is None:
+        rings.ask(first_directions(rings.is_mirrored))
+        rings.settle()
+    mesh, law, turns = build_mesh(scene, rings.info), rings.law(), list[Turn]()
+    last: CurtainSolution | None = None
+    level: Level | None = None
+    share, ended = FIRST_GAP, ("turn_limit", SENTENCES["turn_limit"])
     while len(turns) < options.most_turns:
-        with part_of(_line(mesh, asked, level), 0.0, 1.0):
-            solution, law, asked = _hang(rings, mesh, law, asked, last, LOST if level is None else 0)
+        with part_of(_line(mesh, rings, level), 0.0, 1.0):
+            solution, law = _hang(scene, rings, mesh, law, last, LOST if level is None else 0)
         if solution.status != "converged":
-            return _give_up(rings, level, law, asked, turns, solution)
-        target, scale = _scales(solution, options.accuracy)
-        before, inner = len(asked.x), law.inner
-        law, asked = _narrow(rings, law, solution, asked, LAW_SHARE * max(target, share * scale))
-        part = _loads(solution, inner, law.outer).law_part
-        if part > AGAIN * LAW_SHARE * max(target, share * scale) and len(asked.x) > before:
-            turns.append(_turn(rings, solution, asked, part))
-            last = solution
+            if level is None:
+                what = "[support]" if solution.status == "infeasible" else f"status {solution.status}"
+                raise InputError(f"{scene.source}: {what}: {solution.message} (law of {rings.count} ring problems)")
+            ended = "curtain_limit", SENTENCES["curtain_limit"].format(why=solution.message)
+            break
+        scale = _scale(solution)
+        allowed = LAW_SHARE * max(options.accuracy * scale, share * scale)
+        before, inner = len(rings.x), law.inner
+        law = _narrow(rings, law, solution, allowed, options.most_solves)
+        part = _loads(solution, law, inner).law_part
+        is_known = part <= AGAIN * allowed or len(rings.x) == before
+        if is_known:
+            with part_of("bounds", 0.0, 1.0):
+                new = Level(solution, bound(solution, outer=law.outer))
+        lower, cells = new.bounds.lower if is_known else np.nan, solution.problem.disc.n_cells
+        asked = rings.count, rings.solves, rings.hits
+        turns.append(Turn(cells, *asked, solution.primal, lower, part, time.perf_counter() - began))
+        last = solution
+        if not is_known:
             continue
-        with part_of("bounds", 0.0, 1.0):
-            new = Level(solution, bound(solution, outer=law.outer))
-        turns.append(_turn(rings, solution, asked, part, new))
-        ended = _find_end(rings, new, turns, target, asked)
         level = new if level is None or new.bounds.status == "converged" else level
-        if ended is not None:
-            return Demand(level, law, asked, tuple(turns), options.accuracy, *_doubt(law, *ended))
+        status = _find_end(new, turns, options)
+        if status is not None:
+            why: dict[str, Any] = {"cells": options.most_cells, "solves": options.most_solves, "failed": rings.failed}
+            why |= {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status, "raised": law.raised}
+            # then some h are not the largest work
+            status = "contradiction" if status == "converged" and law.raised > GAIN else status
+            ended = status, SENTENCES[status].format(**why)
+            break
         share = FALL * max(level.bounds.gap - part, 0.0) / scale
-        mesh, last = refine(mesh, mark(level.bounds.error), scene), solution
+        mesh = refine(mesh, mark(level.bounds.error), scene)
     if level is None:
         raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
-    return Demand(level, law, asked, tuple(turns), options.accuracy, "turn_limit", SENTENCES["turn_limit"])
+    return Demand(level, law, rings, tuple(turns), options.accuracy, *ended)
 
 
-def _first(rings: _RingsOnDemand, known: LawInterval | None) -> Samples:
-    """What the first law is made of; InputError if what is known belongs to other rings."""
-    if known is None:
-        return _ask_all(rings, first_directions(rings.is_mirrored), Samples(np.zeros((0, 2))))
-    cell, info = known.law.cell, rings.info
-    names = ("r2_mm", "b_x_mm", "b_y_mm")
-    if cell is not None:
-        given, own = ([getattr(one, name) / one.r1_mm for name in names] for one in (cell, info))
-        if np.abs(np.subtract(given, own)).max() > SAME_RINGS:
-            text = [", ".join(f"{x:.6g}" for x in one) for one in (given, own)]
-            raise InputError(f"{known.source}: r2, b_x and b_y over r1 are {text[0]}, those of --rings are {text[1]}")
-    return Samples(rounded(disc(known.rows.S)), known.rows)
-
-
-def _scales(solution: CurtainSolution, accuracy: float) -> tuple[float, float]:
-    """Width to reach, and total load times height, N mm."""
+def _scale(solution: CurtainSolution) -> float:
+    """Total load times height, N mm."""
     problem = solution.problem
-    scale = float(np.abs(problem.force).sum()) * problem.mesh.height
-    return accuracy * scale, max(scale, 1e-300)
-
-
-def _ask_all(rings: _RingsOnDemand, x: Array, asked: Samples) -> Samples:
-    """`asked` and the directions x (n, 2), told one by one."""
-    for number, one in enumerate(x):
-        tell(f"asking the rings, {asked.solves} solved, {len(x) - number} to go", number / len(x))
-        with heard_by(None):
-            asked = ask(rings.cell, rings.cache, one[None], asked)
-    return settle(rings.cell, rings.cache, asked) if len(x) else asked
+    return max(float(np.abs(problem.force).sum()) * problem.mesh.height, 1e-300)
 
 
 def _hang(
-    rings: _RingsOnDemand, mesh: CurtainMesh, law: LawInterval, asked: Samples, last: CurtainSolution | None, tries: int
-) -> tuple[CurtainSolution, LawInterval, Samples]:
-    """The curtain by the inner law; where none hangs on it, the rings are asked more widely, at most `tries` times."""
+    scene: Scene, rings: Rings, mesh: CurtainMesh, law: LawInterval, last: CurtainSolution | None, tries: int
+) -> tuple[CurtainSolution, LawInterval]:
+    """The curtain by the inner law, and the law.
+
+    Where no curtain hangs on it, the rings are asked more widely, at most `tries` times: at the stress that proves it,
+    and far from known directions.
+    """
     while True:
-        problem = admissible_problem(rings.scene, law.inner, mesh)
+        problem = admissible_problem(scene, law.inner, mesh)
         solution = solve_problem(with_cones_of(problem, last))
         if solution.status == "converged" or tries == 0:
-            return solution, law, asked
+            return solution, law
         tries -= 1
-        asked = _ask_all(rings, _more_anywhere(rings, law, solution, asked), asked)
-        law = rings.law(asked)
+        x = _widest(rings, _loads(solution, law, law.inner), QUESTIONS)
+        rings.ask(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
+        rings.settle()
+        law = rings.law()
 
 
-def _narrow(
-    rings: _RingsOnDemand, law: LawInterval, solution: CurtainSolution, asked: Samples, allowed: float
-) -> tuple[LawInterval, Samples]:
-    """The law after the rings were asked at the solution's stresses until its part, N mm, is what is allowed."""
+def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: float, most: int) -> LawInterval:
+    """The law after the rings were asked at the solution's stresses until its part, N mm, is what is allowed.
+
+    No more than `most` ring problems are solved in the whole run.
+    """
     for _ in range(LOOKS):
-        loads = _loads(solution, law.inner, law.outer)
-        left = rings.options.most_solves - asked.solves
+        loads, left = _loads(solution, law, law.inner), most - rings.solves
         if loads.law_part <= allowed or left <= 0:
             break
-        most = min(QUESTIONS, left)
-        x = widest(disc(loads.S), loads.weight * loads.width, asked.x, most, rings.is_mirrored)
+        x = _widest(rings, loads, min(QUESTIONS, left))
         if not len(x):
             break
-        asked = _ask_all(rings, x, asked)
-        law = rings.law(asked)
-    return law, asked
+        rings.ask(x)
+        rings.settle()
+        law = rings.law()
+    return law
 
 
-def _loads(solution: CurtainSolution, inner: MembraneLaw, outer: MembraneLaw) -> Loads:
-    """The stresses of a curtain, in the frame of the weave."""
+def _widest(rings: Rings, loads: Loads, most: int) -> Array:
+    """At most `most` directions (n, 2) whose loads widen the interval most."""
+    return widest(disc(loads.S), loads.weight * loads.width, rings.x, most, rings.is_mirrored)
+
+
+def _loads(solution: CurtainSolution, law: LawInterval, inner: MembraneLaw) -> Loads:
+    """The stresses of a curtain that was solved by the law `inner`, in the frame of the weave."""
     problem = solution.problem
-    return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, outer)
+    return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, law.outer)
 
 
-def _more_anywhere(rings: _RingsOnDemand, law: LawInterval, solution: CurtainSolution, asked: Samples) -> Array:
-    """Directions (n, 2) to ask where no curtain was found: at the stress that proves it, and far from known ones."""
-    loads = _loads(solution, law.inner, law.outer)
-    x = widest(disc(loads.S), loads.weight * loads.width, asked.x, QUESTIONS, rings.is_mirrored)
-    return np.vstack([x, between(np.vstack([asked.x, x]), QUESTIONS, rings.is_mirrored)])
-
-
-def _turn(
-    rings: _RingsOnDemand, solution: CurtainSolution, asked: Samples, part: float, level: Level | None = None
-) -> Turn:
-    return Turn(
-        solution.problem.disc.n_cells,
-        asked.count,
-        asked.solves,
-        asked.hits,
-        solution.primal,
-        np.nan if level is None else level.bounds.lower,
-        part,
-        time.perf_counter() - rings.began,
-    )
-
-
-def _find_end(
-    rings: _RingsOnDemand, level: Level, turns: Sequence[Turn], target: float, asked: Samples
-) -> tuple[str, str] | None:
-    """Status and message if this was the last turn."""
-    bounds, options = level.bounds, rings.options
+def _find_end(level: Level, turns: Sequence[Turn], options: DemandOptions) -> str | None:
+    """The status if this was the last turn."""
+    bounds, target = level.bounds, options.accuracy * _scale(level.solution)
     if bounds.status != "converged":
-        return "bound_limit", SENTENCES["bound_limit"].format(bound=bounds.status)
+        return "bound_limit"
     if bounds.gap <= target:
-        return "converged", SENTENCES["converged"]
-    part, cells = float(bounds.law_part or 0.0), turns[-1].cells
-    if part > 0.5 * bounds.gap and part > 0.5 * target and _is_idle(turns):
-        _, scale = _scales(level.solution, options.accuracy)
-        why = SENTENCES["law_limit"].format(law=part / scale, solves=options.most_solves, failed=asked.failed)
-        return "law_limit", why
-    if cells + 3 * len(mark(bounds.error)) > options.most_cells:
-        return "mesh_limit", SENTENCES["mesh_limit"].format(cells=options.most_cells)
-    return None
+        return "converged"
+    is_idle = len(turns) > 1 and turns[-1].rows == turns[-2].rows
+    if is_idle and float(bounds.law_part or 0.0) > 0.5 * max(bounds.gap, target):
+        return "law_limit"
+    return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > options.most_cells else None
 
 
-def _doubt(law: LawInterval, status: str, message: str) -> tuple[str, str]:
-    """Status and message, unless rows contradict each other: then some h are not the largest work."""
-    if status == "converged" and law.raised > GAIN:
-        return "contradiction", SENTENCES["contradiction"].format(raised=law.raised)
-    return status, message
-
-
-def _is_idle(turns: Sequence[Turn]) -> bool:
-    """Whether the last turn has added no row to the law."""
-    return len(turns) > 1 and turns[-1].rows == turns[-2].rows
-
-
-def _give_up(
-    rings: _RingsOnDemand,
-    level: Level | None,
-    law: LawInterval,
-    asked: Samples,
-    turns: Sequence[Turn],
-    solution: CurtainSolution,
-) -> Demand:
-    """The turn before, if there is one; InputError if no curtain hangs on what is known of the rings."""
-    if level is None:
-        what = "[support]" if solution.status == "infeasible" else f"status {solution.status}"
-        raise InputError(f"{rings.scene.source}: {what}: {solution.message} (law of {asked.count} ring problems)")
-    why = SENTENCES["curtain_limit"].format(why=solution.message)
-    return Demand(level, law, asked, tuple(turns), rings.options.accuracy, "curtain_limit", why)
-
-
-def _line(mesh: CurtainMesh, asked: Samples, level: Level | None) -> str:
+def _line(mesh: CurtainMesh, rings: Rings, level: Level | None) -> str:
     """What the progress line says."""
-    text = f"{mesh.mesh.t.shape[1]} triangles, {asked.count} ring problems"
+    text = f"{mesh.mesh.t.shape[1]} triangles, {rings.count} ring problems"
     if level is None:
         return text
-    _, scale = _scales(level.solution, 1.0)
-    law = float(level.bounds.law_part or 0.0)
-    gap = level.bounds.gap
+    scale, gap, law = _scale(level.solution), level.bounds.gap, float(level.bounds.law_part or 0.0)
     return f"{text}, interval {gap / scale:.2e} of the height (law {law / scale:.1e}, mesh {(gap - law) / scale:.1e})"

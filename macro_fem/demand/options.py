@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
-from macro_fem.demand.cache import default_folder
-from macro_fem.demand.record import DEMAND
 from rve import WEAVES, Cell
 from rve.common.errors import InputError
 from rve.common.rings import check_ring_size
 from rve.common.values import shown
+
+LEAST_ACCURACY, MOST_ACCURACY = 1e-5, 0.5
+
+
+@dataclass(frozen=True)
+class DemandOptions:
+    """accuracy: width of the interval over total load times height, which for a curtain under its weight alone is that
+    of the mean height over the height. The rest are limits at which a run gives up; InputError for values out of range.
+    """
+
+    accuracy: float = 5e-3
+    most_cells: int = 30_000
+    most_solves: int = 3_000
+    most_turns: int = 60
+
+    def __post_init__(self) -> None:
+        if not LEAST_ACCURACY <= self.accuracy <= MOST_ACCURACY:
+            raise InputError(
+                f"accuracy = {self.accuracy:g}: must lie between {LEAST_ACCURACY:g} and {MOST_ACCURACY:g}, the width "
+                "of the interval over the height"
+            )
+
+
+DEMAND = DemandOptions()
+"""The defaults."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +93,12 @@ def ring_options(
     cell = Cell(*radii(rings), WEAVES[weave], "y" if grain is None else grain)
     folder = None if no_cache else default_folder() if cache is None else cache
     return OnDemand(cell, DEMAND.accuracy if accuracy is None else accuracy, cache=folder)
+
+
+def default_folder() -> Path:
+    """Where answers are kept unless told otherwise: $XDG_CACHE_HOME/ring-mesh, by default ~/.cache/ring-mesh."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
 
 
 def begin_with(asked: OnDemand | None, law: Path | None, table: Path | None) -> OnDemand | None:

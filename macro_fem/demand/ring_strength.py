@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from homogenize import LockedRows, Strength, strength_of_table
-from macro_fem.demand.record import Demand
-from macro_fem.demand.ring_answers import Samples, ask
+from macro_fem.demand.loop import Demand
+from macro_fem.demand.rings import Rings
 from macro_fem.output.strength import critical_load
-from macro_fem.solution import CurtainSolution
 from rve import Cell, cauchy_of, solve_table, with_rings
 from rve.common.cache import Cache
 from rve.common.errors import InputError
 from rve.common.progress import tell
-from rve.common.tensor import disc, eigenvalues, mirror
+from rve.common.tensor import disc, eigenvalues, mirror, trace
 from rve.common.types import Array
 
 LOOKS = 4
@@ -42,9 +41,10 @@ def with_strength(found: Demand, cell: Cell, cache: Cache) -> Demand:
             return found
         if load is None or _distance(rows, load) < NEAR:
             break
-        asked = ask(cell, cache, disc(load[None] / (load[0] + load[2])), Samples(np.zeros((0, 2))))
-        both = replace(found.asked, solves=found.asked.solves + asked.solves, hits=found.asked.hits + asked.hits)
-        found, told = replace(found, asked=both), replace(told, asked=both)
+        asked = Rings(cell, cache)
+        asked.ask(disc(load[None] / trace(load)))
+        found.rings.solves += asked.solves
+        found.rings.hits += asked.hits
         if asked.rows is None:
             break
         rows, strength = rows.join([asked.rows]), join_strengths(strength, strength_of_rows(asked.rows, cell))
@@ -71,20 +71,16 @@ def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:
 
 def _with_strength(found: Demand, strength: Strength) -> Demand:
     """`found` with this strength in its law and in that of its curtain."""
-    law = replace(found.law, inner=replace(found.law.inner, strength=strength))  # type: ignore[type-var]
-    law = replace(law, law=law.inner if found.law.law is found.law.inner else law.law)
-    solution = _curtain_with_strength(found.level.solution, strength)
-    return replace(found, law=law, level=replace(found.level, solution=solution))
-
-
-def _curtain_with_strength(solution: CurtainSolution, strength: Strength) -> CurtainSolution:
-    hung = solution.problem.law
-    hung = replace(hung, own=replace(hung.own, strength=strength))  # type: ignore[type-var]
-    return replace(solution, problem=replace(solution.problem, law=hung))
+    law, solution = found.law, found.level.solution
+    inner = replace(law.inner, strength=strength)  # type: ignore[type-var]
+    law = replace(law, inner=inner, law=inner if law.law is law.inner else law.law)
+    own = replace(solution.problem.law.own, strength=strength)  # type: ignore[type-var]
+    problem = replace(solution.problem, law=replace(solution.problem.law, own=own))
+    return replace(found, law=law, level=replace(found.level, solution=replace(solution, problem=problem)))
 
 
 def _distance(rows: LockedRows, load: Array) -> float:
     """How far a load (3,) is from the nearest direction of the rows, in the unit disc."""
     S = np.vstack([rows.S, mirror(rows.S)]) if rows.is_mirrored else rows.S
-    x = disc(load[None] / (load[0] + load[2]))
+    x = disc(load[None] / trace(load))
     return float(np.hypot(*(disc(S) - x).T).min())

@@ -1,4 +1,5 @@
-"""Triangles and quadrilaterals of a plane mesh: cutting in two, areas, sense, averages at corners."""
+"""Triangles and quadrilaterals of a plane mesh: cutting in two, areas, sense, averages at corners; plane vectors in
+space, where x points to the right, y up, z towards the viewer."""
 
 from __future__ import annotations
 
@@ -67,3 +68,13 @@ def recovered(cells: Index, values: Array, area: Array) -> Array:
     """
     each = np.repeat(values[:, None], cells.shape[1], axis=1)
     return np.asarray(mean_at_corners(cells, each, area)[cells].mean(axis=1))
+
+
+def in_space_of(plane: Array, d: int) -> Array:
+    """Vectors (n, 2) as (n, d), where further components are 0; a copy."""
+    return np.column_stack([plane, np.zeros((len(plane), d - plane.shape[1]))])
+
+
+def padded(vectors: Array) -> Array:
+    """Vectors (n, 2) or (n, 3) with a third component, 0 where there was none."""
+    return in_space_of(vectors, 3)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -63,11 +62,6 @@ class HungLaw:
         """Half-spaces to start with, see MembraneLaw."""
         return self._turned(self.own.half_spaces())
 
-    def facets(self) -> HalfSpaces | None:
-        """All half-spaces of the law; None if they are not a finite list."""
-        found = self.own.facets()
-        return None if found is None else self._turned(found)
-
     def cut(self, E: Array) -> Cut:
         """The most violated half-space, see MembraneLaw."""
         cut = self.own.cut(np.column_stack([self.in_weave(E[:, :3]), E[:, 3:]]))
@@ -82,10 +76,6 @@ class HungLaw:
     def elastic(self) -> HungLaw:
         """The law with the compliance of its rings, see MembraneLaw."""
         return replace(self, own=elastic_law(self.own))
-
-    def to_dict(self) -> dict[str, Any]:
-        """The law and the angle."""
-        return {"law": self.own.to_dict(), "angle_deg": self.angle_deg}
 
     def _turned(self, found: HalfSpaces) -> HalfSpaces:
         return replace(found, S=found.S @ self.to_curtain.T)

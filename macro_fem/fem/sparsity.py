@@ -79,10 +79,11 @@ class SparsityPattern:
         return full.indptr, full.indices, full.data.astype(np.int64) - 1
 
 
-def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> SparsityPattern:
+def sparsity(disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -> SparsityPattern:
     """The pattern of stiffness matrices on the free unknowns.
 
-    `free` is a Boolean mask: (n_nodes,) frees all components of a node, (n_nodes, d) or (n_nodes * d,) single ones.
+    `free` is a Boolean mask: (n_nodes,) frees all components of a node, (n_nodes, d) or (n_nodes * d,) single ones. The
+    last `loose` nodes belong to no cell and are coupled with all others.
     """
     free = np.asarray(free, dtype=bool)
     if free.size == disc.n_nodes:
@@ -90,21 +91,38 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any]) -> SparsityPatter
     if free.size != disc.n_nodes * d:
         raise ValueError(f"free has {free.size} entries, the mesh has {disc.n_nodes} nodes of {d} components")
     free = free.ravel()
-    pair, swap = _node_pairs(disc)
-    place, rows, columns = _lower_places(disc.n_nodes, d, pair.keys)
-    keep = free[rows] & free[columns]
-    nnz = int(np.count_nonzero(keep))
     number = np.cumsum(free) - 1
-    counts = np.bincount(number[columns[keep]], minlength=int(free.sum()))
-    new_place = np.where(keep, np.cumsum(keep) - 1, nnz)
-    return SparsityPattern(
-        n=len(counts),
-        d=d,
-        free=np.flatnonzero(free),
-        indptr=np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
-        indices=number[rows[keep]].astype(np.int32),
-        slot=np.concatenate([new_place[block] for block in _packed_places(d, pair.number, swap, place)]),
-    )
+    nodes = disc.cell_dofs.T
+    n_local = len(nodes)
+    a, b = np.triu_indices(n_local)
+    key = np.minimum(nodes[a], nodes[b]) * disc.n_nodes + np.maximum(nodes[a], nodes[b])
+    keys, pair = np.unique(key, return_inverse=True)
+    column, row = np.divmod(keys, disc.n_nodes)
+    if loose:
+        every, last = np.indices((disc.n_nodes, loose)).reshape(2, -1)
+        last += disc.n_nodes - loose
+        column = np.concatenate([column, every[every <= last]])
+        row = np.concatenate([row, last[every <= last]])
+    # entries (n_pairs, d, d) of the pairs, row component first; those above the diagonal or held have no place
+    i, j = np.broadcast_arrays(d * row[:, None, None] + np.arange(d)[:, None], d * column[:, None, None] + np.arange(d))
+    is_stored = free[i] & free[j] & (i >= j)
+    count, n = int(np.count_nonzero(is_stored)), int(free.sum())
+    stored = (number[i[is_stored]], number[j[is_stored]])
+    lower = sparse.csc_matrix((np.arange(count), stored), shape=(n, n))
+    lower.sort_indices()
+    place = np.full(is_stored.shape, count)
+    sorted_place = np.empty(count, dtype=np.int64)
+    sorted_place[lower.data] = np.arange(count)
+    place[is_stored] = sorted_place
+    pair_of = np.empty((n_local, n_local, disc.n_cells), dtype=np.int64)
+    pair_of[a, b] = pair_of[b, a] = pair.reshape(key.shape)
+    is_first = nodes[:, None] < nodes[None, :]
+    slots = []
+    for k, l in component_pairs(d):
+        slot = np.where(is_first, place[pair_of, l, k], place[pair_of, k, l])
+        slots.append(slot[a, b] if k == l else slot.reshape(n_local**2, -1))
+    index = (lower.indptr.astype(np.int32), lower.indices.astype(np.int32))
+    return SparsityPattern(n, d, np.flatnonzero(free), *index, np.concatenate(slots))
 
 
 def tied_pattern(pattern: SparsityPattern, tie: sparse.csc_matrix) -> tuple[SparsityPattern, sparse.csr_matrix]:
@@ -152,60 +170,3 @@ def _csc(data: Array, indices: NDArray[Any], indptr: NDArray[Any], n: int) -> sp
     matrix = sparse.csc_matrix((data, indices, indptr), shape=(n, n))
     matrix.has_sorted_indices = True
     return matrix
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Distinct pairs of nodes that share a cell: keys (n_pairs,) column * n_nodes + row; number (n, n, n_cells)."""
-
-    keys: Index
-    number: Index
-
-
-def _node_pairs(disc: Discretization) -> tuple[_Pairs, NDArray[np.bool_]]:
-    """Pairs of all cells, and where local node a has the smaller number than local node b, (n, n, n_cells)."""
-    nodes = disc.cell_dofs.T
-    n = len(nodes)
-    a, b = np.triu_indices(n)
-    key = np.minimum(nodes[a], nodes[b]) * disc.n_nodes + np.maximum(nodes[a], nodes[b])
-    keys, inverse = np.unique(key, return_inverse=True)
-    number = np.empty((n, n, disc.n_cells), dtype=np.int64)
-    number[a, b] = inverse.reshape(key.shape)
-    number[b, a] = number[a, b]
-    return _Pairs(keys, number), nodes[:, None] < nodes[None, :]
-
-
-def _lower_places(n_nodes: int, d: int, keys: Index) -> tuple[Index, Index, Index]:
-    """Places (n_pairs, d, d) of the entries [row component, column component] of node pairs, and all rows and columns.
-
-    Nodes that no cell uses have no diagonal pair and so no entry.
-    """
-    column, row = np.divmod(keys, n_nodes)
-    pairs_of = np.bincount(column, minlength=n_nodes)
-    # Column (J, l) holds d - l entries of the diagonal block (if any) and d for each other pair.
-    used = pairs_of > 0
-    length = (pairs_of - 1)[:, None] * d + (d - np.arange(d))
-    length = np.where(used[:, None], length, 0)
-    begin = np.concatenate([[0], np.cumsum(length.ravel())])
-    rank = np.arange(len(keys)) - (np.cumsum(pairs_of) - pairs_of)[column]
-    k, l = np.arange(d)[:, None], np.arange(d)[None, :]
-    offset = np.where(rank[:, None, None] == 0, k - l, (rank[:, None, None] - 1) * d + d - l + k)
-    place = begin[column[:, None, None] * d + l] + offset
-    is_entry = (rank[:, None, None] > 0) | (k >= l)
-    rows = np.empty(begin[-1], dtype=np.int64)
-    columns = np.empty(begin[-1], dtype=np.int64)
-    shape = place.shape
-    rows[place[is_entry]] = np.broadcast_to(row[:, None, None] * d + k, shape)[is_entry]
-    columns[place[is_entry]] = np.broadcast_to(column[:, None, None] * d + l, shape)[is_entry]
-    return place, rows, columns
-
-
-def _packed_places(d: int, number: Index, swap: NDArray[np.bool_], place: Index) -> list[Index]:
-    """For each component block the places (n_entries, n_cells) in the unrestricted lower triangle."""
-    n = len(number)
-    upper = np.triu_indices(n)
-    blocks = []
-    for i, k in component_pairs(d):
-        both = np.where(swap, place[number, k, i], place[number, i, k])
-        blocks.append(both[upper] if i == k else both.reshape(n * n, -1))
-    return blocks

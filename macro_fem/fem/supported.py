@@ -28,12 +28,14 @@ class SupportedFem:
     """A discretisation `disc` whose nodes (n_nodes, d) are at x_held + T z.
 
     free (n_nodes * d,) marks components that are unknowns themselves; `tie` (n_nodes * d, n_z) is None without ties.
+    The last `loose` nodes belong to no cell.
     """
 
     disc: Discretization
     x_held: Array
     free: np.ndarray
     tie: sparse.csc_matrix | None = None
+    loose: int = 0
 
     def tied(self) -> SupportedFem:
         """The same curtain with its free components picked by a matrix T, as if bars tied them; itself if some do."""
@@ -86,7 +88,7 @@ class SupportedFem:
     def pattern(self) -> SparsityPattern:
         """Where matrix entries go: on the free unknowns, or on all of them if ties must be applied afterwards."""
         free = self.free if self.tie is None else np.ones_like(self.free)
-        return sparsity(self.disc, self.d, free)
+        return sparsity(self.disc, self.d, free, self.loose)
 
     def positions(self, z: Array) -> Array:
         """x (n_nodes, d)."""
@@ -168,6 +170,26 @@ class SupportedFem:
         """The pattern of T^T K T and the matrix that turns the entries of K into its lower triangle's."""
         assert self.tie is not None
         return tied_pattern(self.pattern, self.tie)
+
+
+def with_loose_nodes(fem: SupportedFem, count: int) -> SupportedFem:
+    """The discretisation with `count` free nodes more, numbered last and coupled with all others; x_held is 0 there.
+
+    They are bodies with mass. A half-space n.(x_i - c) >= R between a point of the curtain and the centre c of a ball
+    has the share 1 at the nodes of the point and -1 at that of the ball, so that the push on both is the same.
+    """
+    if not count:
+        return fem
+    d = fem.d
+    nodes = np.vstack([fem.disc.nodes, np.tile(fem.disc.nodes.mean(axis=0), (count, 1))])
+    return replace(
+        fem,
+        disc=replace(fem.disc, nodes=nodes),
+        x_held=np.vstack([fem.x_held, np.zeros((count, d))]),
+        free=np.concatenate([fem.free, np.ones(d * count, bool)]),
+        tie=None if fem.tie is None else sparse.csc_matrix(sparse.block_diag([fem.tie, sparse.eye(d * count)])),
+        loose=fem.loose + count,
+    )
 
 
 def _refined(solve: Solve, matrix: sparse.csc_matrix, b: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from homogenize import default_law, load_law
 from macro_fem.curtain import is_elastic
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.space import padded
+from macro_fem.fem.cells import padded
 from macro_fem.motion.kept import KEPT, read_kept, write_kept
 from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
 from macro_fem.motion.views import as_solution, chosen, write_views

@@ -11,8 +11,7 @@ import numpy as np
 from homogenize import default_law, load_law
 from macro_fem.curtain import solve_scene
 from macro_fem.elastic_forces import forces_by, with_forces
-from macro_fem.fem.cells import as_triangles, counterclockwise
-from macro_fem.fem.space import padded
+from macro_fem.fem.cells import as_triangles, counterclockwise, padded
 from macro_fem.motion.modes import Modes, find_modes
 from macro_fem.motion.stage import scene_at
 from macro_fem.output.files import VTU_CELLS, corner_positions

@@ -10,7 +10,7 @@ import numpy as np
 from homogenize import MembraneLaw, with_material
 from macro_fem.curtain import is_elastic, solve_problem
 from macro_fem.fem.assembly import gradient, internal_force
-from macro_fem.fem.space import in_space_of
+from macro_fem.fem.cells import in_space_of
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
 from macro_fem.motion.contact import Contacts
 from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped

@@ -9,8 +9,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.curtain import is_alike
 from macro_fem.drag import senses, wind_density, with_wind
-from macro_fem.fem.loose import with_loose_nodes
-from macro_fem.fem.supported import SupportedFem
+from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.masses import TONNE, nodal_masses
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.step import Forces

@@ -2,7 +2,7 @@
 
     minimise  |x - x_hat|^2_M / (2 (beta h)^2) + damping and drag - f.x + stored energy   over admissible x
 
-Nodes of bodies with mass follow those of the curtain (`macro_fem.fem.loose`). Round obstacles and bodies enter by
+Nodes of bodies with mass follow those of the curtain (`macro_fem.fem.supported`). Round obstacles and bodies enter by
 tangent half-spaces, taken where the curtain would go, and found again at the answer until they no longer turn.
 """
 

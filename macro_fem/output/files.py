@@ -13,9 +13,8 @@ from homogenize import CellInfo
 from macro_fem.drag import wind_summary
 from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import counterclockwise, mean_at_corners
+from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import discretize
-from macro_fem.fem.space import padded
 from macro_fem.output import line_load, strength
 from macro_fem.output.forces import held_length, support_forces, support_table
 from macro_fem.output.weakest import weakest

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from macro_fem.fem.space import padded
+from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.solution import CurtainSolution

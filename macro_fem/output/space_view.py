@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from macro_fem.fem.cells import as_triangles, counterclockwise, mean_at_corners
-from macro_fem.fem.space import padded
+from macro_fem.fem.cells import as_triangles, counterclockwise, mean_at_corners, padded
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
 from macro_fem.scene.support_kinds import Hooks

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_material
 from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import discretize
-from macro_fem.fem.space import in_space_of
 from macro_fem.scene.cables import Sliding
 from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area

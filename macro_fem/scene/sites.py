@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.space import in_space_of
 from macro_fem.scene.meshing.edges import paths
 from macro_fem.scene.tables import NO_MOVE, Support, in_3d
 from rve.common.errors import InputError

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.space import in_space_of
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.cables import Sliding, sliding_nodes, sloping
 from macro_fem.scene.meshing.mesh import CurtainMesh, components

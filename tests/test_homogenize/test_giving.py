@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize import default_law, elastic_law
-from homogenize.fitting.stiffness import stiffness_by_direction
+from homogenize.fitting.fit import stiffness_by_direction
 from homogenize.laws.giving import constant_compliance, giving_law, work_along
 from rve.common.tensor import WEIGHT, double_dot, eigenvalues
 

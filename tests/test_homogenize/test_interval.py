@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homogenize.interval import interval_or_law, law_interval, read_law_interval, rows_with_largest_work
+from homogenize.interval import interval_or_law, law_interval, read_law_interval
 from homogenize.io import DEFAULT_LAW
 from homogenize.laws.net import diagonal_net
 from rve.common.errors import InputError
@@ -53,8 +53,8 @@ def test_rows_that_missed_the_largest_work_are_raised_to_what_others_do():
     best = double_dot(rows.S[i], low[np.arange(len(low)) != i]).max()
     assert found.raised == pytest.approx(best - wrong.h[i], abs=1e-12)
     assert found.raised > 1e-3
-    assert rows_with_largest_work(wrong).h[i] == pytest.approx(best, abs=1e-12)
-    assert rows_with_largest_work(wrong).h[j] == wrong.h[j]
+    assert found.rows.h[i] == pytest.approx(best, abs=1e-12)
+    assert found.rows.h[j] == wrong.h[j]
     assert (found.outer.support(directions()) >= found.inner.support(directions()) - 2e-5).all()
 
 

@@ -9,7 +9,6 @@ from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.refine import (
     FINEST,
     Nodes,
-    RefineOptions,
     chords_of,
     hermite,
     in_triangles,
@@ -86,7 +85,7 @@ def test_refined_rows_predict_to_fourth_order(ellipsoid):
     S0 = S0[np.hypot(*disc(S0).T) < 0.7]
     for spokes in (32, 64):
         rows = rows_of(ellipsoid, disc_grid(spokes // 4, spokes))
-        S, h = refined_half_spaces(rows, RefineOptions(resolution=FINEST))
+        S, h = refined_half_spaces(rows, FINEST)
         inside = np.hypot(*disc(S).T) < 0.7
         error.append(np.median(np.abs(h - ellipsoid.support(S))[inside]))
         outer.append(np.abs(bounds_of(rows).upper(S0) - ellipsoid.support(S0)).mean())
@@ -116,7 +115,7 @@ def test_a_graded_table_resolves_the_kinks():
     unseen = read_table(DATA / "directions.csv")
     uniform = strain_misses(default_law(), unseen)
     rows = rows_from_table(solve_table(Cell(), graded_grid()))
-    graded = strain_misses(polyhedral_law(*refined_half_spaces(rows, RefineOptions.of(1e-5))), unseen)
+    graded = strain_misses(polyhedral_law(*refined_half_spaces(rows, 1e-5)), unseen)
     assert (uniform > 5e-3).mean() > 0.01
     assert graded.max() < 5e-3
     assert graded.mean() < 0.7 * uniform.mean()

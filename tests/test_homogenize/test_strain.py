@@ -12,7 +12,7 @@ from homogenize.fitting.rows import LockedRows, rows_from_provenance, rows_from_
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.polyhedral import polyhedral_law
-from homogenize.query.strain import StrainOptions, locked_strain
+from homogenize.query.strain import locked_strain
 from homogenize.query.strain_bounds import strain_bounds
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, dyad, from_disc, trace
@@ -37,7 +37,6 @@ def test_smooth_set_is_found_to_the_error_of_its_rows(ellipsoid):
     found = locked_strain(law, alpha, beta)
     assert np.all(found.status == "converged")
     assert np.allclose(found.S, load_at(found.E, alpha, beta), atol=2e-9)
-    assert found.iterations.mean() < 15.0
     truth = ellipsoid.strain(found.S)
     assert np.abs(found.E - truth).max() < 0.02  # one facet of the polyhedron: spacing of the rows times curvature
     assert np.abs(found.E - truth).mean() < 0.004
@@ -69,38 +68,14 @@ def test_the_shipped_law_carries_every_load():
     assert law.cut(found.E).violation.max() < 1e-10
 
 
-def test_widths_decide_what_is_unique(ellipsoid):
-    """Loads near the normal of a facet carry all its strains: one strain, or many, as the width says."""
-    law = outer_law(rows_of(ellipsoid, disc_grid(8, 32)))
-    loads = np.linspace(-80.0, 80.0, 40), np.linspace(5.0, 85.0, 40)
-    assert locked_strain(law, *loads, StrainOptions(width=10.0)).unique.all()
-    assert not locked_strain(law, *loads, StrainOptions(width=1e-6)).unique.all()
-
-
-def test_coarser_rectangles_give_wider_bounds(ellipsoid):
-    rows, load = rows_of(ellipsoid, disc_grid(4, 16)), cauchy_line_load([20.0], [50.0])
-    usual, coarse = strain_bounds(rows, load), strain_bounds(rows, load, resolution=0.5)
-    assert np.all(coarse.E_min <= usual.E_min)
-    assert np.all(coarse.E_max >= usual.E_max)
-    assert coarse.width()[0] > 1.1 * usual.width()[0]
-
-
-def test_the_tolerance_decides_what_has_converged(ellipsoid):
-    """A loose tolerance stops earlier, one that round-off cannot reach is not reached; both say so in the residual."""
-    law = outer_law(rows_of(ellipsoid, disc_grid(8, 32)))
-    alpha, beta = np.linspace(-80.0, 80.0, 20), np.linspace(5.0, 85.0, 20)
-    loose = locked_strain(law, alpha, beta, StrainOptions(tolerance=1e-2))
-    usual = locked_strain(law, alpha, beta)
-    assert np.all(loose.status == "converged")
-    assert 1e-5 < loose.residual.max() <= 1e-2
-    assert usual.residual.max() <= 1e-9
-    assert loose.iterations.sum() < 0.7 * usual.iterations.sum()
-    vain = locked_strain(law, alpha[:4], beta[:4], StrainOptions(tolerance=0.0, path_steps=1, newton_steps=20))
-    assert np.all((vain.status == "converged") == (vain.residual == 0.0))
-    assert np.any(vain.status == "no_convergence")
-    tired = locked_strain(law, alpha, beta, StrainOptions(tolerance=1e-6, path_steps=1, newton_steps=3))
-    assert np.any((tired.residual > 1e-6) & (tired.residual < 1e-3))
-    assert np.array_equal(tired.status == "converged", tired.residual <= 1e-6)
+def test_a_strain_that_is_not_found_says_so(ellipsoid, monkeypatch):
+    monkeypatch.setattr("homogenize.query.strain.NEWTON_STEPS", 1)
+    monkeypatch.setattr("homogenize.query.strain.PATH_STEPS", 1)
+    law = outer_law(rows_of(ellipsoid, disc_grid(4, 16)))
+    tired = locked_strain(law, np.array([20.0]), np.array([30.0]))
+    assert tired.status[0] == "no_convergence"
+    assert tired.residual[0] > 1e-9
+    assert np.isfinite(tired.E).all()
 
 
 def known_answers(truth, S):

@@ -17,14 +17,12 @@ from macro_fem.bounds.adapt import levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
 from macro_fem.curtain import solve_problem
-from macro_fem.demand import ring_answers as rings_module
-from macro_fem.demand.cache import RingAnswer, keep_answer, read_answer
-from macro_fem.demand.directions import widest
+from macro_fem.demand import rings as rings_module
+from macro_fem.demand.directions import first_directions, rounded, widest
 from macro_fem.demand.loop import solve_on_demand
-from macro_fem.demand.options import OnDemand
-from macro_fem.demand.record import DemandOptions
-from macro_fem.demand.ring_answers import Samples, ask, contradictions, first_directions, rounded, settle
+from macro_fem.demand.options import DemandOptions, OnDemand
 from macro_fem.demand.ring_strength import strength_of_rows
+from macro_fem.demand.rings import Rings, contradictions, question
 from macro_fem.job import solve
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -32,13 +30,19 @@ from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
 from rve.common.cache import NO_CACHE, Cache
-from rve.common.errors import InputError
+from rve.common.errors import InputError, NotConverged
 from rve.common.materials import named_material
 from rve.common.tensor import WEIGHT, disc, from_disc
 
 KNOWN = read_law_interval()
 STATES = with_mirror(KNOWN.rows).E
-NOTHING = Samples(np.zeros((0, 2)))
+
+
+def asked(x, cache=NO_CACHE, cell=None):
+    """Rings that were asked for the directions x."""
+    rings = Rings(cell or Cell(), cache)
+    rings.ask(x)
+    return rings
 
 
 @pytest.fixture
@@ -134,7 +138,7 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     assert best.bounds.lower < high
     assert best.bounds.lower < high
     assert low < best.bounds.lower + 1e-3 * scale
-    assert found.asked.solves == len(known_rings) < 60
+    assert found.rings.solves == len(known_rings) < 60
     assert [turn.ring_solves for turn in found.turns] == sorted(turn.ring_solves for turn in found.turns)
 
 
@@ -151,8 +155,8 @@ def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
 def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
     found = solve_on_demand(square(cells=4), Cell(), DemandOptions(0.05), known=KNOWN)
     assert found.status == "converged"
-    assert found.asked.solves == 0
-    assert found.asked.count == len(KNOWN.rows)
+    assert found.rings.solves == 0
+    assert found.rings.count == len(KNOWN.rows)
     with pytest.raises(InputError, match="r2, b_x and b_y"):
         solve_on_demand(square(), Cell(5.0, 0.4), DemandOptions(0.05), known=KNOWN)
 
@@ -160,12 +164,12 @@ def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
 def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
     cache, options = Cache(tmp_path / "rings"), DemandOptions(0.05)
     first = solve_on_demand(square(), Cell(), options, cache=cache)
-    asked = len(known_rings)
+    count = len(known_rings)
     second = solve_on_demand(square(), Cell(), options, cache=cache)
-    assert asked == len(known_rings) == first.asked.solves
-    assert first.asked.hits == 0
-    assert second.asked.solves == 0
-    assert second.asked.hits == asked
+    assert count == len(known_rings) == first.rings.solves
+    assert first.rings.hits == 0
+    assert second.rings.solves == 0
+    assert second.rings.hits == count
     assert interval(first) == interval(second)
     assert np.array_equal(first.level.solution.x, second.level.solution.x)
 
@@ -181,16 +185,16 @@ def test_answers_that_others_contradict_are_asked_again_beside_them(known_rings,
         E = whole(cell, S).E - 0.02 * np.array([1.0, 0.0, 1.0])
         return SimpleNamespace(h=(S * WEIGHT * E).sum(1), E=E, status=np.array(["converged"]), unique=np.array([True]))
 
-    right = ask(Cell(), NO_CACHE, x, NOTHING)
+    right = asked(x)
     monkeypatch.setattr(rings_module, "support", support)
-    wrong = ask(Cell(), NO_CACHE, x, NOTHING)
+    wrong = asked(x)
     assert [i for i, *_ in contradictions(wrong.rows)] == [8]
     assert wrong.rows.h[8] < right.rows.h[8] - 1e-3
     assert not contradictions(right.rows)
-    found = settle(Cell(), NO_CACHE, wrong)
-    assert np.array_equal(found.rows.h, right.rows.h)
-    assert found.solves == len(x) + 2
-    assert len(found.beside[8]) == 1
+    wrong.settle()
+    assert np.array_equal(wrong.rows.h, right.rows.h)
+    assert wrong.solves == len(x) + 2
+    assert len(wrong.beside[8]) == 1
 
 
 def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_rings, monkeypatch):
@@ -215,7 +219,7 @@ def test_limits_are_named(known_rings):
     assert "100 triangles" in mesh.message
     law = solve_on_demand(square(), Cell(), replace(scale, most_solves=12))
     assert law.status in ("law_limit", "mesh_limit")
-    assert law.asked.solves == 12
+    assert law.rings.solves == 12
     turns = solve_on_demand(square(), Cell(), replace(scale, most_turns=2))
     assert turns.status == "turn_limit"
     assert len(turns.turns) == 2
@@ -241,43 +245,49 @@ def test_rings_without_an_answer_are_counted_and_named(monkeypatch):
 
 
 def test_answers_of_the_cache_are_bit_for_bit_those_of_the_rings(known_rings, tmp_path):
-    cache, cell = Cache(tmp_path / "new" / "rings"), Cell()
-    S = from_disc(np.array([[0.1, 1.0 / 3.0]]))[0]
-    E = np.array([1.0 / 3.0, -1e-17, 2.0 / 7.0])
-    answer = RingAnswer(float(S @ (E * [1.0, 2.0, 1.0])), tuple(E.tolist()), "converged", True)
-    assert read_answer(cache, cell, S) is None
-    keep_answer(cache, cell, S, answer)
-    assert read_answer(cache, cell, S) == answer
+    cache, x = Cache(tmp_path / "new" / "rings"), np.array([[0.1, 1.0 / 3.0]])
+    first, again = asked(x, cache), asked(x, cache)
+    assert (first.solves, again.solves, again.hits) == (1, 0, 1)
+    for name in ("S", "E", "h", "unique"):
+        assert np.array_equal(getattr(first.rows, name), getattr(again.rows, name))
+    assert asked(x, cache, Cell(10.0, 1.0)).hits == 1  # only r1/r2 counts
     for other in (Cell(5.0, 0.49), Cell(grain="x")):
-        assert read_answer(cache, other, S) is None
-    assert read_answer(cache, Cell(10.0, 1.0), S) == answer  # only r1/r2 counts
-    failed = RingAnswer(np.nan, (np.nan,) * 3, "stalled", False)
-    keep_answer(cache, Cell(grain="x"), S, failed)
-    assert read_answer(cache, Cell(grain="x"), S).status == "stalled"
+        assert asked(x, cache, other).solves == 1
+
+
+def test_rings_without_an_answer_are_not_asked_twice(monkeypatch, tmp_path):
+    def support(cell, S):
+        raise NotConverged("stalled")
+
+    monkeypatch.setattr(rings_module, "support", support)
+    x, cache = np.array([[0.5, 0.0]]), Cache(tmp_path)
+    assert (asked(x, cache).failed, asked(x, cache).failed) == (1, 1)
+    assert asked(x, cache).hits == 1
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"question": 1}', '{"h": 1e400}'])
 def test_damaged_and_foreign_files_of_a_cache_are_answered_anew(known_rings, tmp_path, text):
     cache, x = Cache(tmp_path), np.array([[0.5, 0.0]])
-    ask(Cell(), cache, x, NOTHING)
+    asked(x, cache)
     (file,) = tmp_path.glob("*.json")
     good = file.read_bytes()
     file.write_text(text)
-    found = ask(Cell(), cache, x, NOTHING)
+    found = asked(x, cache)
     assert (found.solves, found.hits) == (1, 0)
     assert file.read_bytes() == good
     record = json.loads(good)
     file.write_text(json.dumps(record | {"question": record["question"] | {"grain": "x"}}))
-    assert ask(Cell(), cache, x, NOTHING).solves == 1
+    assert asked(x, cache).solves == 1
 
 
-def test_an_answer_that_is_not_the_work_of_its_strain_is_not_taken(tmp_path):
+def test_an_answer_that_is_not_the_work_of_its_strain_is_not_taken(known_rings, tmp_path):
     """Halved values gave a converged interval of [41.5, 43.1] mm around 40; their checksum may be right."""
     S, cache = np.array([0.5, 0.0, 0.5]), Cache(tmp_path)
-    keep_answer(cache, Cell(), S, RingAnswer(0.1, (0.2, 0.0, 0.2), "converged", True))
-    assert read_answer(cache, Cell(), S) is None
-    keep_answer(cache, Cell(), S, RingAnswer(0.2, (0.2, 0.0, 0.2), "converged", True))
-    assert read_answer(cache, Cell(), S).h == 0.2
+    record = {"E": [0.2, 0.0, 0.2], "status": "converged", "unique": True}
+    cache.put(question(Cell(), S), record | {"h": 0.1})
+    assert asked(disc(S[None]), cache).solves == 1
+    cache.put(question(Cell(), S), record | {"h": 0.2})
+    assert asked(disc(S[None]), cache).rows.h[0] == 0.2
 
 
 def test_directions_are_asked_where_they_widen_most_and_apart():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from homogenize.io import default_law
+from homogenize import HalfSpaces, default_law
 from macro_fem.curtain import CurtainOptions, solve_problem
 from macro_fem.problem import gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -55,7 +55,7 @@ def test_a_load_step_starts_from_the_last_one():
 
 def test_all_half_spaces_from_the_start_give_the_same_potential():
     plane = problem(cells=3)
-    facets, points = LAW.facets(), plane.disc.n_points
+    facets, points = HalfSpaces(LAW.S, LAW.h), plane.disc.n_points
     load = plane.fem.gather(plane.force) + plane.fem.force(stabilising_tension(plane) * unit_tensors(plane))
     start, size = plane.fem.unknowns(gathered_start(plane)), plane.mesh.size
     every = PathOptions(cones=same_cones(facets, points), pruned_at=())

@@ -7,8 +7,7 @@ from scipy import sparse
 from homogenize import default_law, elastic_law
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import discretize
-from macro_fem.fem.loose import with_loose_nodes
-from macro_fem.fem.supported import SupportedFem
+from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.step import Forces, Moving, solve_step

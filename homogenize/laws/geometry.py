@@ -1,4 +1,6 @@
-"""Closest point of a polyhedron in the metric of a stiffness: many points at once, exact active sets.
+"""Polyhedra in strain space: closest points in the metric of a stiffness, vertices, support function.
+
+Closest points are found for many points at once, by exact active sets.
 
 With Q = W M symmetric positive definite, M the stiffness in tensor components and W = diag(1, 2, 1), the energy beyond
 locking is 1/2 (E - E*).Q (E - E*). Q = R^T R turns strains into y = R E, where this is half the squared distance, and
@@ -18,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from homogenize.laws.protocol import Response
-from rve.common.errors import NotConverged
-from rve.common.tensor import WEIGHT
+from rve.common.errors import InputError, NotConverged
+from rve.common.tensor import WEIGHT, dyad, trace
 from rve.common.types import Array
 
 Index = NDArray[np.intp]
@@ -29,6 +31,8 @@ TOLERANCE = 1e-13
 DEPENDENT = 1e-9
 """Normals that are this near to the span of others count as dependent."""
 MAX_ROUNDS = 300
+DIRECTIONS = 180
+"""Vectors v of v.(I + 2E) v >= 0, which every deformation obeys."""
 BLOCK = 64
 """Points compared with all half-spaces at a time: few enough to stay in the cache, many enough to hide Python. They
 share one piece of memory: fresh pieces take five times as long."""
@@ -148,3 +152,51 @@ def _best_subset(y: Array, body: Polyhedron, index: Index, old: Array, new: Inde
         best[to], factor[to] = new[to, None], 0.0
         best[to, :size], factor[to, :size] = which[good], multiplier[good]
     return shift, span, best, factor
+
+
+def fibres(count: int) -> Array:
+    """v v^T (count, 3) of unit vectors v at even angles over half a turn, from the first axis on."""
+    angle = np.pi * np.arange(count) / count
+    return dyad(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+
+
+def highest(S: Array, points: Array) -> Array:
+    """max over points E_k (m, 3) of S:E_k for S (n, 3), (n,), in blocks that stay small."""
+    weighted = np.ascontiguousarray((points * WEIGHT).T)
+    return np.concatenate([(block @ weighted).max(axis=1) for block in np.array_split(S, len(S) // 4096 + 1)])
+
+
+def outer_vertices(S: Array, h: Array) -> Array:
+    """Vertices (m, 3) of {S_i:E <= h_i, v.(I + 2E) v >= 0}: S (n, 3), h (n,)."""
+    from scipy.spatial import HalfspaceIntersection, QhullError
+
+    V = fibres(DIRECTIONS)
+    normals = np.vstack([S * WEIGHT, -V * WEIGHT])
+    limits = np.concatenate([h, 0.5 * trace(V)])
+    inside = feasible_point(normals, limits)
+    try:
+        polyhedron = HalfspaceIntersection(np.column_stack([normals, -limits]), inside)
+    except QhullError as error:
+        raise InputError(f"the rows' half-spaces enclose no volume: {str(error).splitlines()[0]}") from error
+    vertices = polyhedron.intersections
+    if not np.isfinite(vertices).all():
+        raise InputError("the rows' loads do not bound the strain under tension: add load directions to the table")
+    return np.unique(np.round(vertices, 13), axis=0)
+
+
+def feasible_point(normals: Array, limits: Array) -> Array:
+    """Centre (3,) of the largest ball in {normals E <= limits}, as the half-space intersection needs it."""
+    from scipy.optimize import linprog
+
+    lengths = np.linalg.norm(normals, axis=1)
+    answer = linprog(
+        [0.0, 0.0, 0.0, -1.0],
+        A_ub=np.column_stack([normals, lengths]),
+        b_ub=limits,
+        bounds=[(None, None)] * 3 + [(0.0, None)],
+    )
+    if answer.status == 3:
+        raise InputError("the rows' loads do not bound the strain under tension: add load directions to the table")
+    if answer.status != 0 or answer.x[3] <= 1e-9:
+        raise InputError("the rows' half-spaces enclose no strain: the rows contradict each other")
+    return np.asarray(answer.x[:3])

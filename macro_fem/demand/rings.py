@@ -1,0 +1,205 @@
+"""Rings that answer questions: largest work h(S) under load directions, each solved by itself and kept on disk.
+
+A direction is a point x of the unit disc, S = (1 + x1, x2, 1 - x1)/2 of unit trace; its rim is the loads of rank one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from homogenize import CellInfo, LawInterval, LockedRows, cell_of, law_interval
+from macro_fem.demand.directions import rounded
+from rve import Cell, solve_table, support
+from rve.common.cache import NO_CACHE, Cache
+from rve.common.errors import InputError, NotConverged
+from rve.common.files import versions
+from rve.common.progress import heard_by, tell
+from rve.common.tensor import WEIGHT, disc, double_dot, from_disc, mirror
+from rve.common.types import Array
+
+Beside = tuple[tuple[float, float], ...]
+"""Directions that a direction was solved with, whose locked states were starts."""
+FORMAT = "ring-mesh support value"
+VERSION = 3
+"""Raised when the same direction would be answered differently, so that older files are no longer read."""
+NOT_ASKED = ("r1", "r2", "density", "material", "weave")
+"""Fields of a cell that enter by name and ratio, or not at all."""
+ROUNDING = 1e-9
+"""By how much h of a kept answer may differ from S:E, which it is computed as."""
+GAIN = 1e-8
+"""Work at unit trace by which a strain must exceed another row's own to contradict it; round-off leaves 1e-12."""
+ROUNDS = 6
+"""How often rows that others contradict are asked again."""
+SAME_RINGS = 1e-6
+"""Relative difference of radii and reference cells that are taken for the same."""
+
+
+class Rings:
+    """Rings of a mesh, what they were asked, and how the answers came about.
+
+    x (n, 2): directions that were asked; rows: their answers without those that failed, None before the first; beside:
+    the directions that some rows were solved with. solves: ring problems solved; hits: answers read from the cache;
+    failed: directions without an answer.
+    """
+
+    def __init__(self, cell: Cell, cache: Cache = NO_CACHE, known: LawInterval | None = None) -> None:
+        self.cell, self.cache = cell, cache
+        self.rows: LockedRows | None = None
+        self.x = np.zeros((0, 2))
+        self.beside: dict[int, Beside] = {}
+        self.solves = self.hits = self.failed = 0
+        if known is not None:
+            self._check_same(known)
+            self.rows, self.x = known.rows, rounded(disc(known.rows.S))
+
+    @cached_property
+    def info(self) -> CellInfo:
+        """Radii, reference cell and areal mass; NotConverged if the reference cell is not found."""
+        return cell_of(solve_table(self.cell, ([0.0], [90.0])))
+
+    @property
+    def count(self) -> int:
+        """Rows known."""
+        return 0 if self.rows is None else len(self.rows)
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether the weave is its own mirror image."""
+        return self.cell.weave.is_mirrored
+
+    def law(self) -> LawInterval:
+        """What is known of the law; InputError if the rings answered too few questions."""
+        if self.rows is None or len(self.rows) < 4:
+            raise InputError(
+                f"--rings: {self.failed} of {len(self.x)} load directions found no locked state; try other radii"
+            )
+        return law_interval(self.rows, cell=self.info)
+
+    def ask(self, x: Array) -> None:
+        """Ask for the directions x (n, 2), one after the other.
+
+        Every answer is kept as soon as it is there: a run that is killed loses the one in flight.
+        """
+        x = rounded(x)
+        for number, one in enumerate(x):
+            tell(f"asking the rings, {self.solves} solved, {len(x) - number} to go", number / len(x))
+            with heard_by(None):
+                row = self._answer(one)
+            if row is None:
+                self.failed += 1
+            else:
+                self.rows = row if self.rows is None else self.rows.join([row])
+        self.x = np.vstack([self.x, x])
+
+    def settle(self) -> None:
+        """Ask again until no row's strain does more work under the load of another row than that row's own.
+
+        A row for which one does is asked again beside the load of that strain, whose locked states are then starts; no
+        later than after ROUNDS of this, or one without any gain.
+        """
+        for _ in range(ROUNDS if self.count else 0):
+            assert self.rows is not None
+            before = self.rows.h
+            for i, j, x in contradictions(self.rows):
+                self._ask_beside(i, (*self.beside.get(j, ()), x))
+            if (self.rows.h - before).max() < GAIN:
+                break
+
+    def _ask_beside(self, i: int, others: Beside) -> None:
+        """Row i asked again beside other directions; it stays as it was if nothing better is found."""
+        assert self.rows is not None
+        old = self.beside.get(i, ())
+        beside = (*old, *(x for x in dict.fromkeys(others) if x not in old))
+        if len(beside) == len(old):
+            return
+        self.beside[i] = beside
+        own = self.rows.take(np.array([i]))
+        row = self._answer(rounded(disc(own.S))[0], beside)
+        if row is not None and row.h[0] > own.h[0]:
+            self.rows = self.rows.put(np.array([i]), replace(own, h=row.h, E=row.E))
+
+    def _answer(self, x: Array, beside: Beside = ()) -> LockedRows | None:
+        """The row of the direction x (2,), from the cache or from the rings; None if they found no locked state."""
+        S = from_disc(np.array([x, *beside]))
+        key = question(self.cell, S[0], beside)
+        found = self.cache.get(key)
+        if found is not None and is_answer(found, S[0]):
+            self.hits += 1
+        else:
+            found = _solve(self.cell, S)
+            self.solves += len(S)
+            self.cache.put(key, found | {"versions": versions()})
+        if found["status"] != "converged":
+            return None
+        h, E, unique = (np.array([found[name]]) for name in ("h", "E", "unique"))
+        return LockedRows(S[:1], E, h, unique, np.array([self.count]), is_mirrored=self.is_mirrored)
+
+    def _check_same(self, known: LawInterval) -> None:
+        """InputError if what is known belongs to other rings."""
+        cell, names = known.law.cell, ("r2_mm", "b_x_mm", "b_y_mm")
+        if cell is None:
+            return
+        given, own = ([getattr(one, name) / one.r1_mm for name in names] for one in (cell, self.info))
+        if np.abs(np.subtract(given, own)).max() > SAME_RINGS:
+            text = [", ".join(f"{x:.6g}" for x in one) for one in (given, own)]
+            raise InputError(f"{known.source}: r2, b_x and b_y over r1 are {text[0]}, those of --rings are {text[1]}")
+
+
+def contradictions(rows: LockedRows) -> list[tuple[int, int, tuple[float, float]]]:
+    """Rows i under whose load the strain of another does more work, the row j that does most, and its direction.
+
+    The direction is that of the mirror image where it is the image of row j that does the work.
+
+    >>> S, E = np.array([[0.5, 0.0, 0.5], [0.4, 0.0, 0.6]]), np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]])
+    >>> contradictions(LockedRows(S, E, np.array([0.0, 0.1]), np.ones(2, bool), np.arange(2)))
+    [(0, 1, (-0.2, 0.0))]
+    """
+    S, E = rows.S, rows.E
+    if rows.is_mirrored:
+        S, E = np.vstack([S, mirror(S)]), np.vstack([E, mirror(E)])
+    work = (rows.S * WEIGHT) @ E.T
+    best, excess = work.argmax(axis=1), work.max(axis=1) - rows.h
+    x = rounded(disc(S))
+    worst = [i for i in np.argsort(-excess, kind="stable") if excess[i] > GAIN]
+    return [(int(i), int(best[i]) % len(rows), (float(x[best[i], 0]), float(x[best[i], 1]))) for i in worst]
+
+
+def question(cell: Cell, S: Array, beside: Beside = ()) -> dict[str, Any]:
+    """All that the answer to the direction S (3,) depends on: every field of the cell but its size and metal."""
+    others = {one.name: str(getattr(cell, one.name)) for one in fields(cell) if one.name not in NOT_ASKED}
+    return {
+        "format": FORMAT,
+        "format_version": VERSION,
+        "weave": cell.weave.name,
+        "repeat": list(cell.weave.repeat),
+        "r2_over_r1": cell.wire,
+        **others,
+        "S11_S12_S22": [float(x) for x in S],
+        "beside": [list(x) for x in beside],
+    }
+
+
+def is_answer(found: dict[str, Any], S: Array) -> bool:
+    """Whether a record of a cache answers the direction S (3,): h = S:E, or another status than "converged"."""
+    try:
+        if found["status"] != "converged":
+            return True
+        E = np.array(found["E"], float).reshape(3)
+        return isinstance(found["unique"], bool) and bool(abs(double_dot(S, E) - found["h"]) < ROUNDING)
+    except (ValueError, KeyError, TypeError):
+        return False
+
+
+def _solve(cell: Cell, S: Array) -> dict[str, Any]:
+    """What a cache keeps: h = max S:E of the first direction, E that reaches it, status, and whether E is unique."""
+    try:
+        found = support(cell, S)
+    except NotConverged:
+        return {"h": math.nan, "E": [math.nan] * 3, "status": "stalled", "unique": False}
+    unique = bool(found.unique[0])
+    return {"h": float(found.h[0]), "E": found.E[0].tolist(), "status": str(found.status[0]), "unique": unique}
