@@ -51,8 +51,8 @@ def solve(scene: Scene, who: Who = None) -> Solution:
     An answer that has not converged has a status that says why. InputError if the scene is contradictory or its
     supports are out of reach.
 
-    >>> from macro_fem.scene.schema import Scene
-    >>> scene = Scene.rectangle(100.0, 100.0, cells=4).hung_by("top")
+    >>> from macro_fem import Mesh, Rectangle, Top
+    >>> scene = Scene(Rectangle(100.0, 100.0), [Top()], Mesh(cells=4))
     >>> print(solve(scene).status)
     converged
     """

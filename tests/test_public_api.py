@@ -25,7 +25,7 @@ def table():
 
 @pytest.fixture(scope="module")
 def answer(table):
-    scene = macro_fem.Scene.rectangle(200, 150, cells=8).hung_by("corners", gather=0.9)
+    scene = macro_fem.Scene(macro_fem.Rectangle(200, 150), [macro_fem.Corners(gather=0.9)], macro_fem.Mesh(cells=8))
     return macro_fem.solve(scene, homogenize.fit(table).law)
 
 
@@ -89,7 +89,8 @@ def test_localize_obeys_its_options(answer):
         answer.rings(macro_fem.LocalizeOptions(max_rings=3))
     part = answer.rings(macro_fem.LocalizeOptions(window=(0.0, 100.0, 50.0, 150.0)))
     assert 0 < len(part) < 60
-    bare = macro_fem.solve(macro_fem.Scene.rectangle(50, 50, areal_mass=3.0).hung_by("top"), homogenize.diagonal_net())
+    scene = macro_fem.Scene(macro_fem.Rectangle(50, 50, areal_mass=3.0), [macro_fem.Top()])
+    bare = macro_fem.solve(scene, homogenize.diagonal_net())
     with pytest.raises(rve.InputError, match="memory: does not tell r1_mm, r2_mm"):
         bare.rings()
 
@@ -166,7 +167,8 @@ def test_records_show_themselves_in_a_notebook(answer, table):
     mesh, law = rve.FiniteMesh.rectangle(rve.Cell(), 1, 1), homogenize.default_law()
     force, at = np.zeros((5, 3)), np.column_stack([mesh.X, np.zeros(5)])
     force[:, 1] = -9.81 * mesh.mass
-    scene, locked = macro_fem.Scene.rectangle(99, 99).hung_by("top"), rve.support(rve.Cell(), [0.5, 0.0, 0.5])
+    scene = macro_fem.Scene(macro_fem.Rectangle(99, 99), [macro_fem.Top()])
+    locked = rve.support(rve.Cell(), [0.5, 0.0, 0.5])
     rings = mesh.solve(force, at[:, [1, 1, 1]] > 12.0, at, space=False)
     for record in (rve.Cell(), homogenize.fit(table), law, law.strength, scene, answer, locked, rings):
         assert record._repr_html_().startswith("<"), type(record).__name__
@@ -177,22 +179,23 @@ def test_records_show_themselves_in_a_notebook(answer, table):
     assert repr(law) == str(law)  # 527 lines of arrays in a console
 
 
-def test_a_scene_of_methods_is_that_of_a_file():
-    built = (
-        macro_fem.Scene.rectangle(400.0, 300.0, cells=8)
-        .hung_by("top", gather=0.9)
-        .loaded_by("point", at=[200.0, 0.0], force=[0.0, -1.0])
-        .loaded_by("patch", at=[200.0, 100.0], radius=50.0, force=[0.0, -1.0])
-        .loaded_by("edge", edge="bottom", force=[0.001, 0.0])
-        .loaded_by("edge", edge="left", force=[-0.001, 0.0])
-        .loaded_by("bar", mass=0.5, straight=False)
-        .loaded_by("wind", direction=[1.0, 0.0], pressure=10.0)
-        .beside("floor", height=-200.0)
-        .with_keys("load", steps=2, gravity=5.0)
-        .with_keys("solver", tolerance=1e-8)
-        .with_keys("material", density=4510.0)
-        .with_keys("curtain", weave_angle=45.0)
-        .with_keys("mesh", element="P2")
+def test_a_scene_of_nouns_is_that_of_a_file():
+    built = macro_fem.Scene(
+        macro_fem.Rectangle(400, 300, weave_angle=45),
+        [
+            macro_fem.Top(gather=0.9),
+            macro_fem.PointLoad([200, 0], [0, -1]),
+            macro_fem.PatchLoad([200, 100], 50, [0, -1]),
+            macro_fem.EdgeLoad("bottom", [0.001, 0]),
+            macro_fem.EdgeLoad("left", [-0.001, 0]),
+            macro_fem.Bar(0.5, straight=False),
+            macro_fem.Wind([1, 0], pressure=10),
+            macro_fem.Floor(-200),
+        ],
+        macro_fem.Mesh(8, "P2"),
+        macro_fem.Load(5, steps=2),
+        macro_fem.Solver(tolerance=1e-8),
+        material={"density": 4510},
     )
     read = macro_fem.read_scene(
         {

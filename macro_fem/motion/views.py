@@ -15,7 +15,8 @@ from macro_fem.motion.stage import let_go
 from macro_fem.output import plots
 from macro_fem.output.pictures import Pictures, write_animation
 from macro_fem.output.space_view import PictureFrame, Told, draw_curtain, drawn
-from macro_fem.scene.tables import Support
+from macro_fem.scene.obstacles import Sphere
+from macro_fem.scene.tables import Item, Support
 from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.status import Accuracy
 from rve.common.drawing.page import write_moments
@@ -33,10 +34,11 @@ def as_solution(run: MotionRun, frame: MotionFrame) -> CurtainSolution:
     """
     problem, n = frame.problem, frame.problem.disc.n_nodes
     gone = let_go(run.scene, frame.moment.t)
-    kept = [item for number, item in enumerate(problem.scene.support) if number not in gone]
-    scene = replace(problem.scene, items=(*kept, *(i for i in problem.scene.items if not isinstance(i, Support))))
+    kept: list[Item] = [item for number, item in enumerate(problem.scene.support) if number not in gone]
+    kept += [item for item in problem.scene.items if not isinstance(item, Support)]
     for ball, place in zip(run.bodies, frame.moment.x[n:], strict=True):
-        scene = scene.beside("sphere", centre=place.tolist(), radius=ball.radius, name=ball.name)
+        kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
+    scene = replace(problem.scene, items=tuple(kept))
     force = internal_force(problem.disc, frame.P) - frame.supports
     told = replace(problem, scene=scene, force=force, walls=None, winds=())
     inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Accuracy(1.0, 1.0, 1.0)

@@ -127,7 +127,8 @@ def _find_info(scene: Scene, rings: Cell | MembraneLaw | None) -> CellInfo | Non
 def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingScene:
     """The rings of a scene, see `EveryRing`; InputError for what a mesh of rings cannot be or hold.
 
-    >>> scene = Scene.rectangle(22.0, 12.646069623526).hung_by("top")
+    >>> from macro_fem import Rectangle, Top
+    >>> scene = Scene(Rectangle(22.0, 12.646069623526), [Top()])
     >>> rings = ring_scene(scene)
     >>> len(rings.mesh.X), [len(held) for _, held in rings.groups]
     (8, [3])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,7 +12,7 @@ from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.dxf import read_outline
 from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
-from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
+from macro_fem.scene.shapes import Mesh, MeshFile, Shape
 from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Support, leaves_plane
 from rve.common.errors import InputError
 from rve.common.materials import described
@@ -24,6 +24,8 @@ from rve.common.values import shown
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
 """Tables of a scene file that are one record."""
+LISTS: dict[str, type[Item]] = {"support": Support, "obstacle": Obstacle, "body": Thrown}
+"""Lists of a scene file whose entries say their `kind`."""
 SUPPORT_MODULES = (support_kinds, tracks)
 """Modules whose classes are kinds of supports; importing them makes the kinds known."""
 
@@ -100,53 +102,6 @@ class Scene:
         """Coordinates of a place: 2 in the plane, 3 in space."""
         return 3 if self.in_space else 2
 
-    @classmethod
-    def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
-        """A rectangle of width by height mm under its own weight, not hung yet; more keys of [curtain] by name.
-
-        >>> Scene.rectangle(1000, 500).hung_by("corners", gather=0.9).support
-        (Corners(gather=0.9, move=(0.0, 0.0), rings_per_hook=1),)
-        """
-        return cls(Rectangle(width, height, **curtain), mesh=Mesh(cells=cells))
-
-    def hung_by(self, kind: str, **keys: Any) -> Scene:
-        """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
-        return self._with({"kind": kind, **keys}, Support.kinds, "support")
-
-    def loaded_by(self, kind: str, **keys: Any) -> Scene:
-        """The scene with one more load: "bar", "point", "patch", "edge" or "wind", its keys as in [[load.KIND]].
-
-        InputError as for a file.
-
-        >>> Scene.rectangle(3000, 2500).hung_by("hooks", pitch=200).loaded_by("bar", mass=12).items[1]
-        Bar(mass=12.0, edge='bottom', straight=True)
-        """
-        return self._with({"kind": kind, **keys}, LiveLoad.kinds, "load")
-
-    def beside(self, kind: str, **keys: Any) -> Scene:
-        """The scene with one more body to stay outside of: a kind of [[obstacle]], its keys by name."""
-        return self._with({"kind": kind, **keys}, Obstacle.kinds, "obstacle")
-
-    def _with(self, keys: dict[str, Any], kinds: Mapping[str, type[Item]], name: str) -> Scene:
-        return replace(self, items=(*self.items, *read_kinds(keys, kinds, name, self.source)))
-
-    def with_keys(self, table: str, **keys: Any) -> Scene:
-        """The scene with keys of its tables "curtain", "mesh", "load", "solver", "start" or "material" set anew.
-
-        InputError as for a file; what tables must agree on is checked when the scene is solved.
-
-        >>> Scene.rectangle(100, 50).with_keys("solver", bounds=True).with_keys("mesh", cells=8).mesh.cells
-        8
-        """
-        if table == "material":
-            return replace(self, material=tuple((dict(self.material) | keys).items()))
-        refuse_unknown({table: keys}, ("curtain", *PARTS, "material"), f"{self.source}:", "table")
-        old = getattr(self, table)
-        given = {} if old is None else {item.name: getattr(old, item.name) for item in fields(old)}
-        cls = PARTS[table] if old is None else type(old)
-        new: dict[str, Any] = {table: read_typed(cls, given | keys, f"{self.source}: [{table}]")}
-        return replace(self, **new)
-
     def _repr_html_(self) -> str:
         """What a notebook shows: the records of the scene."""
         parts = (self.curtain, self.mesh, *self.items, self.load, self.start, self.solver)
@@ -165,39 +120,30 @@ def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:
     >>> read_scene({"curtain": {"width": 1000.0, "height": 500.0}, "support": {"kind": "top"}}).support
     (Top(gather=1.0, move=(0.0, 0.0)),)
     """
-    refuse_unknown(
-        data, ("curtain", "support", "obstacle", "body", *PARTS, "material", "combination"), f"{source}:", "table"
-    )
+    refuse_unknown(data, ("curtain", *LISTS, *PARTS, "material", "combination"), f"{source}:", "table")
     if "curtain" not in data:
         raise InputError(f"{source}: [curtain]: is missing")
     load = data.get("load", {})
     if not isinstance(load, dict):
         raise InputError(f"{source}: [load] is not a table")
-    live = {name: _entries(load[name], f"{source}: [load] {name}") for name in LiveLoad.kinds if name in load}
     refuse_unknown(load, ("gravity", "steps", *LiveLoad.kinds), f"{source}: [load]")
-    one = {"load": {key: value for key, value in load.items() if key not in live}}
-    parts: dict[str, Any] = {
-        name: read_typed(cls, (data | one)[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in data
-    }
-    items = read_kinds(data.get("support", []), Support.kinds, "support", source)
-    items += tuple(
-        read_typed(LiveLoad.kinds[name], table, f"{source}: [load.{name}]") for name in live for table in live[name]
-    )
-    items += read_kinds(data.get("obstacle", []), Obstacle.kinds, "obstacle", source)
-    items += read_kinds(data.get("body", []), Thrown.kinds, "body", source)
+    items = [item for name, base in LISTS.items() for item in read_kinds(data.get(name, []), base.kinds, name, source)]
+    for name, kind in LiveLoad.kinds.items():
+        items += _read_each(kind, load.get(name, []), f"{source}: [load.{name}]")
+    single = data | {"load": {key: value for key, value in load.items() if key not in LiveLoad.kinds}}
     curtain = {"shape": "rectangle"} | data["curtain"] if isinstance(data["curtain"], dict) else data["curtain"]
     if isinstance(curtain, dict) and curtain.get("shape") == "dxf":
         curtain = _from_dxf(curtain, Path(source))
     shape = read_kinds(curtain, Shape.kinds, "curtain", source, "shape")[0]
-    material = described(data.get("material", {}), f"{source}: [material]")
+    parts: dict[str, Any] = {
+        name: read_typed(cls, single[name], f"{source}: [{name}]") for name, cls in PARTS.items() if name in single
+    }
     for key in ("cells", "pattern"):
         if isinstance(shape, MeshFile) and key in data.get("mesh", {}):
             raise InputError(f'{source}: [mesh] {key} = {data["mesh"][key]!r}: has no effect with shape = "file"')
-    combinations = tuple(
-        read_typed(Combination, table, f"{source}: [combination]")
-        for table in _entries(data.get("combination", []), f"{source}: [combination]")
-    )
-    scene = Scene(shape, items, **parts, material=material, combination=combinations, source=Path(source))
+    material = described(data.get("material", {}), f"{source}: [material]")
+    combinations = _read_each(Combination, data.get("combination", []), f"{source}: [combination]")
+    scene = Scene(shape, tuple(items), **parts, material=material, combination=tuple(combinations), source=Path(source))
     check_scene(scene)
     return scene
 
@@ -213,7 +159,7 @@ def _from_dxf(curtain: dict[str, Any], source: Path) -> dict[str, Any]:
 
 def read_kinds(
     tables: Any, kinds: Mapping[str, type[Any]], name: str, source: str | Path, word: str = "kind"
-) -> tuple[Any, ...]:
+) -> list[Any]:
     """The records of [[name]], whose class each `kind` says; InputError for a kind, key or value without sense."""
     found = []
     for table in _entries(tables, f"{source}: [{name}]"):
@@ -224,7 +170,12 @@ def read_kinds(
             raise InputError(f"{source}: [{name}] {word} = {shown(kind)}: is not one of {', '.join(kinds)}")
         rest = {key: value for key, value in table.items() if key != word}
         found.append(read_typed(kinds[kind], rest, f"{source}: [{name}]{f' ({kind})' if word == 'kind' else ''}"))
-    return tuple(found)
+    return found
+
+
+def _read_each(cls: type[Typed], tables: Any, where: str) -> list[Any]:
+    """The records of an array of tables of one kind."""
+    return [read_typed(cls, table, where) for table in _entries(tables, where)]
 
 
 def _entries(tables: Any, where: str) -> list[Any]:

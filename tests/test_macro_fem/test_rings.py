@@ -205,7 +205,7 @@ def test_a_bar_on_rings_of_no_line_is_refused():
 
 def test_both_answers_of_a_scene_tell_the_same_things_by_the_same_names(tmp_path):
     """A law and every ring: status, load, forces of supports with the same keys, columns and sums."""
-    scene = macro_fem.Scene.rectangle(22.0, B_Y, cells=2).hung_by("top")
+    scene = macro_fem.Scene(macro_fem.Rectangle(22.0, B_Y), [macro_fem.Top()], macro_fem.Mesh(cells=2))
     both = macro_fem.solve(scene), macro_fem.solve(scene, macro_fem.EveryRing(Cell(), space=False))
     assert all(isinstance(one, macro_fem.Solution) for one in both)
     assert [one.status for one in both] == [macro_fem.Status.CONVERGED] * 2
@@ -225,7 +225,7 @@ def test_both_answers_of_a_scene_tell_the_same_things_by_the_same_names(tmp_path
 
 
 def test_who_answers_is_a_law_or_says_how():
-    scene = macro_fem.Scene.rectangle(22.0, B_Y, cells=2).hung_by("top")
+    scene = macro_fem.Scene(macro_fem.Rectangle(22.0, B_Y), [macro_fem.Top()], macro_fem.Mesh(cells=2))
     with pytest.raises(InputError, match=r"OnDemand\(cell\) or EveryRing\(cell\), not a Cell"):
         macro_fem.solve(scene, Cell())
     with pytest.raises(InputError, match="needs the law that guides"):
@@ -234,7 +234,7 @@ def test_who_answers_is_a_law_or_says_how():
 
 def test_the_rings_of_a_cell_are_those_of_the_law_of_its_table():
     """`EveryRing(cell)` takes the reference cell and mass that the shipped law has for the same rings."""
-    scene = macro_fem.Scene.rectangle(22.0, B_Y, cells=2).hung_by("top")
+    scene = macro_fem.Scene(macro_fem.Rectangle(22.0, B_Y), [macro_fem.Top()], macro_fem.Mesh(cells=2))
     one, other = ring_scene(scene, Cell()), ring_scene(scene)
     np.testing.assert_allclose(one.mesh.X, other.mesh.X, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(one.force, other.force, rtol=1e-6)
