@@ -122,8 +122,7 @@ class MembraneSolution(Solution):
     def write_dxf(self, path: str | Path) -> None:
         """Write the outline of the flat sheet as DXF, mm; InputError without ezdxf (extra `cad`)."""
         Pictures(dxf=Path(path)).check_paths(())
-        mesh = self.solution.problem.mesh.mesh
-        write_outline(Path(path), mesh.p, mesh.facets[:, mesh.boundary_facets()])
+        write_outline(Path(path), self.solution.problem.mesh.mesh)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Line loads of the deformed curtain with their directions, on `ax` or axes of their own (matplotlib)."""

@@ -157,8 +157,8 @@ def test_physical_groups_are_edges(tmp_path):
 
 
 def test_holes_of_a_mesh_file_have_names(tmp_path):
-    """They are numbered from left to right; a hyphen is read as a space, and a single hole needs no number."""
-    scene = scene_of(ARCH, tmp_path, holes=HOLES, support={"kind": "edge", "edge": "hole-2"})
+    """They are numbered from left to right; a single hole needs no number."""
+    scene = scene_of(ARCH, tmp_path, holes=HOLES, support={"kind": "edge", "edge": "hole 2"})
     found = lengths(build_mesh(scene, None))
     assert (found["hole 1"], found["hole 2"]) == pytest.approx((40.0, 80.0))
     assert found["outline"] == pytest.approx(arc(np.vstack([ARCH, ARCH[:1]])))

@@ -18,7 +18,7 @@ from macro_fem.output.files import summarize
 from macro_fem.problem import make_problem
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.meshing.places import LEAST_SINE, make_sheet, with_nodes_at
+from macro_fem.scene.meshing.places import LEAST_SINE, with_nodes_at
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import least_angle
@@ -289,14 +289,14 @@ def test_inner_edges_follow_the_turned_weave(shape, hang):
 
 def test_quadrilaterals_move_a_node_to_a_place():
     grid = skfem.MeshQuad.init_tensor(np.linspace(0, 4, 5), np.linspace(0, 4, 5))
-    sheet, nodes = with_nodes_at(make_sheet(grid.p.T, grid.t.T), np.array([[1.2, 2.1], [0.0, 2.4]]), ["one", "two"])
-    assert len(sheet.points) == 25
-    assert signed_areas(sheet.points[sheet.cells]).sum() == pytest.approx(16.0)
-    assert sheet.points[nodes].tolist() == [[1.2, 2.1], [0.0, 2.4]]
+    mesh, _, nodes = with_nodes_at(grid, {}, np.array([[1.2, 2.1], [0.0, 2.4]]), ["one", "two"])
+    assert mesh.p.shape == (2, 25)
+    assert signed_areas(mesh.p.T[mesh.t.T]).sum() == pytest.approx(16.0)
+    assert mesh.p[:, nodes].T.tolist() == [[1.2, 2.1], [0.0, 2.4]]
     with pytest.raises(
         InputError, match=r"middle: gets no node without a flat cell, the nearest one is 0.707107 mm away"
     ):
-        with_nodes_at(make_sheet(grid.p.T, grid.t.T), np.array([[1.5, 1.5]]), ["middle"])
+        with_nodes_at(grid, {}, np.array([[1.5, 1.5]]), ["middle"])
 
 
 def test_a_disk_shares_its_area_with_the_cells_it_touches():

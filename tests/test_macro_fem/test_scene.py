@@ -101,18 +101,13 @@ def test_points_are_the_reference_and_warp_to_the_curtain_once(tmp_path, law_fil
 
 
 def test_the_mesh_of_a_solved_curtain_is_its_reference(tmp_path, law_file):
-    """curtain.vtu as a mesh file gives the scene's own answer again; that of old versions is refused."""
+    """curtain.vtu as a mesh file gives the scene's own answer again."""
     result, out = run(tmp_path, SCENE, "--law", str(law_file))
     assert result.exit_code == 0, result.output
     curtain = {"shape": "file", "file": "out/curtain.vtu", "areal_mass": 2.785}
     again = read_scene({"curtain": curtain, "support": {"kind": "corners"}}, tmp_path / "scene.toml")
     height = json.loads((out / "summary.json").read_text())["mean_height_mm"]
     assert solve_scene(again, diagonal_net(1.1)).mean_height() == pytest.approx(height, abs=1e-4)
-    data = meshio.read(out / "curtain.vtu")
-    data.point_data["reference_mm"] = data.points
-    data.write(out / "curtain.vtu")
-    with pytest.raises(InputError, match=r"version 0\.2 or before"):
-        solve_scene(again, diagonal_net(1.1))
 
 
 def test_load_steps_make_a_series(tmp_path, law_file):

@@ -11,7 +11,6 @@ an arch, both slopes of a gable. "bottom", "left" and "right" are found in the s
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import signed_areas
+from macro_fem.fem.cells import cross, signed_areas
 from macro_fem.scene.meshing.outline import distance_to_polygon
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -42,16 +41,6 @@ class Loop:
     nodes: np.ndarray
 
 
-def canonical(name: str) -> str:
-    """The name of an edge as it is stored: "hole-1", "hole_1" and "hole1" are "hole 1".
-
-    >>> canonical("hole-2"), canonical("top")
-    ('hole 2', 'top')
-    """
-    hole = re.fullmatch(r"hole[-_ ]?(\d+)", name)
-    return f"hole {int(hole[1])}" if hole else name
-
-
 def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Facet numbers by name: "outline", top, bottom, left, right, "hole 1", ..., and `lines` of node pairs (k, 2).
 
@@ -66,37 +55,25 @@ def named_edges(mesh: Any, holes: list[Array], lines: dict[str, np.ndarray]) -> 
     edges |= {f"hole {number}": loop.facets for number, loop in enumerate(inner, start=1)}
     if len(inner) == 1:
         edges["hole"] = inner[0].facets
-    edges |= {canonical(name): facets_between(mesh, pairs) for name, pairs in lines.items()}
+    edges |= {name: facets_between(mesh, pairs) for name, pairs in lines.items()}
     return {name: np.sort(facets) for name, facets in edges.items() if len(facets)}
 
 
 def facets_between(mesh: Any, pairs: np.ndarray) -> np.ndarray:
     """The facets (k,) of a mesh between pairs of nodes (k, 2); pairs that are no facet of it are left out."""
-    n = mesh.p.shape[1]
-    keys = np.sort(mesh.facets, axis=0)
-    number = keys[0].astype(np.int64) * n + keys[1]
-    order = np.argsort(number)
-    asked = np.sort(pairs, axis=1)
-    wanted = asked[:, 0].astype(np.int64) * n + asked[:, 1]
-    place = np.minimum(np.searchsorted(number[order], wanted), len(order) - 1)
-    found = order[place]
-    return np.unique(found[number[found] == wanted])
+    a, b = pairs[pairs[:, 0] != pairs[:, 1]].T
+    return np.unique(mesh.p2f[:, a].multiply(mesh.p2f[:, b]).nonzero()[0])
 
 
 def inherited_edges(coarse: Any, fine: Any, edges: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The edges of a mesh on a refinement of it that halves facets or keeps them."""
-    a, b = fine.p[:, fine.facets[0]].T, fine.p[:, fine.facets[1]].T
-    tiny = 1e-9 * float(np.ptp(fine.p, axis=1).max())
+    """The edges of a mesh on a refinement of it that keeps its nodes, and halves facets or keeps them."""
+    tree, tiny = cKDTree(fine.p.T), 1e-9 * float(np.ptp(fine.p, axis=1).max())
     found = {}
     for name, facets in edges.items():
-        ends = coarse.p[:, coarse.facets[:, facets]]
-        middles = cKDTree(ends.mean(axis=1).T)
-        is_part = middles.query(0.5 * (a + b))[0] < tiny
-        for one, other in ((a, b), (b, a)):
-            distance, parent = middles.query(one)
-            to_ends = np.linalg.norm(ends[:, :, parent] - other.T[:, None, :], axis=0)
-            is_part |= (distance < tiny) & (to_ends.min(axis=0) < tiny)
-        found[name] = np.flatnonzero(is_part)
+        ends = coarse.facets[:, facets].T
+        distance, middle = tree.query(coarse.p[:, ends].mean(axis=2).T)
+        halves = [np.column_stack([end, middle])[distance < tiny] for end in ends.T]
+        found[name] = facets_between(fine, np.concatenate([ends, *halves]))
     return found
 
 
@@ -106,10 +83,9 @@ def boundary_loops(mesh: Any) -> list[Loop]:
     InputError where cells overlap, so that the boundary is not made of closed lines.
     """
     rim = mesh.boundary_facets()
-    start, end = mesh.facets[0, rim].copy(), mesh.facets[1, rim].copy()
+    start, end = mesh.facets[:, rim].copy()
     centre = mesh.p[:, mesh.t[:, mesh.f2t[0, rim]]].mean(axis=1)
-    a, b = mesh.p[:, start], mesh.p[:, end]
-    right = (b[0] - a[0]) * (centre[1] - a[1]) - (b[1] - a[1]) * (centre[0] - a[0]) < 0.0
+    right = cross((mesh.p[:, end] - mesh.p[:, start]).T, (centre - mesh.p[:, start]).T) < 0.0
     start[right], end[right] = end[right], start[right].copy()
     following = _following(mesh.p.T, start, end)
     counts = np.bincount(following, minlength=len(rim))
@@ -181,24 +157,14 @@ def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:
     return [loops[k] for k in sorted(range(len(loops)), key=centres.__getitem__)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Chain:
-    """Facets (k,) of a chain, its mean normal, and the least and greatest coordinates of its nodes (2,)."""
-
-    facets: np.ndarray
-    normal: Array
-    low: Array
-    high: Array
-
-
-def _chains(mesh: Any, loop: Loop) -> list[_Chain]:
-    """The chains of an outer loop; see the module header."""
+def _chains(mesh: Any, loop: Loop) -> list[tuple[np.ndarray, Array]]:
+    """The chains of an outer loop, facets (k,) and mean normal (2,) of each; see the module header."""
     at = mesh.p[:, loop.nodes].T
     step = np.roll(at, -1, axis=0) - at
     length = np.linalg.norm(step, axis=1)
     normal = np.stack([step[:, 1], -step[:, 0]], axis=-1) / length[:, None]
     before = np.roll(normal, 1, axis=0)
-    turn = np.arctan2(before[:, 0] * normal[:, 1] - before[:, 1] * normal[:, 0], (before * normal).sum(axis=1))
+    turn = np.arctan2(cross(before, normal), (before * normal).sum(axis=1))
     kind = np.where(np.abs(normal[:, 1]) < UPRIGHT, 0.0, np.sign(normal[:, 1]))
     is_corner = np.abs(turn) > CORNER
     parts: list[np.ndarray] = []
@@ -207,20 +173,8 @@ def _chains(mesh: Any, loop: Loop) -> list[_Chain]:
         is_bent = (normal[part] @ chord).min() < BENT * np.linalg.norm(chord) or not is_corner.any()
         changes = kind[part] != kind[np.roll(part, 1)]
         changes[0] |= bool(is_corner.any())
-        if is_bent:
-            parts.extend(part[piece] for piece in _cut(changes))
-        else:
-            parts.append(part)
-    ends = np.roll(at, -1, axis=0)
-    return [
-        _Chain(
-            loop.facets[part],
-            (normal[part] * length[part, None]).sum(axis=0) / length[part].sum(),
-            np.minimum(at[part], ends[part]).min(axis=0),
-            np.maximum(at[part], ends[part]).max(axis=0),
-        )
-        for part in parts
-    ]
+        parts += [part[piece] for piece in _cut(changes)] if is_bent else [part]
+    return [(loop.facets[part], np.average(normal[part], axis=0, weights=length[part])) for part in parts]
 
 
 def _cut(before: np.ndarray) -> list[np.ndarray]:
@@ -232,19 +186,19 @@ def _cut(before: np.ndarray) -> list[np.ndarray]:
     return list(np.split(np.roll(places, -first[0]), (first - first[0])[1:]))
 
 
-def _sides(mesh: Any, chains: list[_Chain]) -> dict[str, np.ndarray]:
+def _sides(mesh: Any, chains: list[tuple[np.ndarray, Array]]) -> dict[str, np.ndarray]:
     """Facets of top, bottom, left and right; see the module header."""
-    low, high = mesh.p.min(axis=1), mesh.p.max(axis=1)
-    tiny = 1e-6 * float(np.hypot(*(high - low)))
+    tiny = 1e-6 * float(np.hypot(*np.ptp(mesh.p, axis=1)))
     found: dict[str, np.ndarray] = {}
     for name, direction in DIRECTIONS.items():
         d = np.array(direction)
-        extreme = np.maximum(low * d, high * d).sum() - tiny
-        facing = [c for c in chains if c.normal @ d > UPRIGHT and np.maximum(c.low * d, c.high * d).sum() > extreme]
-        level = [c for c in facing if np.minimum(c.low * d, c.high * d).sum() > extreme]
-        flat = [c for c in facing if c.normal @ d > (1.0 + 1e-9) * abs(c.normal @ d[::-1])]
-        chosen = level or flat or facing
-        chains = [c for c in chains if not any(c is one for one in chosen)]
-        if chosen:
-            found[name] = np.concatenate([c.facets for c in chosen])
+        extreme = (d @ mesh.p).max() - tiny
+        reach = [d @ mesh.p[:, mesh.facets[:, facets].ravel()] for facets, _ in chains]
+        normals = [normal for _, normal in chains]
+        facing = [k for k, n in enumerate(normals) if n @ d > UPRIGHT and reach[k].max() > extreme]
+        level = [k for k in facing if reach[k].min() > extreme]
+        flat = [k for k in facing if normals[k] @ d > (1.0 + 1e-9) * abs(normals[k] @ d[::-1])]
+        if chosen := level or flat or facing:
+            found[name] = np.concatenate([chains[k][0] for k in chosen])
+            chains = [chain for k, chain in enumerate(chains) if k not in chosen]
     return found

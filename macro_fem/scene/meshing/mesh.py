@@ -14,14 +14,13 @@ import numpy as np
 import skfem
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from homogenize import CellInfo
 from macro_fem.scene.checks import check_mesh_size
-from macro_fem.scene.meshing.edges import canonical, facets_between, inherited_edges, named_edges
+from macro_fem.scene.meshing.edges import inherited_edges, named_edges
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
-from macro_fem.scene.meshing.places import SAME, HookRow, hook_places, make_sheet, through, with_nodes_at
+from macro_fem.scene.meshing.places import HookRow, hook_places, through, with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.tables import PatchLoad
@@ -47,9 +46,9 @@ class CurtainMesh:
 
     def edge(self, name: str, where: str) -> np.ndarray:
         """Facet numbers of a named edge; InputError, which begins with `where`, if there is no such edge."""
-        if canonical(name) not in self.edges:
+        if name not in self.edges:
             raise InputError(f"{where} = {name!r}: the curtain has no such edge, only {', '.join(sorted(self.edges))}")
-        return self.edges[canonical(name)]
+        return self.edges[name]
 
     @property
     def height(self) -> float:
@@ -77,13 +76,8 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     places, wheres = _wanted(scene, mesh, rows)
     if not len(places):
         return mesh
-    distance, nodes = cKDTree(mesh.mesh.p.T).query(places)
-    if distance.max() > SAME * mesh.size:
-        lines = {name: mesh.mesh.facets[:, facets].T for name, facets in mesh.edges.items()}
-        sheet, nodes = with_nodes_at(make_sheet(mesh.mesh.p.T, mesh.mesh.t.T, lines), places, wheres)
-        cut = type(mesh.mesh)(sheet.points.T.copy(), sheet.cells.T.copy())
-        edges = {name: facets_between(cut, pairs) for name, pairs in sheet.lines.items()}
-        mesh = replace(mesh, mesh=cut, edges=edges)
+    cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, places, wheres)
+    mesh = replace(mesh, mesh=cut, edges=edges)
     ends = np.cumsum([0, *(len(row.places) for row in rows.values())])
     parts = zip(rows.items(), ends, ends[1:], strict=False)
     return replace(mesh, hooks={number: replace(row, nodes=nodes[a:b]) for (number, row), a, b in parts})

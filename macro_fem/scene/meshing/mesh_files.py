@@ -19,44 +19,29 @@ from rve.common.meshes import read_mesh_file
 from rve.common.types import Array
 from rve.common.values import shown
 
-MAX_NEAR = 10_000_000
-"""Pairs of a side on the boundary and a corner in the circle over it, in a mesh file; usually a few per side."""
-
 
 def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray]]:
     """The plane mesh of scikit-fem in a file, and its named edges: facet numbers per name.
 
     A curtain.vtu is its reference state. InputError for cells that are inverted, doubled, flat or not plane.
     """
-    where = f"{source}: [curtain] file = {shown(curtain.file)}:"
     try:
         data = read_mesh_file(source.parent / curtain.file)
+        kinds = [kind for kind in ("triangle", "quad") if len(data.cells_dict.get(kind, ()))]
+        if len(kinds) != 1:
+            raise InputError(f"needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
+        used, cells = np.unique(data.cells_dict[kinds[0]], return_inverse=True)
+        cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
+        points = _plane_points(np.asarray(data.points, dtype=float)[used])
+        _check_cells(points, cells)
+        mesh = (skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad)(points.T.copy(), cells.T.copy())
+        _check_sides(mesh)
+        return mesh, named_edges(mesh, [], physical_lines(data, mesh, used))
     except InputError as error:
-        raise InputError(f"{where} {error}") from error
-    kinds = [kind for kind in ("triangle", "quad") if len(data.cells_dict.get(kind, ()))]
-    if len(kinds) != 1:
-        raise InputError(f"{where} needs cells of one kind, triangle or quad, it has {sorted(data.cells_dict)}")
-    if "reference_mm" in data.point_data:
-        raise InputError(f"{where} is the deformed curtain of version 0.2 or before; solve it again")
-    cells = np.asarray(data.cells_dict[kinds[0]], dtype=np.int64)
-    if cells.size and not 0 <= cells.min() <= cells.max() < len(data.points):
-        raise InputError(f"{where} a cell names point {cells.max()}, there are {len(data.points)}")
-    used, cells = np.unique(cells, return_inverse=True)
-    cells = cells.reshape(-1, 3 if kinds[0] == "triangle" else 4)
-    points = _plane_points(np.asarray(data.points, dtype=float)[used], where)
-    _check_cells(points, cells, where)
-    mesh_type = skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad
-    mesh = mesh_type(points.T.copy(), cells.T.copy())
-    _check_sides(mesh, where)
-    lines = physical_lines(data, mesh, used, where)
-    try:
-        edges = named_edges(mesh, [], lines)
-    except InputError as error:
-        raise InputError(f"{where} {error}") from error
-    return mesh, edges
+        raise InputError(f"{source}: [curtain] file = {shown(curtain.file)}: {error}") from error
 
 
-def physical_lines(data: Any, mesh: Any, used: np.ndarray, where: str) -> dict[str, np.ndarray]:
+def physical_lines(data: Any, mesh: Any, used: np.ndarray) -> dict[str, np.ndarray]:
     """Node pairs (k, 2) of the physical groups of lines in a Gmsh file, by name, or by number where they have none.
 
     `used` are the numbers in the file of the nodes of `mesh`. InputError for a group of which only a part lies on
@@ -79,53 +64,25 @@ def physical_lines(data: Any, mesh: Any, used: np.ndarray, where: str) -> dict[s
         pairs = np.concatenate(blocks).astype(np.int64)
         place = np.minimum(np.searchsorted(used, pairs), len(used) - 1)
         place = place[(used[place] == pairs).all(axis=1)]
-        on_sides = len(facets_between(mesh, place)) if len(place) else 0
+        on_sides = len(facets_between(mesh, place))
         if 0 < on_sides < len(np.unique(np.sort(pairs, axis=1), axis=0)):
-            raise InputError(f"{where} group {name!r}: only {on_sides} of its {len(pairs)} lines are sides of cells")
+            raise InputError(f"group {name!r}: only {on_sides} of its {len(pairs)} lines are sides of cells")
         if on_sides:
             lines[name] = place
     return lines
 
 
-def _check_sides(mesh: Any, where: str) -> None:
-    """InputError if more than two cells share a side, or a corner of one cell lies on the side of another."""
-    sides = np.bincount(mesh.t2f.ravel(), minlength=mesh.facets.shape[1])
-    if sides.max() > 2:
-        (x, y) = mesh.p[:, mesh.facets[:, sides.argmax()]].mean(axis=1)
-        raise InputError(f"{where} {sides.max()} cells share the side around ({x:g}, {y:g})")
-    rim = mesh.boundary_facets()
-    a, b = mesh.p[:, mesh.facets[0, rim]].T, mesh.p[:, mesh.facets[1, rim]].T
-    corners = mesh.p[:, np.unique(mesh.facets[:, rim])].T
-    length = np.linalg.norm(b - a, axis=1)
-    tree, middle, radius = cKDTree(corners), 0.5 * (a + b), 0.499999 * length
-    pairs = int(tree.query_ball_point(middle, radius, return_length=True).sum())
-    if pairs > MAX_NEAR:
-        raise InputError(
-            f"{where} sides on the boundary are so much longer than others that {pairs:.3g} pairs of side and corner "
-            f"would have to be compared, at most {MAX_NEAR:.3g} are"
-        )
-    for side, numbers in enumerate(tree.query_ball_point(middle, radius) if pairs else ()):
-        along = (b[side] - a[side]) / length[side]
-        off = corners[numbers] - a[side]
-        on = np.abs(cross(along, off)) < 1e-9 * length[side]
-        if on.any():
-            x, y = corners[numbers][on][0]
-            raise InputError(f"{where} the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
+def _plane_points(points: Array) -> Array:
+    """The points (n, 2) of a plane sheet; InputError for others."""
+    if not np.abs(points).max(initial=0.0) <= MOST_MM:  # nor NaN
+        raise InputError(f"a coordinate is no finite number up to {MOST_MM:g} mm")
+    if np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
+        raise InputError(f"is not plane, z runs from {points[:, 2].min():g} to {points[:, 2].max():g}")
+    return np.ascontiguousarray(points[:, :2])
 
 
-def _plane_points(points: Array, where: str) -> Array:
-    if not np.all(np.isfinite(points)):
-        raise InputError(f"{where} point {int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])} is not finite")
-    if not points.size:
-        raise InputError(f"{where} has no points")
-    if np.abs(points).max() > MOST_MM:
-        raise InputError(f"{where} a coordinate is {np.abs(points).max():g} mm, at most {MOST_MM:g} are allowed")
-    if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
-        raise InputError(f"{where} is not plane, z runs from {points[:, 2].min():g} to {points[:, 2].max():g}")
-    return np.ascontiguousarray(points[:, :2], dtype=float)
-
-
-def _check_cells(points: Array, cells: np.ndarray, where: str) -> None:
+def _check_cells(points: Array, cells: np.ndarray) -> None:
+    """InputError for cells without a sound shape, or one that is there twice."""
     area = signed_areas(points[cells])
     area *= 1.0 if np.count_nonzero(area > 0.0) >= np.count_nonzero(area < 0.0) else -1.0  # either sense, but one
     scale = np.abs(area).max()
@@ -135,7 +92,23 @@ def _check_cells(points: Array, cells: np.ndarray, where: str) -> None:
         (least_sine(points[counterclockwise(points, cells)]) <= 0.0, "is not convex"),
     ):
         if bad.any():
-            raise InputError(f"{where} cell {int(np.flatnonzero(bad)[0])} {what} ({int(bad.sum())} such cells)")
+            raise InputError(f"cell {int(np.flatnonzero(bad)[0])} {what} ({int(bad.sum())} such cells)")
     _, first, counts = np.unique(np.sort(cells, axis=1), axis=0, return_index=True, return_counts=True)
     if counts.max() > 1:
-        raise InputError(f"{where} cell {int(first[counts > 1][0])} is there {int(counts.max())} times")
+        raise InputError(f"cell {int(first[counts > 1][0])} is there {int(counts.max())} times")
+
+
+def _check_sides(mesh: Any) -> None:
+    """InputError if more than two cells share a side, or a corner of one cell lies on the side of another."""
+    sides = np.bincount(mesh.t2f.ravel(), minlength=mesh.facets.shape[1])
+    if sides.max() > 2:
+        (x, y) = mesh.p[:, mesh.facets[:, sides.argmax()]].mean(axis=1)
+        raise InputError(f"{sides.max()} cells share the side around ({x:g}, {y:g})")
+    rim = mesh.facets[:, mesh.boundary_facets()]
+    corners, (a, b) = mesh.p[:, np.unique(rim)].T, mesh.p[:, rim].transpose(1, 2, 0)
+    length = np.linalg.norm(b - a, axis=1)
+    for side, near in enumerate(cKDTree(corners).query_ball_point(0.5 * (a + b), 0.499999 * length)):
+        off = np.abs(cross((b[side] - a[side]) / length[side], corners[near] - a[side]))
+        if off.min(initial=np.inf) < 1e-9 * length[side]:
+            x, y = corners[near][off.argmin()]
+            raise InputError(f"the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")

@@ -8,15 +8,15 @@ would need cells with corners of less than some 3 degrees is refused.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross
-from macro_fem.scene.meshing.edges import CORNER, paths
+from macro_fem.scene.meshing.edges import CORNER, facets_between, paths
 from macro_fem.scene.tables import Support
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -33,7 +33,7 @@ NEAR_BEND = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class _Sheet:
     """Points (n, 2), cells (m, 3 or 4) counterclockwise, boundary facets `rim` (k, 2), and named `lines` of facets."""
 
     points: Array
@@ -41,18 +41,13 @@ class Sheet:
     rim: np.ndarray
     lines: dict[str, np.ndarray]
 
-    @property
-    def size(self) -> float:
-        """Diagonal of the bounding box, mm."""
-        return float(np.hypot(*np.ptp(self.points, axis=0)))
-
 
 @dataclass(frozen=True, eq=False)
 class _Change:
     """A node at `place` (a new one, or an old one moved) with cells `removed` (k,) and `added` (j, 3 or 4) for it.
 
-    `edge`: the side that is cut. `sine`: the least one of the corners of the added cells. `turns`: whether old sides
-    get another direction, as a side does that is bent and all sides at a node that moves.
+    `edge`: the side that is cut. `turns`: whether old sides get another direction, as a side does that is bent and all
+    sides at a node that moves. `sine`: the least one of the corners of the added cells.
     """
 
     node: int
@@ -60,17 +55,8 @@ class _Change:
     removed: np.ndarray
     added: np.ndarray
     edge: tuple[int, int] | None
+    turns: bool
     sine: float
-    turns: bool = False
-
-
-def make_sheet(points: Array, cells: np.ndarray, lines: dict[str, np.ndarray] | None = None) -> Sheet:
-    """A sheet of cells in either sense."""
-    cells = counterclockwise(points, cells)
-    pairs = np.stack([cells, np.roll(cells, -1, axis=1)], axis=-1).reshape(-1, 2)
-    key = pairs.min(axis=1).astype(np.int64) * len(points) + pairs.max(axis=1)
-    _, first, counts = np.unique(key, return_index=True, return_counts=True)
-    return Sheet(points, cells, pairs[first[counts == 1]], lines or {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,21 +95,31 @@ def hook_places(points: Array, pairs: np.ndarray, item: Support, where: str) -> 
     return HookRow(np.concatenate(found), max(fitted)[1], np.zeros(0, np.int64))
 
 
-def with_nodes_at(sheet: Sheet, places: Array, wheres: list[str]) -> tuple[Sheet, np.ndarray]:
-    """The sheet with a node at each of the places (k, 2), and these nodes (k,); InputError, which begins with
-    `wheres`, if it cannot."""
-    tiny = SAME * sheet.size
-    distance, node = cKDTree(sheet.points).query(places)
+def with_nodes_at(
+    mesh: Any, edges: dict[str, np.ndarray], places: Array, wheres: list[str]
+) -> tuple[Any, dict[str, np.ndarray], np.ndarray]:
+    """The scikit-fem mesh with a node at each of the places (k, 2), its named edges, and these nodes (k,).
+
+    InputError, which begins with `wheres`, if it cannot.
+    """
+    tiny = SAME * float(np.hypot(*np.ptp(mesh.p, axis=1)))
+    points, rim = mesh.p.T, mesh.facets[:, mesh.boundary_facets()].T
+    lines = {name: mesh.facets[:, facets].T for name, facets in edges.items()}
+    sheet = _Sheet(points, counterclockwise(points, mesh.t.T), rim, lines)
+    distance, node = cKDTree(points).query(places)
+    if distance.max(initial=0.0) < tiny:
+        return mesh, edges, node
     kept = set(node[distance < tiny].tolist()) | _ends_of_lines(sheet)
     for k in np.flatnonzero(distance >= tiny):
         away = np.linalg.norm(sheet.points - places[k], axis=1)
         nearest = int(np.argmin(away))
         if away[nearest] >= tiny:
-            change = _best_change(sheet, places[k], kept, f"{wheres[k]}: ")
+            change = _best_change(sheet, places[k], kept, f"{wheres[k]}: ", tiny)
             sheet, nearest = _applied(sheet, change), change.node
         kept.add(nearest)
         node[k] = nearest
-    return sheet, node
+    cut = type(mesh)(sheet.points.T.copy(), sheet.cells.T.copy())
+    return cut, {name: facets_between(cut, pairs) for name, pairs in sheet.lines.items()}, node
 
 
 def through(lines: Array, places: Array) -> Array:
@@ -148,7 +144,7 @@ def through(lines: Array, places: Array) -> Array:
     return lines
 
 
-def _ends_of_lines(sheet: Sheet) -> set[int]:
+def _ends_of_lines(sheet: _Sheet) -> set[int]:
     """Nodes of named lines that must not move: their ends, and all that lie inside the mesh."""
     rim = np.unique(sheet.rim)
     kept: set[int] = set()
@@ -158,16 +154,38 @@ def _ends_of_lines(sheet: Sheet) -> set[int]:
     return kept
 
 
-def _best_change(sheet: Sheet, place: Array, kept: set[int], where: str) -> _Change:
-    """The change that gives the place a node with the best cells; InputError if there is none."""
+def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: float) -> _Change:
+    """The change that gives the place a node with the best cells; InputError if there is none.
+
+    On the boundary: a cut of the facet, and moves of its ends along it. Inside: moves of the cell's corners, a cut of
+    the cell, and cuts of its sides, bent where the place is not quite on them. Quadrilaterals cannot be cut.
+    """
     facet, is_on = _nearest_facet(sheet, place)
-    cell = -1 if is_on else _cell_around(sheet, place)
+    cell = -1 if is_on else _cell_around(sheet, place, tiny)
     node = int(np.argmin(np.linalg.norm(sheet.points - place, axis=1)))
     x, y = sheet.points[node]
     away = float(np.linalg.norm(sheet.points[node] - place))
-    if not is_on and cell < 0:
+    changes = []
+    if is_on:
+        ends = sheet.rim[facet].tolist()
+        length = np.linalg.norm(np.diff(sheet.points[ends], axis=0))
+        cut = [] if sheet.cells.shape[1] == 4 else [_cut_side(sheet, place, ends, False)]
+        moves = [end for end in ends if end not in kept and _may_move(sheet, end, place, length)]
+        changes = cut + [_moved(sheet, place, end) for end in moves]
+    elif cell >= 0:
+        corners, new = sheet.cells[cell].tolist(), len(sheet.points)
+        on_rim = set(np.unique(sheet.rim).tolist())
+        changes = [_moved(sheet, place, corner) for corner in corners if corner not in kept | on_rim]
+        if len(corners) == 3:
+            sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
+            changes.append(_change(sheet, place, new, np.array([cell]), np.array([[*side, new] for side in sides])))
+            in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
+            for a, b in (side for side in sides if frozenset(side) not in in_lines):
+                along = sheet.points[b] - sheet.points[a]
+                off = abs(cross(along, place - sheet.points[a])) / np.linalg.norm(along)
+                changes.append(_cut_side(sheet, place, [a, b], bool(off > tiny)))
+    else:
         raise InputError(f"{where}is {away:g} mm away from the curtain, whose nearest node is at ({x:g}, {y:g})")
-    changes = _on_boundary(sheet, place, sheet.rim[facet], kept) if is_on else _inside(sheet, place, cell, kept)
     sound = [change for change in changes if change.sine >= LEAST_SINE]
     if not sound:
         raise InputError(
@@ -177,7 +195,7 @@ def _best_change(sheet: Sheet, place: Array, kept: set[int], where: str) -> _Cha
     return max(sound, key=lambda change: (not change.turns, change.sine))
 
 
-def _nearest_facet(sheet: Sheet, place: Array) -> tuple[int, bool]:
+def _nearest_facet(sheet: _Sheet, place: Array) -> tuple[int, bool]:
     """The boundary facet nearest to a place, and whether the place is on it: a smooth arch is no polygon."""
     a, b = sheet.points[sheet.rim[:, 0]], sheet.points[sheet.rim[:, 1]]
     along, length = b - a, np.linalg.norm(b - a, axis=1)
@@ -189,7 +207,7 @@ def _nearest_facet(sheet: Sheet, place: Array) -> tuple[int, bool]:
     return facet, bool(distance[facet] <= (TOUCH + bulge) * length[facet])
 
 
-def _turn(sheet: Sheet, node: int) -> float:
+def _turn(sheet: _Sheet, node: int) -> float:
     """By how much the boundary turns at one of its nodes, radians; pi where several pieces meet."""
     others = [pair[pair != node][0] for pair in sheet.rim[(sheet.rim == node).any(axis=1)]]
     if len(others) != 2:
@@ -198,69 +216,46 @@ def _turn(sheet: Sheet, node: int) -> float:
     return abs(math.atan2(float(cross(one, two)), float(one @ two)))
 
 
-def _cell_around(sheet: Sheet, place: Array) -> int:
+def _may_move(sheet: _Sheet, node: int, place: Array, length: Any) -> bool:
+    """Whether a node on the boundary may move to a place on a facet of a length: where the boundary hardly turns."""
+    turn, way = _turn(sheet, node), np.linalg.norm(sheet.points[node] - place)
+    return turn < 1e-6 or bool(turn < CORNER and way < NEAR_BEND * length)
+
+
+def _cell_around(sheet: _Sheet, place: Array, tiny: float) -> int:
     """The number of the cell that holds a place, -1 if none does."""
     corners = sheet.points[sheet.cells]
     side, to_place = np.roll(corners, -1, axis=1) - corners, place - corners
     depth = (cross(side, to_place) / np.linalg.norm(side, axis=-1)).min(axis=1)
     cell = int(np.argmax(depth))
-    return cell if depth[cell] >= -SAME * sheet.size else -1
+    return cell if depth[cell] >= -tiny else -1
 
 
-def _on_boundary(sheet: Sheet, place: Array, facet: np.ndarray, kept: set[int]) -> list[_Change]:
-    """A cut of the facet, and moves of its ends along the boundary."""
-    a, b = int(facet[0]), int(facet[1])
-    changes = [_cut_edge(sheet, place, a, b)]
-    length = float(np.linalg.norm(sheet.points[b] - sheet.points[a]))
-    for node in (a, b):
-        turn, way = _turn(sheet, node), float(np.linalg.norm(sheet.points[node] - place))
-        if node not in kept and (turn < 1e-6 or (turn < CORNER and way < NEAR_BEND * length)):
-            changes.append(_moved(sheet, place, node))
-    return [change for change in changes if change is not None]
-
-
-def _inside(sheet: Sheet, place: Array, cell: int, kept: set[int]) -> list[_Change]:
-    """A cut of the cell, of each of its sides, and moves of its corners."""
-    corners = [int(node) for node in sheet.cells[cell]]
-    rim, sides = set(np.unique(sheet.rim).tolist()), list(zip(corners, corners[1:] + corners[:1], strict=True))
-    changes: list[_Change | None] = [_moved(sheet, place, node) for node in corners if node not in kept | rim]
-    if len(corners) == 3:
-        added = np.array([[a, b, len(sheet.points)] for a, b in sides])
-        changes.append(_change(sheet, place, len(sheet.points), np.array([cell]), added))
-        in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
-        changes += [_bent_edge(sheet, place, a, b) for a, b in sides if frozenset((a, b)) not in in_lines]
-    return [change for change in changes if change is not None]
-
-
-def _moved(sheet: Sheet, place: Array, node: int) -> _Change:
+def _moved(sheet: _Sheet, place: Array, node: int) -> _Change:
     star = np.flatnonzero((sheet.cells == node).any(axis=1))
-    change = _change(sheet, place, node, star, sheet.cells[star])
-    return replace(change, turns=True)
+    return _change(sheet, place, node, star, sheet.cells[star], turns=True)
 
 
-def _cut_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
-    """The side from a to b cut at a place; None for quadrilaterals, which would need a node on a side."""
-    if sheet.cells.shape[1] != 3:
-        return None
-    beside = np.flatnonzero(((sheet.cells == a) | (sheet.cells == b)).sum(axis=1) == 2)
+def _cut_side(sheet: _Sheet, place: Array, ends: list[int], turns: bool) -> _Change:
+    """The side between two nodes cut at a place."""
+    a, b = ends
+    beside = np.flatnonzero(np.isin(sheet.cells, ends).sum(axis=1) == 2)
     new = len(sheet.points)
-    added = np.concatenate([np.where(sheet.cells[beside] == old, new, sheet.cells[beside]) for old in (a, b)])
-    return _change(sheet, place, new, beside, added, (a, b))
-
-
-def _bent_edge(sheet: Sheet, place: Array, a: int, b: int) -> _Change | None:
-    """The side from a to b inside the mesh cut, and bent where the place is not quite on it."""
-    along, to_place = sheet.points[b] - sheet.points[a], place - sheet.points[a]
-    off = abs(float(cross(along, to_place))) / float(np.linalg.norm(along))
-    change = _cut_edge(sheet, place, a, b)
-    return None if change is None else replace(change, turns=off > SAME * sheet.size)
+    added = np.concatenate([np.where(sheet.cells[beside] == old, new, sheet.cells[beside]) for old in ends])
+    return _change(sheet, place, new, beside, added, (a, b), turns)
 
 
 def _change(
-    sheet: Sheet, place: Array, node: int, removed: np.ndarray, added: np.ndarray, edge: tuple[int, int] | None = None
+    sheet: _Sheet,
+    place: Array,
+    node: int,
+    removed: np.ndarray,
+    added: np.ndarray,
+    edge: tuple[int, int] | None = None,
+    turns: bool = False,
 ) -> _Change:
     corners = np.where((added == node)[..., None], place, sheet.points[np.minimum(added, len(sheet.points) - 1)])
-    return _Change(node, place, removed, added, edge, float(least_sine(corners).min(initial=1.0)))
+    return _Change(node, place, removed, added, edge, turns, float(least_sine(corners).min(initial=1.0)))
 
 
 def least_sine(corners: Array) -> Array:
@@ -271,7 +266,7 @@ def least_sine(corners: Array) -> Array:
     return np.asarray((cross(back, ahead) / np.maximum(lengths, 1e-300)).min(axis=1))
 
 
-def _applied(sheet: Sheet, change: _Change) -> Sheet:
+def _applied(sheet: _Sheet, change: _Change) -> _Sheet:
     """The sheet after a change."""
     is_new = change.node == len(sheet.points)
     points = np.concatenate([sheet.points, change.place[None]]) if is_new else sheet.points.copy()
@@ -280,11 +275,11 @@ def _applied(sheet: Sheet, change: _Change) -> Sheet:
     if change.edge is None:
         return replace(sheet, points=points, cells=cells)
     lines = {name: _with_cut(pairs, change.edge, change.node) for name, pairs in sheet.lines.items()}
-    return Sheet(points, cells, _with_cut(sheet.rim, change.edge, change.node), lines)
+    return _Sheet(points, cells, _with_cut(sheet.rim, change.edge, change.node), lines)
 
 
 def _with_cut(pairs: np.ndarray, edge: tuple[int, int], node: int) -> np.ndarray:
     """Pairs of nodes (k, 2) with the pair `edge` replaced by its two halves."""
     is_edge = (np.sort(pairs, axis=1) == sorted(edge)).all(axis=1)
-    halves = [[a, node, node, b] for a, b in pairs[is_edge].tolist()]
-    return np.concatenate([pairs[~is_edge], np.array(list(itertools.chain(*halves)), dtype=pairs.dtype).reshape(-1, 2)])
+    halves = [np.where(pairs[is_edge] == end, node, pairs[is_edge]) for end in edge]
+    return np.concatenate([pairs[~is_edge], *halves])
