@@ -28,7 +28,7 @@ from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.rings.compare import Comparison
 from macro_fem.rings.every_ring import EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
-from macro_fem.scene.checks import check_scene, check_sizes, check_solver
+from macro_fem.scene.checks import check_bounds, check_scene, check_sizes
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
@@ -112,7 +112,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     cell = in_material(scene, who.cell)
     bounded = replace(scene, solver=replace(scene.solver, bounds=True))
     try:
-        check_solver(bounded, scene.source, "--rings asks the rings where bounds of the curtain differ, which")
+        check_bounds(bounded, "--rings asks the rings where bounds of the curtain differ, which")
     except InputError as error:
         error.add_note("make their table by rve table --rings, fit a law, and give it by --law")
         raise

@@ -16,7 +16,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from homogenize import CellInfo
-from macro_fem.scene.checks import check_mesh_size
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
@@ -26,7 +25,6 @@ from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.tables import PatchLoad
 from rve.common.errors import InputError
 from rve.common.types import Array
-from rve.common.values import shown
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
@@ -110,8 +108,12 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     curtain = scene.curtain
     if isinstance(curtain, MeshFile):
         mesh, edges = read_mesh(curtain, scene.source)
-        extents = tuple(np.ptp(mesh.p, axis=1).tolist())
-        check_mesh_size(extents, cell, f"{scene.source}: [curtain] file = {shown(curtain.file)}:")
+        width, height = np.ptp(mesh.p, axis=1).tolist()
+        if cell is not None and min(width, height) < 2.0 * cell.r1_mm:
+            raise InputError(
+                f"{scene.source}: [curtain] file = {curtain.file!r}: its extents of {width:g} and {height:g} mm are "
+                f"less than a ring, {2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
+            )
         return CurtainMesh(mesh, "file", edges)
     aspect = weave_aspect(cell)
     outline = curtain.corners(scene.mesh.cells)
