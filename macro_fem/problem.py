@@ -13,7 +13,7 @@ from macro_fem.fem.hung_law import HungLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import nodal_forces, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
-from macro_fem.scene.obstacles import Obstacle, PlacedObstacle, is_flat, placed, with_rounding
+from macro_fem.scene.obstacles import Obstacle, PlacedObstacle, is_flat, with_rounding
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
@@ -127,7 +127,7 @@ def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:
     """The obstacles of the scene of a problem, as its mesh meets them."""
     cell = float(np.sqrt(2.0 * problem.disc.cell_area.mean()))
     met = [with_rounding(item, cell) for item in problem.scene.obstacle]
-    return [placed(number, item, problem.factor, problem.fem.d) for number, item in enumerate(met)]
+    return [PlacedObstacle(number, item, problem.factor, problem.fem.d) for number, item in enumerate(met)]
 
 
 def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:

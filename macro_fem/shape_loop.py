@@ -25,7 +25,7 @@ from macro_fem.fem.discretization import FINE
 from macro_fem.mixing import Mixer
 from macro_fem.problem import CurtainProblem, meeting_points, tangent_walls
 from macro_fem.scene.loads import wind_per_area
-from macro_fem.scene.obstacles import PlacedObstacle, placed
+from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
@@ -132,7 +132,7 @@ def _approach(
     while True:
         part = min(1.0, done + stride)
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
-        bodies = tuple(placed(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
+        bodies = tuple(PlacedObstacle(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
         pushed = _push_out(problem, x, *factors, options, watch)
         normals = _normals(bodies, problem, pushed)
@@ -232,7 +232,7 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
         x = scene.start.places(disc.nodes)
         found = replace(found, x=x)
     for body in problem.bodies:
-        here = placed(body.number, body.obstacle, 0.0, body.d)
+        here = PlacedObstacle(body.number, body.obstacle, 0.0, body.d)
         deep = -float(here.gap(disc.lattice.places(found.x)).min())
         if deep > TOUCHED * problem.mesh.size:
             raise InputError(
@@ -258,7 +258,7 @@ def _push_out(
     for factor in np.linspace(before, after, options.strides + 1)[1:]:
         for body in problem.bodies:
             if any(body.obstacle.move):
-                here = placed(body.number, body.obstacle, float(factor), body.d)
+                here = PlacedObstacle(body.number, body.obstacle, float(factor), body.d)
                 x = x + np.maximum(-here.gap(x), 0.0)[:, None] * here.normal(x)
                 watch.look([here], x, x)
     return x

@@ -16,8 +16,7 @@ from macro_fem.bounds.equilibrated import (
     edges_at_corner,
 )
 from macro_fem.fem.cells import in_space_of
-from macro_fem.scene.cables import Sliding, sliding_nodes
-from macro_fem.scene.sites import Held
+from macro_fem.scene.sites import Held, Sliding, sliding_nodes
 from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Bar
 from macro_fem.solution import CurtainSolution, slackened

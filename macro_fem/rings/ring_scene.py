@@ -17,14 +17,13 @@ from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_materia
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import discretize
-from macro_fem.scene.cables import Sliding
 from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Held, edge_nodes
+from macro_fem.scene.sites import Held, Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution

@@ -237,12 +237,17 @@ def is_flat(obstacle: Obstacle) -> bool:
 
 @dataclass(frozen=True)
 class PlacedObstacle:
-    """An obstacle after part of its move: `number` in the scene, its `shift` (3,), components d of places."""
+    """An obstacle, `number` in the scene, after `factor` of its move; d components of places."""
 
     number: int
     obstacle: Obstacle
-    shift: Vector
+    factor: float
     d: int
+
+    @property
+    def shift(self) -> Array:
+        """By how much it has moved (3,), mm."""
+        return self.factor * np.array(in_3d(self.obstacle.move))
 
     def normal(self, x: Array) -> Array:
         """Normals (n, d) of the tangent half-spaces for places x (n, d)."""
@@ -271,8 +276,3 @@ class PlacedObstacle:
             low, high = np.where(first > second, low + third, low), np.where(first > second, high, high - third)
         ends = np.minimum(self.gap(start), self.gap(end))
         return np.minimum(ends, self.gap(start + 0.5 * (low + high)[:, None] * (end - start)))
-
-
-def placed(number: int, obstacle: Obstacle, factor: float, d: int) -> PlacedObstacle:
-    """An obstacle after `factor` of its move."""
-    return PlacedObstacle(number, obstacle, tuple(factor * way for way in in_3d(obstacle.move)), d)

@@ -1,4 +1,9 @@
-"""Where supports hold the mesh: nodes on edges, at points and hooks, and their places."""
+"""Where supports hold the mesh: nodes on edges, at points and hooks, their places, and lines on which they slide.
+
+A node that slides on a line along the unit vector e is at x = x_held + e s with one unknown s: a column of T. On a line
+along an axis the component is simply free, and needs no column. A node on two lines that cross, or on a line and held
+as a whole by another support, is held.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +26,38 @@ if TYPE_CHECKING:
 
 
 NONE = np.zeros(0, np.int64)
+PARALLEL = 1e-9
+"""Unit vectors that differ by less than this are one direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """Nodes (m,) that slide along unit vectors `direction` (m, d)."""
+
+    nodes: np.ndarray
+    direction: Array
+
+    @classmethod
+    def none(cls, d: int) -> Sliding:
+        """No node."""
+        return cls(NONE, np.zeros((0, d)))
+
+    def along(self, force: Array) -> Array:
+        """The components (m,) of nodal forces (n_nodes, d) along the directions."""
+        return np.asarray((force[self.nodes] * self.direction).sum(axis=1))
+
+    def common(self, nodes: np.ndarray) -> Array | None:
+        """The direction (d,) in which all of these nodes slide; None if they have no single one, or some do not slide.
+
+        >>> one = Sliding(np.array([3, 5]), np.array([[0.6, 0.8, 0.0], [-0.6, -0.8, 0.0]]))
+        >>> one.common(np.array([5, 3])).tolist()
+        [0.6, 0.8, 0.0]
+        """
+        directions = self.direction[np.isin(self.nodes, nodes)]
+        if not len(nodes) or len(directions) != len(nodes):
+            return None
+        aligned = np.abs(np.abs(directions @ directions[0]) - 1.0) < PARALLEL
+        return directions[0] if aligned.all() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +73,7 @@ class Held:
     nodes: np.ndarray
     mask: np.ndarray
     positions: Array
-    facets: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
+    facets: np.ndarray = field(default_factory=NONE.copy, repr=False)
     slide: Array | None = None
 
 
@@ -148,3 +185,30 @@ def placed_along(site: Site, line: np.ndarray, places: Array) -> tuple[np.ndarra
     there = distance < 1e-9 * site.mesh.size
     nodes, first = np.unique(node[there], return_index=True)
     return nodes, targets[there][first]
+
+
+def sliding_nodes(lines: list[tuple[np.ndarray, Array]], whole: np.ndarray) -> Sliding:
+    """The nodes that slide: those of lines (nodes (k,), unit vector (d,)) that lie on no second, crossing one.
+
+    Nodes held as a `whole` (n_nodes,) do not slide.
+    """
+    way = np.zeros((len(whole), len(lines[0][1])))
+    fixed = whole.copy()
+    for nodes, e in lines:
+        before = way[nodes]
+        fixed[nodes] |= before.any(axis=1) & (np.abs(before @ e) < 1.0 - PARALLEL)
+        way[nodes] = e
+    free = np.flatnonzero(way.any(axis=1) & ~fixed)
+    return Sliding(free, way[free])
+
+
+def unit_direction(way: Array) -> Array:
+    """The unit vector along a vector (d,); an axis exactly where it is along one."""
+    e = way / np.linalg.norm(way)
+    axis = int(np.argmax(np.abs(e)))
+    return np.eye(len(e))[axis] if 1.0 - abs(e[axis]) < PARALLEL**2 else e
+
+
+def sloping(direction: Array) -> bool:
+    """Whether a unit vector is along no axis."""
+    return bool(np.count_nonzero(direction) > 1)

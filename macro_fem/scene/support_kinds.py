@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from macro_fem.scene.cables import sloping, unit_direction
-from macro_fem.scene.sites import Held, Site, edge_line, placed_along, point_node
+from macro_fem.scene.sites import Held, Site, edge_line, placed_along, point_node, sloping, unit_direction
 from macro_fem.scene.tables import (
     LEAST_MM,
     NO_MOVE,

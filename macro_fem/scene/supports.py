@@ -12,13 +12,12 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.cells import in_space_of
+from macro_fem.fem.cells import cross, in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.cables import Sliding, sliding_nodes, sloping
 from macro_fem.scene.meshing.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.sites import Held, Site, edge_nodes
+from macro_fem.scene.sites import Held, Site, Sliding, edge_nodes, sliding_nodes, sloping, unit_direction
 from macro_fem.scene.tables import Bar
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -50,13 +49,20 @@ class Supports:
     @cached_property
     def tie(self) -> sparse.csc_matrix | None:
         """T (n_nodes * d, n_z) where bars or sloping lines need one: components of nodes first, lines last."""
-        moving = self.sliding.without(self.pins.nodes)
+        moves = ~np.isin(self.sliding.nodes, self.pins.nodes)
+        nodes, direction = self.sliding.nodes[moves], self.sliding.direction[moves]
+        if self.bars is None and not len(nodes):
+            return None
         free = ~self.fixed
-        if self.bars is None:
-            return moving.tied(None, free) if len(moving.nodes) else None
-        masters = free & (np.diff(self.bars.indptr) > 0)[:, None]
-        both = sparse.kron(self.bars, sparse.eye(free.shape[1]), format="csc")
-        return moving.tied(both[:, masters.ravel()], free)
+        n, d = free.shape
+        own = sparse.eye(n * d, format="csc")
+        if self.bars is not None:
+            free &= (np.diff(self.bars.indptr) > 0)[:, None]
+            own = sparse.kron(self.bars, sparse.eye(d), format="csc")
+        rows = (d * nodes[:, None] + np.arange(d)).ravel()
+        lines = sparse.csc_matrix((direction.ravel(), rows, d * np.arange(len(nodes) + 1)), shape=(n * d, len(nodes)))
+        lines.eliminate_zeros()
+        return sparse.hstack([own[:, free.ravel()], lines]).tocsc()
 
     def fem(self, disc: Discretization) -> SupportedFem:
         """The discretisation with these supports."""
@@ -78,76 +84,63 @@ def build_supports(
     factor: float = 1.0,
     released: frozenset[int] = frozenset(),
 ) -> Supports:
-    """The supports of a scene with prescribed moves scaled by `factor` (load steps), without the numbers `released`."""
+    """The supports of a scene with prescribed moves scaled by `factor` (load steps), without the numbers `released`.
+
+    InputError for supports that contradict each other, and bars on bent or held edges.
+    """
     items = [(number, item) for number, item in enumerate(scene.support) if number not in released]
     held = tuple(item.hold(Site(number, item, scene, mesh, disc), factor) for number, item in items)
     positions = in_space_of(disc.nodes, scene.d)
-    mask = np.zeros(positions.shape, bool)
-    owner = np.full(positions.shape, -1)
-    ways = np.zeros(positions.shape)
-    for number in sorted(range(len(held)), key=lambda k: held[k].slide is None):
-        one = held[number]
-        here = np.zeros_like(mask)
-        here[one.nodes] = one.mask
-        target = np.zeros_like(positions)
-        target[one.nodes] = one.positions
+    mask, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape)
+    done: list[Held] = []
+    for one in sorted(held, key=lambda one: one.slide is None):
+        here, target = np.zeros_like(mask), np.zeros_like(positions)
+        here[one.nodes], target[one.nodes] = one.mask, one.positions
         away = np.where(here & mask, target - positions, 0.0)
         clash = np.abs(away - (away * ways).sum(axis=1)[:, None] * ways) > 1e-9 * mesh.size
         if clash.any():
             node, axis = np.argwhere(clash)[0]
             x, y = disc.nodes[node]
+            other = next(other for other in reversed(done) if other.mask[other.nodes == node, axis].any())
             raise InputError(
-                f"{scene.source}: [support]: {held[owner[node, axis]].name} and {one.name} hold the point "
-                f"({x:g}, {y:g}) at different places, "
-                f"{'xyz'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
+                f"{scene.source}: [support]: {other.name} and {one.name} hold the point ({x:g}, {y:g}) at different "
+                f"places, {'xyz'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
             )
         positions = np.where(here, target, positions)
         mask |= here
-        owner = np.where(here, number, owner)
         if one.slide is not None:
             ways[one.nodes] = one.slide
-    lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
+        done.append(one)
     sliding = none = Sliding.none(scene.d)
+    lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
     if lines:
-        sliding = sliding_nodes(lines, _held_as_a_whole(held, disc, scene.source))
+        stiff = np.zeros_like(mask)
+        for one in (one for one in held if one.slide is None):
+            stiff[one.nodes] |= one.mask
+        partly = np.flatnonzero(ways.any(axis=1) & stiff.any(axis=1) & ~stiff.all(axis=1))
+        if len(partly):
+            x, y = disc.nodes[partly[0]]
+            raise InputError(
+                f"{scene.source}: [support]: another support holds some components of the point ({x:g}, {y:g}), which "
+                "slides on a sloping line; hold all of them there, or none"
+            )
+        sliding = sliding_nodes(lines, np.asarray(stiff.all(axis=1)))
     straight = [bar for bar in scene.of(Bar) if bar.straight]
     bars = _straight_bars(straight, scene, mesh, disc, mask) if straight else None
     return Supports(held, mask, positions, sliding, none, bars)
 
 
-def _held_as_a_whole(held: tuple[Held, ...], disc: Discretization, source: object) -> np.ndarray:
-    """Nodes (n_nodes,) of which supports that do not slide hold all components; InputError if a sloping line slides
-    where they hold some."""
-    whole, on_line = np.zeros(disc.n_nodes, bool), np.zeros(disc.n_nodes, bool)
-    for one in held:
-        if one.slide is not None:
-            on_line[one.nodes] = True
-        else:
-            whole[one.nodes] |= one.mask.all(axis=1)
-    for one in held:
-        part = one.nodes[on_line[one.nodes] & ~whole[one.nodes] & one.mask.any(axis=1)]
-        if one.slide is None and len(part):
-            x, y = disc.nodes[part[0]]
-            raise InputError(
-                f"{source}: [support]: {one.name} holds some components of the point ({x:g}, {y:g}), which slides on a "
-                f"sloping line; hold all of them there, or none"
-            )
-    return whole
-
-
 def _straight_bars(
     bars: list[Bar], scene: Scene, mesh: CurtainMesh, disc: Discretization, mask: np.ndarray
 ) -> sparse.csc_matrix:
-    """Weights (n, n) that keep the nodes of every bar on a line; InputError for bars on bent or held edges."""
+    """Weights (n, n) that keep the nodes of every bar on a line."""
     lines: list[np.ndarray] = []
     for bar in bars:
         nodes = edge_nodes(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
         if mask[nodes].any() or any(np.isin(nodes, line).any() for line in lines):
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is held, or has a second bar")
-        X = disc.nodes[nodes]
-        along = X[-1] - X[0]
-        s = (X - X[0]) @ along / (along @ along)
-        if np.abs(X - X[0] - s[:, None] * along).max() > 1e-6 * mesh.size:
+        off = disc.nodes[nodes] - disc.nodes[nodes[0]]
+        if np.abs(cross(off, unit_direction(off[-1]))).max() > 1e-6 * mesh.size:
             raise InputError(f"{scene.source}: [load.bar] edge = {bar.edge!r}: is not straight, use straight = false")
         lines.append(nodes)
     return straight_ties(lines, disc.nodes)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -72,7 +73,7 @@ class Track(Support, kind="track"):
             for key in ("radius", "angle"):
                 if getattr(self, key) is not None:
                     self.refuse(f"{key} = {getattr(self, key):g}: is not used together with path")
-            for one, two in zip(self.path, self.path[1:], strict=False):
+            for one, two in pairwise(self.path):
                 if one == two:
                     self.refuse(f"path: holds [{one[0]:g}, {one[1]:g}] twice in a row")
         elif self.fullness is None and (self.radius is None or self.angle is None):
@@ -82,10 +83,9 @@ class Track(Support, kind="track"):
             self.refuse("angle = 0: makes no arc; leave it out for a straight track")
         if self.pitch is not None and self.count is not None:
             self.refuse(f"count = {self.count}: is not used together with pitch")
-        if self.capacity is not None and not self.has_hooks:
-            self.refuse(f"capacity = {self.capacity:g}: has no effect without pitch, that of the runners")
-        if self.rings_per_hook != 1 and not self.has_hooks:
-            self.refuse(f"rings_per_hook = {self.rings_per_hook}: has no effect without pitch, that of the runners")
+        for key, unset in () if self.has_hooks else (("capacity", None), ("rings_per_hook", 1)):
+            if getattr(self, key) != unset:
+                self.refuse(f"{key} = {getattr(self, key):g}: has no effect without pitch, that of the runners")
         if self.side == "end" and self.drawn == 1.0:
             self.refuse("side = 'end': has no effect with drawn = 1")
 
@@ -144,41 +144,30 @@ def track_curve(item: Track, edge_length: float, middle: float, top: float, wher
     which begins with `where`, if they contradict each other.
     """
     height = top if item.height is None else item.height
-    wanted = None if item.fullness is None else edge_length / item.fullness
+    wanted = math.nan if item.fullness is None else edge_length / item.fullness
+    radius, angle = item.radius, None if item.angle is None else math.radians(item.angle)
     if item.path is not None:
         plan = np.array(item.path)
-        length = float(np.linalg.norm(np.diff(plan, axis=0), axis=1).sum())
-        curve = Curve(length, height, plan)
-    elif item.radius is None and item.angle is None:
-        assert wanted is not None
-        half = 0.5 * wanted
-        return Curve(wanted, height, np.array([[middle - half, 0.0], [middle + half, 0.0]]))
+        curve = Curve(float(np.linalg.norm(np.diff(plan, axis=0), axis=1).sum()), height, plan)
+    elif radius is None and angle is None:
+        curve = Curve(wanted, height, np.array([[middle - 0.5 * wanted, 0.0], [middle + 0.5 * wanted, 0.0]]))
     else:
-        curve = _arc(item, wanted, height, middle, where)
-    if wanted is not None and abs(wanted / curve.length - 1.0) > AGREES:
+        if radius is None:
+            radius = wanted / abs(angle or 1.0)
+        if angle is None:
+            angle = wanted / radius
+        if abs(angle) > 2.0 * math.pi:
+            raise InputError(
+                f"{where} radius = {radius:g}: a track of {wanted:g} mm, which fullness = {item.fullness:g} asks for, "
+                f"is longer than the whole circle of {2.0 * math.pi * radius:g} mm"
+            )
+        curve = Curve(radius * abs(angle), height, None, radius, angle, middle)
+    if abs(wanted / curve.length - 1.0) > AGREES:
         raise InputError(
             f"{where} fullness = {item.fullness:g}: contradicts a track of {curve.length:g} mm and a top edge of "
             f"{edge_length:g} mm, which make {edge_length / curve.length:.4g}; give one of them less"
         )
     return curve
-
-
-def _arc(item: Track, wanted: float | None, height: float, middle: float, where: str) -> Curve:
-    """The arc; radius or angle follow from the length that is wanted where they are not given."""
-    radius, angle = item.radius, None if item.angle is None else math.radians(item.angle)
-    if radius is None:
-        assert wanted is not None
-        assert angle is not None
-        radius = wanted / abs(angle)
-    elif angle is None:
-        assert wanted is not None
-        angle = wanted / radius
-        if angle > 2.0 * math.pi:
-            raise InputError(
-                f"{where} radius = {radius:g}: a track of {wanted:g} mm, which fullness = {item.fullness:g} asks for, "
-                f"is longer than the whole circle of {2.0 * math.pi * radius:g} mm"
-            )
-    return Curve(radius * abs(angle), height, None, radius, angle, middle)
 
 
 def track_places(item: Track, curve: Curve, s: Array, edge_length: float) -> Array:

@@ -18,7 +18,6 @@ that they share. `macro_fem.drag` counts them on the present shape.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -74,7 +73,7 @@ def layered_drag(wind: Wind, cell: CellInfo | None, layers: Array, where: str) -
     A given `drag_coefficient` above that of a plate, say of an opening that the mesh closes, holds for any layers.
     """
     most = max(SOLID, wind.drag_coefficient or 0.0) / SOLID
-    return most * drag_coefficients(layered_solidity(layer_solidity(wind, cell, where), layers))
+    return most * drag_coefficient(layered_solidity(layer_solidity(wind, cell, where), layers))
 
 
 @lru_cache(maxsize=8)
@@ -83,49 +82,31 @@ def ring_solidity(cell: CellInfo) -> float:
     return solidity_of(cell_of_sides(cell.r1_mm, cell.r2_mm, (cell.b_x_mm, cell.b_y_mm)))
 
 
-def drag_coefficient(solidity: float) -> float:
-    """C_D of a free-standing screen, per total area, from 0 (nothing there) to 4/3 (solid); see the module header.
+def drag_coefficient(solidity: Array | float) -> Array:
+    """C_D (...) of free-standing screens, per total area, from 0 (nothing there) to 4/3 (solid); see the module header.
 
-    >>> [round(drag_coefficient(1.0 - beta), 2) for beta in (0.2, 0.3, 0.5, 0.7)]
+    >>> drag_coefficient(np.array([0.8, 0.7, 0.5, 0.3])).round(2).tolist()
     [1.29, 1.22, 1.0, 0.64]
     """
-    return float(drag_coefficients(np.array([solidity]))[0])
+    open_2 = np.clip(1.0 - np.asarray(solidity), 0.0, 1.0) ** 2
+    low, high = np.zeros_like(open_2), np.ones_like(open_2)
+    for _ in range(HALVINGS):
+        u = 0.5 * (low + high)
+        # both formulas of C_D are equal where C_D + 4/3 (1 - u)^3/(2 - u)^2, here times (2 - u)^2, is k u^2
+        is_left = open_2 * SOLID * (1.0 - u) * (5.0 - 2.0 * u) > (1.0 - open_2) * (u * (2.0 - u)) ** 2
+        low, high = np.where(is_left, u, low), np.where(is_left, high, u)
+    return np.where(open_2 < 1.0, SOLID * (1.0 - u) * (2.0 + u) / (2.0 - u), 0.0)
 
 
-def drag_coefficients(solidity: Array) -> Array:
-    """`drag_coefficient` of many solidities (k,)."""
-    open_2 = np.clip(1.0 - solidity, 0.0, 1.0) ** 2
-
-    def excess(u: Array) -> Array:
-        through = 4.0 / 3.0 * (1.0 - u) ** 3 / (2.0 - u) ** 2
-        return np.asarray(open_2 * (_drag_at(u) + through) - u**2 * (1.0 - open_2))
-
-    return np.asarray(np.where(open_2 < 1.0, _drag_at(_root(excess, len(open_2))), 0.0))
-
-
-@lru_cache(maxsize=8)
 def solidity_of_drag(drag: float) -> float:
     """The solidity of a free-standing screen with this C_D, 1 from 4/3 on.
 
-    >>> round(solidity_of_drag(drag_coefficient(0.36)), 12)
+    >>> round(solidity_of_drag(float(drag_coefficient(0.36))), 12)
     0.36
     """
     if drag >= SOLID:
         return 1.0
-    u = _root(lambda u: _drag_at(u) - drag, 1)[0]
-    resistance = (_drag_at(u) + 4.0 / 3.0 * (1.0 - u) ** 3 / (2.0 - u) ** 2) / u**2
+    b = 0.5 * (1.0 - drag / SOLID)
+    u = np.sqrt(b * b + 4.0 * b) - b
+    resistance = SOLID * (1.0 - u) * (5.0 - 2.0 * u) / (u * (2.0 - u)) ** 2
     return float(1.0 - 1.0 / np.sqrt(1.0 + resistance))
-
-
-def _root(falling: Callable[[Array], Array], k: int) -> Array:
-    """Where falling functions (k,) of u between 0 and 1 vanish."""
-    low, high = np.zeros(k), np.ones(k)
-    for _ in range(HALVINGS):
-        u = 0.5 * (low + high)
-        is_left = falling(u) > 0.0
-        low, high = np.where(is_left, u, low), np.where(is_left, high, u)
-    return 0.5 * (low + high)
-
-
-def _drag_at(u: Array) -> Array:
-    return 4.0 / 3.0 * (1.0 - u) * (2.0 + u) / (2.0 - u)

@@ -7,7 +7,7 @@ from homogenize import default_law
 from macro_fem.curtain import solve_problem
 from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_forces, pushes_of
-from macro_fem.scene.obstacles import Obstacle, placed
+from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.schema import read_kinds, read_scene
 from macro_fem.shape_loop import ShapeOptions, solve_shape
 from rve.common.errors import InputError
@@ -286,7 +286,7 @@ def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
     }
     (item,) = read_kinds({"kind": kind, "move": [2.0, 0.0, 4.0], **keys[kind]}, Obstacle.kinds, "obstacle", "scene")
     assert isinstance(item, Obstacle.kinds[kind])
-    body = placed(0, item, 0.5, 3)
+    body = PlacedObstacle(0, item, 0.5, 3)
     x = rng.uniform(-15.0, 15.0, (400, 3))
     normal = body.normal(x)
     assert np.linalg.norm(normal, axis=1) == pytest.approx(1.0)
@@ -338,7 +338,7 @@ def test_least_distance_from_a_way_is_that_of_its_nearest_point():
         {"kind": "box", "corner": [-3.0, -2.0, -4.0], "size": [6.0, 5.0, 7.0], "rounding": 1.0},
     ]
     for number, body in enumerate(read_kinds(bodies, Obstacle.kinds, "obstacle", "scene")):
-        one = placed(number, body, 0.0, 3)
+        one = PlacedObstacle(number, body, 0.0, 3)
         start, end = rng.normal(scale=9.0, size=(2, 40, 3))
         sampled = np.array([one.gap(a + t * (b - a)).min() for a, b in zip(start, end, strict=True)])
         assert sampled.min() < -1.0
