@@ -37,7 +37,7 @@ class Scene:
     `material`: of the rings, in place of the law's (`homogenize.with_material`). `source` names the scene's file in
     messages and is where relative mesh files are looked for.
 
-    >>> from macro_fem import Bar, Hooks
+    >>> from macro_fem import Bar, Hooks, Rectangle
     >>> Scene(Rectangle(3000, 2500), [Hooks(pitch=200), Bar(mass=12)]).support[0].pitch
     200.0
     """
