@@ -1,9 +1,11 @@
 """Error against run time of curtains in motion: BDF2, Euler's method, and steps chosen by the run, in four scenes.
 
 Positions of all nodes at the end, against BDF2 with steps four times as short as the shortest shown: of a curtain let
-go at a corner, blown at by a gust, shaken by its rail, and of a net that a ball strikes.
+go at a corner, blown at by a gust, shaken by its rail, and of a net that a ball strikes. And the time of a step over
+the number of triangles, beside the same curtain at rest.
 """
 
+import time
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -13,7 +15,11 @@ import numpy as np
 from benchmarks.frame import Curve, Diagram, Section, table
 from benchmarks.measure import Row, least_seconds
 from homogenize import default_law
-from macro_fem.motion.run import MotionRun, solve_motion
+from macro_fem.curtain import solve_problem
+from macro_fem.motion.run import MotionFrame, MotionRun, motion_frames, solve_motion
+from macro_fem.motion.stage import scene_at
+from macro_fem.problem import make_problem
+from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 
 SIDE = 800.0
@@ -29,7 +35,10 @@ SCENES: dict[str, tuple[float, dict[str, Any]]] = {
     "ball into a net": (0.06, {"support": BETWEEN, "body": [BALL]}),
 }
 """Duration, s, and tables of the scenes."""
+GROWN, STEP = ("corner let go", "gust"), 5e-3
+"""Scenes of the times of a step, s; the first one in the plane."""
 ERROR, SECONDS, MEAN = "error of positions / side", "s", "mean step, ms"
+ITERATIONS, REST = "iterations", "s at rest"
 
 
 def run(name: str, cells: int, motion: dict[str, Any]) -> MotionRun:
@@ -77,7 +86,30 @@ def measure(full: bool) -> Section:
     )
     forms = {MEAN: ".2f", SECONDS: ".1f", ERROR: ".1e"}
     picture = Diagram("motion", title, SECONDS, ERROR, tuple(curves))
-    return Section("Motion", text, (table("Steps in time", rows, forms),), (picture,), _end(rows))
+    growing = [step_row(name, cells) for cells in ((8, 16, 24, 50) if full else (8, 16, 24)) for name in GROWN]
+    size = table("Processor time of a step, and at rest", growing, {SECONDS: ".2f", REST: ".2f", ITERATIONS: ".0f"})
+    return Section("Motion", text, (table("Steps in time", rows, forms), size), (picture,), _end(rows))
+
+
+def step_row(name: str, cells: int) -> Row:
+    """Processor seconds of a step, the median of five, and of the curtain at rest under what acts at its end."""
+    plane = {"solver": {"space": name != GROWN[0]}}
+    base = {"curtain": {"width": SIDE, "height": SIDE}, "mesh": {"cells": cells}} | plane | SCENES[name][1]
+    scene, law = read_scene(base | {"motion": {"duration": 5 * STEP, "step": STEP}}), default_law()
+    seconds, frames, began = list[float](), list[MotionFrame](), time.process_time()
+    for frame in motion_frames(scene, law):
+        frames.append(frame)
+        seconds.append(time.process_time() - began)
+        began = time.process_time()
+    still = scene_at(scene, GUST["history"][1][0])
+    _, rest = least_seconds(partial(solve_problem, make_problem(still, law, build_mesh(still, law.cell))), long=0.5)
+    return {
+        "scene": f"{name}, {'space' if plane['solver']['space'] else 'plane'}",
+        "triangles": frames[0].problem.mesh.mesh.t.shape[1],
+        SECONDS: float(np.median(seconds[1:])),
+        ITERATIONS: float(np.median([frame.iterations for frame in frames[1:]])),
+        REST: rest,
+    }
 
 
 def _end(rows: Sequence[Row]) -> str:
