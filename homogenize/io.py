@@ -17,11 +17,10 @@ from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common.errors import InputError
-from rve.common.reading import expecting, read_json
+from rve.common.errors import InputError, shown
+from rve.common.reading import read_json
 from rve.common.rings import check_rings
 from rve.common.typed import Typed, read_entry, read_typed
-from rve.common.values import shown
 
 Coordinate = Annotated[float, Meta(ge=-1.0, le=1.0)]
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"
@@ -80,18 +79,17 @@ def load_law(path: str | Path) -> StoredLaw:
 
     InputError names file, key and value of what this version does not read.
     """
-    with expecting("law", path):
-        record = read_json(path)
-        if not isinstance(record, dict):
-            raise InputError(f"{path}: a law file holds one JSON object, this one holds a {type(record).__name__}")
-        found = read_typed(LawEntries, record, f"{path}:")
-        provenance, strength = found.provenance or {}, found.strength
-        if provenance.get("sampled_loads") is not None:
-            read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{path}: provenance")
-        check_rings(found.cell or {}, f"{path}: cell")
-        return replace(
-            law_kinds()[found.kind].from_dict(found.parameters, f"{path}: parameters"),
-            cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{path}: cell"),
-            strength=None if strength is None else read_strength(strength, f"{path}: strength"),
-            provenance=provenance,
-        )
+    record = read_json(path)
+    if not isinstance(record, dict):
+        raise InputError(f"{path}: a law file holds one JSON object, this one holds a {type(record).__name__}")
+    found = read_typed(LawEntries, record, f"{path}:")
+    provenance, strength = found.provenance or {}, found.strength
+    if provenance.get("sampled_loads") is not None:
+        read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{path}: provenance")
+    check_rings(found.cell or {}, f"{path}: cell")
+    return replace(
+        law_kinds()[found.kind].from_dict(found.parameters, f"{path}: parameters"),
+        cell=None if found.cell is None else read_typed(CellInfo, found.cell, f"{path}: cell"),
+        strength=None if strength is None else read_strength(strength, f"{path}: strength"),
+        provenance=provenance,
+    )

@@ -1,4 +1,4 @@
-"""Command line: `python -m rve table`, `case`, `support`, `study`. `--help` of each says what it takes.
+"""Command line: `python -m rve table`, `case`, `support`, `sweep`, `study`. `--help` of each says what it takes.
 
 How commands end: `rve.common.commands.command_line`.
 """
@@ -10,36 +10,112 @@ from typing import Any
 
 import click
 
-from rve.cli_options import (
-    WEAVE_NAMES,
-    asked_cell,
-    asked_directions,
-    asked_rings,
-    branch_options,
-    cell_options,
-    grain_option,
-    larger_options,
-)
 from rve.common.commands.command_line import (
     Group,
     answer,
     check_plot,
     feature_lines,
     numbers_of,
+    options,
     parse_load,
     say,
     say_next,
 )
 from rve.common.commands.sweeps import run_sweep, sweep_options
 from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import check_out_file, check_out_table, sidecar_path
+from rve.common.files import check_out_file, sidecar_path
 from rve.common.progress import tell
 from rve.common.reading import read_json_object
 
 METHODS = ("direct", "stewart-trinkle")
 FIT_FROM = 10
 """Rows from which a law is offered."""
-_explain_option = click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
+
+WEAVE_NAMES = ("4-in-1", "6-in-1")
+MATERIAL_NAMES = (
+    *("steel", "steel 1.4301", "steel 1.4404", "titanium grade 2", "titanium grade 5", "spring wire 1.4310"),
+    *("aluminium EN AW-5019", "aluminium EN AW-5356", "brass CuZn37", "copper"),
+)
+"""The names in `rve.geometry.weave.WEAVES` and `rve.common.materials.MATERIALS`, not imported to print a help text."""
+
+explain_option = click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
+grain_option = click.option(
+    "--grain", type=click.Choice(["y", "x"]), default="y", show_default=True, help="Axis along which rings interlace."
+)
+cell_options = options(
+    click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
+    click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
+    click.option("--material", help=f"Named material: {', '.join(MATERIAL_NAMES)}.  [default: steel]"),
+    click.option("--density", type=float, help="Density of the rings in kg/m3; by default the material's."),
+    click.option("--young", type=float, help="Young's modulus in N/mm2; by default the material's."),
+    click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
+    click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
+    click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
+    click.option("--weave", type=click.Choice(WEAVE_NAMES), default="4-in-1", show_default=True, help="Weave."),
+    grain_option,
+)
+larger_options = options(
+    click.option("--cells", default="1x1", show_default=True, help="Primitive cells that move independently, as 2x2."),
+    click.option(
+        "--centres",
+        type=click.Choice(["plane", "space"]),
+        default="plane",
+        show_default=True,
+        help="Where the centres of rings may be.",
+    ),
+)
+branch_options = options(
+    click.option(
+        "--branches",
+        type=click.Choice(["largest", "first"]),
+        default="largest",
+        show_default=True,
+        help="Where several locked states coexist: that of largest work, or the first from the slack pose.",
+    ),
+    click.option(
+        "--reference",
+        type=click.Choice(["side-by-side", "locked"]),
+        default="side-by-side",
+        show_default=True,
+        help="Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one.",
+    ),
+)
+
+
+def asked_cell(
+    r1: float, r2: float, grain: str, weave: str, cells: str = "1x1", centres: str = "plane", **material: Any
+) -> Any:
+    """The cell asked for; InputError for rings that no mesh has."""
+    from rve.common.materials import material_of
+    from rve.common.rings import check_ring_size
+    from rve.geometry.cell import Cell
+    from rve.geometry.weave import WEAVES
+
+    check_ring_size(r1, "--r1")
+    metal = material_of(material, prefix="--")
+    try:
+        nx, ny = (int(part) for part in cells.split("x"))
+    except ValueError:
+        raise InputError(f"--cells = {cells}: write two numbers, such as 2x2") from None
+    return Cell(r1, r2, WEAVES[weave], grain, metal.density_kg_per_mm3, metal, (nx, ny), centres)
+
+
+def asked_directions(
+    weave: Any, loads: Path | None, graded: bool, alpha: str | None, beta: str | None
+) -> tuple[Any, Any]:
+    """The load directions asked for: a file, the graded set, or a grid; by default one all round the weave."""
+    import numpy as np
+
+    from rve.directions import graded_grid, grid, parse_angles, product, read_loads
+
+    if (loads is not None) + graded + (alpha is not None or beta is not None) > 1:
+        raise InputError("--loads, --graded and --alpha with --beta are three ways to say which loads: give one")
+    if loads is not None:
+        return read_loads(loads)
+    if graded:
+        return graded_grid(weave)
+    first = np.unique(grid(5.0, weave).alpha_deg) if alpha is None else parse_angles(alpha, "--alpha")
+    return product(first, parse_angles("0:90:5" if beta is None else beta, "--beta"))
 
 
 def _explain(found: Any) -> None:
@@ -47,20 +123,6 @@ def _explain(found: Any) -> None:
     from rve.explain import features
 
     say(*feature_lines(features(found.provenance)), err=True)
-
-
-def _solve(method: str, directions: tuple[Any, Any], mesh: Any, direct: Any) -> Any:
-    """The table of these load directions by either method."""
-    from rve.paper.table import solve_table_stewart_trinkle
-    from rve.solve import solve_table
-
-    if method == "direct":
-        return solve_table(mesh, directions, direct)
-    if (direct.branches, direct.reference) != ("largest", "side-by-side"):
-        raise InputError("--branches and --reference belong to --method direct: stewart-trinkle follows one motion")
-    if mesh.is_larger:
-        raise InputError("--cells and --centres belong to --method direct: stewart-trinkle moves the paper's cell")
-    return solve_table_stewart_trinkle(mesh, directions)
 
 
 @click.group(cls=Group)
@@ -81,7 +143,7 @@ def main() -> None:
 )
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
-@_explain_option
+@explain_option
 @branch_options
 @larger_options
 @cell_options
@@ -89,19 +151,28 @@ def table(
     out: Path, method: str, rings: bool, joint: str | None, explain: bool, branches: Any, reference: Any, **rest: Any
 ) -> None:
     """Write the strain-load table of a grid or a list of load directions."""
+    from rve.common.rings import Joint
     from rve.equilibrium.interior_point import DirectOptions
-    from rve.more_columns import with_rings
-    from rve.table import write_table
+    from rve.more_columns import RingOptions, with_rings
+    from rve.paper.table import solve_table_stewart_trinkle
+    from rve.solve import solve_table
+    from rve.table import check_out_table, write_table
 
-    how = asked_rings(rings, joint)
+    if joint is not None and not rings:
+        raise InputError("--joint: belongs to --rings, which is not given")
+    closed = RingOptions(Joint.of("welded" if joint is None else joint, "--joint").name)
     asked = {name: rest.pop(name) for name in ("loads", "graded", "alpha", "beta")}
     mesh = asked_cell(**rest)
-    direct = DirectOptions(branches=branches, reference=reference)
     directions = asked_directions(mesh.weave, **asked)
     check_out_table(out, inputs=[asked["loads"]])
-    found = _solve(method, directions, mesh, direct)
-    if how is not None:
-        found = with_rings(found, mesh, how)
+    if method == "direct":
+        found = solve_table(mesh, directions, DirectOptions(branches=branches, reference=reference))
+    elif (branches, reference) != ("largest", "side-by-side") or mesh.is_larger:
+        raise InputError("--branches, --reference, --cells and --centres belong to --method direct")
+    else:
+        found = solve_table_stewart_trinkle(mesh, directions)
+    if rings:
+        found = with_rings(found, mesh, closed)
     write_table(found, out)
     if explain:
         _explain(found)
@@ -134,18 +205,29 @@ def _say_of_table(found: Any, out: Path, method: str) -> None:
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write, PNG, SVG or PDF.")
 @click.option("--html", type=click.Path(dir_okay=False, path_type=Path), help="Page to write that turns in a browser.")
 @click.option("--animation", type=click.Path(dir_okay=False, path_type=Path), help="GIF to write: the cell locking.")
-@_explain_option
+@explain_option
 @cell_options
 def case(
     alpha: float, beta: float, plot: Path | None, html: Path | None, animation: Path | None, explain: bool, **cell: Any
 ) -> None:
     """Solve one load direction and print its locked state as JSON."""
+    from rve.common.drawing.page import check_page
+    from rve.common.drawing.plane import save_figure
+    from rve.common.drawing.space import check_render
+    from rve.plots import draw_case, write_case_page, write_locking
     from rve.solve import solve_table
     from rve.table import COLUMNS
 
     if plot is not None:
         check_plot(plot)
-    _check_views(html, animation)
+    if html is not None:
+        check_page("--html", "leave it out")
+        check_out_file(html, "--html")
+    if animation is not None:
+        if animation.suffix != ".gif":
+            raise InputError(f"--animation = {animation}: is written as GIF; give a name that ends in .gif")
+        check_render("--animation", "leave it out")
+        check_out_file(animation, "--animation")
     found = solve_table(asked_cell(**cell), ([alpha], [beta]))
     if explain:
         _explain(found)
@@ -155,32 +237,12 @@ def case(
     row = {name: column[0] for name, column in found.columns().items() if name in COLUMNS}
     answer(row | {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}, always=True)
     if plot is not None:
-        from rve.common.drawing.plane import save_figure
-        from rve.plots import draw_case
-
         tell(f"drawing {plot}")
         save_figure(plot, draw_case(found).figure)
     if html is not None:
-        from rve.cell_view import write_case_page
-
         write_case_page(found, html)
     if animation is not None:
-        from rve.cell_view import write_locking
-
         write_locking(found, animation)
-
-
-def _check_views(html: Path | None, animation: Path | None) -> None:
-    """InputError, before anything is solved, for views of a cell that cannot be written."""
-    from rve.cell_view import check_animation
-    from rve.common.drawing.page import check_page
-
-    if html is not None:
-        check_page("--html", "leave it out")
-        check_out_file(html, "--html")
-    if animation is not None:
-        check_animation(animation)
-        check_out_file(animation, "--animation")
 
 
 @main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")

@@ -4,43 +4,27 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 
 import numpy as np
 
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
+from rve.common.files import AnyPath
 from rve.common.reading import MOST_CSV_BYTES, read_text
 from rve.common.types import Array
-from rve.common.values import shown, shown_key
-
-MOST_CELLS = 5_000_000
-"""Cells of a CSV file: some 180,000 rows of a table, 0.5 GB while they are text."""
 
 
-def read_columns(path: str | os.PathLike[str], required: tuple[str, ...]) -> dict[str, list[str]]:
-    """Columns of a CSV file as text, by name; blank lines are skipped.
-
-    InputError for a missing column, an empty table, and more than MOST_CELLS cells.
-    """
-    rows: list[list[str]] = []
-    cells = 0
+def read_columns(path: AnyPath, required: tuple[str, ...]) -> dict[str, list[str]]:
+    """Columns of a CSV file as text, by name; blank lines are skipped. InputError for a missing column, and no rows."""
+    text = io.StringIO(read_text(path, MOST_CSV_BYTES, "a CSV text file"), newline="")
     try:
-        for row in csv.reader(io.StringIO(read_text(path, MOST_CSV_BYTES, "a CSV text file"), newline="")):
-            cells += len(row)
-            if cells > MOST_CELLS:
-                raise InputError(f"{path}: has more than {MOST_CELLS:,} cells, which is the most that is read")
-            if row:
-                rows.append(row)
+        rows = [row for row in csv.reader(text) if row]
     except csv.Error as error:
         raise InputError(f"{path}: is not a CSV text file: {error}") from error
-    if not rows:
-        raise InputError(f"{path}: is empty; a table needs a header line and at least one row")
-    header = [name.strip() for name in rows[0]]
-    for name in (*header, *required):
-        if header.count(name) > 1:
-            raise InputError(f"{path}: a column name occurs twice in the header")
-        if name not in header:
-            raise InputError(f"{path}: column {name} is missing; it has {', '.join(map(shown_key, header[:40]))}")
+    header = [name.strip() for name in rows[0]] if rows else []
+    for name in (*required, *header):
+        if header.count(name) != 1:
+            wrong = "is missing" if name not in header else "occurs twice"
+            raise InputError(f"{path}: column {name} {wrong}; it has {', '.join(header)[:400] or 'no header line'}")
     if len(rows) < 2:
         raise InputError(f"{path}: has no rows")
     for number, row in enumerate(rows[1:], 2):
@@ -50,11 +34,11 @@ def read_columns(path: str | os.PathLike[str], required: tuple[str, ...]) -> dic
 
 
 def number_column(
-    path: str | os.PathLike[str], columns: dict[str, list[str]], name: str, most: float, *, known: bool = False
+    path: AnyPath, columns: dict[str, list[str]], name: str, most: float, known: list[bool] | None = None
 ) -> Array:
     """One column as numbers, nan for empty cells and where the column is absent.
 
-    InputError for texts that are no numbers, infinite ones, those above `most` in size, and with `known` empty cells.
+    InputError for texts that are no numbers, those above `most` in size, and empty cells of rows that must be `known`.
     """
     texts = columns.get(name, [""] * len(next(iter(columns.values()))))
     values = np.full(len(texts), np.nan)
@@ -63,7 +47,8 @@ def number_column(
             values[row] = float(text) if text.strip() else np.nan
         except ValueError:
             raise InputError(f"{path}: line {row + 2}, column {name}: {shown(text)} is not a number") from None
-    bad = np.flatnonzero(np.isinf(values) | (np.abs(values) > most) | (known & np.isnan(values)))
+    missing = np.isnan(values) & (np.zeros(len(texts), dtype=bool) if known is None else known)
+    bad = np.flatnonzero(missing | np.isinf(values) | (np.abs(values) > most))
     if len(bad):
         wrong = f"must be from {-most:g} to {most:g}" if np.isfinite(values[bad[0]]) else "is not a finite number"
         raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(texts[bad[0]])} {wrong}")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from typing import NamedTuple
 
 import numpy as np
 
 from rve.columns import number_column, read_columns
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
+from rve.common.files import AnyPath
 from rve.common.types import Array
-from rve.common.values import shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000
@@ -24,23 +23,20 @@ def parse_angles(text: str, name: str) -> Array:
     >>> parse_angles("0:45:15", "--alpha")
     array([ 0., 15., 30., 45.])
     """
-    is_range = ":" in text
+    told, is_range = f"{name} = {shown(text)}", ":" in text
     try:
         values = np.array([float(part) for part in text.split(":" if is_range else ",")])
     except ValueError:
         values = np.empty(0)
-    if not len(values) or (is_range and len(values) != 3):
-        raise InputError(f"{name} = {shown(text)}: write first:last:step or a list such as 7.5,12.5")
-    if not (np.abs(values) <= MOST_DEGREES).all():
-        raise InputError(f"{name} = {shown(text)}: angles must be from {-MOST_DEGREES:g} to {MOST_DEGREES:g} degrees")
+    if not len(values) or (is_range and len(values) != 3) or not (np.abs(values) <= MOST_DEGREES).all():
+        most = f"{-MOST_DEGREES:g} to {MOST_DEGREES:g}"
+        raise InputError(f"{told}: write first:last:step or a list such as 7.5,12.5 with degrees from {most}")
     if not is_range:
         return values
     first, last, step = values
-    if step == 0.0 or (last - first) / step < 0.0:
-        raise InputError(f"{name} = {shown(text)}: the step must lead from the first to the last value")
-    count = np.floor((last - first) / step + 1e-9) + 1
-    if count > MOST_VALUES:
-        raise InputError(f"{name} = {shown(text)}: {count:.3g} values are more than {MOST_VALUES}")
+    count = np.floor((last - first) / step + 1e-9) + 1 if step else 0.0
+    if not 1 <= count <= MOST_VALUES:
+        raise InputError(f"{told}: the step must lead from the first to the last value, in {MOST_VALUES} steps at most")
     return np.asarray(first + step * np.arange(int(count)))
 
 
@@ -75,10 +71,7 @@ def _all_round(alpha: Array, weave: Weave) -> Array:
 def product(alpha: Array, beta: Array) -> LoadDirections:
     """All combinations of angles in degrees, beta running fastest; InputError for too many."""
     if alpha.size * beta.size > MOST_VALUES:
-        raise InputError(
-            f"{alpha.size} values of alpha times {beta.size} of beta are more than {MOST_VALUES} load directions; "
-            "take larger steps"
-        )
+        raise InputError(f"{alpha.size} x {beta.size} load directions are more than {MOST_VALUES}; take larger steps")
     a, b = np.meshgrid(alpha, beta, indexing="ij")
     return LoadDirections(a.ravel(), b.ravel())
 
@@ -95,10 +88,10 @@ def graded_grid(weave: Weave = FOUR_IN_ONE) -> LoadDirections:
     return product(_all_round(alpha, weave), np.concatenate([near, np.arange(10.0, 81.0, 5.0), far]))
 
 
-def read_loads(path: str | os.PathLike[str]) -> LoadDirections:
+def read_loads(path: AnyPath) -> LoadDirections:
     """Load directions from the columns alpha_deg, beta_deg of a CSV file; raises InputError."""
     columns = read_columns(path, LoadDirections._fields)
-    alpha, beta = (number_column(path, columns, name, MOST_DEGREES, known=True) for name in LoadDirections._fields)
-    if len(alpha) > MOST_VALUES:
-        raise InputError(f"{path}: has {len(alpha)} load directions, at most {MOST_VALUES} are allowed")
-    return LoadDirections(alpha, beta)
+    known = [True] * len(columns["alpha_deg"])
+    if len(known) > MOST_VALUES:
+        raise InputError(f"{path}: has {len(known)} load directions, at most {MOST_VALUES} are allowed")
+    return LoadDirections(*(number_column(path, columns, name, MOST_DEGREES, known) for name in LoadDirections._fields))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,7 @@ class DrawnRings:
 
     def closed_circles(self, count: int) -> Array:
         """Points (n, count + 1, 3) of the centre circles, the last one that of the beginning."""
-        line = self.circles(count)[0]
-        return np.concatenate([line, line[:, :1]], axis=1)
+        return self.circles(count)[0][:, [*range(count), 0]]
 
     def tubes(self, along: int, around: int) -> tuple[Array, NDArray[np.intp]]:
         """Points (p, 3) and quadrilaterals (n, along * around, 4) of tori."""
@@ -83,18 +82,15 @@ class DrawnRings:
         """
         import meshio
 
-        if tubes:
-            points, quads = self.tubes(ALONG, AROUND)
-            kind, cells = "quad", quads
-        else:
-            points, first = self.circles(ALONG)[0].reshape(-1, 3), np.arange(len(self.centre) * ALONG)
-            ahead = np.roll(first.reshape(-1, ALONG), -1, axis=1).ravel()
-            kind, cells = "line", np.stack([first, ahead], axis=1).reshape(-1, ALONG, 2)
-        each = {
-            name: [np.repeat(_compact(np.asarray(values), real), cells.shape[1], axis=0)]
-            for name, values in data.items()
-        }
-        blocks = [(kind, cells.reshape(-1, cells.shape[2]).astype(np.int32))]
+        points, cells = self.tubes(ALONG, AROUND)
+        if not tubes:
+            points, here = self.circles(ALONG)[0].reshape(-1, 3), np.arange(len(self.centre) * ALONG).reshape(-1, ALONG)
+            cells = np.stack([here, np.roll(here, -1, axis=1)], axis=2)
+        each: dict[str, list[NDArray[Any]]] = {}
+        for name, values in data.items():
+            kind = np.int32 if np.issubdtype(np.asarray(values).dtype, np.integer) else real
+            each[name] = [np.repeat(np.asarray(values, kind), cells.shape[1], axis=0)]
+        blocks = [("quad" if tubes else "line", cells.reshape(-1, cells.shape[2]).astype(np.int32))]
         write_mesh_file(path, meshio.Mesh(points.astype(real), blocks, cell_data=each))
 
     def write_stl(self, path: Path, along: int = 48, around: int = 16) -> None:
@@ -102,8 +98,7 @@ class DrawnRings:
         import meshio
 
         points, quads = self.tubes(along, around)
-        a, b, c, d = quads.reshape(-1, 4).T
-        triangles = np.stack([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)], axis=1).reshape(-1, 3)
+        triangles = quads[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
         meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
 
     def plot(self, ax: Axes | None = None, *, width: float = 0.7) -> Axes:
@@ -128,13 +123,13 @@ class DrawnRings:
         values = {} if self.force is None else {force_scale(self.force).label: self.force}
         count = len(self.centre)
         if count <= MOST_TUBES:
-            mesh, style = self.tori(20, 6, **values), {}
+            add(plotter, "rings", self.tori(20, 6, **values), scale)
         else:
             points = int(np.clip(MOST_POINTS // count, 8, ALONG))
-            mesh, style = lines(self.closed_circles(points)), {"line_width": 2}
+            mesh = lines(self.closed_circles(points))
             for name, numbers in values.items():
                 mesh[name] = np.repeat(numbers, points + 1)
-        add(plotter, "rings", mesh, scale, **style)
+            add(plotter, "rings", mesh, scale, line_width=2)
         look(plotter, THREE_QUARTERS)
         return plotter
 
@@ -165,15 +160,11 @@ class DrawnRings:
         return plotter
 
 
-def _compact(values: Array, real: type) -> Array:
-    return values.astype(np.int32 if np.issubdtype(values.dtype, np.integer) else real)
-
-
 def force_scale(force: Array) -> Scale:
     """Colours of contact forces (n,) in N by their logarithm; 0.2 % of the rings are above its round top end."""
     top, largest = rounded_up(max(float(np.quantile(force, 0.998)), 1e-12)), float(force.max(initial=0.0))
     label = "largest contact force on the ring, N"
-    return Scale(label, LEAST * top, top, largest, "log", "plasma", brightest=0.8, over="#000000")
+    return Scale(label, LEAST * top, top, largest, "log")
 
 
 def is_plane(centre: Array) -> bool:

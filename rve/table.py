@@ -7,7 +7,7 @@ limit from inside the tensile cone). The file is a CSV with one header line, its
 
 from __future__ import annotations
 
-import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from rve.columns import number_column, read_columns
 from rve.common.errors import InputError, require
-from rve.common.files import TABLE_FORMAT, check_belongs, check_out_table, job, sidecar_path, write_text
-from rve.common.reading import expecting, read_json_object
+from rve.common.files import AnyPath, check_belongs, check_out_file, job, sidecar_path, write_text
+from rve.common.reading import read_json_object
 from rve.common.records import Rows
 from rve.common.rings import check_rings
-from rve.common.texts import json_text
+from rve.common.texts import as_html, csv_text, json_text
 from rve.common.types import Array
 from rve.geometry.weave import WEAVES
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from rve.equilibrium.locked_states import LockedStates
 
+TABLE_FORMAT = "ring-mesh strain-load table"
+"""The entry `format` of a table's sidecar."""
 COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
 COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
@@ -124,7 +126,7 @@ class StrainTable:
         frame.attrs.update(self.provenance)
         return frame
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: AnyPath) -> None:
         """Write the CSV and its sidecar JSON, both or none; see `write_table`."""
         write_table(self, path)
 
@@ -137,10 +139,23 @@ class StrainTable:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the summary line and the first rows."""
-        head = "".join(f"<th>{name}</th>" for name in COLUMNS[:8])
         rows = np.column_stack([self.alpha_deg, self.beta_deg, self.E, self.S])[:5]
-        body = "".join("<tr>" + "".join(f"<td>{x:.6g}</td>" for x in row) + "</tr>" for row in rows)
-        return f"<p>{self}</p><table><tr>{head}</tr>{body}</table>"
+        lines = [", ".join(COLUMNS[:8]), *(", ".join(f"{x:.6g}" for x in row) for row in rows)]
+        return as_html(self, lines=lines)
+
+
+def check_out_table(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
+    """`check_out_file` for a table and its sidecar; a sidecar may only replace that of a table."""
+    target, sidecar = Path(path), sidecar_path(path)
+    if sidecar == target:
+        raise InputError(f"{option} = {target}: is the name of the table's sidecar file; choose a name such as *.csv")
+    for file in (target, sidecar):
+        check_out_file(file, option, inputs)
+    if sidecar.exists() and read_json_object(sidecar).get("format") != TABLE_FORMAT:
+        raise InputError(
+            f"{option} = {target}: its sidecar file would overwrite {sidecar}, which is not the sidecar of a table; "
+            "choose another name"
+        )
 
 
 def _text(values: NDArray[Any]) -> list[str]:
@@ -150,39 +165,33 @@ def _text(values: NDArray[Any]) -> list[str]:
     return [repr(float(value)) if np.isfinite(value) else "" for value in values]
 
 
-def write_table(table: StrainTable, path: str | os.PathLike[str]) -> None:
+def write_table(table: StrainTable, path: AnyPath) -> None:
     """Write the CSV and its sidecar JSON, both or none; an unknown number is an empty cell.
 
     The sidecar holds the SHA-256 of the CSV, which `read_table` checks. Raises InputError where they cannot be written,
-    or would overwrite something else (`rve.common.files.check_out_table`).
+    or would overwrite something else (`check_out_table`).
     """
     check_out_table(path, "table")
     target, sidecar = Path(path), sidecar_path(path)
     columns = table.columns()
-    lines = [",".join(columns), *map(",".join, zip(*map(_text, columns.values()), strict=True))]
     with job(target.parent, sidecar.name, clears=False) as folder:
-        write_text(folder / target.name, "\n".join(lines) + "\n")
+        write_text(folder / target.name, csv_text([*columns], zip(*map(_text, columns.values()), strict=True)))
         write_text(folder / sidecar.name, json_text({"format": TABLE_FORMAT} | table.provenance))
 
 
-def read_table(path: str | os.PathLike[str]) -> StrainTable:
+def read_table(path: AnyPath) -> StrainTable:
     """Read a table and, where it is there, its sidecar JSON.
 
     A converged row must have finite angles, E and S. The sidecar must belong to the CSV: it holds its SHA-256, or is of
     an older version and holds none. A strain counts as unique where the column `unique` is missing or its cell empty.
     Raises InputError naming file, line, column and value.
     """
-    with expecting("table", path):
-        columns = read_columns(path, _REQUIRED)
-
+    columns = read_columns(path, _REQUIRED)
     status = np.array([text.strip() for text in columns["status"]])
+    good = (status == "converged").tolist()
 
     def column(name: str) -> Array:
-        values = number_column(path, columns, name, _MOST.get(name, np.inf))
-        bad = np.flatnonzero((status == "converged") & np.isnan(values))
-        if len(bad) and name in _REQUIRED:
-            raise InputError(f"{path}: line {bad[0] + 2}, column {name}: is empty or nan in a converged row")
-        return values
+        return number_column(path, columns, name, _MOST.get(name, np.inf), good if name in _REQUIRED else None)
 
     def several(names: list[str]) -> Array:
         return np.stack([column(name) for name in names], axis=1)
@@ -217,11 +226,6 @@ def _read_provenance(table: Path) -> dict[str, Any]:
         return {}
     found = read_json_object(path)
     check_rings(found, f"{path}:")
-    check_belongs(
-        table,
-        path,
-        found,
-        "make the table again, or put the two files of one table side by side; if you have edited the table on "
-        f'purpose, remove "files" from {path.name}',
-    )
+    remedy = "make the table again, or put the two files of one table side by side; if you have edited the table on "
+    check_belongs(table, path, found, f'{remedy}purpose, remove "files" from {path.name}')
     return {key: value for key, value in found.items() if key != "files"}

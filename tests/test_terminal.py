@@ -16,7 +16,6 @@ from click.testing import CliRunner
 import homogenize.cli
 import macro_fem.cli
 import rve.cli
-import rve.cli_options
 from rve import WEAVES
 from rve.common.typed import types_of
 
@@ -197,8 +196,8 @@ def test_the_help_lists_choices_and_has_an_example_that_parses(package, command)
 def test_choices_are_those_of_the_packages():
     from homogenize import FitOptions
 
-    assert tuple(WEAVES) == rve.cli_options.WEAVE_NAMES
-    assert tuple(rve.MATERIALS) == rve.cli_options.MATERIAL_NAMES
+    assert tuple(WEAVES) == rve.cli.WEAVE_NAMES
+    assert tuple(rve.MATERIALS) == rve.cli.MATERIAL_NAMES
     assert set(get_args(types_of(FitOptions)["kind"])) == set(homogenize.cli.KINDS)
     weave = next(one for one in macro_fem.cli.main.commands["run"].params if one.name == "weave")
     assert tuple(weave.type.choices) == tuple(WEAVES)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
 from rve import WEAVES, Cell
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.rings import check_ring_size
-from rve.common.values import shown
 
 LEAST_ACCURACY, MOST_ACCURACY = 1e-5, 0.5
 

@@ -16,11 +16,10 @@ from macro_fem.job import solve
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.files import job, write_text
 from rve.common.progress import part_of
 from rve.common.texts import csv_text, json_text
-from rve.common.values import shown
 
 VARY = ("pitch", "mass", "speed", "r2")
 """What may be varied: the distance of hooks or runners, the mass of bars, the speed of the wind, the wire of rings."""

@@ -250,7 +250,7 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     if float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON:
         add(plotter, "person, 1.75 m", person(foot - [0.4 * PERSON_MM, 0.0, 0.0]), FIGURE)
     else:
-        length = rounded_up(0.12 * size, (1.0, 2.0, 5.0, 10.0))
+        length = rounded_up(0.12 * size)
         ends = foot + np.array([[0.0, 0.006 * size, 0.0], [length, 0.006 * size, 0.0]])
         add(plotter, f"bar of {length:g} mm", lines(ends[None]), FIGURE, line_width=9)
     add(plotter, "_shadow", shadow, SHADOW, **FLAT)

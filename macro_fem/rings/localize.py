@@ -25,11 +25,10 @@ from rve import (
     locked_arrangements,
     nearest_poses,
 )
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.progress import tell
 from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.common.values import shown
 
 
 @dataclass(frozen=True)

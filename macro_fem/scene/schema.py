@@ -14,12 +14,11 @@ from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Shape
 from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Support, leaves_plane
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.materials import described
-from rve.common.reading import expecting, read_toml
+from rve.common.reading import read_toml
 from rve.common.texts import as_html
 from rve.common.typed import Typed, read_typed, refuse_unknown
-from rve.common.values import shown
 
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
@@ -110,8 +109,7 @@ class Scene:
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a TOML file; InputError names file, key and value of the first thing that is wrong."""
-    with expecting("scene", path):
-        return read_scene(read_toml(path), path)
+    return read_scene(read_toml(path), path)
 
 
 def read_scene(data: dict[str, Any], source: str | Path = "scene") -> Scene:

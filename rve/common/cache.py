@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rve.common.errors import InputError
-from rve.common.files import check_out_folder, checksum, write_text
+from rve.common.files import checksum, make_folder, write_text
 from rve.common.reading import MOST_JSON_BYTES
 
 Record = Mapping[str, Any]
@@ -28,51 +27,38 @@ class Cache:
 
     def get(self, question: Record) -> dict[str, Any] | None:
         """The answer to a question that JSON can hold; None if it is not there, or no longer holds."""
-        path = self._path(question)
-        if path is None:
+        if self.folder is None:
             return None
         try:
-            with path.open("rb") as file:
-                found = json.loads(file.read(MOST_JSON_BYTES))
-            whole = (found["question"], found["answer"], found["files"])
-            is_sound = found["sha256"] == _digest(whole) and _digest(whole[0]) == _digest(question)
-            if not is_sound or any(checksum(name) != known for name, known in whole[2].items()):
-                return None
+            with self._path(question).open("rb") as file:
+                found: dict[str, Any] = json.loads(file.read(MOST_JSON_BYTES))
+            known = found.pop("sha256")
+            is_whole = known == _digest(found) and _digest(found["question"]) == _digest(question)
+            is_current = is_whole and all(checksum(name) == one for name, one in found["files"].items())
+            answer: dict[str, Any] = found["answer"]
         except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
             return None
-        answer: dict[str, Any] = found["answer"]
-        return answer
+        return answer if is_current else None
 
     def put(self, question: Record, answer: Record, files: Mapping[str, str] | None = None) -> None:
         """Keeps an answer and the checksums of the `files` it was made from; InputError if it cannot be written."""
-        path = self._path(question)
-        if path is None:
+        if self.folder is None:
             return
-        whole = (question, answer, dict(files or {}))
-        record = dict(zip(("question", "answer", "files", "sha256"), (*whole, _digest(whole)), strict=True))
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{path.parent}: cannot be made: {error.strerror}; give another folder") from error
-        write_text(path, json.dumps(record, indent=1) + "\n")
+        make_folder(self.folder)
+        record = {"question": question, "answer": answer, "files": dict(files or {})}
+        write_text(self._path(question), json.dumps(record | {"sha256": _digest(record)}, indent=1) + "\n")
 
-    def _path(self, question: Record) -> Path | None:
-        return None if self.folder is None else self.folder / f"{_digest(question)[:40]}.json"
+    def _path(self, question: Record) -> Path:
+        assert self.folder is not None
+        return self.folder / f"{_digest(question)[:40]}.json"
 
 
 NO_CACHE = Cache(None)
 
 
 def open_cache(folder: str | Path | None, option: str = "--cache") -> Cache:
-    """The cache in a folder, which is made; InputError if it is a file or cannot be written. None: nothing is kept."""
-    if folder is None:
-        return NO_CACHE
-    check_out_folder(folder, option)
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{option} = {folder}: cannot be made: {error.strerror}; give another folder") from error
-    return Cache(Path(folder))
+    """The cache in a folder, which is made; InputError if it cannot be. None: nothing is kept."""
+    return NO_CACHE if folder is None else Cache(make_folder(folder, option))
 
 
 def _digest(value: Any) -> str:

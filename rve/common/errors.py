@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, requires
+from contextlib import contextmanager
 from importlib.util import find_spec
+from typing import Any
 
 
 class InputError(ValueError):
@@ -26,19 +27,19 @@ SENTENCES = {
     "time-step": "the time step shrank to nothing before the energy fell; allow contact curvature or a smaller h_min",
     "step-limit": "the step limit was reached before the residual; allow more steps or a larger time step",
 }
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = _short.maxlong = 80
+
+
+def shown(value: Any) -> str:
+    """A value as an error message shows it: its repr, cut to about a line however large or deep the value is."""
+    text = _short.repr(value)
+    return text if len(text) <= 160 else f"{text[:157]}..."
 
 
 @contextmanager
 def noted_if_stopped(note: str) -> Iterator[None]:
-    """Says `note` as well where the block is stopped from outside, by Ctrl-C say: what is kept, how to go on.
-
-    >>> try:
-    ...     with noted_if_stopped("answers are kept in cache"):
-    ...         raise KeyboardInterrupt
-    ... except KeyboardInterrupt as stop:
-    ...     print(stop.__notes__)
-    ['answers are kept in cache']
-    """
+    """Says `note` as well where the block is stopped from outside, by Ctrl-C say: what is kept, how to go on."""
     try:
         yield
     except KeyboardInterrupt as stop:
@@ -49,16 +50,8 @@ def noted_if_stopped(note: str) -> Iterator[None]:
 def require(module: str, extra: str, purpose: str, instead: str = "") -> None:
     """InputError if an optional package is missing; it says how to install it, and what else can be done.
 
-    The package is named and not our extra alone: no package index need hold this project.
-
     >>> require("numpy", "plots", "pictures")
     """
-    if find_spec(module) is not None:
-        return
-    package = module
-    with suppress(PackageNotFoundError):  # package and version that our metadata ask for
-        package = next(
-            (one.split(";")[0].strip() for one in requires("ring-mesh") or [] if one.startswith(module)), module
-        )
-    way_out = f", or {instead}" if instead else ""
-    raise InputError(f"{purpose} needs {module}: run pip install '{package}' (extra {extra}){way_out}")
+    if find_spec(module) is None:
+        way_out = f", or {instead}" if instead else ""
+        raise InputError(f"{purpose} needs {module}: run pip install {module} (extra {extra}){way_out}")

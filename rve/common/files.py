@@ -16,20 +16,17 @@ import json
 import os
 import platform
 import shutil
-import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib import metadata
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from rve.common.errors import InputError
 
 AnyPath = str | os.PathLike[str]
 
-TABLE_FORMAT = "ring-mesh strain-load table"
-"""The entry `format` of a table's sidecar."""
 HIDDEN = ".part-"
 """Begins the names of temporary files and folders; what a killed process leaves of them may be removed."""
 
@@ -68,104 +65,6 @@ def checksum(path: AnyPath) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def sidecar_path(path: AnyPath) -> Path:
-    """The JSON beside a table file, of the same name."""
-    table = Path(path)
-    return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
-
-
-def is_sidecar(path: AnyPath) -> bool:
-    """Whether a file is the sidecar of a table, as `rve.table` writes it or made by hand."""
-    try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(found, dict) and (found.get("format") == TABLE_FORMAT or {"r1_mm", "b_x_mm"} <= found.keys())
-
-
-def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
-    """Refuse a file that cannot be written, or whose writing would destroy something else.
-
-    That is a folder, device, pipe or socket; a file that is write-protected; one of `inputs` or the sidecar of one,
-    by whatever name or link; the sidecar of a table. Raises InputError; nothing is written or made.
-    """
-    target, folder = Path(path), Path(os.path.realpath(path)).parent
-    is_there, why = check_replaceable(target, option, inputs), ""
-    if not is_there and not folder.is_dir():
-        why = f"cannot be written: the folder {target.parent} does not exist"
-    elif is_there and target.suffix == ".json" and is_sidecar(target):
-        why = "is the sidecar file of a table; choose another name"
-    elif not os.access(target if is_there else folder, os.W_OK) or not os.access(folder, os.W_OK | os.X_OK):
-        why = "cannot be written: it or its folder is write-protected"
-    if why:
-        raise InputError(f"{option} = {target}: {why}")
-
-
-def check_out_table(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
-    """`check_out_file` for a table and its sidecar; a sidecar may only replace the sidecar of a table."""
-    target, sidecar, inputs = Path(path), sidecar_path(path), list(inputs)
-    if sidecar == target:
-        raise InputError(f"{option} = {target}: is the name of the table's sidecar file; choose a name such as *.csv")
-    check_out_file(target, option, inputs)
-    if check_replaceable(sidecar, option, inputs) and not is_sidecar(sidecar):
-        raise InputError(
-            f"{option} = {target}: its sidecar file would overwrite {sidecar}, which is not the sidecar of a table; "
-            "choose another name"
-        )
-
-
-def check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | None]) -> bool:
-    """Whether something is there already; InputError if it is no regular file, or one of the inputs or their sidecars.
-
-    `inputs` are files that are read; None among them is skipped.
-    """
-    found = _status(target, option)
-    if found is None:
-        return False
-    if not stat.S_ISREG(found.st_mode):
-        kind = "folder" if stat.S_ISDIR(found.st_mode) else "device, pipe or socket"
-        raise InputError(f"{option} = {target}: is a {kind}; give the name of a file")
-    for one in inputs:
-        if one is not None and (
-            _is_same(target, Path(one)) or (_is_same(target, sidecar_path(one)) and is_sidecar(target))
-        ):
-            raise InputError(
-                f"{option} = {target}: would overwrite {one} or its sidecar, which is read; choose another name"
-            )
-    return True
-
-
-def check_out_folder(path: AnyPath, option: str = "--out") -> None:
-    """Refuse a folder that cannot be made or written; raises InputError. Nothing is made."""
-    folder = Path(path)
-    found = _status(folder, option)
-    if found is None:
-        above = next((one for one in folder.absolute().parents if one.exists()), None)
-        if above is not None and not (above.is_dir() and os.access(above, os.W_OK)):
-            raise InputError(f"{option} = {folder}: cannot be made in {above}, which is no folder one can write to")
-    elif not stat.S_ISDIR(found.st_mode):
-        raise InputError(f"{option} = {folder}: is a file, not a folder; give the name of a folder")
-    elif not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"{option} = {folder}: cannot be written: the folder is write-protected")
-
-
-def _status(path: Path, option: str) -> os.stat_result | None:
-    """What is there, behind links; None for nothing, or for a link that leads nowhere."""
-    try:
-        return path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise InputError(f"{option} = {path}: cannot be written: {error.strerror}") from error
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    try:
-        return one.samefile(other)
-    except (OSError, ValueError):  # a name that no file can have
-        return False
-
-
 def versions(*more: str) -> dict[str, str]:
     """Versions of what has computed a result; `more` packages besides those of every result."""
     found = {"python": platform.python_version()}
@@ -175,6 +74,73 @@ def versions(*more: str) -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[name] = "absent"
     return found
+
+
+def sidecar_path(path: AnyPath) -> Path:
+    """The JSON beside a table file, of the same name."""
+    table = Path(path)
+    return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
+
+
+def beside(path: AnyPath, ending: str) -> Path:
+    """A new name for what belongs to a file or folder: "curtain" and "rings" give "curtain_rings".
+
+    >>> print(beside("curtain", "rings"), beside(".", "rings"))
+    curtain_rings rings
+    """
+    known = Path(path)
+    return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
+
+
+def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
+    """InputError for a file that cannot be written, or that is read: one of `inputs` or its sidecar, by any name.
+
+    Nothing is written or made.
+    """
+    target, folder = Path(path), Path(os.path.realpath(path)).parent
+    if not folder.is_dir():
+        raise InputError(f"{option} = {target}: cannot be written: the folder {target.parent} does not exist")
+    if not all(os.access(one, os.W_OK) for one in (folder, target) if one.exists()):
+        raise InputError(f"{option} = {target}: cannot be written: it or its folder is write-protected")
+    _check_replaceable(target, option, inputs)
+
+
+def _check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | None]) -> None:
+    if target.exists() and not target.is_file():
+        raise InputError(f"{option} = {target}: is a folder, device, pipe or socket; give the name of a file")
+    for one in inputs:
+        read = [] if one is None else [Path(one), sidecar_path(one)]
+        if any(path.exists() and target.exists() and target.samefile(path) for path in read):
+            raise InputError(
+                f"{option} = {target}: would overwrite {one} or its sidecar, which is read; choose another name"
+            )
+
+
+def check_out_folder(path: AnyPath, option: str = "--out") -> None:
+    """InputError for a folder that cannot be made or written. Nothing is made."""
+    folder = Path(path).absolute()
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    if not there.is_dir():
+        raise InputError(f"{option} = {path}: cannot be written: {there} is a file, not a folder")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(f"{option} = {path}: cannot be written: the folder {there} is write-protected")
+
+
+def make_folder(path: AnyPath, option: str = "--out") -> Path:
+    """Make a folder if it is not there, and those above it; InputError if that cannot be."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{option} = {path}: cannot be made: {error.strerror}; give another folder") from error
+    return Path(path)
+
+
+def check_out_job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = ()) -> None:
+    """InputError, before any work, for a folder for a result that cannot be written or whose old files are read."""
+    check_out_folder(folder)
+    inputs = list(inputs)
+    for name in (record, *_listed(Path(folder), record)):
+        _check_replaceable(Path(folder, name), "--out", inputs)
 
 
 @contextmanager
@@ -188,16 +154,10 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
     out, inputs = Path(folder), list(inputs)
     check_out_folder(out)
     made = [one for one in (out, *out.parents) if not one.exists()]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=out))
-    except OSError as error:
-        raise InputError(f"--out = {out}: cannot be written: {error.strerror}") from error
+    staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=make_folder(out)))
     try:
         yield staged
-        for name in _names(staged):
-            check_replaceable(out / name, "--out", inputs)
-        _publish(staged, out, record, clears=clears)
+        _publish(staged, out, record, inputs, clears=clears)
     finally:
         shutil.rmtree(staged, ignore_errors=True)
         with suppress(OSError):  # only folders that are new and have stayed empty can be removed
@@ -205,15 +165,31 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
                 one.rmdir()
 
 
-def check_out_job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = ()) -> None:
-    """Refuse, before any work, a folder for a result that cannot be written or whose old files are among `inputs`.
+def _publish(staged: Path, out: Path, record: str, inputs: Iterable[AnyPath | None], *, clears: bool) -> None:
+    """Remove what the old result alone has, and move the new files to their places, the record last."""
+    names = [path.relative_to(staged).as_posix() for path in sorted(staged.rglob("*")) if path.is_file()]
+    for name in names:
+        _check_replaceable(out / name, "--out", inputs)
+    names.remove(record)
+    content = json.loads((staged / record).read_text(encoding="utf-8"))
+    content["files"] = {name: checksum(staged / name) for name in names}
+    write_text(staged / record, json.dumps(content, indent=2) + "\n")
+    for name, known in _listed(out, record).items() if clears else ():
+        if name not in names and (out / name).is_file() and checksum(out / name) == known:
+            (out / name).unlink()
+    for name in (*names, record):
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(staged / name, out / name)
 
-    Raises InputError; nothing is made.
-    """
-    check_out_folder(folder)
-    out, inputs = Path(folder), list(inputs)
-    for name in (record, *_listed(out / record)):
-        check_replaceable(out / name, "--out", inputs)
+
+def _listed(folder: Path, record: str) -> dict[str, str]:
+    """Names and checksums of the files that a record lists; names that lead out of its folder are left out."""
+    try:
+        sums = json.loads((folder / record).read_text(encoding="utf-8"))["files"]
+        inside = folder.resolve()
+        return {name: known for name, known in sums.items() if (folder / name).resolve().is_relative_to(inside)}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return {}
 
 
 def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy: str) -> None:
@@ -222,59 +198,8 @@ def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy:
     Records of older versions list none and are believed. Files may be renamed: they are told by their content.
     """
     sums = known.get("files")
-    if sums is None:
-        return
-    if not isinstance(sums, dict):
-        raise InputError(f"{record}: files = {sums!r}: is not a table of names and SHA-256 checksums")
-    if checksum(path) not in sums.values():
+    if sums is not None and not (isinstance(sums, dict) and checksum(path) in sums.values()):
         raise InputError(
             f"{path}: does not belong to {record}: its SHA-256 checksum is none of those listed there, so that one of "
             f"the two was changed or comes from another run; {remedy}"
         )
-
-
-def beside(path: AnyPath, ending: str) -> Path:
-    """A new name for what belongs to a file or folder: "curtain" and "rings" give "curtain_rings".
-
-    >>> print(beside("curtain", "rings"), beside(".", "rings"))
-    curtain_rings rings
-    """
-    known = Path(path)
-    return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
-
-
-def _names(folder: Path) -> list[str]:
-    return [path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*")) if path.is_file()]
-
-
-def _publish(staged: Path, out: Path, record: str, *, clears: bool) -> None:
-    """Remove what the old result alone has, and move the new files to their places, the record last."""
-    names = [name for name in _names(staged) if name != record]
-    content = json.loads((staged / record).read_text(encoding="utf-8"))
-    content["files"] = {name: checksum(staged / name) for name in names}
-    write_text(staged / record, json.dumps(content, indent=2) + "\n")
-    for name, known in _listed(out / record).items() if clears else ():
-        if name not in names and _is_own(out / name, known):
-            (out / name).unlink()
-    for name in (*names, record):
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(staged / name, out / name)
-
-
-def _listed(record: Path) -> dict[str, str]:
-    """Names and checksums of the files in a record; names that lead out of its folder are left out."""
-    try:
-        sums = json.loads(record.read_text(encoding="utf-8"))["files"]
-        return {name: known for name, known in sums.items() if _is_inside(name) and isinstance(known, str)}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return {}
-
-
-def _is_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts and "\\" not in name
-
-
-def _is_own(path: Path, known: str) -> bool:
-    """Whether a file still is what a job wrote."""
-    return path.is_file() and not path.is_symlink() and checksum(path) == known

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 from msgspec import Meta
 
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.rings import STEEL_KG_PER_MM3, Density, DensityPerM3
-from rve.common.typed import BadField, Typed, read_entry, read_typed, refuse_unknown
-from rve.common.values import shown
+from rve.common.typed import Typed, read_entry, read_typed, refuse_unknown
 
 Young = Annotated[float, Meta(ge=500.0, le=2e6)]
 """N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
@@ -44,10 +43,6 @@ class Material(Typed):
         low, high = self.yield_N_per_mm2, self.ultimate_N_per_mm2
         if low is not None and high is not None and high < low:
             self.refuse(f"ultimate_N_per_mm2 = {high:g}: is less than yield_N_per_mm2 = {low:g}")
-
-    def refuse(self, what: str) -> NoReturn:
-        """Raise BadField, which names the material."""
-        raise BadField(what, f"material {self.name!r}") from None
 
 
 STEEL = Material()
@@ -85,10 +80,9 @@ def named_material(name: str, where: str = "material") -> Material:
     >>> named_material("steel 1.4404").young_N_per_mm2
     200000.0
     """
-    if name not in MATERIALS:
-        raise InputError(
-            f"{where} = {shown(name)}: known are {', '.join(MATERIALS)}; or give density, young and poisson"
-        )
+    if str(name) not in MATERIALS:
+        known = ", ".join(MATERIALS)
+        raise InputError(f"{where} = {shown(name)}: known are {known}; or give density, young and poisson")
     return MATERIALS[name]
 
 
@@ -106,25 +100,27 @@ def material_of(given: Mapping[str, Any], where: str = "", prefix: str = "", bas
     poisson replace its values, or those of `base` if no name is given. Keys with the value None count as absent;
     `prefix` stands before keys in messages.
 
-    A new density or elastic constant keeps the strength of the named material. InputError for values out of range. A
-    yield stress above the named ultimate one makes that unknown, None.
+    A new density or elastic constant keeps the strength of the named material. InputError for other keys and values out
+    of range. A yield stress above the named ultimate one makes that unknown, None.
 
     >>> material_of({"material": "steel 1.4404", "yield": 450.0}).yield_N_per_mm2
     450.0
     """
-    name = given.get("material")
-    base = base if name is None else named_material(name, f"{where} {prefix}material".strip())
+    refuse_unknown(given, ("material", *_KEYS), where)
+    asked = {key: value for key, value in given.items() if value is not None}
+    if "material" in asked:
+        base = named_material(asked.pop("material"), f"{where} {prefix}material".strip())
     values: dict[str, Any] = {}
-    for key, (field, kind) in _KEYS.items():
-        if given.get(key) is not None:
-            values[field] = read_entry({prefix + key: given[key]}, prefix + key, kind, where)
+    for key, value in asked.items():
+        name, kind = _KEYS[key]
+        values[name] = read_entry({prefix + key: value}, prefix + key, kind, where)
     if "density_kg_per_mm3" in values:
         values["density_kg_per_mm3"] /= 1e9
-    low, high = values.get("yield_N_per_mm2", base.yield_N_per_mm2), values.get("ultimate_N_per_mm2")
+    low = values.get("yield_N_per_mm2", base.yield_N_per_mm2)
+    high = values.get("ultimate_N_per_mm2", base.ultimate_N_per_mm2)
     if low is not None and high is not None and high < low:
-        raise InputError(f"{where} {prefix}ultimate = {high:g}: is less than the yield stress, {low:g}".lstrip())
-    strength = values.get("yield_N_per_mm2", 0.0)
-    if "ultimate_N_per_mm2" not in values and strength > (base.ultimate_N_per_mm2 or strength):
+        if "ultimate_N_per_mm2" in values:
+            raise InputError(f"{where} {prefix}ultimate = {high:g}: is less than the yield stress, {low:g}".lstrip())
         values["ultimate_N_per_mm2"] = None
     changed = base.name if not values or base.name.endswith(", changed") else f"{base.name}, changed"
     return replace(base, name=changed, **values)
@@ -134,13 +130,7 @@ def described(table: Any, where: str) -> tuple[tuple[str, Any], ...]:
     """Keys and values of a table that describes a material for `material_of`; InputError for what it does not know."""
     if not isinstance(table, dict):
         raise InputError(f"{where} is not a table of names and values")
-    known = ("material", *_KEYS)
-    refuse_unknown(table, known, where)
-    if "material" in table:
-        named_material(read_entry(table, "material", str, where), f"{where} material")
-    for key, (_, kind) in _KEYS.items():
-        if key in table:
-            read_entry(table, key, kind, where)
+    material_of(table, where, base=replace(STEEL, yield_N_per_mm2=None, ultimate_N_per_mm2=None))
     return tuple(table.items())
 
 

@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
 
 Listener = Callable[[str, float | None], None]
 
@@ -29,12 +28,6 @@ def tell(work: str, share: float | None = None) -> None:
 
     Work that goes on keeps its words up to the first comma: the clock starts anew where they change. "": nothing is
     being done now, and what was shown is wiped.
-
-    >>> heard = []
-    >>> with heard_by(lambda work, share: heard.append((work, share))):
-    ...     tell("rings", 0.5)
-    >>> heard
-    [('rings', 0.5)]
     """
     listener = _listener.get()
     if listener is not None:
@@ -93,44 +86,16 @@ def shown() -> Iterator[None]:
 
     rich comes with meshio.
     """
-    if not sys.stderr.isatty():
-        with heard_by(None):
+    with heard_by(_line() if sys.stderr.isatty() else None):
+        tell("starting")  # a command may import for a second before it does anything
+        try:
             yield
-        return
-    line = _Line()
-    line("starting", None)  # a command may import for a second before it does anything
-    try:
-        with heard_by(line):
-            yield
-    finally:
-        line("", None)
+        finally:
+            tell("")
 
 
-class _Line:
+def _line() -> Listener:
     """The line of a terminal on which work is shown, from the first word of it until "", which wipes it."""
-
-    def __init__(self) -> None:
-        self.bar: Any = None
-        self.task: Any = None
-        self.last = ""
-
-    def __call__(self, work: str, share: float | None) -> None:
-        if not work:
-            if self.bar is not None:
-                self.bar.stop()
-            self.bar = None
-            return
-        if self.bar is None:
-            self.bar = _new_bar()
-            self.task = self.bar.add_task(work, total=None)
-        elif work.split(",")[0] != self.last.split(",")[0]:
-            self.bar.reset(self.task, total=None)
-        self.last = work
-        total, done = (None, 0.0) if share is None else (1.0, min(share, MOST))
-        self.bar.update(self.task, description=work, total=total, completed=done)
-
-
-def _new_bar() -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
@@ -139,5 +104,16 @@ def _new_bar() -> Any:
     columns = (SpinnerColumn(), text, BarColumn(12), TimeElapsedColumn(), TimeRemainingColumn())
     console = Console(file=sys.stderr)  # not where standard error is redirected to later, as by a sweep
     bar = Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
-    bar.start()
-    return bar
+    task = bar.add_task("", total=None)
+
+    def show(work: str, share: float | None) -> None:
+        if not work:
+            bar.stop()
+            return
+        if work.split(",")[0] != bar.tasks[0].description.split(",")[0]:
+            bar.reset(task, total=None)
+        total, done = (None, 0.0) if share is None else (1.0, min(share, MOST))
+        bar.update(task, description=work, total=total, completed=done)
+        bar.start()
+
+    return show

@@ -1,7 +1,4 @@
-"""Reading of JSON, TOML and text: files of a stated size at most, errors in one sentence, a list of what was read.
-
-Whoever gave a command the wrong file of these packages is told what that file is.
-"""
+"""Reading of JSON, TOML and text: files of a stated size at most, errors in one sentence, a list of what was read."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rve.common.errors import InputError
-from rve.common.files import TABLE_FORMAT, AnyPath
+from rve.common.files import AnyPath
 
 MOST_JSON_BYTES = 32_000_000
 """Parsing takes up to thirty times the bytes of a JSON file; a law of 5,000 half-spaces has 0.5 MB."""
@@ -38,16 +35,14 @@ def recorded_reads() -> Iterator[dict[str, str]]:
         _reads.reset(token)
 
 
-def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
+def read_bytes(path: AnyPath, most: int) -> bytes:
     """The content of a file of at most `most` bytes; InputError if it is larger or cannot be read."""
     try:
         with Path(path).open("rb") as file:
             size = os.fstat(file.fileno()).st_size or most  # a pipe has no size of its own
             content = file.read(min(size, most) + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, MemoryError) as error:  # a name with a null character
-        raise InputError(f"{str(path)[:200]!r}: cannot be read: {error or 'it does not fit into memory'}") from error
+    except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
+        raise InputError(f"{str(path)[:200]}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most:,} bytes, which is the most that is read")
     found = _reads.get()
@@ -56,7 +51,7 @@ def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
     return content
 
 
-def read_text(path: str | os.PathLike[str], most: int, kind: str) -> str:
+def read_text(path: AnyPath, most: int, kind: str) -> str:
     """The content of a UTF-8 file, a byte order mark removed; `kind` names what it should be, for the message."""
     try:
         return read_bytes(path, most).decode("utf-8-sig")
@@ -64,12 +59,12 @@ def read_text(path: str | os.PathLike[str], most: int, kind: str) -> str:
         raise InputError(f"{path}: is not {kind}: {error}") from error
 
 
-def read_json(path: str | os.PathLike[str]) -> Any:
+def read_json(path: AnyPath) -> Any:
     """The value in a JSON file; InputError if it is not JSON or nested too deeply."""
     return _parse(path, MOST_JSON_BYTES, "JSON", json.loads)
 
 
-def read_json_object(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_json_object(path: AnyPath) -> dict[str, Any]:
     """The object in a JSON file; InputError as in `read_json`, and if the file holds something else."""
     found = read_json(path)
     if not isinstance(found, dict):
@@ -77,13 +72,13 @@ def read_json_object(path: str | os.PathLike[str]) -> dict[str, Any]:
     return found
 
 
-def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_toml(path: AnyPath) -> dict[str, Any]:
     """The tables of a TOML file; InputError if it is not TOML or nested too deeply."""
     found: dict[str, Any] = _parse(path, MOST_TOML_BYTES, "TOML", tomllib.loads)
     return found
 
 
-def _parse(path: str | os.PathLike[str], most: int, kind: str, parse: Any) -> Any:
+def _parse(path: AnyPath, most: int, kind: str, parse: Any) -> Any:
     text = read_text(path, most, kind)
     try:
         return parse(text)
@@ -91,46 +86,3 @@ def _parse(path: str | os.PathLike[str], most: int, kind: str, parse: Any) -> An
         raise InputError(f"{path}: is not {kind} that can be read: it is nested too deeply, or too large") from error
     except ValueError as error:
         raise InputError(f"{path}: is not {kind}: {error}") from error
-
-
-KINDS = {
-    "law": "a law, which macro_fem run takes as --law",
-    "table": "a strain-load table, which homogenize fit takes",
-    "record of a table": "the record beside a strain-load table, give homogenize fit the .csv of the same name",
-    "curtain": "the summary of a solved curtain, whose folder macro_fem localize takes",
-    "scene": "a scene, which macro_fem run takes",
-    "mesh": "a mesh or curtain in VTK's format, which macro_fem localize takes, or a scene as [curtain] file",
-}
-
-
-@contextmanager
-def expecting(kind: str, path: AnyPath) -> Iterator[None]:
-    """Within the block an InputError about a file that is of another kind says of which, and what takes it."""
-    try:
-        yield
-    except InputError as error:
-        found = kind_of_file(path)
-        if found is None or found == kind:
-            raise
-        raise InputError(f"{path}: is {KINDS[found]}, not a {kind}") from error
-
-
-def kind_of_file(path: AnyPath) -> str | None:
-    """The kind of a file among `KINDS` by its content; None for others."""
-    try:
-        with Path(path).open("rb") as file:
-            text = file.read(MOST_JSON_BYTES).decode("utf-8-sig")
-        if "alpha_deg" in text.partition("\n")[0].split(","):
-            return "table"
-        if "<VTKFile" in text[:1000]:
-            return "mesh"
-        if not text.lstrip().startswith("{"):
-            return "scene" if "curtain" in tomllib.loads(text[:MOST_TOML_BYTES]) else None
-        record: Any = json.loads(text)
-    except (OSError, ValueError, RecursionError, MemoryError):
-        return None
-    if {"kind", "parameters"} <= record.keys():
-        return "law"
-    if "support_forces" in record:
-        return "curtain"
-    return "record of a table" if record.get("format") == TABLE_FORMAT else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -33,33 +33,32 @@ class Rows:
     array([1., 2., 3., 1.])
     """
 
-    def _rowwise(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | Rows)}
-
     def take(self, rows: Index | Flags) -> Self:
         """The record of these rows, by number or by flag."""
-        columns = {
-            name: value[rows] if isinstance(value, np.ndarray) else value.take(rows)
-            for name, value in self._rowwise().items()
-        }
-        return replace(self, **columns)  # type: ignore[type-var]
+        return self._with(lambda name, own: own[rows] if isinstance(own, np.ndarray) else own.take(rows))
 
     def put(self, rows: Index, other: Self) -> Self:
         """A copy in which `rows` are replaced by those of `other`."""
-        columns = {}
-        for name, value in self._rowwise().items():
-            part = getattr(other, name)
-            if isinstance(value, np.ndarray):
-                columns[name] = value.copy()
-                columns[name][rows] = part
-            else:
-                columns[name] = value.put(rows, part)
-        return replace(self, **columns)  # type: ignore[type-var]
+
+        def put(name: str, own: Any) -> Any:
+            if not isinstance(own, np.ndarray):
+                return own.put(rows, getattr(other, name))
+            copy = own.copy()
+            copy[rows] = getattr(other, name)
+            return copy
+
+        return self._with(put)
 
     def join(self, others: Sequence[Self]) -> Self:
         """The rows of this record and of the others, one after the other."""
-        columns = {}
-        for name, value in self._rowwise().items():
+
+        def join(name: str, own: Any) -> Any:
             parts = [getattr(other, name) for other in others]
-            columns[name] = np.concatenate([value, *parts]) if isinstance(value, np.ndarray) else value.join(parts)
-        return replace(self, **columns)  # type: ignore[type-var]
+            return np.concatenate([own, *parts]) if isinstance(own, np.ndarray) else own.join(parts)
+
+        return self._with(join)
+
+    def _with(self, change: Callable[[str, Any], Any]) -> Self:
+        """A copy in which the fields with one row per case are changed."""
+        rowwise = {name: own for name, own in vars(self).items() if isinstance(own, np.ndarray | Rows)}
+        return replace(self, **{name: change(name, own) for name, own in rowwise.items()})  # type: ignore[type-var]

@@ -9,9 +9,8 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.typed import read_entry
-from rve.common.values import shown
 
 STEEL_KG_PER_MM3 = 7.85e-6
 LEAST_R1_MM, MOST_R1_MM = 0.1, 200.0
@@ -57,32 +56,17 @@ def check_rings(table: Mapping[str, Any], where: object) -> dict[str, float]:
     {'r1_mm': 5.0, 'r2_mm': 0.5}
     """
     found = {key: read_entry(table, key, kind, str(where)) for key, kind in RING_TYPES.items() if key in table}
-    r1, r2 = found.get("r1_mm"), found.get("r2_mm")
-    if r1 is not None and r2 is not None and not r2 < r1:
+    if not {"r1_mm", "r2_mm"} <= found.keys():
+        return found
+    r1, r2 = found["r1_mm"], found["r2_mm"]
+    if not r2 < r1:
         raise InputError(f"{where} r2_mm = {r2:g}: must be less than r1_mm = {r1:g}")
-    for key in ("b_x_mm", "b_y_mm"):
-        side = found.get(key)
-        if side is None or r1 is None or r2 is None:
-            continue
-        if not r2 <= side <= 8.0 * r1:
+    for key in {"b_x_mm", "b_y_mm"} & found.keys():
+        if not r2 <= found[key] <= 8.0 * r1:
             raise InputError(
-                f"{where} {key} = {side:g}: must be from r2_mm = {r2:g} to 8 r1_mm = {8.0 * r1:g} for these rings"
+                f"{where} {key} = {found[key]:g}: must be from r2_mm = {r2:g} to 8 r1_mm = {8.0 * r1:g} for these rings"
             )
-    _check_mass(found, where)
     return found
-
-
-def _check_mass(found: Mapping[str, float], where: object) -> None:
-    """InputError if areal mass and density contradict each other: a cell holds a whole number of rings."""
-    if not RING_TYPES.keys() <= found.keys():
-        return
-    r1, r2, b_x, b_y, density, mass = (found[key] for key in RING_TYPES)
-    count = mass / areal_mass(r1, r2, b_x * b_y, density)
-    if not 0.5 < count < 1e6 or abs(count - round(count)) > 1e-6 * count:
-        raise InputError(
-            f"{where} areal_mass_kg_per_m2 = {mass:g}: is that of {count:g} rings of density_kg_per_mm3 = {density:g} "
-            "in a cell, not of a whole number of them"
-        )
 
 
 def ring_volume(r1_mm: float, r2_mm: float) -> float:
@@ -111,8 +95,8 @@ class Joint:
     angles_deg: tuple[float, ...]
 
     @staticmethod
-    def of(value: Any) -> Joint:
-        """The joint of a name; "butted" is "butted:worst". ValueError for other names.
+    def of(value: Any, where: str = "joint") -> Joint:
+        """The joint of a name; "butted" is "butted:worst". InputError, which begins with `where`, for other names.
 
         A stated angle stands for its mirror image as well: a ring may be woven with either side to the front, and the
         mirror image of a mesh has its joints there.
@@ -122,19 +106,18 @@ class Joint:
         >>> len(Joint.of("butted").angles_deg)
         36
         """
-        kind, colon, angle = str(value).partition(":")
-        if kind == "welded" and not colon:
+        kind, _, angle = str(value).partition(":")
+        if value == "welded":
             return Joint("welded", ())
-        if kind != "butted":
-            raise ValueError("is not welded, butted:worst or butted:ANGLE with an angle in degrees from the grain")
-        if angle == "worst" or not colon:
+        if value in ("butted", "butted:worst"):
             return Joint("butted:worst", tuple(float(x) for x in range(0, 360, WORST_STEP_DEG)))
         try:
-            degrees = float(angle)
+            degrees = float(angle) if kind == "butted" else math.nan
         except ValueError:
             degrees = math.nan
         if not -360.0 <= degrees <= 360.0:
-            raise ValueError("needs an angle from -360 to 360 degrees after butted:, or worst")
+            known = "welded, butted:worst or butted:ANGLE with degrees from the grain, -360 to 360"
+            raise InputError(f"{where} = {shown(value)}: is not {known}")
         return Joint(f"butted:{degrees:g}", (degrees, -degrees) if degrees % 180.0 else (degrees,))
 
 
@@ -145,8 +128,4 @@ same for all joints between two neighbouring contacts; only one between contacts
 
 def read_joint(table: Mapping[str, Any], where: str = "") -> str:
     """The name of the joint that a file states, welded if it states none; InputError for other names."""
-    value = table.get("joint", "welded")
-    try:
-        return Joint.of(value).name
-    except ValueError as error:
-        raise InputError(f"{where} joint = {shown(value)}: {error}".lstrip()) from error
+    return Joint.of(table.get("joint", "welded"), f"{where} joint".lstrip()).name

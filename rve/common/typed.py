@@ -9,24 +9,23 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import types
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
-from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
 
-from rve.common.errors import InputError
-from rve.common.values import shown, shown_key
+from rve.common.errors import InputError, shown
 
 Record = TypeVar("Record", bound="Typed")
 NAMES = {
-    **{"float": "a number", "int": "a whole number", "str": "a text"},
+    **{"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false"},
     **{"array": "a list", "object": "a table of names and values"},
 }
 """What msgspec's types are called in messages."""
+ENTRIES = {">": "at least ", "<": "at most ", "": ""}
 RANGES = {">": "must be greater than", ">=": "must be at least", "<": "must be less than", "<=": "must be at most"}
 
 
@@ -42,20 +41,14 @@ class Typed:
     """Base of frozen dataclasses whose fields are checked by their types when a record is made.
 
     >>> from dataclasses import dataclass
-    >>> import msgspec
     >>> @dataclass(frozen=True)
     ... class Steps(Typed):
-    ...     most: Annotated[int, msgspec.Meta(ge=1, le=100)] = 20
-    >>> Steps(most=0)
+    ...     most: int = 20
+    >>> Steps(most=0.5)
     Traceback (most recent call last):
     ...
-    rve.common.typed.BadField: Steps: most = 0: must be at least 1
+    rve.common.typed.BadField: Steps: most = 0.5: is not a whole number
     """
-
-    def __new__(cls, *values: Any, **named: Any) -> Self:
-        """An empty record; InputError for a name that is no field."""
-        refuse_unknown(named, types_of(cls), f"{cls.__name__}:", "option")  # type: ignore[arg-type]
-        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         """Check every field; BadField (an InputError) for the first one that does not fit."""
@@ -134,10 +127,9 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, w
     known = list(known)
     for key, value in table.items():
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1)
-            meant = f"did you mean {near[0]}? " if near else ""
-            named = f"{where} {shown_key(key)}" + (f" = {shown(value)}" if what == "key" else "")
-            raise InputError(f"{named}: unknown {what}; {meant}known are {', '.join(known) or 'none'}")
+            named = f"{key} = {shown(value)}" if what == "key" else key
+            listed = f"known are {', '.join(known) or 'none'}"
+            raise InputError(f"{where} {named:.160}: unknown {what}; {_meant(key, known)}{listed}")
 
 
 def numbers_or_none(values: Iterable[float]) -> list[float | None]:
@@ -156,6 +148,11 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
+def _meant(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, known, 1)
+    return f"did you mean {near[0]}? " if near else ""
+
+
 def _words(what: str, value: Any, kind: Any) -> str:
     """What msgspec says, in the words of a user."""
     if (isinstance(value, float) and not math.isfinite(value)) or what == "Number out of range":
@@ -163,25 +160,20 @@ def _words(what: str, value: Any, kind: Any) -> str:
     if found := re.match(r"Expected `(?:float|int)` ([<>]=?) (\S+)", what):
         return f"{RANGES[found[1]]} {float(found[2]):g}"
     if found := re.match(r"Expected `array` of length ([<>]?)=? ?(\d+)", what):
-        return f"must have { ({'>': 'at least ', '<': 'at most '}.get(found[1], '')) }{found[2]} entries"
-    if found := re.match(r"Object missing required field `(.*)`", what):
-        return f"{found[1]} is missing"
+        return f"must have {ENTRIES[found[1]]}{found[2]} entries"
+    if what.startswith("Object missing required field"):
+        return f"{what.split('`')[1]} is missing"
     if what.startswith("Expected `str` of length"):
         return "is empty"
     words = _literals(kind)
-    if what.startswith("Invalid enum value") or (words and what.startswith("Expected `str")):
-        near = difflib.get_close_matches(str(value), words, 1)
-        return f"is not one of {', '.join(words)}" + (f"; did you mean {near[0]}?" if near else "")
-    if what.startswith("Expected `bool`"):
-        return "is neither true nor false"
-    names = [NAMES.get(name, name) for name in re.findall(r"`(.*?)`", what)[:1][0].split(" | ")]
-    return f"is not {' or '.join(name for name in names if name != 'null')}"
+    if words and what.startswith(("Invalid enum value", "Expected `str")):
+        return f"is not one of {', '.join(words)}; {_meant(str(value), words)}".rstrip("; ")
+    names = [NAMES.get(name, name) for name in what.split("`")[1].split(" | ") if name != "null"]
+    return f"is not {' or '.join(names)}"
 
 
 def _literals(kind: Any) -> list[str]:
     """The words that a type allows."""
     if get_origin(kind) is Literal:
         return list(get_args(kind))
-    if get_origin(kind) in (Annotated, Union, types.UnionType):
-        return [word for part in get_args(kind) for word in _literals(part)]
-    return []
+    return [word for part in get_args(kind) for word in _literals(part)]

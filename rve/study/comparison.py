@@ -5,28 +5,95 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import asdict
+import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rve.common.errors import require
-from rve.common.files import check_out_job, job, versions, write_text
+from rve.common.files import AnyPath, check_out_job, job, versions, write_text
 from rve.common.texts import csv_text, json_text
 from rve.common.types import Array
 from rve.directions import grid
+from rve.equilibrium.system import Equations
+from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import Pose, strain_of
 from rve.paper.dynamics import StewartTrinkleOptions
-from rve.study.cases import Study, history_strain, side_contact_times, solve_study
+from rve.paper.stewart_trinkle import History, Settled, solve
+from rve.solve import solve_table
+from rve.table import StrainTable
 
 RECORD = "study.json"
 """The record of a study in its folder; it lists the other files with their checksums."""
+KINKED = ((0.0, 0.0), (45.0, 90.0))
+"""Cases 1 and 190 of the paper, whose motion it shows in Fig. 17."""
 
 
-def _span(values: Array, low: float, high: float) -> str:
-    inside = int(((values >= low) & (values <= high)).sum())
-    return f"{inside} of {len(values)}"
+@dataclass(frozen=True)
+class Study:
+    """Load cases solved by both methods.
+
+    s (n, 3): their line loads; table: the direct solver's rows; rest, history: the paper's scheme; sides: of the rigid
+    reference cell in r1, to which strains of both refer; wall_s: seconds of the scheme and of the direct solver.
+    """
+
+    s: Array
+    table: StrainTable
+    options: StewartTrinkleOptions
+    rest: Settled
+    history: History
+    sides: tuple[float, float]
+    wall_s: tuple[float, float]
+
+    @property
+    def E(self) -> Array:
+        """Strains (n, 3) of the paper's scheme."""
+        return strain_of(self.rest.pose, self.sides)
+
+    def case(self, alpha_deg: float, beta_deg: float) -> int | None:
+        """Row of a load direction, None where the study has none."""
+        rows = np.flatnonzero((self.table.alpha_deg == alpha_deg) & (self.table.beta_deg == beta_deg))
+        return int(rows[0]) if len(rows) else None
+
+    def path(self, case: int) -> tuple[NDArray[np.intp], Array]:
+        """Rows of the history that belong to a case, (m,), and its strains there, (m, 3)."""
+        rows = np.flatnonzero(self.history.case == case)
+        none = np.zeros((len(rows), 0, 2))
+        return rows, strain_of(Pose(self.history.lattice[rows], none, none), self.sides)
+
+    def side_contact_times(self, case: int) -> tuple[float, float]:
+        """Times in s from which, for good, one and all of the final contacts between rings that do not interlink press.
+
+        nan where the locked state has no such contact.
+        """
+        rows = self.history.case == case
+        side, times = self.history.side[rows], self.history.time[rows]
+        if not side[-1]:
+            return float("nan"), float("nan")
+        # from the step after the last one in which they did not press
+        one, all_ = (np.append(0, np.flatnonzero(~pressed) + 1)[-1] for pressed in (side > 0, side == side[-1]))
+        return float(times[one]), float(times[all_])
+
+
+def solve_study(
+    alpha_deg: ArrayLike, beta_deg: ArrayLike, cell: Cell | None = None, options: StewartTrinkleOptions | None = None
+) -> Study:
+    """Solve the cases by the paper's scheme, with history, and by the direct solver, for interlacing along y."""
+    cell = cell or Cell()
+    options = options or StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
+    alpha, beta = np.asarray(alpha_deg, dtype=float), np.asarray(beta_deg, dtype=float)
+    s = cauchy_line_load(alpha, beta)
+    began = time.perf_counter()
+    table = solve_table(cell, (alpha, beta))
+    between = time.perf_counter()
+    rest = solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
+    ended = time.perf_counter()
+    assert rest.history is not None
+    sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
+    return Study(s, table, options, rest, rest.history, sides, (ended - between, between - began))
 
 
 def comparison(study: Study) -> list[tuple[str, str, str, str]]:
@@ -35,43 +102,41 @@ def comparison(study: Study) -> list[tuple[str, str, str, str]]:
     order = np.argsort(steps)
 
     def name(i: int) -> str:
-        return f"({study.alpha_deg[i]:g}, {study.beta_deg[i]:g})"
+        return f"({study.table.alpha_deg[i]:g}, {study.table.beta_deg[i]:g})"
+
+    def span(values: Array, low: float, high: float) -> str:
+        return f"{((values >= low) & (values <= high)).sum()} of {len(values)}"
 
     def kink(alpha: float, beta: float) -> str:
         case = study.case(alpha, beta)
         if case is None:
             return "not in this study"
-        first, last = side_contact_times(study, case)
+        first, last = study.side_contact_times(case)
         return f"first side contact {first:.0f} s, last {last:.0f} s"
 
+    (one, other), last_case = KINKED, study.case(*KINKED[1])
     quarter, half, most = np.percentile(sums, [25, 50, 75])
     clock = "the paper states neither s_hat nor a start; s_hat is calibrated, see docs/explanation/paper_scheme.md"
+    free = "(15, 0) is at the edge of the loads that leave the strain free: almost no restoring force"
     fewer = "our steps see the contact curvature: fewer"
+    own_sum = "not in this study" if last_case is None else f"{sums[last_case]:.0f} s"
     return [
         ("converged cases", "190 of 190", f"{(rest.status == 'converged').sum()} of {len(sums)}", ""),
-        ("steps, 150 to 300", "most cases", _span(steps.astype(float), 150, 300), fewer),
+        ("steps, 150 to 300", "most cases", span(steps.astype(float), 150, 300), fewer),
         ("steps, quartiles", "-", " / ".join(f"{x:.0f}" for x in np.percentile(steps, [25, 50, 75])), ""),
         ("least steps", "80", f"{steps.min()} at {name(order[0])}", ""),
-        ("most steps", "about 2800, two cases", ", ".join(f"{steps[i]} at {name(i)}" for i in order[:-4:-1]), _FREE),
+        ("most steps", "about 2800, two cases", ", ".join(f"{steps[i]} at {name(i)}" for i in order[:-4:-1]), free),
         ("least sum of h", "14.5 s", f"{sums.min():.1f} s at {name(int(np.argmin(sums)))}", clock),
-        ("sum of h, 45 to 60 s", "accumulation of cases", _span(sums, 45.0, 60.0), clock),
+        ("sum of h, 45 to 60 s", "accumulation of cases", span(sums, 45.0, 60.0), clock),
         ("sum of h, quartiles", "-", f"{quarter:.0f} / {half:.0f} / {most:.0f} s", ""),
-        ("largest sum of h", "1340 s", f"{sums.max():.0f} s at {name(int(np.argmax(sums)))}", _FREE),
-        ("sum of h, case 190 (45, 90)", "about 1340 s", _sum(study, 45.0, 90.0), "same clock"),
-        ("kink, case 1 (0, 0)", "about 30 s", kink(0.0, 0.0), clock),
-        ("kink, case 190 (45, 90)", "about 1200 s", kink(45.0, 90.0), clock),
+        ("largest sum of h", "1340 s", f"{sums.max():.0f} s at {name(int(np.argmax(sums)))}", free),
+        ("sum of h, case 190 (45, 90)", "about 1340 s", own_sum, "same clock"),
+        ("kink, case 1 (0, 0)", "about 30 s", kink(*one), clock),
+        ("kink, case 190 (45, 90)", "about 1200 s", kink(*other), clock),
         ("tried with too large a step", "-", f"{rest.rejected.sum()} beside {steps.sum()} accepted steps", ""),
         ("largest rise of energy", "none", f"{study.history.rise.max():.1e} s_hat r1^2", "round-off of the gaps"),
         ("wall time", "-", f"{study.wall_s[0]:.1f} s, direct solver {study.wall_s[1]:.1f} s", ""),
     ]
-
-
-_FREE = "(15, 0) is at the edge of the loads that leave the strain free: almost no restoring force"
-
-
-def _sum(study: Study, alpha: float, beta: float) -> str:
-    case = study.case(alpha, beta)
-    return "not in this study" if case is None else f"{study.rest.time[case]:.0f} s"
 
 
 def markdown(rows: list[tuple[str, str, str, str]]) -> str:
@@ -80,30 +145,29 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
-def cases_csv(study: Study) -> str:
+def _cases_csv(study: Study) -> str:
     """One line per case: steps, times, residual, strains of both methods."""
-    strains = "E11,E12,E22,E11_direct,E12_direct,E22_direct,unique"
-    header = f"case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,{strains}"
-    rest, E = study.rest, study.table.E
-    direct = np.where(np.isfinite(E), E.astype(object), "")
-    columns = [study.alpha_deg, study.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status]
-    columns += [*study.E.T, *direct.T, study.table.unique.astype(int)]
-    rows = zip(range(1, len(E) + 1), *(column.tolist() for column in columns), strict=True)
+    header = (
+        "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22,E11_direct,E12_direct,E22_direct,unique"
+    )
+    rest, table = study.rest, study.table
+    direct = np.where(np.isfinite(table.E), table.E.astype(object), "")
+    columns = [table.alpha_deg, table.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status]
+    columns += [*study.E.T, *direct.T, table.unique.astype(int)]
+    rows = zip(range(1, len(table) + 1), *(column.tolist() for column in columns), strict=True)
     return csv_text(header.split(","), rows)
 
 
-def history_csv(study: Study, case: int) -> str:
+def _history_csv(study: Study, case: int) -> str:
     """One line per accepted step of a case: time, step, strain, R, kinetic energy."""
-    h = study.history
-    rows = np.flatnonzero(h.case == case)
-    E = history_strain(study, rows)
+    h, (rows, E) = study.history, study.path(case)
     values = np.column_stack([h.time[rows], h.h[rows], E, h.R[rows], h.kinetic[rows], h.side[rows]])
     header = "time_s,h_s,E11,E12,E22,R,kinetic_kg_mm2_per_s2,side_contacts"
     return csv_text(header.split(","), values.tolist())
 
 
 def run(
-    out_dir: str | os.PathLike[str],
+    out_dir: AnyPath,
     alpha_deg: ArrayLike | None = None,
     beta_deg: ArrayLike | None = None,
     options: StewartTrinkleOptions | None = None,
@@ -115,26 +179,21 @@ def run(
     All files appear together, and what they replace is gone (`rve.common.files`). InputError when matplotlib is
     missing or the folder cannot be made or written, before anything is solved.
     """
+    from rve.study.figures import draw_all
+
     require("matplotlib", "plots", "the study")
     check_out_job(out_dir, RECORD)
     alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
     study = solve_study(alpha, beta, None, options)
-    with job(out_dir, RECORD) as folder:
-        _write(study, folder)
-    return study
-
-
-def _write(study: Study, folder: Path) -> None:
-    """Every table and picture of a study."""
-    from rve.study.figures import draw_all
-
-    write_text(folder / "cases.csv", cases_csv(study))
-    for pair in ((0.0, 0.0), (45.0, 90.0)):
-        case = study.case(*pair)
-        if case is not None:
-            write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", history_csv(study, case))
     rows = comparison(study)
-    write_text(folder / "comparison.md", markdown(rows))
     record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
-    write_text(folder / RECORD, json_text(record))
-    draw_all(study, folder)
+    with job(out_dir, RECORD) as folder:
+        write_text(folder / "cases.csv", _cases_csv(study))
+        for pair in KINKED:
+            case = study.case(*pair)
+            if case is not None:
+                write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", _history_csv(study, case))
+        write_text(folder / "comparison.md", markdown(rows))
+        write_text(folder / RECORD, json_text(record))
+        draw_all(study, Path(folder))
+    return study

@@ -262,7 +262,7 @@ def test_bad_mesh_files_are_explained(tmp_path, cells, words):
             [[0, 1, 2], [0, 2, 3], [1, 5, 4], [4, 5, 2]],
             r"\(2, 1\) lies",
         ),
-        ([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 9]], "triangle 1 names a point"),
+        ([[0, 0], [1, 0], [1, 1], [0, 1]], [[0, 1, 2], [0, 2, 9]], "triangle names a point"),
     ],
 )
 def test_cells_that_do_not_fit_together_are_explained(tmp_path, points, cells, words):

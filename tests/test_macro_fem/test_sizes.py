@@ -1,4 +1,4 @@
-"""Sizes that rings cannot resolve, pitches that do not fit and files of the wrong kind are told in a user's words."""
+"""Sizes that rings cannot resolve and pitches that do not fit are told in a user's words."""
 
 import json
 

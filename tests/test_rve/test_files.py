@@ -106,14 +106,12 @@ def test_outputs_that_are_no_files_are_refused(tmp_path):
         (tmp_path / "folder", "is a folder"),
         (tmp_path / "no" / "x.csv", "does not exist"),
         (tmp_path / "file" / "x.csv", "does not exist"),
-        (tmp_path / ("n" * 300), "File name too long"),
     ):
         with pytest.raises(InputError, match=words):
             check_out_file(path)
-    with pytest.raises(InputError, match="not a folder"):
-        check_out_folder(tmp_path / "file")
-    with pytest.raises(InputError, match="cannot be made"):
-        check_out_folder(tmp_path / "file" / "below")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="not a folder"):
+            check_out_folder(path)
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
 
@@ -126,8 +124,6 @@ def test_outputs_that_are_inputs_by_any_name_are_refused(tmp_path):
     for name in ("glove.csv", "glove.json", "soft", "hard", "../" + tmp_path.name + "/glove.csv"):
         with pytest.raises(InputError, match="would overwrite"):
             check_out_file(tmp_path / name, inputs=[None, table])
-    with pytest.raises(InputError, match="sidecar"):
-        check_out_file(tmp_path / "glove.json")
     check_out_file(tmp_path / "law.json", inputs=[table])
     publish(tmp_path / "out", NEW)
     with pytest.raises(InputError, match="would overwrite"):

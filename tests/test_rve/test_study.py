@@ -43,9 +43,9 @@ def test_one_command_writes_every_table_and_picture(tmp_path):
 
 def test_side_contacts_are_timed():
     found = study.solve_study(np.array([0.0, 20.0]), np.array([90.0, 45.0]))
-    first, last = study.side_contact_times(found, 0)  # side neighbours touch in the reference state
+    first, last = found.side_contact_times(0)  # side neighbours touch in the reference state
     assert 0.0 < first <= last < found.rest.time[0]
-    assert all(np.isnan(study.side_contact_times(found, 1)))
+    assert all(np.isnan(found.side_contact_times(1)))
 
 
 @pytest.mark.slow

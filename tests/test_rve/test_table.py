@@ -71,7 +71,7 @@ def test_compliance_columns_round_trip(small, tmp_path):
     [
         (lambda t: t.splitlines()[0] + "\n", "has no rows"),
         (lambda t: t.replace("E11", "e11"), "column E11 is missing"),
-        (lambda t: t.replace("0.0,90.0,", "0.0,,"), "empty or nan"),
+        (lambda t: t.replace("0.0,90.0,", "0.0,,"), "not a finite number"),
         (lambda t: "\x00\xff", "column alpha_deg is missing"),
     ],
 )

@@ -14,10 +14,9 @@ from macro_fem.scene.meshing.edges import facets_between, named_edges
 from macro_fem.scene.meshing.places import least_sine
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
-from rve.common.errors import InputError
+from rve.common.errors import InputError, shown
 from rve.common.meshes import read_mesh_file
 from rve.common.types import Array
-from rve.common.values import shown
 
 
 def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray]]:

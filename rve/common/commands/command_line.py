@@ -1,10 +1,10 @@
 """What all commands share: how they end, what they print, and --quiet, --json and --traceback.
 
-A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 128 plus
-the number of the signal that stopped it, 130 for SIGINT (Ctrl-C), 143 for SIGTERM. Each failure is one sentence on
-standard error; with `--traceback` the place in the code is printed before it. What takes long is shown live in a
-terminal. A command prints sentences by `say`, the last one by `say_next`, and its record by `answer`: `--quiet` leaves
-out the sentences, `--json` prints the record in their place.
+A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 130 for
+SIGINT (Ctrl-C), 143 for SIGTERM. Each failure is one sentence on standard error; with `--traceback` the place in the
+code is printed before it. What takes long is shown live in a terminal. A command prints sentences by `say`, the last
+one by `say_next`, and its record by `answer`: `--quiet` leaves out the sentences, `--json` prints the record in their
+place.
 
     @click.group(cls=Group)
     def main() -> None: ...
@@ -13,13 +13,11 @@ out the sentences, `--json` prints the record in their place.
 from __future__ import annotations
 
 import errno
-import os
 import shlex
 import signal
-import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -42,10 +40,6 @@ _OPTIONS = {
 }
 
 
-class Stopped(KeyboardInterrupt):
-    """A signal asks this process to end."""
-
-
 class CommandFailed(click.ClickException):
     """What a command raised, as a sentence and an exit code."""
 
@@ -58,18 +52,20 @@ class Command(click.Command):
     """A click command that ends in one sentence, shows live progress, and has the options of all commands."""
 
     def __init__(self, name: str | None, **kwargs: Any) -> None:
-        super().__init__(name, params=[*(kwargs.pop("params", None) or []), *map(_common, _OPTIONS)], **kwargs)
+        how: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _remember}
+        common = [click.Option([option], help=text, **how) for option, text in _OPTIONS.items()]
+        super().__init__(name, params=[*(kwargs.pop("params", None) or []), *common], **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes a sentence and an exit code."""
+        with suppress(ValueError):  # only the main thread has signals
+            signal.signal(signal.SIGTERM, _stop)
         try:
-            with _stops_raised(), nullcontext() if _asked("--quiet") else shown():
+            with nullcontext() if _asked("--quiet") else shown():
                 return super().invoke(ctx)
-        except (click.ClickException, click.exceptions.Exit, click.Abort):
+        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except (Exception, KeyboardInterrupt) as error:
-            if isinstance(error, OSError) and error.errno == errno.EPIPE:  # the reader of a pipe has gone: click's case
-                raise
             if _asked("--traceback"):
                 click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             code, sentence = ending(error)
@@ -88,30 +84,37 @@ class Group(click.Group):
         click.version_option(package_name="ring-mesh")(self)
 
 
-def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A decorator that gives a command these options and arguments, in this order."""
-
-    def decorate(command: Any) -> Any:
-        for add in reversed(added):
-            command = add(command)
-        return command
-
-    return decorate
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt(number)
 
 
-def _common(name: str) -> click.Option:
-    """An option that all commands have; what it says is kept in the context."""
-
-    def remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
-        ctx.meta[f"rve{name}"] = value
-
-    return click.Option([name], is_flag=True, is_eager=True, expose_value=False, callback=remember, help=_OPTIONS[name])
+def _remember(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    ctx.meta[f"rve{param.opts[0]}"] = value
 
 
 def _asked(name: str) -> bool:
     """Whether a common option was given; no outside of a command."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(f"rve{name}"))
+
+
+def ending(error: BaseException) -> tuple[int, str]:
+    """Exit code and sentence for what a command raised."""
+    if isinstance(error, InputError | NotConverged):
+        return 2 if isinstance(error, InputError) else 1, str(error)
+    if isinstance(error, KeyboardInterrupt):
+        number = signal.Signals(error.args[0] if error.args else signal.SIGINT)
+        return 128 + number, f"stopped by {number.name}"
+    if isinstance(error, OSError) and error.strerror:
+        where = "" if error.filename is None else f"{error.filename}: "
+        remedy = (
+            "make room on the disk, or write to another one; " if error.errno in (errno.ENOSPC, errno.EFBIG) else ""
+        )
+        return 1, f"{where}{error.strerror}; {remedy}files that were there before are unchanged"
+    if isinstance(error, MemoryError):
+        return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
+    kind = type(error).__name__
+    return 1, f"unforeseen {kind}: {str(error) or 'no message'}; please report it with what --traceback prints"
 
 
 def say(*lines: str, err: bool = False) -> None:
@@ -152,6 +155,17 @@ def feature_lines(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     return [f"{row['feature']:<16} {'used' if row['used'] else 'left out':<9} {row['why']}" for row in rows]
 
 
+def options(*added: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A decorator that gives a command these options and arguments, in this order."""
+
+    def decorate(command: Any) -> Any:
+        for add in reversed(added):
+            command = add(command)
+        return command
+
+    return decorate
+
+
 def numbers_of(text: str, option: str) -> list[float]:
     """Numbers with commas between them; InputError for others."""
     try:
@@ -174,53 +188,10 @@ def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:
     """InputError, before anything is solved, for a picture of --plot that cannot be written."""
     require("matplotlib", "plots", "--plot")
     check_out_file(path, "--plot", inputs)
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    if path.suffix and path.suffix[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
+    if path.suffix.lower() not in ("", ".png", ".svg", ".pdf"):
         raise InputError(f"--plot = {path}: give a name that ends in .png, .svg or .pdf")
 
 
 def no_picture(module: str) -> tuple[str, ...]:
     """What a next command is given where its picture needs a module that is not installed."""
     return () if find_spec(module) is not None else ("--no-picture",)
-
-
-def ending(error: BaseException) -> tuple[int, str]:
-    """Exit code and sentence for what a command raised."""
-    if isinstance(error, InputError):
-        return 2, str(error)
-    if isinstance(error, NotConverged):
-        return 1, str(error)
-    if isinstance(error, KeyboardInterrupt):
-        number = signal.Signals(error.args[0]) if isinstance(error, Stopped) else signal.SIGINT
-        return 128 + number, f"stopped by {number.name}"
-    if isinstance(error, OSError) and error.strerror:
-        where = "" if error.filename is None else f"{os.fspath(error.filename)!s}: "
-        is_full = error.errno in (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", -1))
-        remedy = "make room on the disk, or write to another one; " if is_full else ""
-        return 1, f"{where}{error.strerror}; {remedy}files that were there before are unchanged"
-    if isinstance(error, MemoryError):
-        return 1, "there is not enough memory for this; ask for fewer cells, rings, rows or workers"
-    kind = type(error).__name__
-    return 1, f"unforeseen {kind}: {str(error) or 'no message'}; please report it with what --traceback prints"
-
-
-@contextmanager
-def _stops_raised() -> Iterator[None]:
-    """Signals that end a process are raised as `Stopped` in the block, so that it cleans up behind itself."""
-    if threading.current_thread() is not threading.main_thread():  # signals belong to the main thread
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Stopped(number)
-
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    numbers = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]  # nohup ignores SIGHUP
-    for number in numbers:
-        signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        for number in numbers:
-            signal.signal(number, signal.SIG_DFL)

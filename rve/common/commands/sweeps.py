@@ -8,23 +8,26 @@ depend on each other, so that files are the same to the bit for any number of wo
 from __future__ import annotations
 
 import io
+import os
+import signal
+import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.cache import Cache, open_cache
+from rve.common.cache import open_cache
 from rve.common.commands.command_line import answer, options, say
-from rve.common.commands.workers import worker_pool
 from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
-from rve.common.files import check_out_folder, checksum, versions, write_text
+from rve.common.files import checksum, versions, write_text
 from rve.common.progress import tell
 from rve.common.reading import read_json_object, recorded_reads
 from rve.common.texts import csv_text
@@ -68,12 +71,12 @@ class Ended:
     read: dict[str, str] = field(default_factory=dict)
 
 
-def run_item(package: str, arguments: tuple[str, ...]) -> Ended:
+def run_item(item: SweepItem) -> Ended:
     """Runs a command in this process; only a stop from outside is raised."""
     try:
         with recorded_reads() as read, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            main = import_module(f"{package}.cli").main
-            code = main.main(list(arguments), prog_name=package, standalone_mode=False)
+            main = import_module(f"{item.package}.cli").main
+            code = main.main(list(item.arguments), prog_name=item.package, standalone_mode=False)
     except click.ClickException as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise error.__cause__ from None
@@ -95,54 +98,67 @@ def sweep(
     same name. InputError if nothing answers there, or two items have one name. NotConverged if workers or scheduler
     are lost for good. However it ends, what is finished is kept.
     """
-    if cluster is not None:
-        require("distributed", "cluster", "--cluster", "use --jobs")
-        if jobs != 1:
-            raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
-    for name, count in Counter(item.name for item in items).items():
-        if count > 1:
-            raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
+    (name, count), *_ = Counter(item.name for item in items).most_common(1)
+    if count > 1:
+        raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
     cache, ended = open_cache(out / MARKS, "--out"), {}
     for number, item in enumerate(items):
         if (found := cache.get(item.question)) is not None:
             ended[number] = Ended(found["code"], found["message"])
             done(item.name)
-    left = [number for number in range(len(items)) if number not in ended]
-    run = _on_cluster(items, left, cluster) if cluster is not None else _here(items, left, jobs)
+    left = {number: item for number, item in enumerate(items) if number not in ended}
+    run = _on_cluster(left, cluster) if cluster is not None else _here(left, jobs)
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
     try:
         with noted_if_stopped(kept), closing(run):
             for number, how in run:
-                ended[number] = _kept(cache, items[number], how)
-                done(items[number].name)
-    except (BrokenProcessPool, ConnectionError) as error:
+                item, ended[number] = items[number], how
+                if how.code in (0, 1) and not how.message:  # it has written its record
+                    cache.put(item.question, {"code": how.code, "message": ""}, how.read | item.written)
+                done(item.name)
+    except BrokenProcessPool as error:
         lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
-        raise NotConverged(f"{lost if isinstance(error, BrokenProcessPool) else error}; {kept}") from error
+        raise NotConverged(f"{lost}; {kept}") from error
+    except ConnectionError as error:
+        raise NotConverged(f"{error}; {kept}") from error
     return [ended[number] for number in range(len(items))]
 
 
-def _kept(cache: Cache, item: SweepItem, how: Ended) -> Ended:
-    """How an item ended, kept if it wrote its record."""
-    if how.code not in (0, 1) or how.message:
-        return how
-    if not item.record.exists():
-        return Ended(1, f"{item.record} is not there; workers must see {item.record.parent} under the same name")
-    cache.put(item.question, {"code": how.code, "message": how.message}, how.read | item.written)
-    return how
-
-
-def _here(items: Sequence[SweepItem], left: list[int], jobs: int) -> Generator[tuple[int, Ended]]:
+def _here(items: dict[int, SweepItem], jobs: int) -> Generator[tuple[int, Ended]]:
+    """Items in this process, or in others that end when the generator is closed, and when this process ends."""
     if jobs == 1:
-        for number in left:
-            yield number, run_item(items[number].package, items[number].arguments)
+        for number, item in items.items():
+            yield number, run_item(item)
         return
-    with worker_pool(jobs) as pool:
-        futures = {pool.submit(run_item, items[n].package, items[n].arguments): n for n in left}
+    before = active_children()
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    try:
+        futures = {pool.submit(run_item, item): number for number, item in items.items()}
         for future in as_completed(futures):
             yield futures[future], future.result()
+    except (Exception, KeyboardInterrupt, GeneratorExit):
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(active_children()) - set(before):
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def _on_cluster(items: Sequence[SweepItem], left: list[int], address: str) -> Generator[tuple[int, Ended]]:
+def _end_with_parent() -> None:
+    """Let this worker end at once when its parent does; Ctrl-C is handled by the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _on_cluster(items: dict[int, SweepItem], address: str) -> Generator[tuple[int, Ended]]:
     """ConnectionError with a sentence if the scheduler is lost."""
     from distributed import Client
     from distributed import as_completed as as_finished
@@ -152,9 +168,8 @@ def _on_cluster(items: Sequence[SweepItem], left: list[int], address: str) -> Ge
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        packages, arguments = [items[n].package for n in left], [items[n].arguments for n in left]
-        futures = client.map(run_item, packages, arguments, pure=False, retries=RETRIES)
-        numbers = dict(zip((future.key for future in futures), left, strict=True))
+        futures = client.map(run_item, list(items.values()), pure=False, retries=RETRIES)
+        numbers = dict(zip((future.key for future in futures), items, strict=True))
         for future in as_finished(futures):
             if future.status in ("cancelled", "lost"):
                 raise ConnectionError(f"--cluster = {address}: the Dask scheduler was lost")
@@ -182,31 +197,33 @@ sweep_options = options(
 """The options of a command that runs a sweep."""
 
 
-def run_sweep(items: Sequence[SweepItem], out: Path, columns: Columns, **how: Any) -> list[dict[str, Any]]:
+def run_sweep(
+    items: Sequence[SweepItem], out: Path, columns: Columns, *, jobs: int, cluster: str | None
+) -> list[dict[str, Any]]:
     """Runs a sweep, writes sweep.csv, says how it ended and returns its rows; exit code 1 if an item failed.
 
     A row holds name, exit_code, what `columns` takes from the record, and message. Options that the command of an item
     has not are refused before the first one runs.
     """
+    if cluster is not None:
+        require("distributed", "cluster", "--cluster", "use --jobs")
+        if jobs != 1:
+            raise InputError("--jobs and --cluster are two ways to run a sweep: give one")
     for item in items:
-        name, *words = item.arguments
-        command = import_module(f"{item.package}.cli").main.commands[name]
-        command.make_context(f"{item.package} {name}", words)
-    check_out_folder(out, "--out")
+        command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
+        command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
     finished: list[str] = []
 
     def done(name: str) -> None:
         finished.append(name)
         tell(f"sweep, {len(finished)} of {len(items)} done", len(finished) / len(items))
 
-    tell(f"sweep, 0 of {len(items)} done", 0.0)
     rows = []
-    for item, ended in zip(items, sweep(items, out, done=done, **how), strict=True):
+    for item, ended in zip(items, sweep(items, out, jobs=jobs, cluster=cluster, done=done), strict=True):
         record = read_json_object(item.record) if not ended.message and item.record.exists() else {}
         rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
     names = list(dict.fromkeys(key for row in rows for key in row))
-    text = csv_text(names, ([row.get(key, "") for key in names] for row in rows))
-    write_text(out / "sweep.csv", text)
+    write_text(out / "sweep.csv", csv_text(names, ([row.get(key, "") for key in names] for row in rows)))
     tell("")
     failed = [row for row in rows if row["exit_code"] != 0]
     for row in failed:

@@ -17,15 +17,13 @@ OVER = "#d6004d"
 """The colour of values above the scale."""
 TOP_SHARE = 0.995
 """The scale of colours ends where this share of the values lies below."""
-NICE = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
 @dataclass(frozen=True)
 class Scale:
     """Colours of values from `low` to `top`; `largest` may be above `top`.
 
-    colours: a map of matplotlib, used up to the share `brightest`. spread: "even", "root" (colours change with the
-    square root, so that small values are told apart) or "log".
+    spread: "even", "root" (colours change with the square root, so that small values are told apart) or "log".
     """
 
     label: str
@@ -33,9 +31,6 @@ class Scale:
     top: float
     largest: float
     spread: str = "even"
-    colours: str = "viridis"
-    brightest: float = 1.0
-    over: str = OVER
 
     @classmethod
     def of(cls, values: Array, label: str) -> Scale:
@@ -43,7 +38,7 @@ class Scale:
 
         >>> scale = Scale.of(np.append(np.linspace(0.0, 0.9, 999), 7.0), "line load, N/mm")
         >>> scale.top, scale.largest, scale.is_exceeded, scale.title
-        (1.0, 7.0, True, 'line load, N/mm; arrow: up to 7')
+        (0.9, 7.0, True, 'line load, N/mm; arrow: up to 7')
         """
         largest = float(np.max(values, initial=0.0))
         bulk = float(np.quantile(values, TOP_SHARE)) if len(values) else 0.0
@@ -65,8 +60,7 @@ class Scale:
         from matplotlib.colors import ListedColormap
 
         share = np.linspace(0.0, 1.0, 1024) ** (0.5 if self.spread == "root" else 1.0)
-        colours = matplotlib.colormaps[self.colours](self.brightest * share)
-        return ListedColormap(colours).with_extremes(over=self.over)
+        return ListedColormap(matplotlib.colormaps["viridis"](share)).with_extremes(over=OVER)
 
     def norm(self) -> Normalize:
         """The range for matplotlib."""
@@ -84,14 +78,13 @@ class Scale:
         bar.set_label(self.title)
 
 
-def rounded_up(value: float, steps: tuple[float, ...] = NICE) -> float:
-    """The smallest of `steps`, from 1 to 10, times a power of ten that is not below `value`; 1 for 0.
+def rounded_up(value: float) -> float:
+    """The smallest number with one digit, or one and a half, that is not below `value`; 1 for 0.
 
     >>> rounded_up(0.0234), rounded_up(1200.0), rounded_up(0.0)
     (0.025, 1500.0, 1.0)
     """
     if not value > 0.0:
         return 1.0
-    power = int(np.floor(np.log10(value)))
-    step = next(step for step in steps if step >= value / 10.0**power * (1.0 - 1e-9))
-    return float(f"{step * 10.0**power:.6g}")
+    unit = 0.5 * 10.0 ** np.floor(np.log10(value))
+    return float(f"{unit * np.ceil(value / unit * (1.0 - 1e-9)):.6g}")

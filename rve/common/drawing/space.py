@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common.drawing.scale import Scale
+from rve.common.drawing.scale import OVER, Scale
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
 from rve.common.progress import tell
@@ -56,8 +56,8 @@ def new_plotter(panels: int = 1) -> Plotter:
     import pyvista
 
     pyvista.vtk_verbosity("off")  # else VTK says on standard error that there is no screen
-    size = [panels * PANEL[0], PANEL[1]]
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, panels), border=False, window_size=size, lighting="light kit")
+    size, shape = [panels * PANEL[0], PANEL[1]], (1, panels)
+    plotter = pyvista.Plotter(off_screen=True, shape=shape, border=False, window_size=size, lighting="light kit")
     plotter.set_background("white")  # type: ignore[arg-type]
     return plotter
 
@@ -73,7 +73,7 @@ def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **styl
     if isinstance(colour, str):
         plotter.add_mesh(mesh, color=colour, **style)
         return
-    style |= {"above_color": colour.over} if colour.is_exceeded else {}
+    style |= {"above_color": OVER} if colour.is_exceeded else {}
     style |= {"scalars": colour.label, "clim": (colour.low, colour.top), "log_scale": colour.spread == "log"}
     actor = plotter.add_mesh(mesh, cmap=colour.colour_map(), show_scalar_bar=False, **style)
     pyvista.set_new_attribute(actor, "colour_scale", colour)

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rve.cell_view import FRAMES, draw_cell_in_space, locking_motion
 from rve.cli import main
 from rve.common.drawing.space import parts
 from rve.common.errors import NotConverged
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.plots import corner_forces, draw_case
+from rve.plots import FRAMES, corner_forces, draw_case, draw_cell_in_space, locking_motion
 from rve.solve import solve_table
 
 
