@@ -21,9 +21,7 @@ from rve.directions import product
 from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.circles import local_minima
 from rve.geometry.contacts import find_contacts
-from rve.geometry.distance import distance_gradient, distance_hessian
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import Pose, moved, start_pose
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
@@ -48,22 +46,7 @@ RIMS = {
     "nearly equibiaxial, beta - 45 = 1e-6 to 1": 45.0 + SMALL,
 }
 """beta for alpha over the full circle, at and near the boundary of the tensile cone."""
-Z, Y, TILT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, np.sin(1e-8), np.cos(1e-8)]])
-PAIRS = (
-    ("coaxial", (0.0, 0.0, 0.7), Z, 0.7),
-    ("the same circle", (0.0, 0.0, 0.0), Z, 0.0),
-    ("the same circle, turned by 1e-8", (0.0, 0.0, 0.0), TILT, 0.0),
-    ("coplanar, apart", (2.5, 0.0, 0.0), Z, 0.5),
-    ("coplanar, crossing", (1.0, 0.0, 0.0), Z, 0.0),
-    ("parallel planes, crossing projections", (1.0, 0.0, 0.3), Z, 0.3),
-    ("nearly parallel planes, 1e-8", (1.0, 0.0, 0.3), TILT, 0.3),
-    ("perpendicular through the centre", (0.0, 0.0, 0.0), Y, 0.0),
-    ("perpendicular, circle A about a point of B", (1.0, 0.0, 0.0), Y, 1.0),
-    ("perpendicular, taut", (1.8, 0.0, 0.0), Y, 0.2),
-    ("far apart", (1e6, 0.0, 0.0), Y, 1e6 - 2.0),
-)
-"""Name, centre and normal of circle B (A at the origin, normal z, r1 = 1), least distance."""
-OUTCOME, ERROR, RISES = "outcome", "error of the distance", "energy never rises"
+OUTCOME, RISES = "outcome", "energy never rises"
 LATTICE, STATUS, HEIGHT = "difference of lattices, r1", "status or message", "mean height, mm"
 FAR = 1e6
 NOISE = {"R": "at_most 1e-11", "overlap, mm": "at_most 1e-12", "iterations, median": ".0f"}
@@ -152,15 +135,6 @@ def start_rows(random: int) -> list[Row]:
         for gap in (1e-2, 1e-6, 1e-12)
     ]
     return [*rows, start_row("random poses", random_poses(random * len(UNIQUE)))]
-
-
-def pair_row(name: str, centre: tuple[float, ...], normal: Array, expected: float) -> Row:
-    """Least distance of two circles against the closed form, and whether the derivatives are finite."""
-    given = np.array([centre]), Z[None], normal[None]
-    found = local_minima(*given, 1.0)
-    parts = distance_gradient(found), distance_hessian(found, given[1][found.pair], given[2][found.pair], 1.0)
-    error = abs(found.distance.min() - expected) / max(1.0, expected)
-    return {"pair": name, ERROR: error, "derivatives finite": all(np.isfinite(part).all() for part in parts)}
 
 
 def ladders() -> Iterator[tuple[str, dict[str, float]]]:
@@ -267,7 +241,6 @@ def measure(full: bool) -> Section:
     loads += [rim_row(name, ratio) for name in RIMS for ratio in (5.0, 10.0, 50.0)] + random_rows(6 * more)
     starts, curtains = start_rows(10 * more), curtain_rows()
     motions = [motion_row(*one, steps=200 * more) for one in ladders()]
-    pairs = [pair_row(*one) for one in PAIRS]
     laws = [law_row(*one) for one in law_kinds().items()]
     text = (
         "A row says how many cases `converged`, or the status of the failure, or the sentence with which the input "
@@ -280,7 +253,6 @@ def measure(full: bool) -> Section:
     tables = (
         table("Loads of cells", loads, NOISE),
         table("Starts of cells, r1/r2 = 10, 7 loads", starts, {LATTICE: "at_most 1e-10"}),
-        table("Two circles", pairs, {ERROR: "at_most 1e-15"}),
         table("The paper's scheme, 6 loads", motions, {"largest R": ".0e", "steps, median": ".0f"}),
         table("Laws", laws, {"E - E* = A S": "at_most 1e-14"}),
         table("Curtains", curtains, {"unbalanced": "at_most 1e-12", HEIGHT: ".5g"}),

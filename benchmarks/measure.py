@@ -1,9 +1,6 @@
 """Clocks and processes, and the text of errors and statuses, alike in all reports."""
 
-import json
 import math
-import os
-import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -42,15 +39,6 @@ def ladder(
     """A row for each setting of a method: the names of both, and what `judge` makes of the answer and its seconds."""
     timed = {setting: least_seconds(call, repeats, long) for setting, call in rungs.items()}
     return [{"method": method, "setting": setting} | judge(*found) for setting, found in timed.items()]
-
-
-def last_line(command: Sequence[str]) -> Any:
-    """The last line that a process prints, from JSON; {"absent": why} if it fails."""
-    process = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
-    lines = process.stdout.strip().splitlines()
-    if process.returncode != 0 or not lines:
-        return {"absent": (process.stderr.strip().splitlines() or ["it printed nothing"])[-1][:100]}
-    return json.loads(lines[-1])
 
 
 def decade(error: float, floor: float = 1e-12) -> str:

@@ -1,7 +1,5 @@
 """Problems that several benchmarks share: load directions, square curtains, and how normal the rows of a table are."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,10 +26,3 @@ def square(cells: int, support: str | dict[str, Any] = "corners", size: float = 
     """The tables of a scene: a square curtain of `size` mm; `more` adds or replaces tables."""
     kind = {"kind": support} if isinstance(support, str) else support
     return {"curtain": {"width": size, "height": size}, "mesh": {"cells": cells}, "support": kind} | more
-
-
-def scene_file(path: Path, tables: dict[str, Any]) -> Path:
-    """Writes the tables of a scene (numbers, strings and booleans) as TOML; returns the path."""
-    lines = [[f"[{name}]", *(f"{key} = {json.dumps(v)}" for key, v in keys.items())] for name, keys in tables.items()]
-    path.write_text("\n".join(line for part in lines for line in part), encoding="utf-8")
-    return path

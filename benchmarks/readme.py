@@ -15,10 +15,11 @@ import numpy as np
 import examples.curtain
 from benchmarks.frame import Section, table
 from benchmarks.measure import ROOT, least_seconds
-from benchmarks.problems import loads, normality, scene_file, square
+from benchmarks.problems import loads, normality, square
+from homogenize import load_law
 from homogenize.fitting.fit import fit_table
 from homogenize.query.answers import strain_answer
-from macro_fem.job import run_scene
+from macro_fem import read_scene, solve
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
@@ -32,8 +33,8 @@ def rings() -> Said:
     rows = []
     for ratio in (5.0, 10.0, 20.0, 50.0):
         for branches, told in (("first", "the state next to the slack pose"), ("largest", "the state of largest work")):
-            solve = partial(solve_table, Cell(5.0, 5.0 / ratio), loads(), DirectOptions(branches=branches))
-            found, seconds = least_seconds(solve, long=np.inf if branches == "first" else 0.0)
+            ask = partial(solve_table, Cell(5.0, 5.0 / ratio), loads(), DirectOptions(branches=branches))
+            found, seconds = least_seconds(ask, long=np.inf if branches == "first" else 0.0)
             numbers = (
                 f"{found.converged.sum()} converged in {seconds:.2f} s; R <= {np.nanmax(found.quality.R):.0e}, gap >= "
                 f"{np.nanmin(found.quality.min_gap_mm):.0e} mm, normality >= {normality(found).min():.0e}"
@@ -67,12 +68,12 @@ def law(folder: Path) -> Said:
 
 def curtains(folder: Path) -> Said:
     """Rows about `macro_fem`, with the law of `law`."""
+    law = load_law(folder / "law.json")
 
     def run(hang: str, cells: int, support: str | dict[str, Any]) -> dict[str, Any]:
         tables = square(cells, support)
         tables["curtain"]["weave_angle"] = hang
-        scene = scene_file(folder / "scene.toml", tables)
-        return run_scene(scene, folder / "law.json", folder / "out", picture=False)
+        return solve(read_scene(tables), law).summary
 
     rows = []
     stretch = solve_table(Cell(), ([0.0], [0.0])).x2_mm[0, 0] / 11.0

@@ -1,30 +1,24 @@
-"""Scenes at several sizes, solved as rings and as the disk. Each answer is a JSON file, so that a run can be continued.
+"""Scenes at several sizes, solved as rings and as the disk.
 
 A sheet has `columns` k by `rows` k reference cells, k = 1, 2, ...; all its sizes are geometrically similar, and loads
 grow with the weight. So the disk's answer over the height is the same number for all of them.
 """
 
-import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measure import ROOT, Row
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.job import solve
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import Scene
 from rve import FiniteSolution
-from rve.common.files import write_text
 
 Array = NDArray[np.float64]
-KEPT = ROOT / "build" / "every_ring"
-"""Folder of solved cases, which are not solved again."""
 AREAL_MASS = 2.8
 GRAVITY = 9.81
 ACROSS = 3
@@ -86,38 +80,9 @@ class Case:
     arrays: dict[str, Array]
 
 
-def kept(store: Path, name: str, asked: dict[str, Any], make: Callable[[], Case]) -> Case:
-    """The case in the folder if it was made for what is asked; else it is made and written there."""
-    path = store / f"{name}.json"
-    asked = json.loads(json.dumps(asked))
-    if path.exists():
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if data["asked"] == asked:
-            return Case(data["numbers"], {key: np.array(value) for key, value in data["arrays"].items()})
-    case = make()
-    store.mkdir(parents=True, exist_ok=True)
-    arrays = {key: value.tolist() for key, value in case.arrays.items()}
-    write_text(path, json.dumps({"asked": asked, "numbers": case.numbers, "arrays": arrays}) + "\n")
-    return case
-
-
-def kept_rows(store: Path, asked: dict[str, Any], makes: dict[str, Callable[[], Row]]) -> list[Row]:
-    """The rows of cases by their names, as `kept`."""
-
-    def of(name: str, make: Callable[[], Row]) -> Row:
-        return kept(store, name, asked, lambda: Case(make(), {})).numbers
-
-    return [of(name, make) for name, make in makes.items()]
-
-
-def rings_case(sheet: Sheet, k: int, space: bool, store: Path) -> Case:
+@cache
+def rings_case(sheet: Sheet, k: int, space: bool) -> Case:
     """Every ring of a sheet. Arrays: X, centre, normal, load, reaction, area, P (n, 2, 2) of each ring."""
-    name = f"{sheet.key}_{k}_{'space' if space else 'plane'}"
-    asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"}
-    return kept(store, name, asked | {"k": k, "space": space}, lambda: _solved_rings(sheet, k, space))
-
-
-def _solved_rings(sheet: Sheet, k: int, space: bool) -> Case:
     rings = ring_scene(sheet.scene(k, 8))
     solution = rings.solve(space=space)
     mesh = rings.mesh
@@ -163,13 +128,9 @@ def neighbours(X: Array, half: float) -> list[list[int]]:
     return found
 
 
-def disk_case(sheet: Sheet, cells: int, store: Path) -> Case:
+@cache
+def disk_case(sheet: Sheet, cells: int) -> Case:
     """The disk of a sheet with k = 1, with bounds. Arrays: X, x (n, 2) of nodes; middle, P, area of triangles."""
-    asked = {key: value for key, value in asdict(sheet).items() if key != "sizes"} | {"cells": cells}
-    return kept(store, f"{sheet.key}_disk_{cells}", asked, lambda: _solved_disk(sheet, cells))
-
-
-def _solved_disk(sheet: Sheet, cells: int) -> Case:
     result = solve(sheet.scene(1, cells, bounds=True))
     solution = result.solution
     disc, summary = solution.problem.disc, result.summary["bounds"]

@@ -1,11 +1,8 @@
 """A large mesh loaded homogeneously at its edge against the periodic cell: the sanity check of the paper."""
 
-from functools import partial
-from pathlib import Path
-
 import numpy as np
 
-from benchmarks.every_ring.cases import KEPT, Array, Case, kept
+from benchmarks.every_ring.cases import Array, Case
 from benchmarks.frame import Curve, Diagram, Section, table
 from benchmarks.measure import Row
 from rve import Cell, FiniteMesh, solve_table
@@ -31,14 +28,10 @@ MIDDLE, OUTER = "error of E in the middle", "error of E in cells on the edge"
 AWAY = f"largest error {FAR} or more cells away"
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
+def measure(full: bool) -> Section:
     """The section."""
     size = (12, 10) if full else (6, 4)
-    calls = []
-    for alpha, beta in DIRECTIONS if full else DIRECTIONS[2:3]:
-        name, asked = f"edge_{alpha:g}_{beta:g}_{size[0]}", {"size": size, "far": FAR}
-        calls.append(partial(kept, store, name, asked, partial(_case, alpha, beta, size)))
-    cases = [call() for call in calls]
+    cases = [_case(*direction, size) for direction in (DIRECTIONS if full else DIRECTIONS[2:3])]
     rows = [case.numbers for case in cases]
     text = (
         f"A mesh of {size[0]} x {size[1]} reference cells in the plane, r1/r2 = 10, no weight. Rings on the boundary "

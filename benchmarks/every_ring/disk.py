@@ -1,11 +1,10 @@
 """The rings against the disk: mean height, potential, lowest point, line load, by the number of rings across."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.every_ring.cases import ACROSS, KEPT, SHEETS, Array, Case, Sheet, disk_case, rings_case
+from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, disk_case, rings_case
 from benchmarks.frame import Curve, Diagram, Section, Table, table
 from benchmarks.measure import Row
 
@@ -18,10 +17,10 @@ HEIGHT, POTENTIAL = "mean height, %", "potential, %"
 LOWEST, LINE = "lowest point, %", "line load, %"
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
+def measure(full: bool) -> Section:
     """The section."""
-    rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full, store)]
-    limits = [limit_row(sheet, space, rows, store) for sheet in SHEETS for space in (False, True)]
+    rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full)]
+    limits = [limit_row(sheet, space, rows) for sheet in SHEETS for space in (False, True)]
     forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f"}
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
     names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
@@ -48,15 +47,15 @@ def measure(full: bool, store: Path = KEPT) -> Section:
     return Section("The rings and the disk", text, tables, diagrams(rows), conclusion(rows, limits))
 
 
-def sheet_rows(sheet: Sheet, full: bool, store: Path) -> list[Row]:
+def sheet_rows(sheet: Sheet, full: bool) -> list[Row]:
     """A row for each size, in the plane and in space."""
     sizes = sheet.sizes if full else QUICK_SIZES
-    return [compared(sheet, k, space, store) for space in (False, True) for k in sizes]
+    return [compared(sheet, k, space) for space in (False, True) for k in sizes]
 
 
-def compared(sheet: Sheet, k: int, space: bool, store: Path) -> Row:
+def compared(sheet: Sheet, k: int, space: bool) -> Row:
     """Rings of one size against the disk."""
-    rings, disk = rings_case(sheet, k, space, store), disk_case(sheet, CELLS, store)
+    rings, disk = rings_case(sheet, k, space), disk_case(sheet, CELLS)
     found, H = rings.numbers, sheet.sides(k)[1]
     low, high = (100.0 * part for part in interval(sheet, disk))
     potential = 100.0 * found["potential_N_mm"] / (sheet.weight(k) * H)
@@ -135,12 +134,12 @@ def fitted(N: Array, value: Array) -> tuple[float, float]:
     return float(x[0]), float(np.sqrt(spread[0, 0]))
 
 
-def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row], store: Path) -> Row:
+def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row]) -> Row:
     """The extrapolated potential of a scene against the disk's interval."""
     which = sheet.key, "space" if space else "plane", "converged"
     rows = [row for row in rows if (row["scene"], row["centres"], row["status"]) == which]
     rows = [row for row in rows if row["cells across"] >= LEAST_FITTED]
-    low, high = (100.0 * part for part in interval(sheet, disk_case(sheet, CELLS, store)))
+    low, high = (100.0 * part for part in interval(sheet, disk_case(sheet, CELLS)))
     row: Row = {"scene": sheet.key, "centres": "space" if space else "plane", "sizes": len(rows)}
     if len(rows) < 3:
         return row

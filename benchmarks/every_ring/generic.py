@@ -9,15 +9,13 @@ program in a box smaller than the wire, and boxes shrink.
 import importlib.util
 import time
 from dataclasses import dataclass, field
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, minima, near_pairs, to_circle
-from benchmarks.every_ring.cases import GRAVITY, KEPT, kept_rows
+from benchmarks.every_ring.cases import GRAVITY
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from rve import Cell, FiniteMesh, FiniteSolution
@@ -143,15 +141,11 @@ CASES = (("corners", False), ("corners", True), ("top", False))
 """Support, and whether in space."""
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
+def measure(full: bool) -> Section:
     """The section; without CasADi, one that says so."""
     if importlib.util.find_spec("casadi") is None:
         return Section(TITLE, "CasADi is not installed (`pip install casadi`): nothing was compared.")
-    makes = {
-        f"generic_{hung}_{'space' if space else 'plane'}": partial(compared, hung, space)
-        for hung, space in (CASES if full else CASES[:1])
-    }
-    rows = kept_rows(store, {}, makes)
+    rows = [compared(*case) for case in (CASES if full else CASES[:1])]
     text = (
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
         "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "

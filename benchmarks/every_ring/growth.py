@@ -4,10 +4,9 @@ import multiprocessing
 import resource
 import time
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
+from itertools import product
 
-from benchmarks.every_ring.cases import KEPT, SHEETS, kept_rows
+from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import ROOT, Row
 from macro_fem.job import solve
@@ -19,17 +18,12 @@ METRE = 91
 SHEET = replace(SHEETS[0], gather=1.0, columns=1, rows=1)
 QUICK, FULL = (6, 10), (10, 15, 22, 44, METRE)
 """Cells across."""
+STARTS = ("slack", "disk")
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
+def measure(full: bool) -> Section:
     """The section."""
-    makes = {
-        f"growth_{k}_{'space' if space else 'plane'}_{start}": partial(_alone, k, space, start)
-        for start in ("slack", "disk")
-        for space in (False, True)
-        for k in (FULL if full else QUICK)
-    }
-    rows = kept_rows(store, {}, makes)
+    rows = [_alone(k, space, start) for start, space, k in product(STARTS, (False, True), FULL if full else QUICK)]
     forms = {
         "potential, N mm": ".4f",
         "KKT residual": "at_most",

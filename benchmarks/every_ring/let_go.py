@@ -1,21 +1,20 @@
 """Every ring in motion against the disk in motion and MuJoCo: a sheet let go at one corner, and a gust on a sheet."""
 
 import time
-from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from benchmarks.every_ring import engine
-from benchmarks.every_ring.cases import KEPT, SHEETS, Array, kept_rows
-from benchmarks.frame import Section, Table, table
+from benchmarks.every_ring.cases import SHEETS
+from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import Mesh, Motion, Point, Rectangle, Scene, Top, Wind
 from macro_fem.motion.files import COLUMNS, account_error, row
 from macro_fem.motion.run import solve_motion
-from macro_fem.rings.motion import RingRun, solve_ring_motion
+from macro_fem.rings.motion import solve_ring_motion
 from macro_fem.rings.motion_files import ring_row
 
 DURATION, STEP, CELLS = 0.15, 5e-3, 16
@@ -33,17 +32,6 @@ POTENTIAL, WORK, LOST = (COLUMNS.index(f"{name}_N_mm") for name in ("potential",
 SCENES = ("corner let go", "gust")
 
 
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """A scene of k: every ring's run, and its seconds; rows of motion.csv of rings and disk, the height in mm."""
-
-    run: RingRun
-    seconds: float
-    rings: Array
-    disk: Array
-    height: float
-
-
 def motion_scene(name: str, k: int) -> Scene:
     """The sheet `corners` of the first section, its right corner let go at t = 0, or hung by its top, in a gust."""
     W, H = SHEETS[0].sides(k)
@@ -54,46 +42,48 @@ def motion_scene(name: str, k: int) -> Scene:
     return Scene(Rectangle(W, H), items, mesh=Mesh(cells=CELLS), motion=Motion(DURATION, STEP))
 
 
-def solved(name: str, k: int) -> Pair:
-    """Rings and disk."""
+@cache
+def solved(name: str, k: int) -> Row:
+    """Times, mean places of rings and disk in mm, and what both have lost by locking at the end, in %."""
     scene, began = motion_scene(name, k), time.process_time()
     ring_run = solve_ring_motion(scene)
     seconds = time.process_time() - began
     disk_run = solve_motion(scene, default_law())
     rings = np.array([ring_row(frame) for frame in ring_run.frames])
     disk = np.array([row(disk_run, frame) for frame in disk_run.frames])
-    return Pair(ring_run, seconds, rings, disk, SHEETS[0].sides(k)[1])
-
-
-def _row(name: str, k: int) -> Row:
-    """Times and mean places of rings and disk, in mm, and what both have lost by locking at the end, N mm."""
-    pair = solved(name, k)
-    given = float((pair.disk[:, WORK] - pair.disk[:, POTENTIAL]).max() + pair.disk[0, POTENTIAL])
+    given = float((disk[:, WORK] - disk[:, POTENTIAL]).max() + disk[0, POTENTIAL])
     return {
         "scene": name,
-        "rings": len(pair.run.frames[0].rings.centre),
-        "account": account_error(pair.rings),
-        "height": pair.height,
-        "lost": [float(100.0 * rows[-1, LOST] / given) for rows in (pair.rings, pair.disk)],
-        "seconds": pair.seconds,
-        "_t": pair.rings[:, 0].tolist(),
-        "_rings": pair.rings[:, MEAN].tolist(),
-        "_disk": pair.disk[:, MEAN].tolist(),
+        "rings": len(ring_run.frames[0].rings.centre),
+        "account": account_error(rings),
+        "share": 100.0 / SHEETS[0].sides(k)[1],
+        "lost": [float(100.0 * rows[-1, LOST] / given) for rows in (rings, disk)],
+        "seconds": seconds,
+        "places": (rings[:, 0], rings[:, MEAN], disk[:, MEAN]),
     }
 
 
-def _engine_row(dt: float) -> Row:
-    """MuJoCo's mean place over time, its seconds and least gap."""
+def engine_row(dt: float, ours: Row) -> Row:
+    """MuJoCo's way of the mean place against ours, its least gap and seconds."""
     scene = replace(motion_scene(SCENES[0], BESIDE), motion=Motion(STEP, STEP))
     fallen = engine.fall(solve_ring_motion(scene), DURATION, dt)
-    return {"dt": dt, "seconds": fallen.seconds, "gap": fallen.least_gap, "_mean": fallen.mean.tolist()}
+    away = fallen.mean - ours["places"][1]
+    away = ours["share"] * (away - away[0])
+    return {
+        "step, sqrt(r1 / g)": dt,
+        **{f"up at {t:g} s, %": away[round(t / STEP), 1] for t in (0.05, 0.1, 0.15)},
+        "largest distance, %": float(np.linalg.norm(away, axis=1).max()),
+        "least gap, r1": fallen.least_gap,
+        "s of MuJoCo": fallen.seconds,
+        "s of ours": ours["seconds"],
+    }
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
+def measure(full: bool) -> Section:
     """The section; `full` takes 413 rings as well."""
     rows, ends = [], []
     for name, k in [(name, k) for k in sorted({1, BESIDE, 4} if full else {1, BESIDE}) for name in SCENES]:
-        added, end = _compared(_kept(store, name, k))
+        added, end = _compared(solved(name, k))
         rows += added
         ends.append(end)
     tables = [
@@ -109,8 +99,11 @@ def measure(full: bool, store: Path = KEPT) -> Section:
         "energy that weight and wind have given the disk at most."
     )
     if engine.is_there():
-        makes = {f"motion_engine_{dt:g}": partial(_engine_row, dt) for dt in engine.STEPS}
-        tables.append(_beside(kept_rows(store, {"step": STEP, "k": BESIDE}, makes), _kept(store, SCENES[0], BESIDE)))
+        ours = solved(SCENES[0], BESIDE)
+        peers = [engine_row(dt, ours) for dt in engine.STEPS]
+        forms = {"step, sqrt(r1 / g)": "g", "least gap, r1": "+.4f", "s of MuJoCo": ".0f", "s of ours": ".0f"}
+        title = f"{ours['rings']} rings, a corner let go, in MuJoCo: way of the mean place less ours"
+        tables.append(table(title, peers, _forms(peers[0], forms)))
         text += " " + engine.TEXT
     held = [end for end in ends if end["beyond, %"] <= 0.0]
     conclusion = (
@@ -120,15 +113,9 @@ def measure(full: bool, store: Path = KEPT) -> Section:
     return Section("Rings and disk in motion", text, tuple(tables), (), conclusion)
 
 
-def _kept(store: Path, name: str, k: int) -> Row:
-    makes = {f"motion_{name.replace(' ', '_')}_{k}": partial(_row, name, k)}
-    return kept_rows(store, {"step": STEP, "pressure": PRESSURE}, makes)[0]
-
-
 def _compared(found: Row) -> tuple[list[Row], Row]:
     """Rows over time of one scene and size, and one of its end."""
-    t, rings, disk = (np.array(found[f"_{name}"]) for name in ("t", "rings", "disk"))
-    share = 100.0 / found["height"]
+    (t, rings, disk), share = found["places"], found["share"]
     away, way = np.linalg.norm(rings - disk, axis=1), np.linalg.norm(disk - disk[0], axis=1)
     allowed = away[0] + TRAVEL * way
     rows = [
@@ -153,28 +140,6 @@ def _compared(found: Row) -> tuple[list[Row], Row]:
         "s of rings": found["seconds"],
     }
     return rows, end
-
-
-def _beside(peers: list[Row], ours: Row) -> Table:
-    """MuJoCo's way against ours."""
-    share, own = 100.0 / ours["height"], np.array(ours["_rings"])
-    rows = []
-    for peer in peers:
-        away = np.array(peer["_mean"]) - own
-        away -= away[0]
-        rows.append(
-            {
-                "step, sqrt(r1 / g)": peer["dt"],
-                **{f"up at {t:g} s, %": share * away[round(t / STEP), 1] for t in (0.05, 0.1, 0.15)},
-                "largest distance, %": share * float(np.linalg.norm(away, axis=1).max()),
-                "least gap, r1": peer["gap"],
-                "s of MuJoCo": peer["seconds"],
-                "s of ours": ours["seconds"],
-            }
-        )
-    forms = {"step, sqrt(r1 / g)": "g", "least gap, r1": "+.4f", "s of MuJoCo": ".0f", "s of ours": ".0f"}
-    title = f"{ours['rings']} rings, a corner let go, in MuJoCo: way of the mean place less ours"
-    return table(title, rows, _forms(rows[0], forms))
 
 
 def _forms(row: Row, own: dict[str, str]) -> dict[str, str]:

@@ -1,12 +1,9 @@
 """Random admissible starts: how far apart the potentials end, and whether any ring passed through another."""
 
-from functools import partial
-from pathlib import Path
-
 import numpy as np
 
 from benchmarks.every_ring.brute import least_gap, linked_pairs
-from benchmarks.every_ring.cases import KEPT, SHEETS, Array, kept_rows
+from benchmarks.every_ring.cases import SHEETS, Array
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, outcomes
 from macro_fem.rings.ring_scene import RingScene, ring_scene
@@ -19,15 +16,11 @@ SWEEPS, STRIDE = 40, 0.08
 """Rounds of random motion that make a start, and the largest motion of a round in r1 and radians."""
 
 
-def measure(full: bool, store: Path = KEPT) -> Section:
+def measure(full: bool) -> Section:
     """The section."""
     # sheet, k, number of starts, whether in space
     plan = ((0, 1, 35, False), (0, 1, 35, True), (2, 1, 20, True), (0, 2, 10, True)) if full else ((0, 1, 3, True),)
-    makes = {
-        f"starts_{SHEETS[i].key}_{k}_{'space' if space else 'plane'}_{count}": partial(_row, i, k, count, space)
-        for i, k, count, space in plan
-    }
-    rows = kept_rows(store, {}, makes)
+    rows = [_row(*one) for one in plan]
     text = (
         f"Scenes as in the first section. A start is the slack weave after {SWEEPS} rounds in which "
         f"every ring is moved and tilted at random by up to {STRIDE} r1 and {STRIDE} rad, and goes back where it would "

@@ -1,4 +1,4 @@
-"""The locked cell as a nonlinear programme for solvers that know nothing of rings: SLSQP, trust-constr, IPOPT.
+"""The locked cell as a nonlinear programme for solvers that know nothing of rings: SLSQP and trust-constr.
 
 They maximise S:E over the nine coordinates with all gaps >= 0 and analytic first derivatives. S is the second
 Piola-Kirchhoff load of the answer, given to them because a fixed Cauchy load has no potential.
@@ -18,12 +18,6 @@ from rve.geometry.pose import Pose, pair_geometry, start_pose
 
 Array = NDArray[np.float64]
 BOX = (-1.5, 1.5)  # without bounds on the coordinates the first step of SLSQP unlinks the rings
-
-
-def strain_of(x2: Any, y3: Any, t: Any, sides: tuple[float, float]) -> list[Any]:
-    """E11, E12, E22 of a lattice, as numbers or as casadi's expressions."""
-    bx, by = sides
-    return [((1 + t * t) * x2 * x2 / bx**2 - 1) / 2, t * x2 * y3 / bx / by, ((1 + t * t) * y3 * y3 / by**2 - 1) / 2]
 
 
 class Programme:
@@ -60,11 +54,12 @@ class Programme:
         """E (3,) and its derivative (3, 9)."""
         x2, y3, t = self.start.lattice[0] + q[:3]
         bx, by = self.sides
-        E, d = np.array(strain_of(x2, y3, t, self.sides)), np.zeros((3, 9))
+        E = [((1 + t * t) * x2 * x2 / bx**2 - 1) / 2, t * x2 * y3 / bx / by, ((1 + t * t) * y3 * y3 / by**2 - 1) / 2]
+        d = np.zeros((3, 9))
         d[0, 0], d[0, 2] = (1 + t * t) * x2 / bx**2, t * x2 * x2 / bx**2
         d[1, :3] = t * y3 / bx / by, t * x2 / bx / by, x2 * y3 / bx / by
         d[2, 1], d[2, 2] = (1 + t * t) * y3 / by**2, t * y3 * y3 / by**2
-        return E, d
+        return np.array(E), d
 
     def loss(self, q: Array) -> float:
         """-S:E."""
@@ -135,57 +130,4 @@ def _scipy(programme: Programme, q0: Array, method: str, bound: Any, **options: 
     return np.asarray(minimize(programme.loss, q0, method=method, **given).x)
 
 
-def solve_ipopt(programme: Programme, q0: Array, tolerance: float) -> Array:
-    """IPOPT through casadi, with exact first derivatives and a limited-memory Hessian; ImportError without casadi."""
-    import casadi
-
-    size = len(programme.gaps(np.zeros(9))[0])
-
-    class Gaps(casadi.Callback):
-        """The gaps (`part` 0) or their derivatives (1) as a function of casadi."""
-
-        def __init__(self, name: str, part: int) -> None:
-            casadi.Callback.__init__(self)
-            self.part = part
-            self.construct(name, {})
-
-        def get_n_in(self) -> int:
-            return 1 + self.part
-
-        def get_n_out(self) -> int:
-            return 1
-
-        def get_sparsity_in(self, i: int) -> Any:
-            return casadi.Sparsity.dense(size if i else 9, 1)
-
-        def get_sparsity_out(self, i: int) -> Any:
-            return casadi.Sparsity.dense(size, 9 if self.part else 1)
-
-        def eval(self, arguments: Any) -> list[Array]:
-            return [programme.gaps(np.array(arguments[0]).ravel())[self.part]]
-
-        def has_jacobian(self) -> bool:
-            return not self.part
-
-        def get_jacobian(self, name: str, *_: Any) -> Any:
-            self.derivative = Gaps(name, 1)
-            return self.derivative
-
-    q, gaps = casadi.MX.sym("q", 9), Gaps("gaps", 0)
-    x2, y3, t = (q[i] + float(programme.start.lattice[0, i]) for i in range(3))
-    E = strain_of(x2, y3, t, programme.sides)
-    loss = -(programme.S[0] * E[0] + 2 * programme.S[1] * E[1] + programme.S[2] * E[2])
-    ipopt = {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": tolerance,
-        "max_iter": 2000,
-        "hessian_approximation": "limited-memory",
-    }
-    given: Any = {"x": q, "f": loss, "g": gaps(q)}
-    options: Any = {"print_time": False, "ipopt": ipopt}
-    answer = casadi.nlpsol("cell", "ipopt", given, options)(x0=q0, lbx=BOX[0], ubx=BOX[1], lbg=0.0)
-    return np.array(answer["x"]).ravel()
-
-
-SOLVERS: dict[str, Solve] = {"SLSQP": solve_slsqp, "trust-constr": solve_trust_constr, "IPOPT": solve_ipopt}
+SOLVERS: dict[str, Solve] = {"SLSQP": solve_slsqp, "trust-constr": solve_trust_constr}

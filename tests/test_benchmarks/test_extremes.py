@@ -57,14 +57,6 @@ def test_every_start_ends_in_the_same_strain():
         assert row[ex.LATTICE] < 1e-6
 
 
-@pytest.mark.parametrize("pair", ex.PAIRS, ids=lambda pair: pair[0])
-def test_named_pairs_have_their_distances(pair):
-    """Where circles cross, the distance has a kink: it is as exact as the angle, which is polished to 1e-9."""
-    row = ex.pair_row(*pair)
-    assert row[ex.ERROR] <= (1e-8 if pair[3] == 0.0 or pair[2] is ex.TILT else 1e-12)
-    assert row["derivatives finite"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "changes"), list(ex.ladders())[::3])
 def test_motions_lose_energy_and_keep_their_links(name, changes):

@@ -97,6 +97,7 @@ REFUSED = {
     "slides": "nothing carries the force",
     "free": "in which the supports let",
     "held-bar": "is held, or has a second bar",
+    "curved": "is not straight",  # a bar on a disk
     "plane": "as the scene lies in the plane",  # held = "z"
     "too-long": "is too long for the mesh",
     "inside": "mm inside it",

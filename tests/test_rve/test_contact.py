@@ -116,21 +116,30 @@ def test_distance_does_not_care_about_the_frame_or_the_order(x, y, z, seed):
     np.testing.assert_allclose(larger, 7.0 * plain, atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("name", "d", "n_b", "expected"),
-    [
-        ("coaxial", [0.0, 0.0, 0.7], [0.0, 0.0, 1.0], [0.7]),
-        ("concentric, perpendicular", [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0]),
-        ("coplanar, apart", [2.5, 0.0, 0.0], [0.0, 0.0, 1.0], [0.5]),
-        ("parallel planes, crossing projections", [1.0, 0.0, 0.3], [0.0, 0.0, 1.0], [0.3, 0.3]),
-        ("taut in perpendicular planes", [1.8, 0.0, 0.0], [0.0, 1.0, 0.0], [0.2]),
-        ("identical", [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0]),
-    ],
-)
-def test_degenerate_pairs_by_name(name, d, n_b, expected):
-    found = local_minima(np.array([d]), np.array([[0.0, 0.0, 1.0]]), np.array([n_b]), 1.0, reach=0.8)
-    np.testing.assert_allclose(np.sort(found.distance), expected, atol=1e-9, err_msg=name)
-    assert np.isfinite(found.normal).all()
+Z, Y, TILT = [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, np.sin(1e-8), np.cos(1e-8)]
+PAIRS = {
+    "coaxial": ([0.0, 0.0, 0.7], Z, [0.7]),
+    "identical": ([0.0, 0.0, 0.0], Z, [0.0]),
+    "identical, turned by 1e-8": ([0.0, 0.0, 0.0], TILT, [0.0] * 4),
+    "concentric, perpendicular": ([0.0, 0.0, 0.0], Y, [0.0, 0.0]),
+    "coplanar, apart": ([2.5, 0.0, 0.0], Z, [0.5]),
+    "coplanar, crossing": ([1.0, 0.0, 0.0], Z, [0.0, 0.0]),
+    "parallel planes, crossing projections": ([1.0, 0.0, 0.3], Z, [0.3, 0.3]),
+    "nearly parallel planes": ([1.0, 0.0, 0.3], TILT, [0.3, 0.3]),
+    "taut in perpendicular planes": ([1.8, 0.0, 0.0], Y, [0.2]),
+    "about to slip out": ([2.0 - 1e-6, 0.0, 0.0], Y, [1e-6]),
+}
+"""Centre and normal of circle B, A being at the origin with normal z, and all least distances below 0.8."""
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_degenerate_pairs_by_name(name):
+    d, n_b, expected = PAIRS[name]
+    circles = np.array([d]), np.array([Z]), np.array([n_b])
+    found = local_minima(*circles, 1.0, reach=0.8)
+    np.testing.assert_allclose(np.sort(found.distance), expected, atol=1e-8)
+    derivatives = distance_gradient(found), distance_hessian(found, *(n[found.pair] for n in circles[1:]), 1.0)
+    assert all(np.isfinite(part).all() for part in (found.normal, *derivatives))
 
 
 def gauss_linking(d, n_a, n_b, count=400):
