@@ -48,6 +48,13 @@ support = {kind = "track", fullness = 0.5, radius = 5.0} -> radius = 5: a track 
 load.steps = 3 -> steps = 3: has no effect without live loads and moves
 load.point = {at = [0, 0]} -> [load.point] force: is missing
 load.bar = {mass = 1.0, edge = "top"} -> held
+support.kind = "rail"; load.edge = {edge = "bottom", force = [0.1, 0.0]} -> nothing carries the force of 10 N along x
+support = [{kind = "top"}, {kind = "point", at = [0, 100], move = [5, 0]}] -> the point (0, 100) at different places
+combination = [{name = "a", wind = 1.5}] -> wind: has no effect, as the scene has no [load.wind]
+combination = [{name = "a"}, {name = "a"}] -> a: is the name of two combinations
+combination = [{name = "a", bar = -1}] -> [combination] bar = -1: must be at least 0
+combination = [{bar = 1}] -> [combination] name: is missing
+combination = [{name = "a", weigth = 1}] -> did you mean weight?
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
 load.wind = {direction = [0, 0, 0], pressure = 1} -> direction = [0.0, 0.0, 0.0]: has no direction
 load.wind = {direction = [0, 0, 1], pressure = 5, speed = 3} -> speed = 3: is not used together with pressure

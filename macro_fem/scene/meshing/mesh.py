@@ -23,7 +23,7 @@ from macro_fem.scene.meshing.places import HookRow, hook_places, through, with_n
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.tables import PatchLoad
-from rve.common.errors import InputError, shown
+from rve.common.errors import InputError
 from rve.common.types import Array
 
 MAX_TRIANGLES = 4_000_000
