@@ -198,7 +198,7 @@ def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True,
     disk = solve_membrane(scene, default_law() if law is None else law).solution
     guide = disk if start == "disk" else None
     found = rings.solve(space=space, disk=guide, options=FiniteOptions(by_motion=start == "motion"))
-    return Comparison(disk, rings, found)
+    return Comparison(disk, EveryRingSolution(rings, found, start))
 
 
 def _solved(problem: CurtainProblem, start: CurtainSolution | None) -> CurtainSolution:

@@ -14,7 +14,7 @@ from macro_fem.motion.run import MotionFrame, MotionRun
 from macro_fem.motion.stage import let_go
 from macro_fem.output import plots
 from macro_fem.output.pictures import Pictures, write_animation
-from macro_fem.output.space_view import PictureFrame, Told, draw_curtain, drawn
+from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, drawn
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.tables import Item, Support
 from macro_fem.solution import CurtainSolution, InnerForces
@@ -57,7 +57,7 @@ def chosen(frames: Sequence[F], most: int = MOST_SHOWN) -> list[F]:
 def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wanted: Pictures) -> None:
     """Write the wanted pictures into `folder`."""
 
-    def told(most: int) -> Told:
+    def told(most: int) -> Titled:
         return [(f"{one.moment.t:.3f} s", as_solution(run, one)) for one in chosen(frames, most)]
 
     if wanted.html:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from macro_fem.output import plots
-from macro_fem.output.space_view import Told, draw_curtain, drawn, note, title
+from macro_fem.output.space_view import Titled, draw_curtain, drawn, note, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.page import check_page, write_page
@@ -102,7 +102,7 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     write_page(path, draw_curtain(solution), f"{title(solution)}\n{note(solution)}".strip())
 
 
-def write_animation(path: Path, steps: Told) -> None:
+def write_animation(path: Path, steps: Titled) -> None:
     """Write the curtain at each step as GIF, with one scale of colours and one camera."""
     solution = steps[0][1]
     in_space, words = solution.problem.scene.in_space, note(solution)

@@ -10,7 +10,7 @@ import numpy as np
 from macro_fem.fem.cells import as_triangles
 from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
-from macro_fem.output.space_view import Told, line_load_scale, title
+from macro_fem.output.space_view import Titled, line_load_scale, title
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.plane import new_axes, new_figure
 from rve.common.drawing.scale import Scale, rounded_up
@@ -90,7 +90,7 @@ def panels(solution: CurtainSolution, error: Array | None = None) -> Figure:
     return figure
 
 
-def side_by_side(steps: Told) -> Figure:
+def side_by_side(steps: Titled) -> Figure:
     """Line loads of several solutions on one scale."""
     scale, figure = line_load_scale([one for _, one in steps]), new_figure(5.2 * len(steps), 6.0)
     for ax, (words, solution) in zip(figure.subplots(1, len(steps), squeeze=False)[0], steps, strict=True):
@@ -98,7 +98,7 @@ def side_by_side(steps: Told) -> Figure:
     return figure
 
 
-def frames(steps: Told) -> Iterator[Figure]:
+def frames(steps: Titled) -> Iterator[Figure]:
     """Figures of the line loads at each step, with one scale of colours and one frame."""
     solutions = [one for _, one in steps]
     scale = line_load_scale(solutions)

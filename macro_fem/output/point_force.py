@@ -26,7 +26,7 @@ import numpy as np
 from homogenize import Strength
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.output.forces import PointForce, point_forces
-from macro_fem.output.line_load import Largest, Nearby
+from macro_fem.output.line_load import Nearby, Peak
 from macro_fem.solution import CurtainSolution
 from rve import pulled_ring
 from rve.common.tensor import dyad
@@ -40,7 +40,7 @@ SHARPEST = np.pi / 6.0
 """Angle of a corner in which averages reach farthest; bounds their chord, so that few points are looked at."""
 
 
-def hook_rings(solution: CurtainSolution, known: Strength) -> list[Largest]:
+def hook_rings(solution: CurtainSolution, known: Strength) -> list[Peak]:
     """The ring that bears most of all at hooks, corners, runners, held and loaded points: its utilisations at first
     yield and at collapse; [] without any.
 
@@ -54,18 +54,18 @@ def hook_rings(solution: CurtainSolution, known: Strength) -> list[Largest]:
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
     most = max(points, key=lambda one: one.force / one.rings)
     limits = ring.first_yield_N, ring.collapse_N
-    return [Largest(most.force / most.rings / limit, most.at, force=most) for limit in limits]
+    return [Peak(most.force / most.rings / limit, most.at, force=most) for limit in limits]
 
 
 def largest_borne(
     solution: CurtainSolution, near: Nearby, S: Array, value: Callable[[Array], Array], most: float
-) -> Largest:
+) -> Peak:
     """The largest value that any force at a point asks for, where the mesh is too coarse to tell; 0 without any.
 
     `near`: averages of the line loads S (n_cells, 3) of the curtain in its own frame; `value` (n,) of line loads (n, 3)
     in the frame of the weave, at most `most` times their trace.
     """
-    law, best = solution.problem.law, Largest(0.0, np.full(2, np.nan))
+    law, best = solution.problem.law, Peak(0.0, np.full(2, np.nan))
     longest = 2.0 * np.sqrt(2.0 * near.area / SHARPEST)
     for one in sorted(point_forces(solution), key=lambda one: -one.force):
         if one.force * longest / near.area * most <= best.value:
@@ -80,7 +80,7 @@ def largest_borne(
         width = max(near.area / _chord(near, one.at, m), one.spread)
         load = law.in_weave(one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None]))
         found = float(value(load)[0])
-        best = Largest(found, one.at, load[0], one) if found > best.value else best
+        best = Peak(found, one.at, load[0], one) if found > best.value else best
     return best
 
 

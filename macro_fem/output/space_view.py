@@ -37,7 +37,7 @@ SHRUNK, REACH = 0.003, 0.25
 """Parts of the size of the curtain by which obstacles are drawn smaller, so that it is seen on them, and at which away
 from it they are cut off."""
 
-Told = Sequence[tuple[str, CurtainSolution]]
+Titled = Sequence[tuple[str, CurtainSolution]]
 """Solutions of a series, each with what its picture is headed by."""
 
 
@@ -99,7 +99,7 @@ def draw_curtain(
     return plotter
 
 
-def drawn(steps: Told) -> Iterator[tuple[str, Plotter]]:
+def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
     """A plotter, the same one, with the curtain at each step on one scale and with one camera."""
     frame, plotter = PictureFrame.of([one for _, one in steps]), new_plotter()
     for words, solution in steps:

@@ -19,7 +19,7 @@ import numpy as np
 
 from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw
-from macro_fem.output.line_load import FINE, Largest, Nearby, largest_average, on_triangles
+from macro_fem.output.line_load import FINE, Nearby, Peak, largest_average, on_triangles
 from macro_fem.output.point_force import hook_rings, largest_borne
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
@@ -117,8 +117,8 @@ def _loads(solution: CurtainSolution) -> Array:
     return solution.recovered(solution.problem.disc.cell_mean(solution.S))
 
 
-def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Largest, Largest]]:
-    """Largest utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
+def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Peak, Peak]]:
+    """Peak utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
     yield and at collapse."""
     own = _loads(solution)
     corners, S = on_triangles(solution, solution.problem.law.in_weave(own))
@@ -130,7 +130,7 @@ def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -
     # the utilisation, whose values are weighted means of those strengths.
     trace = near.bound(X)
 
-    def asked(value: Callable[[Array], Array], strengths: Array) -> tuple[Largest, Largest]:
+    def asked(value: Callable[[Array], Array], strengths: Array) -> tuple[Peak, Peak]:
         most = float(strengths.max()) / known.yield_stress()
         return largest_average(near, X, trace * most, value), largest_borne(solution, near, own, value, most)
 

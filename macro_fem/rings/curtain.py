@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import as_triangles, counterclockwise, recovered, triangle_areas
+from macro_fem.fem.cells import as_triangles, counterclockwise, padded, recovered, triangle_areas
 from macro_fem.output.files import corner_positions
 from macro_fem.solution import CurtainSolution
 from rve import Cell, cell_of_sides
@@ -25,8 +25,6 @@ from rve.common.rings import check_rings
 from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
 
-CURTAIN_RECORD, CURTAIN_VTU = "summary.json", "curtain.vtu"
-"""The file that stands for a curtain's job and lists the others by their checksums, and the one with its fields."""
 MOST_NUMBER = 1e12
 """Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""
 SIDES = ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
@@ -45,13 +43,12 @@ class Told(Typed):
     @property
     def at_support(self) -> dict[str, str | float] | None:
         """The support whose rings take most, and the force in N on one of them; None if the summary does not tell."""
-        told = [
-            (float(force), f"support {number} ({one.get('support')})")
+        told: list[dict[str, str | float]] = [
+            {"support": f"support {number} ({one.get('support')})", "force_N": float(force)}
             for number, one in enumerate(self.support_forces, 1)
             if isinstance(force := one.get("largest_force_per_ring_N"), int | float)
         ]
-        force, name = max(told, key=lambda item: item[0], default=(0.0, ""))
-        return {"support": name, "force_N": force} if told else None
+        return max(told, key=lambda one: float(one["force_N"]), default=None)
 
     def cell(self, source: str) -> Cell:
         """Rings, weave and grain, by the sides of the reference cell; InputError, which begins with `source`, where
@@ -67,6 +64,12 @@ class Told(Typed):
             return cell_of_sides(r1, r2, (b_x, b_y))
         except InputError as error:
             raise InputError(f"{source}: rings: {error}; give a law of rings side by side") from error
+
+
+def read_told(summary: dict[str, Any], source: str) -> Told:
+    """What a summary tells of its curtain; InputError, which begins with `source`, for what does not fit."""
+    names = [item.name for item in fields(Told)]
+    return read_typed(Told, {key: summary[key] for key in names if key in summary}, f"{source}:")
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ class Curtain:
     @property
     def x_in_space(self) -> Array:
         """Corners after deformation with three coordinates (p, 3), mm."""
-        return self.x if self.x.shape[1] == 3 else np.column_stack([self.x, np.zeros(len(self.x))])
+        return padded(self.x)
 
 
 def curtain_of_cells(
@@ -129,7 +132,7 @@ def curtain_of(solution: CurtainSolution, summary: dict[str, Any]) -> Curtain:
 
 def curtain_file(path: str | Path) -> Path:
     """The VTU that `path` names: itself, or curtain.vtu in the folder `path`."""
-    return Path(path) / CURTAIN_VTU if Path(path).is_dir() else Path(path)
+    return Path(path) / "curtain.vtu" if Path(path).is_dir() else Path(path)
 
 
 def read_curtain(path: str | Path) -> Curtain:
@@ -139,7 +142,6 @@ def read_curtain(path: str | Path) -> Curtain:
     that are none, or not of the same run.
     """
     vtu = curtain_file(path)
-    _check_is_file(vtu)
     mesh = read_mesh_file(vtu)
     kinds = [block.type for block in mesh.cells]
     if kinds not in (["triangle"], ["quad"]):
@@ -152,29 +154,11 @@ def read_curtain(path: str | Path) -> Curtain:
     x = X + _field(vtu, mesh.point_data, DISPLACEMENT, X.shape)
     if not _is_plane(X):
         raise InputError(f"{vtu}: its reference state is not plane, z reaches {np.abs(X[:, 2]).max():g} mm")
-    x = x[:, :2] if _is_plane(x) else x
-    told = _read_record(vtu)
-    return curtain_of_cells(X[:, :2], x, cells, data, told, str(vtu))
-
-
-def _read_record(vtu: Path) -> Told:
-    """What the summary beside a VTU tells."""
-    record = vtu.parent / CURTAIN_RECORD
-    _check_is_file(record)
+    record = vtu.parent / "summary.json"
     known = read_json_object(record)
     check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
-    return read_told(known, str(record))
-
-
-def _check_is_file(path: Path) -> None:
-    if not path.is_file():
-        raise InputError(f"{path}: {'is a folder, not a file' if path.is_dir() else 'there is no such file'}")
-
-
-def read_told(summary: dict[str, Any], source: str) -> Told:
-    """What a summary tells of its curtain; InputError, which begins with `source`, for what does not fit."""
-    names = [item.name for item in fields(Told)]
-    return read_typed(Told, {key: summary[key] for key in names if key in summary}, f"{source}:")
+    x = x[:, :2] if _is_plane(x) else x
+    return curtain_of_cells(X[:, :2], x, cells, data, read_told(known, str(record)), str(vtu))
 
 
 def _is_plane(points: Array) -> bool:
@@ -188,8 +172,6 @@ def _field(path: Path, data: dict[str, Any], name: str, shape: tuple[int, ...]) 
     found = np.asarray(data[name], dtype=float)
     if found.size != np.prod(shape):
         raise InputError(f"{path}: field {name} has {found.size} numbers, not {' times '.join(map(str, shape))}")
-    if not np.isfinite(found).all():
-        raise InputError(f"{path}: field {name} holds a number that is not finite")
-    if np.abs(found).max() > MOST_NUMBER:
-        raise InputError(f"{path}: field {name} reaches {np.abs(found).max():g}, at most {MOST_NUMBER:g} is allowed")
+    if not np.abs(found).max() <= MOST_NUMBER:
+        raise InputError(f"{path}: field {name} has numbers that are not finite, or larger than {MOST_NUMBER:g}")
     return found.reshape(shape if shape[1] > 1 else shape[0])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from macro_fem.fem.cells import padded
 from macro_fem.rings.curtain import Curtain
 from macro_fem.rings.places import Rings
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
@@ -40,10 +41,11 @@ def check_outputs(folder: str | Path, inputs: Iterable[str | Path | None], *, pi
 
 @dataclass(frozen=True)
 class WorstCell:
-    """The cell with the largest principal line load: number, pose, contact forces, turn (3, 3) into the curtain."""
+    """The cell with the largest principal line load: number, status of its pose, contact forces, and the turn (3, 3)
+    into the curtain."""
 
     number: int
-    states: NearestPoses
+    pose: str
     forces: CellForces
     turn: Array
 
@@ -88,18 +90,19 @@ class RingField:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The numbers of localize.json: lengths in mm, forces in N, line loads in N/mm."""
-        cell, told, states, fit = self.cell, self.curtain.told, self.states, self.fit
-        force, status, gap = self.contact_force_N, self.status, self._drawn_gap
+        cell, curtain, states, fit, worst = self.cell, self.curtain, self.states, self.fit, self.worst
+        told, forces, status, gap = curtain.told, worst.forces, self.status, self.data["drawn_gap_mm"]
         names, counts = np.unique(states.status, return_counts=True)
+        reference = curtain.X[curtain.triangles[curtain.cell == worst.number][0]].mean(axis=0)
         return {
-            "curtain": self.curtain.source,
+            "curtain": curtain.source,
             "curtain_status": told.status,
             "weave": cell.weave.name,
             "grain": cell.grain,
             "r1_mm": cell.r1,
             "r2_mm": cell.r2,
             "hang_deg": told.hang_deg,
-            "rings": len(force),
+            "rings": len(self),
             "cells": len(states.E),
             "solves": states.solves,
             "cells_by_status": {str(name): int(count) for name, count in zip(names, counts, strict=True)},
@@ -113,17 +116,25 @@ class RingField:
             },
             "links": fit.links,
             "links_intact": fit.linked,
-            "largest_contact_force_N": float(force.max()),
+            "largest_contact_force_N": float(self.contact_force_N.max()),
             "ring_at_support": told.at_support,
-            "worst_cell": _worst_lines(self.curtain, self.worst),
+            "worst_cell": {
+                "cell": worst.number,
+                "reference_mm": reference.tolist(),
+                "largest_principal_line_load_N_per_mm": float(curtain.line_load[worst.number]),
+                "normal": worst.turn[:, 2].tolist(),
+                "pose": worst.pose,
+                "alpha_deg": forces.alpha_deg,
+                "beta_deg": forces.beta_deg,
+                "status": forces.status,
+                "contacts": len(forces.force),
+                "largest_force_N": float(forces.force.max(initial=0.0)),
+                "cauchy_line_load_11_12_22_N_per_mm": forces.s.tolist(),
+                "line_load_of_contacts_11_12_22_N_per_mm": forces.virial.tolist(),
+            },
             "wall_s": self.wall_s,
             "versions": versions(),
         }
-
-    @property
-    def _drawn_gap(self) -> Array:
-        """Smallest gap of each ring as placed (n,), mm, at most the distance that is searched."""
-        return np.minimum(self.fit.gap_mm, NEAR * self.cell.r1)
 
     @property
     def drawn(self) -> DrawnRings:
@@ -132,11 +143,12 @@ class RingField:
 
     @property
     def data(self) -> dict[str, Array]:
-        """Numbers per ring, (n,) or (n, w), by their names in rings.vtu; gaps are at most NEAR r1."""
+        """Numbers per ring, (n,) or (n, w), by their names in rings.vtu; gaps are at most NEAR r1, as far as is
+        searched."""
         sites, states, row = self.rings.sites, self.states, self.row
         names = list(POSE_MEANINGS)
         code = np.array([names.index(str(status)) for status in states.status])
-        listed: dict[str, Any] = {
+        return {
             "ring": np.arange(len(row)),
             "class_i_j": sites.index,
             "macro_cell": sites.cell,
@@ -145,12 +157,11 @@ class RingField:
             "strain_short": states.short[row],
             "strain_fold": states.fold[row],
             "cell_gap_mm": states.gap_mm[row],
-            "drawn_gap_mm": self._drawn_gap,
+            "drawn_gap_mm": np.minimum(self.fit.gap_mm, NEAR * self.cell.r1),
             "broken_link": self.fit.broken.astype(int),
             "contact_force_N": self.contact_force_N,
-            "reference_mm": np.column_stack([sites.X, np.zeros(len(sites.X))]),
+            "reference_mm": padded(sites.X),
         }
-        return listed
 
     def save(
         self,
@@ -220,26 +231,6 @@ class RingField:
     def _repr_html_(self) -> str:
         """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
         return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))
-
-
-def _worst_lines(curtain: Curtain, worst: WorstCell) -> dict[str, Any]:
-    """What the summary says of the worst cell."""
-    forces = worst.forces
-    triangle = int(np.flatnonzero(curtain.cell == worst.number)[0])
-    return {
-        "cell": worst.number,
-        "reference_mm": curtain.X[curtain.triangles[triangle]].mean(axis=0).tolist(),
-        "largest_principal_line_load_N_per_mm": float(curtain.line_load[worst.number]),
-        "normal": worst.turn[:, 2].tolist(),
-        "pose": str(worst.states.status[0]),
-        "alpha_deg": forces.alpha_deg,
-        "beta_deg": forces.beta_deg,
-        "status": forces.status,
-        "contacts": len(forces.force),
-        "largest_force_N": float(forces.force.max(initial=0.0)),
-        "cauchy_line_load_11_12_22_N_per_mm": forces.s.tolist(),
-        "line_load_of_contacts_11_12_22_N_per_mm": forces.virial.tolist(),
-    }
 
 
 def forces_table(forces: CellForces, turn: Array) -> str:

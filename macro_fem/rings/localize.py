@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from macro_fem.rings.curtain import Curtain, curtain_file, read_curtain
 from macro_fem.rings.field import RingField, WorstCell, check_outputs
-from macro_fem.rings.places import Sites, find_sites, place_rings, turns
+from macro_fem.rings.places import find_sites, place_rings, turns
 from rve import (
-    Cell,
-    LockedArrangements,
+    NearestPoses,
     PoseOptions,
     axes_of_weave,
     cauchy_of,
@@ -76,20 +76,35 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     began = time.perf_counter()
     options = options or LocalizeOptions()
     curtain = curtain if isinstance(curtain, Curtain) else read_curtain(curtain)
-    cell = curtain.told.cell(curtain.source)
-    locked = locked_arrangements(cell, options.poses)
+    cell, how = curtain.told.cell(curtain.source), options.poses
+    locked = locked_arrangements(cell, how)
     axes = axes_of_weave(cell, curtain.told.hang_deg)
     tell("rings in their cells")
     sites = find_sites(curtain, cell, locked.sides, axes, options.window)
-    _check_count(curtain.source, sites, options)
+    if not len(sites.X):
+        where = "" if options.window is None else f"--window = {','.join(f'{x:g}' for x in options.window)}: "
+        raise InputError(f"{where}not one ring of {curtain.source} lies there")
+    if len(sites.X) > options.max_rings:
+        raise InputError(
+            f"{curtain.source}: {len(sites.X)} rings are more than --max-rings = {options.max_rings}; ask for a "
+            "--window"
+        )
+
+    def solved(cells: NDArray[np.intp]) -> tuple[NearestPoses, Array]:
+        """Poses of some cells, and the Cauchy line loads (n, 3) on them."""
+        states = nearest_poses(in_weave(curtain.E[cells], axes), cell, how, locked)
+        return states, cauchy_of(in_weave(curtain.S[cells], axes), states.E)
+
     used, row = np.unique(sites.cell, return_inverse=True)
-    states = nearest_poses(in_weave(curtain.E[used], axes), cell, options.poses, locked)
+    states, loads = solved(used)
     tell(f"{len(sites.X)} rings in their places")
     rings = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
-    loads = cauchy_of(in_weave(curtain.S[used], axes), states.E)
-    force = largest_forces(loads, cell, options.poses.direct)[row, sites.index[:, 0]]
-    worst = _solve_worst(curtain, cell, options.poses, locked, axes)
+    force = largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
+    number = int(np.argmax(curtain.line_load))
+    pose, load = solved(np.array([number]))
+    turn = turns(curtain, np.flatnonzero(curtain.cell == number)[:1], pose.E, axes)[0]
+    worst = WorstCell(number, str(pose.status[0]), cell_forces(load[0], cell, how.direct), turn)
     fit = fit_rings(sites.index, rings.centre, rings.normal, cell)
     return RingField(curtain, cell, rings, states, row, fit, force, worst, round(time.perf_counter() - began, 3))
 
@@ -109,26 +124,7 @@ def run_localize(
     return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)
 
 
-def _check_count(source: str, sites: Sites, options: LocalizeOptions) -> None:
-    if not len(sites.X):
-        where = "" if options.window is None else f"--window = {','.join(f'{x:g}' for x in options.window)}: "
-        raise InputError(f"{where}not one ring of {source} lies there")
-    if len(sites.X) > options.max_rings:
-        raise InputError(
-            f"{source}: {len(sites.X)} rings are more than --max-rings = {options.max_rings}; ask for a --window"
-        )
-
-
 def in_weave(triples: Array, axes: Array) -> Array:
     """Tensors (n, 3) of the curtain in the weave's own axes; `axes` (2, 2) leads from the weave to the curtain."""
-    full = np.stack([triples[:, [0, 1]], triples[:, [1, 2]]], axis=1)
-    turned = axes.T @ full @ axes
+    turned = axes.T @ triples[:, [[0, 1], [1, 2]]] @ axes
     return np.stack([turned[:, 0, 0], turned[:, 0, 1], turned[:, 1, 1]], axis=1)
-
-
-def _solve_worst(curtain: Curtain, cell: Cell, how: PoseOptions, locked: LockedArrangements, axes: Array) -> WorstCell:
-    number = int(np.argmax(curtain.line_load))
-    states = nearest_poses(in_weave(curtain.E[[number]], axes), cell, how, locked)
-    s = cauchy_of(in_weave(curtain.S[[number]], axes), states.E)[0]
-    triangle = np.flatnonzero(curtain.cell == number)[:1]
-    return WorstCell(number, states, cell_forces(s, cell, how.direct), turns(curtain, triangle, states.E, axes)[0])

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from macro_fem.fem.cells import cross, mean_at_corners, signed_areas
 from macro_fem.rings.curtain import Curtain
@@ -53,24 +54,20 @@ def find_sites(
 
     sides: b_x, b_y in r1 in the weave's own axes. A point on the edge of two triangles belongs to one of them.
     """
-    low, high = curtain.X.min(axis=0), curtain.X.max(axis=0)
-    middle = 0.5 * (low + high)
+    middle, step = 0.5 * (curtain.X.min(axis=0) + curtain.X.max(axis=0)), cell.r1 * np.array(sides)
     # axes is orthogonal, so that it is its own inverse from the right
-    lattice = (curtain.X - middle) @ axes / (cell.r1 * np.array(sides))
-    corners = lattice[curtain.triangles]
+    corners = ((curtain.X - middle) @ axes / step)[curtain.triangles]
     parts = []
     for ring, share in enumerate(reference_shares(cell)):
         triangle, ij = _inside(corners - share)
-        index = np.column_stack([np.full(len(ij), ring), ij])
-        X = ((ij + share) * cell.r1 * np.array(sides)) @ axes.T + middle
-        parts.append((index, X, triangle))
-    index, X, triangle = (np.concatenate(column) for column in zip(*parts, strict=True))
-    sites = Sites(index, X, triangle, curtain.cell[triangle])
+        index, X = np.column_stack([np.full(len(ij), ring), ij]), ((ij + share) * step) @ axes.T + middle
+        parts.append(Sites(index, X, triangle, curtain.cell[triangle]))
+    sites = parts[0].join(parts[1:])
     if window is None:
         return sites
     x0, y0, x1, y1 = window
-    keep = (X[:, 0] >= x0) & (X[:, 0] <= x1) & (X[:, 1] >= y0) & (X[:, 1] <= y1)
-    return sites.take(keep)
+    x, y = sites.X.T
+    return sites.take((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
 
 
 def _inside(corners: Array) -> tuple[Index, Index]:
@@ -80,8 +77,7 @@ def _inside(corners: Array) -> tuple[Index, Index]:
     total = count.prod(axis=1)
     triangle = np.repeat(np.arange(len(corners)), total)
     rank = np.arange(len(triangle)) - np.repeat(np.cumsum(total) - total, total)
-    width = count[triangle, 0]
-    ij = low[triangle] + np.column_stack([rank % np.maximum(width, 1), rank // np.maximum(width, 1)])
+    ij = low[triangle] + np.column_stack(np.divmod(rank, count[triangle, 0])[::-1])
     inside = (_barycentric(corners[triangle], ij) >= -1e-9).all(axis=1)
     triangle, ij = triangle[inside], ij[inside]
     _, first = np.unique(ij, axis=0, return_index=True)
@@ -97,63 +93,36 @@ def _barycentric(corners: Array, point: Array) -> Array:
 
 def place_rings(curtain: Curtain, sites: Sites, states: NearestPoses, row: Index, cell: Cell, axes: Array) -> Rings:
     """The rings of the sites; row (n,) is the pose of each in `states`, in weave axes."""
-    turn = turns(curtain, sites.triangle, states.E[row], axes)
-    weights = _barycentric(curtain.X[curtain.triangles[sites.triangle]], sites.X)
-    centre = np.einsum("nk,nkx->nx", weights, curtain.x_in_space[curtain.triangles[sites.triangle]])
-    ring = sites.index[:, 0]
-    shift = offsets(states.pose, cell)[row, ring]
-    centre = centre + np.einsum("nxy,ny->nx", turn[:, :, :2], shift)
+    turn, ring = turns(curtain, sites.triangle, states.E[row], axes), sites.index[:, 0]
+    corners = curtain.triangles[sites.triangle]
+    centre = np.einsum("nk,nkx->nx", _barycentric(curtain.X[corners], sites.X), curtain.x_in_space[corners])
+    centre = centre + np.einsum("nxy,ny->nx", turn[:, :, :2], offsets(states.pose, cell)[row, ring])
     return Rings(sites, centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring]))
 
 
-def deformation(curtain: Curtain) -> Array:
-    """Deformation gradient (t, d, 2) of every triangle, in the axes of the curtain; d = 2 in the plane, 3 in space."""
-    before, after = curtain.X[curtain.triangles], curtain.x[curtain.triangles]
-    dX = np.stack([before[:, 1] - before[:, 0], before[:, 2] - before[:, 0]], axis=2)
-    dx = np.stack([after[:, 1] - after[:, 0], after[:, 2] - after[:, 0]], axis=2)
-    return np.asarray(dx @ np.linalg.inv(dX))
-
-
-def rotation_angle(F: Array) -> Array:
-    """Angle (n,) of the rotation nearest to F (n, 2, 2): tan = (F21 - F12) / (F11 + F22)."""
-    return np.arctan2(F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1])
-
-
-def turns(curtain: Curtain, triangle: NDArray[np.intp], E: Array, axes: Array) -> Array:
+def turns(curtain: Curtain, triangle: Index, E: Array, axes: Array) -> Array:
     """Matrices (n, 3, 3) that carry poses of strain E (n, 3), in the weave's axes and the frame of the rotation rule
     (5), into the axes of the curtain, along with the triangles (n,).
 
     axes (2, 2) leads from the weave to the curtain; where it is a reflection, so are the matrices.
     """
-    to_curtain = in_space(axes)
-    return np.asarray(
-        to_curtain
-        @ _frames(curtain, triangle, axes)
-        @ about_normal(rotation_angle(deformation_gradient(E))).transpose(0, 2, 1)
-    )
-
-
-def in_space(plane: Array) -> Array:
-    """A matrix (2, 2) of the plane as one of space (3, 3) that leaves the normal alone."""
-    full = np.eye(3)
-    full[:2, :2] = plane
-    return full
-
-
-def about_normal(angle: Array) -> Array:
-    """Rotations (n, 3, 3) about the third axis by angles (n,)."""
-    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
-    return np.stack([np.stack([c, -s, zero], 1), np.stack([s, c, zero], 1), np.stack([zero, zero, one], 1)], 1)
-
-
-def _frames(curtain: Curtain, triangle: NDArray[np.intp], axes: Array) -> Array:
-    """Rotations R (n, 3, 3) of the triangles, seen from the weave's axes."""
-    F = deformation(curtain)
+    before, after = curtain.X[curtain.triangles], curtain.x[curtain.triangles]
+    dX, dx = ((one[:, 1:] - one[:, :1]).transpose(0, 2, 1) for one in (before, after))
+    F = np.asarray(dx @ np.linalg.inv(dX))  # the deformation gradient (t, d, 2) in the axes of the curtain
+    to_curtain = np.eye(3)
+    to_curtain[:2, :2] = axes
     if F.shape[1] == 2:
-        return about_normal(rotation_angle(axes.T @ F[triangle] @ axes))
-    R = polar(F, _normals(curtain))[triangle]
-    first_two = in_space(axes).T @ R @ axes
-    return np.concatenate([first_two, np.cross(first_two[:, :, 0], first_two[:, :, 1])[:, :, None]], axis=2)
+        frames = about_normal(axes.T @ F[triangle] @ axes)
+    else:
+        two = to_curtain.T @ polar(F, _normals(curtain))[triangle] @ axes
+        frames = np.concatenate([two, np.cross(two[:, :, 0], two[:, :, 1])[:, :, None]], axis=2)
+    return np.asarray(to_curtain @ frames @ about_normal(deformation_gradient(E)).transpose(0, 2, 1))
+
+
+def about_normal(F: Array) -> Array:
+    """The rotations (n, 3, 3) about the third axis that are nearest to F (n, 2, 2) in the plane."""
+    angle = np.arctan2(F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1])
+    return np.asarray(Rotation.from_euler("z", angle[:, None]).as_matrix())
 
 
 def polar(F: Array, normal: Array) -> Array:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from homogenize import CellInfo, MembraneLaw, cell_of, default_law, with_material
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.cells import in_space_of
+from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
 from macro_fem.scene.checks import check_sizes
 from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area
@@ -23,7 +23,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.sites import Held, Sliding, edge_nodes
+from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told
 from macro_fem.scene.tables import Bar, Wind, in_3d
 from macro_fem.solution import CurtainSolution
@@ -63,49 +63,36 @@ class RingScene:
     info: CellInfo | None = None
 
     def solve(
-        self,
-        *,
-        space: bool,
-        disk: CurtainSolution | None = None,
-        options: FiniteOptions | None = None,
+        self, *, space: bool, disk: CurtainSolution | None = None, options: FiniteOptions | None = None
     ) -> FiniteSolution:
         """The rings in equilibrium, their centres in `space` or the plane; InputError where they cannot be, or where
         walls push them along a direction in which nothing holds them.
 
         Where the membrane `disk` of the scene is given it guides the rings while folds form.
         """
-        if self.scene.in_space and not space:
-            raise InputError(f"{self.scene.source}: {self.scene.space_reason}: centres cannot stay there")
+        scene, pins = self.scene, self.pins
+        if scene.in_space and not space:
+            raise InputError(f"{scene.source}: {scene.space_reason}: centres cannot stay there")
         guide = None if disk is None else disk.places(self.mesh.X)
-        if guide is not None and not self.scene.in_space:
+        if guide is not None and not scene.in_space:
             guide[:, 2] = np.nan
         try:
             found = self.mesh.solve(
-                self.force,
-                self.held,
-                self.at,
-                space=space,
-                walls=self.walls,
-                guide=guide,
-                options=options,
+                self.force, self.held, self.at, space=space, walls=self.walls, guide=guide, options=options
             )
         except InputError as error:
-            raise InputError(f"{self.scene.source}: {error}") from error
-        return self._held_in_place(found)
-
-    def _held_in_place(self, found: FiniteSolution) -> FiniteSolution:
-        """The answer without the forces of pins; InputError where they are some."""
-        if not len(self.pins.nodes):
+            raise InputError(f"{scene.source}: {error}") from error
+        if not len(pins.nodes):
             return found
-        forces = self.pins.along(found.reaction)
+        forces = pins.along(found.reaction)
         worst = int(np.abs(np.nan_to_num(forces)).argmax())
         if found.status == "converged" and abs(forces[worst]) > SLIDES * np.abs(self.force).sum():
             raise InputError(
-                f"{self.scene.source}: [obstacle]: nothing carries the force of {-forces[worst]:.6g} N along "
-                f"{told(self.pins.direction[worst])}, in which the supports let the rings slide: hold them there"
+                f"{scene.source}: [obstacle]: nothing carries the force of {-forces[worst]:.6g} N along "
+                f"{told(pins.direction[worst])}, in which the supports let the rings slide: hold them there"
             )
         reaction = found.reaction.copy()
-        reaction[self.pins.nodes] -= forces[:, None] * self.pins.direction
+        reaction[pins.nodes] -= forces[:, None] * pins.direction  # pins carry no force
         return replace(found, reaction=reaction)
 
 
@@ -113,14 +100,6 @@ def in_material(scene: Scene, cell: Cell) -> Cell:
     """The rings of the material that the scene names, else of their own."""
     metal = material_of(dict(scene.material), f"{scene.source}: [material]", base=cell.material)
     return replace(cell, material=metal, density=metal.density_kg_per_mm3)
-
-
-def _find_info(scene: Scene, rings: Cell | MembraneLaw | None) -> CellInfo | None:
-    """Radii, reference cell and areal mass of rings."""
-    if isinstance(rings, Cell):
-        return cell_of(solve_table(in_material(scene, rings), ([0.0], [90.0])))
-    law = default_law() if rings is None else rings
-    return with_material(law, dict(scene.material), f"{scene.source}: [material]").cell
 
 
 def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingScene:
@@ -132,7 +111,12 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
     >>> len(rings.mesh.X), [len(held) for _, held in rings.groups]
     (8, [3])
     """
-    info = _find_info(scene, rings)
+    info: CellInfo | None
+    if isinstance(rings, Cell):
+        info = cell_of(solve_table(in_material(scene, rings), ([0.0], [90.0])))
+    else:
+        law = default_law() if rings is None else rings
+        info = with_material(law, dict(scene.material), f"{scene.source}: [material]").cell
     if info is None:
         raise InputError(f"{scene.source}: the law has no rings; take one that was fitted to a table of rings")
     if scene.motion is not None:
@@ -185,17 +169,13 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
         raise InputError(f"{source}: [curtain]: {error}") from error
 
 
-def _by_cells(scene: Scene, info: CellInfo) -> Scene:
-    """The scene with one column of finite elements per reference cell of the weave."""
-    side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
-    width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
-    mesh = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")
-    return replace(scene, mesh=mesh)
-
-
 def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
     """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
-    scene = _by_cells(_in_whole_cells(scene, info)[0], info)
+    scene = _in_whole_cells(scene, info)[0]
+    side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
+    width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
+    one_per_cell = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")
+    scene = replace(scene, mesh=one_per_cell)
     fem = build_mesh(scene, info)
     disc = discretize(fem.mesh, "P1")
     weight = weight_per_area(scene, info)
@@ -205,49 +185,35 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         raise InputError(f"{scene.source}: [support] sliding = true: rings slide along x, y or z, on no sloping line")
     if released is None:
         supports = pin_sliding(supports, disc, everything, scene.source)
-    live = everything - load_vector(disc, weight)
-    ring = cKDTree(mesh.X).query(disc.nodes)[1]
-    n = len(mesh.X)
+    ring, n = cKDTree(mesh.X).query(disc.nodes)[1], len(mesh.X)
     force = np.zeros((n, 3))
     force[:, : scene.d] = mesh.area[:, None] * weight
-    np.add.at(force[:, : scene.d], ring, live)
-    held, way = np.zeros((n, 3), bool), np.zeros((n, 3))
+    np.add.at(force[:, : scene.d], ring, everything - load_vector(disc, weight))
+    held, at = np.zeros((n, 3), bool), padded(mesh.X)
     for axis in range(scene.d):
         nodes = np.flatnonzero(supports.fixed[:, axis])
         held[ring[nodes], axis] = True
-        way[ring[nodes], axis] = (supports.positions - in_space_of(disc.nodes, scene.d))[nodes, axis]
+        way = (supports.positions - in_space_of(disc.nodes, scene.d))[nodes, axis]
+        at[ring[nodes], axis] = padded(mesh.X)[ring[nodes], axis] + way
     if not scene.in_space:
         held[:, 2] = held[:, 0] | held[:, 1]
-    at = np.column_stack([mesh.X, np.zeros(n)]) + way
-    pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     where = f"{scene.source}: [load.bar] edge"
-    lines = [ring[edge_nodes(fem, disc, bar.edge, where)] for bar in scene.of(Bar) if bar.straight]
+    bars = []
     mass = areal_mass(scene, info)[0] * PER_MM2 * mesh.area
     for bar in scene.of(Bar):
         shares = edge_shares(fem, disc, bar.edge, where)
         np.add.at(mass, ring, bar.mass * shares / shares.sum())
-    bars = tuple(line[np.sort(np.unique(line, return_index=True)[1])] for line in lines)
-    mesh = replace(mesh, bars=bars)
-    groups = _groups(supports.held, ring)
-    return RingScene(scene, mesh, force, held, at, groups, pins, mass, _walls(scene), info=info)
-
-
-def _walls(scene: Scene) -> tuple[HalfSpace, ...]:
-    """Floors and walls of a scene at the end of their moves."""
-    out = []
-    for item in scene.obstacle:
+        line = ring[edge_nodes(fem, disc, bar.edge, where)]
+        bars += [line[np.sort(np.unique(line, return_index=True)[1])]] if bar.straight else []
+    groups: list[tuple[str, np.ndarray]] = []
+    for one in supports.held:
+        taken = np.concatenate([np.zeros(0, int), *(rings for _, rings in groups)])
+        groups.append((one.name, np.setdiff1d(ring[one.nodes], taken)))
+    walls = []
+    for item in scene.obstacle:  # at the end of their moves
         m = item.normal(np.zeros((1, 3)))
         offset = float(item.support(m)[0] + m[0] @ in_3d(item.move))
-        out.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
-    return tuple(out)
-
-
-def _groups(supports: tuple[Held, ...], ring: np.ndarray) -> tuple[tuple[str, np.ndarray], ...]:
-    """The rings of each support, each ring once."""
-    groups: list[tuple[str, np.ndarray]] = []
-    taken = np.zeros(0, int)
-    for one in supports:
-        mine = np.setdiff1d(np.unique(ring[one.nodes]), taken)
-        taken = np.concatenate([taken, mine])
-        groups.append((one.name, mine))
-    return tuple(groups)
+        walls.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
+    pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
+    mesh = replace(mesh, bars=tuple(bars))
+    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), info=info)
