@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -35,19 +35,10 @@ from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common.errors import InputError
 from rve.common.types import Array
 
-
-@dataclass(frozen=True)
-class CurtainOptions:
-    """How a solve begins."""
-
-    coarse_from: int = 4000
-    """Points from which a coarser curtain is solved first: on fewer the law's own half-spaces are as quick."""
-    coarse_ratio: int = 4
-    """Cells of the mesh per cell of the coarser one. Coarser ones are cheaper and tell less."""
-
-
-CURTAIN = CurtainOptions()
-"""The defaults."""
+COARSE_FROM = 4000
+"""Points from which a coarser curtain is solved first: on fewer the law's own half-spaces are as quick."""
+COARSE_RATIO = 4
+"""Cells of the mesh per cell of the coarser one. Coarser ones are cheaper and tell less."""
 COARSE_TOLERANCE = 1e-4
 """Tolerance of the coarser curtain. Only its half-spaces are used, which smaller tolerances hardly change."""
 INWARD = 0.05
@@ -75,22 +66,23 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
 
 
 def solve_problem(
-    problem: CurtainProblem, start: CurtainSolution | None = None, options: CurtainOptions = CURTAIN
+    problem: CurtainProblem, start: CurtainSolution | None = None, coarse_from: int = COARSE_FROM
 ) -> CurtainSolution:
     """The curtain of a discrete problem, by the solver its scene names.
 
     `start` is a curtain on the same mesh, say that of the last load step: its half-spaces are the first ones, the first
-    positions are near its own, and its matrix pattern and symbolic factor are kept.
+    positions are near its own, and its matrix pattern and symbolic factor are kept. From `coarse_from` points on
+    a coarser curtain is solved first.
 
     A problem with bodies, or wind on the present shape, is solved in rounds (`macro_fem.shape_loop`).
     """
     if problem.bodies or problem.winds:
         return held_in_place(solve_shape(problem, start, solve_convex))
-    return held_in_place(solve_convex(problem, start, options))
+    return held_in_place(solve_convex(problem, start, coarse_from))
 
 
 def solve_convex(
-    problem: CurtainProblem, start: CurtainSolution | None = None, options: CurtainOptions = CURTAIN
+    problem: CurtainProblem, start: CurtainSolution | None = None, coarse_from: int = COARSE_FROM
 ) -> CurtainSolution:
     """The curtain of a problem without bodies or wind on its shape; forces at its pins are left unchecked."""
     begin = time.perf_counter()
@@ -104,7 +96,7 @@ def solve_convex(
     elif problem.walls is not None and problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
         result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)), "blocked")
     else:
-        cones = _first_cones(problem, start, options)
+        cones = _first_cones(problem, start, coarse_from)
         x = gathered_start(problem) if start is None else slackened(start, INWARD)
         result, relaxation = _solve_within_reach(problem, reach, cones, x)
         reach = result.reach if result.stop == "infeasible" else reach
@@ -195,7 +187,7 @@ def _solve_within_reach(
     return solve(problem.fem, z, options, problem.walls), None
 
 
-def _first_cones(problem: CurtainProblem, start: CurtainSolution | None, options: CurtainOptions) -> Cones | None:
+def _first_cones(problem: CurtainProblem, start: CurtainSolution | None, coarse_from: int) -> Cones | None:
     """Half-spaces to begin with: of the mesh, law or load step before, or of a coarser curtain; None: the law's own.
 
     A coarser curtain has half as many as the law's own first ones and nearly the right ones. None is solved for small
@@ -206,18 +198,18 @@ def _first_cones(problem: CurtainProblem, start: CurtainSolution | None, options
         return problem.cones
     if start is not None and start.cones is not None and len(start.cones.first) == points:
         return start.cones
-    if problem.wind is not None or any(not is_flat(item) for item in scene.obstacle) or points < options.coarse_from:
+    if problem.wind is not None or any(not is_flat(item) for item in scene.obstacle) or points < coarse_from:
         return None
-    if isinstance(scene.curtain, MeshFile) or scene.solver.adapt or scene.mesh.cells < 2 * options.coarse_ratio:
+    if isinstance(scene.curtain, MeshFile) or scene.solver.adapt or scene.mesh.cells < 2 * COARSE_RATIO:
         return None
-    coarse = _coarser(problem, options)
+    coarse = _coarser(problem, coarse_from)
     if coarse is None or coarse.status != "converged" or coarse.cones is None:
         return None
     _, nearest = cKDTree(coarse.problem.disc.points).query(problem.disc.points)
     return take_from(coarse.cones, nearest)
 
 
-def _coarser(problem: CurtainProblem, options: CurtainOptions) -> CurtainSolution | None:
+def _coarser(problem: CurtainProblem, coarse_from: int) -> CurtainSolution | None:
     """The loosely solved curtain on a coarser mesh; None where the scene cannot be meshed that coarsely.
 
     Rigid, for its half-spaces serve an elastic one as well, unless rings give by direction.
@@ -227,14 +219,14 @@ def _coarser(problem: CurtainProblem, options: CurtainOptions) -> CurtainSolutio
     is_rigid = not is_elastic(scene) or problem.elastic_law.own is problem.law.own
     coarse = replace(
         scene,
-        mesh=replace(scene.mesh, cells=scene.mesh.cells // options.coarse_ratio),
+        mesh=replace(scene.mesh, cells=scene.mesh.cells // COARSE_RATIO),
         solver=replace(scene.solver, kind="rigid" if is_rigid else "elastic", tolerance=tolerance),
     )
     try:
         discrete = make_problem(coarse, problem.law.own, build_mesh(coarse, problem.law.cell), problem.factor)
     except InputError:
         return None
-    return solve_convex(discrete, None, options)
+    return solve_convex(discrete, None, coarse_from)
 
 
 def make_solution(
@@ -251,17 +243,13 @@ def make_solution(
     allowance = tension_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     stored = float(fem.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
+    pushes = result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ()))
     return CurtainSolution(
         problem=problem,
         stop=result.stop,
         asked=replace(result.asked, gap=result.asked.gap + 2.0 * allowance / scale),
         x=x,
-        inner=InnerForces(
-            P=result.P,
-            S=result.S,
-            tension=tension,
-            wall_forces=result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ())),
-        ),
+        inner=InnerForces(result.P, result.S, tension, pushes),
         primal=stored - work,
         dual=result.dual + shift - allowance - held_part,
         iterations=result.iterations,

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,66 +33,69 @@ from rve.common.errors import InputError
 from rve.common.progress import part_of, way
 from rve.common.types import Array
 
-
-@dataclass(frozen=True)
-class ShapeOptions:
-    """When the rounds end."""
-
-    rounds: int = 60
-    """Most rounds; one costs a convex solve."""
-    settled: float = 1e-6
-    """Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
-    damping: float = 0.5
-    """Part of the way to the next shape at which wind is evaluated, far from the answer. Larger parts let
-    a sheet collapse before the pressure opens it, smaller ones take more rounds."""
-    memory: int = 20
-    """Rounds before, of whose pressures the next one is mixed so that the changes cancel. 0 mixes none."""
-    strides: int = 40
-    """Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
-    pace: float = 0.5
-    """Largest move of a body at once, over half its least width. Larger ones may leave nodes beside it."""
-    shortest: float = 1.0 / 32
-    """Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
-
-
-SHAPE = ShapeOptions()
-"""The defaults."""
+ROUNDS = 60
+"""Most rounds; one costs a convex solve."""
+SETTLED = 1e-6
+"""Forces that may still turn between two rounds, over the loads. Smaller values take more rounds."""
+DAMPING, LEAST_DAMPING = 0.5, 0.25
+"""First and least part of the way to the next shape at which wind is evaluated, far from the answer. Larger parts let a
+sheet collapse before the pressure opens it, smaller ones take more rounds."""
+MIXED_FROM = 0.2
+"""Relative change of the wind's forces from which rounds are mixed. Farther away changes are not nearly linear."""
+MEMORY = 20
+"""Rounds before, of whose pressures the next one is mixed so that the changes cancel."""
+IDLE = 25
+"""Rounds without a smaller change after which rounds end: the curtain has no rest near the last shapes."""
+STRIDES = 40
+"""Parts into which a move of bodies is cut while they push nodes along. More follow round bodies better."""
+PACE = 0.5
+"""Largest move of a body at once, over half its least width. Larger ones may leave nodes beside it."""
+SHORTEST = 1.0 / 32
+"""Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
+STEEP_PART = 0.1
+"""First part of a change that is taken of wind that follows with a speed, whose force falls much faster than the sheet
+turns out of it: by 13 times at 37 m/s. Larger parts begin with more detours."""
+STEEP_SETTLED, STEEP_TOLERANCE = 1e-3, 1e-12
+"""What such wind may still turn, over the loads, and the gap of its convex solves, where less is asked for: positions
+are known to the square root of the gap, and forces on a sheet at 8 degrees to the wind to thirteen times that. With
+a gap of 1e-9 changes of 1e-3 are noise: of strips in 12 winds of 8 to 45 m/s two had no rest in 60 rounds, the others
+took up to 38. With this all have, in 6 to 24."""
 
 Solve = Callable[[CurtainProblem, CurtainSolution | None], CurtainSolution]
 """The solver of a convex problem, from a curtain before."""
 
 
 def solve_shape(
-    problem: CurtainProblem, start: CurtainSolution | None, solve: Solve, options: ShapeOptions = SHAPE
+    problem: CurtainProblem, start: CurtainSolution | None, solve: Solve, most: int = ROUNDS
 ) -> CurtainSolution:
-    """The curtain of a problem with bodies or wind on its shape, by `solve` for each round.
+    """The curtain of a problem with bodies or wind on its shape, by `solve` for each of `most` rounds.
 
     InputError if the curtain is inside a body to begin with. An answer whose rounds have not settled has the status
     "unsettled"; one that is impossible in some round has the status of that round.
     """
     begin, scene = time.perf_counter(), problem.scene
     is_steep = any(wind.follows and wind.speed is not None for wind in problem.winds)
+    settled, part = (STEEP_SETTLED, STEEP_PART) if is_steep else (SETTLED, 1.0)
     if is_steep:
         exact = replace(scene.solver, tolerance=min(scene.solver.tolerance, STEEP_TOLERANCE))
         problem = replace(problem, scene=replace(scene, solver=exact))
     sense = senses(problem) if problem.winds else []
     first = start if start is not None else _first(problem, solve)
     shape = first.x
-    mixer = Mixer(loaded(problem).weight, options.memory, *((STEEP_PART, 0.5) if is_steep else (1.0, 1.0)))
-    if is_steep:
-        options = replace(options, settled=max(options.settled, STEEP_SETTLED))
+    mixer = Mixer(loaded(problem).weight, MEMORY, part, 0.5 if is_steep else 1.0)
     if start is None and any(wind.speed is None for wind in problem.winds):
         shape = _flat(problem)
     wind = wind_density(problem, shape, sense)
     watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
-    normals, found = _approach(problem, first, wind, start, solve, options, watch)
-    record, misfits, damping = None, list[float](), options.damping
-    for rounds in range(1, options.rounds + 1):
+    normals, found = _approach(problem, first, wind, start, solve, watch)
+    record, misfits, damping = None, list[float](), DAMPING
+    for rounds in range(1, most + 1):
         if found.status in ("infeasible", "not_finite"):
             break
         change = wind_density(problem, found.x, sense) - wind
         turned = _normals(problem.bodies, problem, found.x)
-        record = replace(_measure_settling(problem, found, turned, change, rounds, options), crossed=watch.deepest)
+        record = _measure_settling(problem, found, turned, change, settled)
+        record = replace(record, rounds=rounds, crossed=watch.deepest)
         if record.is_settled or (problem.winds and mixer.idle > IDLE):
             break
         misfits.append(record.misfit)
@@ -103,8 +106,8 @@ def solve_shape(
             wind = wind_density(problem, shape, sense)
         else:
             shape, wind = found.x, mixer.next(wind, change)
-        if rounds < options.rounds:
-            share = way(misfits[0], record.misfit, options.settled)
+        if rounds < most:
+            share = way(misfits[0], record.misfit, settled)
             with part_of(f"shape of the curtain, round {rounds}", share, share):
                 last, found = found, solve(_pose(problem, normals, wind), found)
             watch.look(problem.bodies, last.x, found.x)
@@ -118,27 +121,26 @@ def _approach(
     wind: Array,
     start: CurtainSolution | None,
     solve: Solve,
-    options: ShapeOptions,
     watch: _Watch,
 ) -> tuple[list[Array], CurtainSolution]:
     """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place.
 
     In as large strides as the half-spaces leave room for: those found at one shape may exclude every state of a curtain
-    whose supports are elsewhere. After `options.shortest` the last curtain says that it is blocked.
+    whose supports are elsewhere. After `SHORTEST` the last curtain says that it is blocked.
     """
     held = np.where(problem.fem.held, first.x, 0.0)
     before = 0.0 if start is None else start.problem.factor
-    done, stride, x, last = 0.0, _stride(problem, before, options), first.x, start
+    done, stride, x, last = 0.0, _stride(problem, before), first.x, start
     while True:
         part = min(1.0, done + stride)
         factors = (before + done * (problem.factor - before), before + part * (problem.factor - before))
         bodies = tuple(PlacedObstacle(one.number, one.obstacle, factors[1], one.d) for one in problem.bodies)
         fem = problem.fem.moved((1.0 - part) * held + part * problem.fem.x_held) if part < 1.0 else problem.fem
-        pushed = _push_out(problem, x, *factors, options, watch)
+        pushed = _push_out(problem, x, *factors, watch)
         normals = _normals(bodies, problem, pushed)
         with part_of(f"moving into place, {100.0 * done:.0f} % done", done, part):
             found = solve(_pose(replace(problem, fem=fem, bodies=bodies), normals, wind), last)
-        if found.status == "infeasible" and stride > options.shortest:
+        if found.status == "infeasible" and stride > SHORTEST:
             stride *= 0.5
             continue
         watch.look(bodies, pushed, found.x)
@@ -152,33 +154,13 @@ def _normals(bodies: Sequence[PlacedObstacle], problem: CurtainProblem, x: Array
     return [body.normal(meeting_points(body.obstacle, problem.disc).places(x)) for body in bodies]
 
 
-MIXED_FROM = 0.2
-"""Relative change of the wind's forces from which rounds are mixed. Farther away changes are not nearly linear."""
-
-LEAST_DAMPING = 0.25
-"""Least part of the way to the next shape that is taken. Less hardly moves."""
-
-STEEP_PART = 0.1
-"""First part of a change that is taken of wind that follows with a speed, whose force falls much faster than the sheet
-turns out of it: by 13 times at 37 m/s. Larger parts begin with more detours."""
-
-STEEP_SETTLED, STEEP_TOLERANCE = 1e-3, 1e-12
-"""What such wind may still turn, over the loads, and the gap of its convex solves, where less is asked for: positions
-are known to the square root of the gap, and forces on a sheet at 8 degrees to the wind to thirteen times that. With
-a gap of 1e-9 changes of 1e-3 are noise: of strips in 12 winds of 8 to 45 m/s two had no rest in 60 rounds, the others
-took up to 38. With this all have, in 6 to 24."""
-
-IDLE = 25
-"""Rounds without a smaller change after which rounds end: the curtain has no rest near the last shapes."""
-
-
-def _stride(problem: CurtainProblem, before: float, options: ShapeOptions) -> float:
+def _stride(problem: CurtainProblem, before: float) -> float:
     """The part of their moves that no body should exceed at once: farther, and it may pass between nodes."""
     parts = [1.0]
     for body in problem.bodies:
         way = (problem.factor - before) * float(np.linalg.norm(body.obstacle.move))
-        parts.append(options.pace * body.obstacle.breadth / max(way, 1e-300))
-    return max(options.shortest, min(parts))
+        parts.append(PACE * body.obstacle.breadth / max(way, 1e-300))
+    return max(SHORTEST, min(parts))
 
 
 class _Watch:
@@ -248,14 +230,12 @@ def _flat(problem: CurtainProblem) -> Array:
     return nodes @ problem.frame.T if start is None else start.places(nodes)
 
 
-def _push_out(
-    problem: CurtainProblem, x: Array, before: float, after: float, options: ShapeOptions, watch: _Watch
-) -> Array:
+def _push_out(problem: CurtainProblem, x: Array, before: float, after: float, watch: _Watch) -> Array:
     """Places (n_nodes, d) after the bodies have gone from one share of their moves to another.
 
     Nodes that a body meets are pushed to its surface.
     """
-    for factor in np.linspace(before, after, options.strides + 1)[1:]:
+    for factor in np.linspace(before, after, STRIDES + 1)[1:]:
         for body in problem.bodies:
             if any(body.obstacle.move):
                 here = PlacedObstacle(body.number, body.obstacle, float(factor), body.d)
@@ -265,12 +245,7 @@ def _push_out(
 
 
 def _measure_settling(
-    problem: CurtainProblem,
-    found: CurtainSolution,
-    turned: list[Array],
-    change: Array,
-    rounds: int,
-    options: ShapeOptions,
+    problem: CurtainProblem, found: CurtainSolution, turned: list[Array], change: Array, settled: float
 ) -> Settling:
     """The residuals of a round: how much its reactions and the wind turn at its own shape."""
     walls, x = found.problem.walls, found.x
@@ -287,4 +262,4 @@ def _measure_settling(
         inside = max(0.0, -float(body.gap(problem.disc.lattice.places(x)).min()))
         deepest, depth = max(deepest, inside), max(depth, inside / body.obstacle.breadth)
     product /= total * problem.mesh.size
-    return Settling(rounds, misfit / total, product, options.settled, deepest, depth, is_wind=not problem.bodies)
+    return Settling(0, misfit / total, product, settled, deepest, depth, is_wind=not problem.bodies)

@@ -85,25 +85,10 @@ class CurtainSolution(Judged):
         """Deformation gradients (nq, d, 2)."""
         return gradient(self.problem.disc, self.x)
 
-    @property
-    def P(self) -> Array:
-        """See `InnerForces`."""
-        return self.inner.P
-
-    @property
-    def S(self) -> Array:
-        """See `InnerForces`."""
-        return self.inner.S
-
-    @property
-    def tension(self) -> float:
-        """See `InnerForces`."""
-        return self.inner.tension
-
-    @property
-    def wall_forces(self) -> Array:
-        """See `InnerForces`."""
-        return self.inner.wall_forces
+    P = property(lambda self: self.inner.P)
+    S = property(lambda self: self.inner.S)
+    tension = property(lambda self: self.inner.tension)
+    wall_forces = property(lambda self: self.inner.wall_forces)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -185,10 +170,14 @@ class CurtainSolution(Judged):
         errors += 0.0 if self.settling is None else self.settling.misfit
         return errors * self._total + 2.0 * self.tension * self.problem.mesh.size
 
+    def mean_place(self) -> Array:
+        """Mean position over the reference area (d,), mm."""
+        shares = load_vector(discretize(self.problem.mesh.mesh, self.problem.disc.element), np.array([1.0]))[:, 0]
+        return np.average(self.x, axis=0, weights=shares)
+
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""
-        ones = load_vector(discretize(self.problem.mesh.mesh, self.problem.disc.element), np.array([1.0]))[:, 0]
-        return float(ones @ self.x[:, 1] / ones.sum())
+        return float(self.mean_place()[1])
 
     def places(self, X: Array) -> Array:
         """Where the points X (n, 2) in mm of the reference are, (n, 3) in mm, linear between the nodes.

@@ -14,7 +14,7 @@ from benchmarks.problems import square
 from homogenize.io import default_law
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import HalfSpaces, MembraneLaw
-from macro_fem.curtain import CURTAIN, CurtainOptions, solve_problem
+from macro_fem.curtain import COARSE_FROM, solve_problem
 from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -50,7 +50,7 @@ def measure(full: bool) -> Section:
         "`all-half-spaces`: every point begins with all half-spaces of the law, instead of adding those that are "
         "violated. `idle half-spaces`: none is dropped on the way. "
         "`ties`: a matrix between nodes and unknowns, needed only for "
-        f"straight bars. `coarse-start`: a coarser curtain first, by default from {CURTAIN.coarse_from} points on."
+        f"straight bars. `coarse-start`: a coarser curtain first, by default from {COARSE_FROM} points on."
     )
     tables = (trial_table("Features switched on in curtains", trials),)
     diagram = bars("curtains", "Features that curtains leave out", trials)
@@ -75,9 +75,9 @@ def compared(
     return trial(feature, scene, seconds, change, tolerance, unit, default, ok=plain[0] and found[0])
 
 
-def height(problem: CurtainProblem, options: CurtainOptions = CURTAIN) -> tuple[bool, float]:
+def height(problem: CurtainProblem, coarse_from: int = COARSE_FROM) -> tuple[bool, float]:
     """Whether the curtain converges, and its mean height."""
-    found = solve_problem(problem, options=options)
+    found = solve_problem(problem, coarse_from=coarse_from)
     return found.status == "converged", found.mean_height()
 
 
@@ -121,9 +121,8 @@ def ties(law: MembraneLaw, cells: int) -> Row:
 def coarse_start(law: MembraneLaw, cells: int) -> Row:
     """A coarser curtain first, against none, whatever the default for so many points."""
     problem = problem_of(law, "corners", cells)
-    never, always = CurtainOptions(coarse_from=10**9), CurtainOptions(coarse_from=0)
-    calls = (partial(height, problem, never), partial(height, problem, always))
-    default = USED if problem.disc.n_points >= CurtainOptions.coarse_from else LEFT_OUT
+    calls = (partial(height, problem, 10**9), partial(height, problem, 0))
+    default = USED if problem.disc.n_points >= COARSE_FROM else LEFT_OUT
     return compared("coarse-start", "corners", calls, problem, default=default)
 
 

@@ -12,9 +12,7 @@ import numpy as np
 from homogenize import CellInfo
 from macro_fem.drag import wind_summary
 from macro_fem.elastic_forces import forces_by, forces_note
-from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
-from macro_fem.fem.discretization import discretize
 from macro_fem.output import line_load, strength
 from macro_fem.output.forces import held_length, support_forces, support_table
 from macro_fem.output.weakest import weakest
@@ -59,11 +57,10 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
     per_area, mass_from = areal_mass(problem.scene, problem.law.cell)
     told, forces, in_space = strength.summary(solution), support_forces(solution), {}
     if problem.fem.d == 3:
-        shares = load_vector(discretize(problem.mesh.mesh, disc.element), np.array([1.0]))[:, 0]
         in_space = {
             "lowest_point_at_mm": x[x[:, 1].argmin()].tolist(),
             "out_of_plane_mm": float(np.abs(x[:, 2]).max()),
-            "centre_of_gravity_mm": (shares @ x / shares.sum()).tolist(),
+            "centre_of_gravity_mm": solution.mean_place().tolist(),
         }
     return {
         "status": solution.status,

@@ -9,7 +9,7 @@ from macro_fem.job import solve
 from macro_fem.output.forces import obstacle_forces, pushes_of
 from macro_fem.scene.obstacles import Obstacle, PlacedObstacle
 from macro_fem.scene.schema import read_kinds, read_scene
-from macro_fem.shape_loop import ShapeOptions, solve_shape
+from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
 from tests.test_macro_fem.clarabel_oracle import curtain_by_clarabel
 from tests.test_macro_fem.sheets import posed
@@ -269,7 +269,7 @@ def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
 
 def test_rounds_that_are_cut_short_end_by_name(fitted_law):
     problem = posed(rope(8), fitted_law)
-    solution = solve_shape(problem, None, solve_problem, ShapeOptions(rounds=1))
+    solution = solve_shape(problem, None, solve_problem, 1)
     assert solution.status == "unsettled"
     assert "has not settled after 1 rounds" in solution.message
 

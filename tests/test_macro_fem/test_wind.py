@@ -12,7 +12,7 @@ from macro_fem.drag import front_of, senses, vector_areas, wind_density, wind_su
 from macro_fem.fem.assembly import gradient
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.wind import drag_coefficient, ring_solidity
-from macro_fem.shape_loop import ShapeOptions, solve_shape
+from macro_fem.shape_loop import solve_shape
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import posed
 
@@ -155,7 +155,7 @@ def test_a_drawn_track_in_wind_that_follows_comes_to_rest():
 
 def test_wind_without_rest_says_so():
     problem = posed(hung({"kind": "top"}, {"speed": 30.0, "follows": True}, cells=2))
-    solution = solve_shape(problem, None, solve_convex, ShapeOptions(rounds=2))
+    solution = solve_shape(problem, None, solve_convex, 2)
     assert solution.status == "unsettled"
     assert "a sheet that flutters has no rest; take less wind, a heavier bar" in solution.message
 
