@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from rve.common.errors import SENTENCES, InputError, NotConverged
 from rve.common.files import versions
 from rve.common.progress import part_of
-from rve.common.records import Flags, Index
+from rve.common.records import Flags
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
 from rve.common.types import Array
 from rve.directions import grid
-from rve.equilibrium.branches import MOVED, LoadedCell, RowStates, largest_rows, make_rows
-from rve.equilibrium.dead_load import DeadLoad, solve_dead
+from rve.equilibrium.branches import MOVED, RowStates, largest_rows, make_rows
+from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium, unit_loads
-from rve.equilibrium.larger_cells import in_cell
+from rve.equilibrium.largest_work import in_cell
 from rve.equilibrium.limits import with_limits
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
@@ -176,9 +176,7 @@ def largest_table(
     """
     began = time.perf_counter()
     s, planar = states.s, states
-    first = make_rows(
-        states, LoadedCell.of(Equations.of(states.cell.weave, cell.wire), weave_sides(states.cell, sides_mm), options)
-    )
+    first = make_rows(states.found, s, _loaded(states.cell, options, sides_mm))
     states, rows, left = largest_states(states, first, s, options, sides_mm)
     primitive = rows.E
     for mesh in cell.stages(states.cell.weave):
@@ -203,30 +201,27 @@ def largest_table(
     return table, branch_record(table, first, rows, left, time.perf_counter() - began) | record
 
 
+def _loaded(cell: Cell, options: DirectOptions, sides_mm: tuple[float, float]) -> LoadedCell:
+    return LoadedCell.of(cell.weave, cell.wire, weave_sides(cell, sides_mm), options)
+
+
 def largest_states(
     states: LockedStates, rows: RowStates, s: Array, options: DirectOptions, sides_mm: tuple[float, float]
 ) -> tuple[LockedStates, RowStates, Flags]:
     """Locked states under the Cauchy loads s (n, 3) with those of largest work in their cell; the rows; the rows (n,)
-    that a known state still contradicts."""
-    mesh = LoadedCell.of(Equations.of(states.cell.weave, states.cell.wire), weave_sides(states.cell, sides_mm), options)
-    rows, found, where, left = largest_rows(rows, s, mesh)
-    if found is None:
-        return states, rows, left
-    unique, loads = states.unique.copy(), states.s.copy()
-    unique[where], loads[where] = rows.unique[where], s[where]
-    states = replace(states, found=states.found.put(where, found), unique=unique, s=loads)
-    return under_own_load(states, rows, mesh, where[rows.branch[where] == "coexisting"]), rows, left
-
-
-def under_own_load(states: LockedStates, rows: RowStates, mesh: LoadedCell, mixed: Index) -> LockedStates:
-    """The states with the Cauchy load of size 1 that each coexisting one carries in its own pose, and its forces."""
-    F = deformation(states.pose.take(mixed), mesh.sides)
+    that a known state still contradicts. Each coexisting one has the Cauchy load of size 1 that it carries in its own
+    pose, and its forces."""
+    mesh = _loaded(states.cell, options, sides_mm)
+    rows, found, changed, left = largest_rows(rows, states.found, s, mesh)
+    unique, loads, lam = states.unique.copy(), states.s.copy(), found.lam.copy()
+    unique[changed], loads[changed] = rows.unique[changed], s[changed]
+    mixed = np.flatnonzero(changed & (rows.branch == "coexisting"))
+    F = deformation(found.pose.take(mixed), mesh.sides)
     # second_pk with the inverse of F leads back: s = J^-1 F S F^T.
-    s = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(rows.S[mixed]))
-    size = np.sqrt(double_dot(s, s))[:, None]
-    loads, lam = states.s.copy(), states.lam.copy()
-    loads[mixed], lam[mixed] = s / size, states.lam[mixed] / size[..., None]
-    return replace(states, s=loads, found=replace(states.found, lam=lam))
+    own = second_pk(np.asarray(np.linalg.inv(F)), unit_loads(rows.S[mixed]))
+    size = np.sqrt(double_dot(own, own))[:, None]
+    loads[mixed], lam[mixed] = own / size, lam[mixed] / size[..., None]
+    return replace(states, found=replace(found, lam=lam), unique=unique, s=loads), rows, left
 
 
 def branch_record(table: StrainTable, first: RowStates, rows: RowStates, left: Flags, wall: float) -> dict[str, Any]:

@@ -12,15 +12,12 @@ from rve.common.errors import InputError
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
 from rve.common.texts import as_html
 from rve.common.types import Array
-from rve.equilibrium.dead_load import DeadLoad
+from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
-from rve.equilibrium.larger_cells import largest_beyond
-from rve.equilibrium.largest_work import KnownStates, Largest, largest
+from rve.equilibrium.largest_work import KnownStates, Largest, largest, largest_beyond
 from rve.equilibrium.limits import strain_is_unique
-from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.pairs import unlisted_gap, widened
-from rve.geometry.pose import strain_of
 from rve.geometry.weave import Weave
 from rve.solve import lattice_mm, reference_sides, weave_axes, weave_sides
 
@@ -39,8 +36,8 @@ class SupportValue:
     unique (n,): False where the load leaves the strain free, E is then one of many; status (n,); R, min_gap_mm (n,);
     branch (n,): how the state was reached, from the "slack" pose, a "random" admissible one, that of a "neighbour" in
     load, or by a "restart" from a state that does more work; works: per load h of every state that was found under it,
-    ascending; b_x_mm, b_y_mm: the reference cell; states: what `support` can start from next time; cells, centres: see
-    `Cell`.
+    ascending; sides_mm: b_x, b_y of the reference cell; states: what `support` can start from next time; weave: that
+    of the poses.
     """
 
     S: Array
@@ -54,11 +51,29 @@ class SupportValue:
     min_gap_mm: Array
     branch: NDArray[np.str_]
     works: list[list[float]]
-    b_x_mm: float
-    b_y_mm: float
+    sides_mm: tuple[float, float]
     states: KnownStates
-    cells: tuple[int, int] = (1, 1)
-    centres: str = "plane"
+    weave: Weave
+
+    @property
+    def b_x_mm(self) -> float:
+        """Side of the reference cell."""
+        return self.sides_mm[0]
+
+    @property
+    def b_y_mm(self) -> float:
+        """Side of the reference cell."""
+        return self.sides_mm[1]
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Primitive cells of the poses, see `Cell`."""
+        return self.weave.repeat
+
+    @property
+    def centres(self) -> str:
+        """Where the centres of rings may be, see `Cell`."""
+        return self.weave.centres
 
     def __len__(self) -> int:
         return len(self.h)
@@ -123,14 +138,13 @@ def support(
         found = best.found
         if unlisted_gap(found.pose, mesh.weave, cell.wire).min() >= 0.0:
             break
-    sides = weave_sides(mesh, sides_mm)
-    good, reached = found.status == "converged", best.states(sides)
-    E = strain_of(found.pose, sides)[:, weave_axes(cell)]
+    good, reached = found.status == "converged", best.states
+    E = best.mesh.strain(found.pose)[:, weave_axes(cell)]
     E, x2, x3 = (np.where(good[:, None], values, np.nan) for values in (E, *lattice_mm(found.pose, mesh)))
     R, gap = (np.where(good, values, np.nan) for values in (found.R, cell.r1 * found.contacts.min_gap))
     works = [[float(size) * work for work in each] for size, each in zip(trace(S), best.works, strict=True)]
-    reached = reached if states is None else states.plus(reached)
-    told = (unique, found.status, R, gap, best.branch, works, *sides_mm, reached, mesh.weave.repeat, mesh.weave.centres)
+    reached = reached if states is None else states.join([reached])
+    told = (unique, found.status, R, gap, best.branch, works, sides_mm, reached, mesh.weave)
     return SupportValue(S, double_dot(S, E), E, x2, x3, *told)
 
 
@@ -182,16 +196,12 @@ def solve_largest(
     """Best states of the loads (n, 3), flags `unique` (n,), and the cell of their poses, with the pairs of `weave`."""
     mesh, stages = replace(cell, weave=weave, cells=(1, 1), centres="plane"), cell.stages(weave)
     known, beyond = (None, known) if stages else (known, None)
-    sides = weave_sides(mesh, sides_mm)
-    equations = Equations.of(weave, cell.wire, load=DeadLoad(sides))
-    beside = None
-    if options.branches != "first":
-        others = company(loads, known)
-        if len(others):
-            beside = largest(others, equations, sides, replace(options, branches="first")).states(sides)
-    best = largest(loads, equations, sides, options, known, beside)
+    loaded, beside = LoadedCell.of(weave, cell.wire, weave_sides(mesh, sides_mm), options), None
+    others = company(loads, known) if options.branches != "first" else loads[:0]
+    if len(others):
+        beside = largest(others, replace(loaded, options=replace(options, branches="first"))).states
+    best = largest(loads, loaded, known, beside)
     for mesh in stages:
-        sides = weave_sides(mesh, sides_mm)
-        equations = Equations.of(mesh.weave, cell.wire, load=DeadLoad(sides))
-        best = largest_beyond(best, beyond if mesh is stages[-1] else None, equations, sides, options)
-    return best, strain_is_unique(equations, best.found, unit_loads(loads)), mesh
+        loaded = LoadedCell.of(mesh.weave, cell.wire, weave_sides(mesh, sides_mm), options)
+        best = largest_beyond(best, beyond if mesh is stages[-1] else None, loaded)
+    return best, strain_is_unique(loaded.dead, best.found, unit_loads(loads)), mesh

@@ -13,12 +13,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rve.common.records import Index
-from rve.common.tensor import double_dot
+from rve.common.tensor import double_dot, trace
 from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
 from rve.equilibrium.system import Equations, on_coordinates, weighted_size
 from rve.geometry.contacts import parallel_clearance
+from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose, moved, start_pose, strain_of
+from rve.geometry.weave import Weave
 
 MARGINS = (1e-4, 1e-6)
 """Gaps of a restart in r1, tried in turn. Wider ones converge faster, but may slide into a state of less work."""
@@ -65,6 +67,31 @@ class DeadLoad:
         return weighted_size(f, M)
 
 
+@dataclass(frozen=True)
+class LoadedCell:
+    """What does not change: equations under Cauchy and under dead loads, sides of the reference cell in r1, options."""
+
+    cauchy: Equations
+    dead: Equations
+    sides: tuple[float, float]
+    options: DirectOptions
+
+    @staticmethod
+    def of(weave: Weave, wire: float, sides: tuple[float, float], options: DirectOptions) -> LoadedCell:
+        """The cell of a weave with wire radius r2/r1."""
+        equations = Equations.of(weave, wire)
+        return LoadedCell(equations, replace(equations, load=DeadLoad(sides)), sides, options)
+
+    def conjugate(self, E: Array, s: Array) -> Array:
+        """S (n, 3) of unit trace of the Cauchy loads s on cells with the strains E, by the rotation rule."""
+        S = second_pk(deformation_gradient(E), s)
+        return np.asarray(S / trace(S)[:, None])
+
+    def strain(self, pose: Pose) -> Array:
+        """Strain (n, 3) of the poses."""
+        return strain_of(pose, self.sides)
+
+
 def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Pose | None = None) -> Equilibrium:
     """Locked states under the dead loads S (n, 3) from the slack pose of the weave, or from `start` (n poses with
     positive gaps); equations with a `DeadLoad`.
@@ -77,12 +104,17 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     found = follow(unit_loads(S), equations, first, start)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
-        slower = replace(first, attempts=2, shrink=0.5, rejection=NEVER, corrections=2)
-        slower = replace(slower, max_iterations=2 * options.max_iterations)
-        slower = replace(slower, tolerance=max(TOLERANCE, options.tolerance), mu_end=max(MU_END, options.mu_end))
+        slower = replace(_patient(options), attempts=2, max_iterations=2 * options.max_iterations)
+        slower = replace(slower, mu_end=max(MU_END, options.mu_end))
         again = follow(unit_loads(S[left]), equations, slower, None if start is None else start.take(left))
         found = found.put(left, replace(again, attempts=again.attempts + 1))
     return found
+
+
+def _patient(options: DirectOptions) -> DirectOptions:
+    """Options of loads that stall: mu falls slowly, and steps follow curved valleys."""
+    slow = replace(options, attempts=1, shrink=0.5, power=1.0, rejection=NEVER, corrections=2)
+    return replace(slow, tolerance=max(options.tolerance, TOLERANCE))
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
@@ -122,33 +154,28 @@ def restart_patiently(loads: Array, equations: Equations, start: Pose, options: 
     found = restart(loads, equations, start, MARGINS[0], options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.max_iterations:
-        slower = replace(options, attempts=1, mu_start=MARGINS[1], shrink=0.5, power=1.0, rejection=NEVER)
-        slower = replace(slower, corrections=2, tolerance=max(options.tolerance, TOLERANCE), max_iterations=200)
+        slower = replace(_patient(options), mu_start=MARGINS[1], max_iterations=200)
         opened = open_gaps(start.take(left), equations, MARGINS[1], options.reach)
         found = found.put(left, follow(unit_loads(loads[left]), equations, slower, opened))
     return found
 
 
-def follow_promising(
-    S: Array, E: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions, start: Pose | None
-) -> tuple[Index, Equilibrium]:
+def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple[Index, Equilibrium]:
     """Cases whose paths under the dead loads S (n, 3) of unit trace promise more work than the strains E, and their
     ends.
 
-    Paths are followed to mu = `PROBE` from the slack pose or from `start`, and to the end where they promise more: on a
-    path every loaded contact (lam > gap) takes mu from the work at the end, to first order.
+    Paths are followed to mu = `PROBE` from `start`, and to the end where they promise more: on a path every loaded
+    contact (lam > gap) takes mu from the work at the end, to first order.
     """
-    once = replace(options, attempts=1)
-    path = solve_dead(S, equations, replace(once, mu_end=PROBE, tolerance=PROBE), start)
-    short = E - strain_of(path.pose, sides)
+    once = replace(mesh.options, attempts=1)
+    path = solve_dead(S, mesh.dead, replace(once, mu_end=PROBE, tolerance=PROBE), start)
+    short = E - mesh.strain(path.pose)
     far = np.abs(short).max(axis=1) > SAME_STRAIN
     loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))
-    missing = sides[0] * sides[1] * double_dot(unit_loads(S), short) / PROBE
+    missing = mesh.sides[0] * mesh.sides[1] * double_dot(unit_loads(S), short) / PROBE
     pick = np.flatnonzero(far & (missing < loaded - MIN_GAIN) & (path.status == "converged"))
     found = path.take(pick)
-    if len(pick):
-        found = solve_dead(S[pick], equations, replace(once, mu_start=PROBE), found.pose)
-    return pick, found
+    return pick, solve_dead(S[pick], mesh.dead, replace(once, mu_start=PROBE), found.pose) if len(pick) else found
 
 
 def random_poses(equations: Equations, count: int) -> Pose:

@@ -21,12 +21,11 @@ from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
-from rve.equilibrium.ring_contacts import Ends, contact_ends, contact_flexibility
+from rve.equilibrium.ring_contacts import contact_ends, contact_flexibility
 from rve.equilibrium.system import Equations
 from rve.geometry.kinematics import lattice_strain, second_pk
 from rve.geometry.pose import deformation
-from rve.ring.collapse import checked_sections, largest_factors, relative_moments
-from rve.ring.kernels import internal_forces, opened_forces, self_stress
+from rve.ring.collapse import largest_factors, relative_moments
 from rve.ring.section import Ring
 from rve.ring.stress import peak_stress
 
@@ -80,93 +79,102 @@ def ring_states(
     )
     if not len(good):
         return states
-    parts = [good[start : start + _BLOCK] for start in range(0, len(good), _BLOCK)]
     ring = Ring(1.0, equations.wire, 1.0, poisson)
-    blocks = []
-    for number, rows in enumerate(parts):
-        tell(f"wires of the rings under {len(good)} loads", number / len(parts))
-        blocks.append(_block(equations, found.take(rows), s[rows], reference, ring, joint))
-    return states.put(good, blocks[0].join(blocks[1:]))
-
-
-def _block(
-    equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ring: Ring, joint: Joint
-) -> RingStates:
-    """`ring_states` of locked states that have all converged."""
-    ends = contact_ends(equations, found)
-    cells = _cells(equations, found, s, reference, ends)
-    first, *rest = joint.angles_deg or (np.nan,)
-    states, energy = _jointed(found, cells, ends, ring, first)
-    for angle in rest:
-        other, more = _jointed(found, cells, ends, ring, angle)
-        stress, load = np.maximum(states.first_yield, other.first_yield), np.maximum(states.collapse, other.collapse)
-        softer = np.flatnonzero(more > energy)
-        states = states.put(softer, other.take(softer))
-        states, energy = replace(states, first_yield=stress, collapse=load), np.maximum(energy, more)
+    for start in range(0, len(good), _BLOCK):
+        tell(f"wires of the rings under {len(good)} loads", start / len(good))
+        rows = good[start : start + _BLOCK]
+        states = states.put(rows, _Cells(equations, found.take(rows), s[rows], reference, ring).states(joint))
     return states
 
 
-def _jointed(found: Equilibrium, cells: _Cells, ends: Ends, ring: Ring, angle_deg: float) -> tuple[RingStates, Array]:
-    """The states of cells whose rings are open at `angle_deg` from the grain, nan: welded; and lam C lam (n,)."""
-    joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
-    C = contact_flexibility(ends, ring, joint)
-    lam = _forces(cells, ends, C)
-    locking, elastic = _compliances(found, cells, ends, C, lam)
-    stress = np.zeros(len(lam))
-    for k in range(ends.grain.shape[1]):
-        phi, direction, contact = ends.on(k)
-        open_at = None if joint is None else joint[:, k]
-        forces = _at_ends(lam, contact) * direction
-        stress = np.maximum(stress, peak_stress(phi, forces, ring, joint=open_at).stress)
-    collapse = _collapse(cells, ends, lam, ring, joint)
-    energy = np.einsum("nc,ncd,nd->n", lam, C, lam)
-    angles = np.full(len(lam), angle_deg)
-    return RingStates(_spread(lam, ends, found), locking, elastic, stress, collapse, angles), energy
-
-
-@dataclass(frozen=True)
 class _Cells:
-    """Equations of n cells at the touching contacts of `Ends`: gradients G (n, c, m), load f (n, m), forces `start`
-    (n, c) of the rigid solver, loads S (n, 3), strain gradient B (n, 3, 3); area in r1^2."""
+    """Locked cells that have converged, and their equations at the touching contacts `ends`: gradients G (n, c, m),
+    load f (n, m), forces `start` (n, c) of the rigid solver, strain gradient B (n, 3, 3); area in r1^2."""
 
-    dead: Equations
-    G: Array
-    f: Array
-    start: Array
-    S: Array
-    B: Array
-    area: float
+    def __init__(
+        self, equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ring: Ring
+    ) -> None:
+        self.found, self.ring, self.area = found, ring, reference[0] * reference[1]
+        self.ends = contact_ends(equations, found)
+        self.S = second_pk(deformation(found.pose, reference), s)
+        self.dead = replace(equations, load=DeadLoad(reference))
+        system = self.dead.assemble(found.pose, found.contacts, found.lam, self.S)
+        self.f, slot = system.f, self.ends.slot
+        self.G = np.take_along_axis(system.G, slot[..., None], axis=1)
+        self.start = np.where(self.ends.present, np.take_along_axis(found.lam.reshape(len(s), -1), slot, axis=1), 0.0)
+        self.B = lattice_strain(found.pose.lattice, reference)[1]
 
+    def states(self, joint: Joint) -> RingStates:
+        """The states of welded rings, or of butted ones: the worst of each angle of their joints."""
+        first, *rest = joint.angles_deg or (np.nan,)
+        states, energy = self._states_at(first)
+        for angle in rest:
+            other, more = self._states_at(angle)
+            stress, load = (
+                np.maximum(states.first_yield, other.first_yield),
+                np.maximum(states.collapse, other.collapse),
+            )
+            softer = np.flatnonzero(more > energy)
+            states = states.put(softer, other.take(softer))
+            states, energy = replace(states, first_yield=stress, collapse=load), np.maximum(energy, more)
+        return states
 
-def _cells(equations: Equations, found: Equilibrium, s: Array, reference: tuple[float, float], ends: Ends) -> _Cells:
-    S = second_pk(deformation(found.pose, reference), s)
-    dead = replace(equations, load=DeadLoad(reference))
-    system = dead.assemble(found.pose, found.contacts, found.lam, S)
-    G = np.take_along_axis(system.G, ends.slot[..., None], axis=1)
-    start = np.take_along_axis(found.lam.reshape(len(s), -1), ends.slot, axis=1)
-    B = lattice_strain(found.pose.lattice, reference)[1]
-    return _Cells(dead, G, system.f, np.where(ends.present, start, 0.0), S, B, reference[0] * reference[1])
+    def _states_at(self, angle_deg: float) -> tuple[RingStates, Array]:
+        """The states of rings that are open at `angle_deg` from the grain, nan: welded; and lam C lam (n,)."""
+        ends, found, G = self.ends, self.found, self.G
+        joint = None if np.isnan(angle_deg) else ends.joints(angle_deg)
+        C, n = contact_flexibility(ends, self.ring, joint), len(G)
+        lam, stress = np.zeros(ends.slot.shape), np.zeros(n)
+        for i in range(n):
+            rows = np.flatnonzero(ends.present[i])
+            forces = elastic_forces(G[i, rows], self.f[i], C[i][np.ix_(rows, rows)], self.start[i, rows])
+            lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
+        full = np.zeros((n, found.lam[0].size))
+        np.put_along_axis(full, ends.slot, lam, axis=1)
+        J = self.dead.assemble(found.pose, found.contacts, full.reshape(found.lam.shape), self.S).J
+        locking, elastic = np.empty((n, 3, 3)), np.empty((n, 3, 3))
+        for i in range(n):
+            rows = np.flatnonzero(lam[i] > 0.0)
+            inner = G[i, rows], C[i][np.ix_(rows, rows)]
+            locking[i], elastic[i] = _compliance(*inner, -J[i], self.B[i], self.area)
+        for k in range(ends.grain.shape[1]):
+            phi, direction, contact = ends.on(k)
+            forces = np.take_along_axis(lam, contact, axis=1)[..., None] * direction
+            peak = peak_stress(phi, forces, self.ring, None if joint is None else joint[:, k])
+            stress = np.maximum(stress, peak.stress)
+        energy, angles = np.einsum("nc,ncd,nd->n", lam, C, lam), np.full(n, angle_deg)
+        collapse = self._collapse(lam, joint)
+        return RingStates(full.reshape(found.lam.shape), locking, elastic, stress, collapse, angles), energy
 
+    def _collapse(self, lam: Array, joint: Array | None) -> Array:
+        """Yield stress (n,) at which the load is that of plastic collapse: contact forces are free within balance."""
+        working = self.start > 1e-6 * self.start.max(axis=1, keepdims=True)
+        free = [_split(G[rows])[3] for G, rows in zip(self.G, working, strict=True)]
+        width = np.array([N.shape[1] for N in free])
+        out = np.empty(len(lam))
+        given, chosen = np.flatnonzero(width == 0), np.flatnonzero(width > 0)
+        if len(given):
+            moments = self._moments(given, lam[given, :, None], joint)
+            out[given] = 1.0 / np.min([largest_factors(base[..., 0], held).factor for base, held in moments], axis=0)
+        if len(chosen):
+            change = np.zeros((len(chosen), lam.shape[1], width.max()))
+            for row, i in enumerate(chosen):
+                change[row, working[i], : width[i]] = free[i]
+            start = np.where(working, self.start, 0.0)[chosen]
+            moments = self._moments(chosen, np.concatenate([start[..., None], change], axis=2), joint)
+            out[chosen] = 1.0 / _factors(moments, start, change)
+        return out
 
-def _forces(cells: _Cells, ends: Ends, C: Array) -> Array:
-    """Elastic contact forces (n, c) by the flexibility C (n, c, c)."""
-    lam = np.zeros(ends.slot.shape)
-    for i in range(len(lam)):
-        rows = np.flatnonzero(ends.present[i])
-        forces = elastic_forces(cells.G[i, rows], cells.f[i], C[i][np.ix_(rows, rows)], cells.start[i, rows])
-        lam[i, rows] = np.where(forces > _LEAST_FORCE * forces.max(initial=0.0), forces, 0.0)
-    return lam
-
-
-def _compliances(found: Equilibrium, cells: _Cells, ends: Ends, C: Array, lam: Array) -> tuple[Array, Array]:
-    """Both parts of D, (n, 3, 3) each, by the flexibility C (n, c, c) and the contact forces lam (n, c)."""
-    n = len(lam)
-    J = cells.dead.assemble(found.pose, found.contacts, _spread(lam, ends, found), cells.S).J
-    locking, elastic = np.empty((n, 3, 3)), np.empty((n, 3, 3))
-    for i in range(n):
-        rows = np.flatnonzero(lam[i] > 0.0)
-        locking[i], elastic[i] = _compliance(cells.G[i, rows], C[i][np.ix_(rows, rows)], -J[i], cells.B[i], cells.area)
-    return locking, elastic
+    def _moments(self, rows: Index, lam: Array, joint: Array | None) -> list[tuple[Array, Array]]:
+        """For each class of rings of cells `rows` (n,) the relative moments (n, k, 3, w) by contact forces (n, c, w)
+        and (n, k, 3, .) by the self-stresses of the ring."""
+        found, ends = [], self.ends.take(rows)
+        for k in range(ends.grain.shape[1]):
+            phi, direction, contact = ends.on(k)
+            loads = np.moveaxis(np.take_along_axis(lam, contact[..., None], axis=1), 2, 0)[..., None] * direction
+            base, free = relative_moments(phi, loads, self.ring, None if joint is None else joint[rows, k])
+            found.append((np.moveaxis(base, 0, -1), free))
+        return found
 
 
 def _split(G: Array) -> tuple[Array, Array, Array, Array]:
@@ -227,54 +235,6 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     dq = (V / stiffness) @ (V.T @ load)
     Lam = W @ ((Vt[: len(sizes)] @ (H @ dq - load)) / sizes[:, None])
     return B @ dq[:3], (Lam.T @ C @ Lam) / area / WEIGHT[:, None]
-
-
-def _spread(lam: Array, ends: Ends, found: Equilibrium) -> Array:
-    """Forces (n, c) in the slots of their contacts, (n, p, SLOTS)."""
-    full = np.zeros((len(lam), found.lam[0].size))
-    np.put_along_axis(full, ends.slot, lam, axis=1)
-    return full.reshape(found.lam.shape)
-
-
-def _at_ends(lam: Array, contact: Index) -> Array:
-    return np.take_along_axis(lam, contact, axis=1)[..., None]
-
-
-def _collapse(cells: _Cells, ends: Ends, lam: Array, ring: Ring, joint: Array | None) -> Array:
-    """Yield stress (n,) at which the load is that of plastic collapse: the contact forces are free within balance."""
-    working = cells.start > 1e-6 * cells.start.max(axis=1, keepdims=True)
-    free = [_split(G[rows])[3] for G, rows in zip(cells.G, working, strict=True)]
-    width = np.array([N.shape[1] for N in free])
-    out = np.empty(len(lam))
-    given, chosen = np.flatnonzero(width == 0), np.flatnonzero(width > 0)
-    if len(given):
-        moments = _moments(ends.take(given), [lam[given]], ring, None if joint is None else joint[given])
-        out[given] = 1.0 / np.min([largest_factors(base[..., 0], held).factor for base, held in moments], axis=0)
-    if len(chosen):
-        change = np.zeros((len(chosen), lam.shape[1], width.max()))
-        for row, i in enumerate(chosen):
-            change[row, working[i], : width[i]] = free[i]
-        start = np.where(working, cells.start, 0.0)[chosen]
-        loads = [start, *np.moveaxis(change, 2, 0)]
-        moments = _moments(ends.take(chosen), loads, ring, None if joint is None else joint[chosen])
-        out[chosen] = 1.0 / _factors(moments, start, change)
-    return out
-
-
-def _moments(ends: Ends, forces: list[Array], ring: Ring, joint: Array | None) -> list[tuple[Array, Array]]:
-    """For each class of rings the relative moments (n, k, 3, .) by each of the contact forces (n, c), and by the
-    self-stresses of the ring, of which butted rings have none."""
-    found = []
-    for k in range(ends.grain.shape[1]):
-        phi, direction, contact = ends.on(k)
-        at = checked_sections(phi)
-        loads = np.stack([_at_ends(lam, contact) * direction for lam in forces])
-        if joint is None:
-            q, free = internal_forces(phi, loads, at, ring.thin()), self_stress(at, ring.r1)
-        else:
-            q, free = opened_forces(phi, loads, at, joint[:, k], ring.thin()), np.zeros((*at.shape, 6, 0))
-        found.append((relative_moments(np.moveaxis(q, 0, -1), ring.r2), relative_moments(free, ring.r2)))
-    return found
 
 
 def _factors(moments: list[tuple[Array, Array]], start: Array, change: Array) -> Array:

@@ -7,11 +7,17 @@ Every locked state is an admissible pose, so it is a start for every other load:
 work than the one known so far climbs from there. The slack pose of a weave has the symmetry of `symmetry`, and paths
 from it keep that symmetry though a state without it may do more work: random admissible poses are starts as well. What
 remains assumed is that the starts together reach the largest.
+
+A locked state of the primitive cell is one of every larger cell, or with centres in space, but need not be a maximum of
+the work there: rings of neighbouring cells may move against each other, up and down. Starts for better states are the
+motions that keep every loaded contact closed and on which the second derivative of the potential is negative, and a
+small disturbance of all rings at random, which finds states beyond a barrier.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +25,20 @@ from numpy.typing import NDArray
 from rve.common.records import Index, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
 from rve.common.types import Array
-from rve.equilibrium.dead_load import MARGINS, NEAR_MARGIN, STARTS, follow_promising, random_poses, restart, solve_dead
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.dead_load import (
+    MARGINS,
+    NEAR_MARGIN,
+    STARTS,
+    LoadedCell,
+    follow_promising,
+    random_poses,
+    restart,
+    solve_dead,
+)
+from rve.equilibrium.interior_point import Equilibrium, unit_loads
+from rve.equilibrium.limits import contact_forces, loose_motions, touching
 from rve.equilibrium.system import Equations
-from rve.geometry.pose import Pose, mirrored, strain_of
+from rve.geometry.pose import Pose, mirrored, moved, tiled
 
 GAIN = 1e-9
 """Work at unit trace of S by which a state must exceed another to count as a better one; round-off leaves 1e-12."""
@@ -41,6 +57,14 @@ VICINITY = 0.15
 """Distance in the disc of loads up to which the states found from random starts are shared."""
 NO_WORK = 1e6
 """Minus this stands for the work of a load for which no state is known."""
+TOUCHING = 1e-6
+"""Gap in r1 of contacts that may carry force in a locked state."""
+UNSTABLE = -1e-6
+"""Stiffness in s r1^2 below which a motion gives way; round-off leaves 1e-8."""
+MODES = 3
+"""Motions of a state that are followed, those of least stiffness."""
+PUSH, DISTURBED = 0.06, 0.2
+"""Largest displacement of a start along a motion, and of one at random, in radii of the wire: none passes another."""
 
 
 @dataclass(frozen=True)
@@ -51,65 +75,59 @@ class KnownStates(Rows):
     S: Array
     E: Array
 
-    def __len__(self) -> int:
-        return len(self.E)
-
-    def plus(self, other: KnownStates) -> KnownStates:
-        """These states, then the others."""
-        return self.join([other])
-
-    def with_images(self, is_mirrored: bool) -> KnownStates:
+    def with_images(self, mesh: LoadedCell) -> KnownStates:
         """These states and, for a weave that is its own mirror image, what a mirror shows of them."""
-        return self.plus(KnownStates(mirrored(self.pose), mirror(self.S), mirror(self.E))) if is_mirrored else self
+        if not mesh.dead.weave.has_images:
+            return self
+        return self.join([KnownStates(mirrored(self.pose), mirror(self.S), mirror(self.E))])
 
 
 @dataclass(frozen=True)
 class Largest:
-    """Locked states of largest work under the loads S (n, 3): equilibria; h (n,), -inf where there is none; branch
-    (n,): "slack", "random", "neighbour" or "restart"; works: per load the works S:E, at unit trace of S and in
-    ascending order, of the states that were found under it.
+    """Locked states of largest work under the loads S (n, 3) of unit trace: equilibria; h (n,), -inf where there is
+    none; branch (n,): "slack", "random", "neighbour" or "restart"; works: per load the works S:E, in ascending order,
+    of the states that were found under it.
     """
 
+    mesh: LoadedCell
     S: Array
     found: Equilibrium
     h: Array
     branch: NDArray[np.str_]
     works: list[list[float]]
 
-    def states(self, sides: tuple[float, float]) -> KnownStates:
+    @staticmethod
+    def of(mesh: LoadedCell, S: Array, found: Equilibrium) -> Largest:
+        """No states yet, in the place of these equilibria."""
+        slack = np.full(len(S), "slack", dtype="<U16")
+        return Largest(mesh, S, found, np.full(len(S), -np.inf), slack, [[] for _ in S])
+
+    @property
+    def states(self) -> KnownStates:
         """The converged states."""
         rows = np.flatnonzero(np.isfinite(self.h))
         pose = self.found.pose.take(rows)
-        return KnownStates(pose, self.S[rows], strain_of(pose, sides))
+        return KnownStates(pose, self.S[rows], self.mesh.strain(pose))
 
-    def raised(self, rows: Index, new: Equilibrium, work: Array, branch: str) -> Largest:
-        """With the better of the states known and `new` under the loads `rows`, each once; their work is `work`."""
-        works = [list(known) for known in self.works]
-        for row, value in zip(rows, work, strict=True):
-            if np.isfinite(value) and all(abs(value - other) > GAIN for other in works[row]):
-                works[row] = sorted([*works[row], float(value)])
-        up = np.flatnonzero(work > self.h[rows] + GAIN)
-        h, names = self.h.copy(), self.branch.copy()
-        h[rows[up]], names[rows[up]] = work[up], branch
-        return Largest(self.S, self.found.put(rows[up], new.take(up)), h, names, works)
-
-    def raised_by_all(self, rows: Index, new: Equilibrium, work: Array, branch: str) -> Largest:
-        """The same for loads that may occur several times in `rows`."""
-        best = self
-        for row in np.unique(rows):
-            tries = np.flatnonzero(rows == row)
-            for k in tries[np.argsort(work[tries])]:
-                best = best.raised(rows[k : k + 1], new.take(np.array([k])), work[k : k + 1], branch)
-        return best
+    def raised(self, rows: Index, new: Equilibrium, branch: str) -> Largest:
+        """With the best of the states known and those of `new` under the loads `rows`, which may be several of one."""
+        work = double_dot(self.S[rows], self.mesh.strain(new.pose))
+        h, names, works, best = self.h.copy(), self.branch.copy(), [*self.works], np.full(len(self.h), -1)
+        for k in np.lexsort((work, rows)):
+            row, value = rows[k], float(work[k])
+            if new.status[k] != "converged":
+                continue
+            if all(abs(value - other) > GAIN for other in works[row]):
+                works[row] = sorted([*works[row], value])
+            if value > h[row] + GAIN:
+                h[row], best[row] = value, k
+        up = np.flatnonzero(best >= 0)
+        names[up] = branch
+        return replace(self, found=self.found.put(up, new.take(best[up])), h=h, branch=names, works=works)
 
 
 def largest(
-    S: Array,
-    equations: Equations,
-    sides: tuple[float, float],
-    options: DirectOptions,
-    known: KnownStates | None = None,
-    company: KnownStates | None = None,
+    S: Array, mesh: LoadedCell, known: KnownStates | None = None, company: KnownStates | None = None
 ) -> Largest:
     """The states of largest work under the dead loads S (n, 3) of unit trace, weave axes.
 
@@ -118,76 +136,51 @@ def largest(
     options.branches = "first" the states reached from the slack pose are all. company: further known states, reached
     from the slack pose only.
     """
-    found = solve_dead(S, equations, options)
-    h = np.where(found.status == "converged", double_dot(S, strain_of(found.pose, sides)), -np.inf)
-    best = Largest(S, found, h, np.full(len(S), "slack", dtype="<U16"), [[float(x)] * bool(x > -np.inf) for x in h])
-    if options.branches == "first":
+    found = solve_dead(S, mesh.dead, mesh.options)
+    best = Largest.of(mesh, S, found).raised(np.arange(len(S)), found, "slack")
+    if mesh.options.branches == "first":
         return best
-    images = equations.weave.has_images
-    best = with_random_starts(best, S if known is None else np.concatenate([S, known.S]), equations, sides, options)
-    states = best.states(sides)
-    states = states.join([more for more in (known, company) if more is not None]).with_images(images)
-    best = with_neighbours(best, states, equations, sides, options)
-    return climbed(best, states.plus(best.states(sides).with_images(images)), equations, sides, options)
+    best = _with_random_starts(best, S if known is None else np.concatenate([S, known.S]))
+    states = best.states.join([more for more in (known, company) if more is not None]).with_images(mesh)
+    best = _with_neighbours(best, states)
+    return climbed(best, states.join([best.states.with_images(mesh)]))
 
 
-def climbed(
-    best: Largest, states: KnownStates, equations: Equations, sides: tuple[float, float], options: DirectOptions
-) -> Largest:
+def climbed(best: Largest, states: KnownStates) -> Largest:
     """The best states after restarts from those of `states`, and of each other, that do more work, until none does."""
-    images = equations.weave.has_images
+    mesh, S = best.mesh, best.S
     tried: set[tuple[int, int]] = set()
     for _ in range(ROUNDS):
-        rows, source = better_states(best, states, tried)
+        rows, source = _better_states(best, states, tried)
         if not len(rows):
             return best
         for margin in MARGINS:
-            start = states.pose.take(source)
-            new = restart(best.S[rows], equations, start, margin, options)
-            best = best.raised(rows, new, works_of(new, best.S[rows], sides), "restart")
-            low = best.h[rows] < double_dot(best.S[rows], states.E[source]) - GAIN
+            new = restart(S[rows], mesh.dead, states.pose.take(source), margin, mesh.options)
+            best = best.raised(rows, new, "restart")
+            low = best.h[rows] < double_dot(S[rows], states.E[source]) - GAIN
             rows, source = rows[low], source[low]
             if not len(rows):
                 break
-        states = states.plus(best.states(sides).with_images(images))
-    rows, _ = better_states(best, states, set())
+        states = states.join([best.states.with_images(mesh)])
+    rows, _ = _better_states(best, states, set())
     best.found.status[rows[np.isfinite(best.h[rows])]] = "below"
     return best
 
 
-def with_neighbours(
-    best: Largest, states: KnownStates, equations: Equations, sides: tuple[float, float], options: DirectOptions
-) -> Largest:
-    """The best states after restarts from those of near loads that belong to another branch."""
-    rows, source = nearest_states(best, states, sides)
-    if not len(rows):
-        return best
-    new = restart(best.S[rows], equations, states.pose.take(source), NEAR_MARGIN, options)
-    return best.raised_by_all(rows, new, works_of(new, best.S[rows], sides), "neighbour")
-
-
-def with_random_starts(
-    best: Largest, near: Array, equations: Equations, sides: tuple[float, float], options: DirectOptions
-) -> Largest:
+def _with_random_starts(best: Largest, near: Array) -> Largest:
     """The best states after random starts; a load has the fewer of them, the more of the loads `near` are about it."""
+    mesh = best.mesh
     about = (np.linalg.norm(disc(best.S)[:, None] - disc(near)[None], axis=2) < VICINITY).sum(axis=1)
     rows = np.repeat(np.arange(len(best.S)), -(-STARTS // np.maximum(about, 1)))
-    start = random_poses(equations, len(rows))
-    E = np.where(np.isfinite(best.h)[:, None], strain_of(best.found.pose, sides), -NO_WORK * IDENTITY)
-    pick, new = follow_promising(best.S[rows], E[rows], equations, sides, options, start)
-    rows = rows[pick]
-    return best.raised_by_all(rows, new, works_of(new, best.S[rows], sides), "random")
+    E = np.where(np.isfinite(best.h)[:, None], mesh.strain(best.found.pose), -NO_WORK * IDENTITY)
+    pick, new = follow_promising(best.S[rows], E[rows], mesh, random_poses(mesh.dead, len(rows)))
+    return best.raised(rows[pick], new, "random")
 
 
-def works_of(found: Equilibrium, S: Array, sides: tuple[float, float]) -> Array:
-    """Work S:E (n,) of equilibria under the loads S (n, 3), -inf where they have not converged."""
-    return np.where(found.status == "converged", double_dot(S, strain_of(found.pose, sides)), -np.inf)
-
-
-def nearest_states(best: Largest, states: KnownStates, sides: tuple[float, float]) -> tuple[Index, Index]:
-    """Pairs (k,) of a load and a state near it that is not of the same smooth branch as the load's own state."""
+def _with_neighbours(best: Largest, states: KnownStates) -> Largest:
+    """The best states after restarts from those of near loads that are not of the same smooth branch."""
     distance = np.linalg.norm(disc(best.S)[:, None] - disc(states.S)[None], axis=2)
-    own = strain_of(best.found.pose, sides)
+    own = best.mesh.strain(best.found.pose)
     distance[np.abs(own[:, None] - states.E[None]).max(axis=2) < WORK_NOISE] = np.inf
     source = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS].ravel()
     rows = np.repeat(np.arange(len(best.S)), len(source) // len(best.S))
@@ -196,10 +189,14 @@ def nearest_states(best: Largest, states: KnownStates, sides: tuple[float, float
     least, most = np.minimum(there, back), np.maximum(there, back)
     near = (distance[rows, source] < NEAR) & np.isfinite(best.h[rows])
     keep = near & (most > WORK_NOISE) & (least < SAME_BRANCH_RATIO * most)
-    return rows[keep], source[keep]
+    rows, source = rows[keep], source[keep]
+    if not len(rows):
+        return best
+    start = states.pose.take(source)
+    return best.raised(rows, restart(best.S[rows], best.mesh.dead, start, NEAR_MARGIN, best.mesh.options), "neighbour")
 
 
-def better_states(best: Largest, states: KnownStates, tried: set[tuple[int, int]]) -> tuple[Index, Index]:
+def _better_states(best: Largest, states: KnownStates, tried: set[tuple[int, int]]) -> tuple[Index, Index]:
     """Loads (k,) and, for each, the state of most work among those not tried that do more than h; notes them."""
     gain = (best.S * WEIGHT) @ states.E.T - np.maximum(best.h, -NO_WORK)[:, None]
     for row, column in tried:
@@ -208,3 +205,60 @@ def better_states(best: Largest, states: KnownStates, tried: set[tuple[int, int]
     source = gain[rows].argmax(axis=1) if len(rows) else rows
     tried.update(zip(rows.tolist(), source.tolist(), strict=True))
     return rows, source
+
+
+def in_cell(found: Equilibrium, s: Array, equations: Equations, reach: float) -> Equilibrium:
+    """Locked states of the planar primitive cell under the loads s (n, 3), in the larger cell of `equations`."""
+    made = balanced(tiled(found.pose, equations.weave), s, equations, reach)
+    R = np.where(found.status == "converged", made.R, found.R)
+    return replace(found, pose=made.pose, contacts=made.contacts, lam=made.lam, R=R)
+
+
+def balanced(pose: Pose, s: Array, equations: Equations, reach: float) -> Equilibrium:
+    """Locked poses as equilibria under the loads s (n, 3), with nonnegative forces that balance every ring in space.
+
+    The solver leaves the balance across the plane open where centres stay in it.
+    """
+    contacts = equations.contacts(pose, reach)
+    lam = np.zeros(contacts.gap.shape)
+    bare = equations.assemble(pose, contacts, lam, s)
+    lam = contact_forces(bare, touching(contacts, TOUCHING).reshape(len(s), -1)).reshape(lam.shape)
+    R = equations.assemble(pose, contacts, lam, s).weighted_residual
+    none = np.zeros(len(s), dtype=int)
+    return Equilibrium(pose, lam, contacts, R, none, np.full(len(s), "converged", dtype="<U16"), none)
+
+
+def unstable_motions(found: Equilibrium, s: Array, equations: Equations) -> Iterator[tuple[int, Array]]:
+    """For every locked state of these equations that gives way: its number, and the motions (k, m) that do."""
+    for i, stiffness, motions in loose_motions(equations, found, s):
+        gives = np.flatnonzero(stiffness < UNSTABLE)[:MODES]
+        if len(gives):
+            yield i, motions[:, gives].T
+
+
+def states_beyond(found: Equilibrium, S: Array, mesh: LoadedCell) -> KnownStates:
+    """States that do more work under the dead loads S (n, 3) of unit trace than these locked ones of a larger cell."""
+    equations = mesh.dead
+    way = np.random.default_rng(0).uniform(-1.0, 1.0, (len(S), equations.modes.shape[1]))
+    way[:, :3] = 0.0
+    rows, ways = [np.arange(len(S))], [DISTURBED * equations.wire * way]
+    for i, motions in unstable_motions(found, unit_loads(S), equations):
+        rows.append(np.full(len(motions), i))
+        ways.append(PUSH * equations.wire * motions / np.abs(motions).max(axis=1, keepdims=True))
+    row, way = np.concatenate(rows), np.concatenate(ways)
+    here = found.pose.take(row)
+    start = moved(here, equations.displacement(way, here))
+    new = restart(S[row], equations, start, NEAR_MARGIN, mesh.options)
+    E = mesh.strain(new.pose)
+    more = double_dot(S[row], E - mesh.strain(here)) > GAIN
+    keep = np.flatnonzero(more & (new.status == "converged"))
+    return KnownStates(new.pose.take(keep), S[row[keep]], E[keep])
+
+
+def largest_beyond(planar: Largest, known: KnownStates | None, mesh: LoadedCell) -> Largest:
+    """The largest work in the larger cell `mesh` that is reached from the states of the primitive cell."""
+    found = in_cell(planar.found, unit_loads(planar.S), mesh.dead, mesh.options.reach)
+    best = replace(planar, mesh=mesh, found=found)
+    states = best.states if known is None else best.states.join([known])
+    ended = np.flatnonzero(np.isfinite(best.h))
+    return climbed(best, states.join([states_beyond(best.found.take(ended), best.S[ended], mesh)]))

@@ -14,7 +14,7 @@ from rve.common.types import Array
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.circles import cross, dot, tangent_frame
-from rve.ring.kernels import flexibility, opened_flexibility
+from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
 
 TOUCHING = 1e-6
@@ -91,7 +91,7 @@ def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> A
         full = full * (ends.ring[:, :, None] == ends.ring[:, None, :])
     else:
         mine = [ends.direction * (ends.ring == k)[..., None] for k in range(joint.shape[1])]
-        parts = [opened_flexibility(ends.phi, d, joint[:, k], ring.curved()) for k, d in enumerate(mine)]
+        parts = [flexibility(ends.phi, d, ring.curved(), joint[:, k]) for k, d in enumerate(mine)]
         full = np.sum(parts, axis=0)
     c = ends.slot.shape[1]
     return np.asarray(full[:, :c, :c] + full[:, :c, c:] + full[:, c:, :c] + full[:, c:, c:])

@@ -96,7 +96,7 @@ def strain_of(pose: Pose, sides: tuple[float, float]) -> Array:
 def reduction(pose: Pose) -> Array:
     """Matrix T (n, m_full, m) from reduced to generalised velocities."""
     n, k = pose.normals.shape[:2]
-    places = pose.centres[0, 1:].size
+    places = (k - 1) * pose.centres.shape[2]
     T = np.zeros((n, 4 + places + 3 * k, 3 + places + 2 * k))
     x2, y3, t = pose.lattice.T
     T[:, 0, 0], T[:, 1, 0], T[:, 1, 2] = 1.0, t, x2

@@ -15,7 +15,7 @@ import numpy as np
 
 from rve.common.errors import InputError, NotConverged
 from rve.common.types import Array
-from rve.ring.kernels import internal_forces, opened_forces, self_stress
+from rve.ring.kernels import internal_forces, self_stress
 from rve.ring.section import Ring
 
 BENDING = 4.0 / 3.0
@@ -61,13 +61,7 @@ def plastic_collapse(
     """
     if not 1e-9 <= tolerance <= 0.1:
         raise InputError(f"tolerance = {tolerance}: must lie between 1e-9 and 0.1")
-    at = checked_sections(phi)
-    section = ring.thin()
-    if joint is None:
-        q, free = internal_forces(phi, forces, at, section), relative_moments(self_stress(at, ring.r1), ring.r2)
-    else:
-        q, free = opened_forces(phi, forces, at, joint, section), np.zeros((*at.shape, 3, 0))
-    base = relative_moments(q[..., None], ring.r2)[..., 0]
+    base, free = relative_moments(phi, forces, ring, joint)
     found = largest_factors(base, free, tolerance=tolerance, steps=steps)
     lost = np.count_nonzero(np.isnan(found.factor))
     if lost:
@@ -81,10 +75,13 @@ def checked_sections(phi: Array) -> Array:
     return np.concatenate([uniform, phi], axis=-1)
 
 
-def relative_moments(q: Array, r2: float) -> Array:
-    """M_r, M_t, M_z of section forces (..., 6, v) over the plastic moments for unit yield stress, (..., 3, v)."""
-    plastic = r2**3 * np.array([BENDING, TORSION, BENDING])
-    return np.asarray(q[..., 3:, :] / plastic[:, None])
+def relative_moments(phi: Array, forces: Array, ring: Ring, joint: Array | None) -> tuple[Array, Array]:
+    """M_r, M_t, M_z over the plastic moments for unit yield stress at the `checked_sections`: (..., k, 3) by the forces
+    (..., m, 3), and (n, k, 3, 6) by the self-stresses of the rings phi (n, m), of which butted rings have none."""
+    at, plastic = checked_sections(phi), ring.r2**3 * np.array([BENDING, TORSION, BENDING])
+    q = internal_forces(phi, forces, at, ring.thin(), joint)
+    free = self_stress(at, ring.r1) if joint is None else np.zeros((*at.shape, 6, 0))
+    return np.asarray(q[..., 3:] / plastic), np.asarray(free[..., 3:, :] / plastic[:, None])
 
 
 def largest_factors(

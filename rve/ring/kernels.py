@@ -1,36 +1,59 @@
 """Internal forces and flexibility of a closed circular ring under point forces: exact for the curved beam.
 
 A point force is a Fourier series along the ring. Every order n >= 2 is self-balanced and decides its own section
-forces by equilibrium alone; the sums are closed (`rve.ring.series`). The rigid part of a force (resultant and moment)
+forces by equilibrium alone; the sums are closed (`sums`, `squares`). The rigid part of a force (resultant and moment)
 is spread over the ring in the orders 0 and 1 and drops out where all forces of a ring balance. Forces (..., 3) are in
 the local axes r, t, z of their point; angles are in radians; section forces are ordered as in `rve.ring.section`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from rve.common.types import Array
 from rve.ring.section import Section
-from rve.ring.series import squares, sums
 
 _W = 0.5 / np.pi
 
 
-class LowOrders(NamedTuple):
-    """The self-balanced orders 0 and 1 of a unit force. moment: uniform M_z that goes with the uniform N = 1/(2 pi)
-    of a radial force. shear: amplitude of V_r in order 1. energy_0, energy_1: their parts of the flexibility."""
+def sums(phi: Array) -> tuple[Array, Array, Array, Array]:
+    """The sums over n >= 2 behind section forces, at angles phi of any shape, x = n^2 - 1: cos(n phi)/x,
+    n sin(n phi)/x, sin(n phi)/(n x), sin(n phi)/n. The second and the last jump at phi = 0: given is the value from
+    above.
 
-    moment: float
-    shear: float
-    energy_0: float
-    energy_1: float
+    >>> n = np.arange(2, 100_000)
+    >>> bool(abs(sums(np.array(1.0))[0] - np.sum(np.cos(n) / (n**2 - 1.0))) < 1e-9)
+    True
+    """
+    phi = np.mod(phi, 2.0 * np.pi)
+    c, s, y = np.cos(phi), np.sin(phi), np.pi - phi
+    sin_x, sin_n = 0.5 * y * c - 0.25 * s, 0.5 * y - s
+    return 0.5 + 0.25 * c - 0.5 * y * s, sin_x, sin_x - sin_n, sin_n
 
 
-def low_orders(section: Section) -> LowOrders:
-    """Orders 0 and 1, where the section forces follow from the least strain energy; 0 for bending alone."""
+def squares(phi: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """The sums over n >= 2 behind the flexibility, at angles phi of any shape, x = n^2 - 1, all continuous:
+    cos(n phi)/x^2, n^2 cos(n phi)/x^2, cos(n phi)/(n x)^2, n sin(n phi)/x^2, sin(n phi)/(n x^2), cos(n phi)/n^2.
+
+    >>> n = np.arange(2, 1000)
+    >>> bool(abs(squares(np.array(0.0))[0] - np.sum(1.0 / (n**2 - 1.0) ** 2)) < 1e-9)
+    True
+    """
+    cos_x, sin_x, _, sin_n = sums(phi)
+    phi = np.mod(phi, 2.0 * np.pi)
+    c, s, y = np.cos(phi), np.sin(phi), np.pi - phi
+    cos_n = 0.25 * y**2 - np.pi**2 / 12.0 - c
+    cos = -0.5 - (3.0 / 16.0 + np.pi**2 / 24.0) * c + 0.25 * y * s + 0.125 * y**2 * c
+    sin_up = (1.0 / 16.0 - np.pi**2 / 24.0) * s + 0.125 * y**2 * s
+    return cos, cos_x + cos, cos_n - cos_x + cos, sin_up, sin_n - sin_x + sin_up, cos_n
+
+
+def _low_orders(section: Section) -> tuple[float, float, float, float]:
+    """The self-balanced orders 0 and 1 of a unit force, by least strain energy; 0 for bending alone.
+
+    Uniform M_z that goes with the uniform N = 1/(2 pi) of a radial force, amplitude of V_r in order 1, and the parts of
+    the flexibility of both orders.
+    """
     s, R = section, section.radius
     moment = -s.coupling / s.bending * _W
     stiff = s.axial + s.shear + s.bending * R**2 - 2.0 * s.coupling * R
@@ -38,14 +61,15 @@ def low_orders(section: Section) -> LowOrders:
     energy_0 = s.axial * _W**2 + 2.0 * s.coupling * _W * moment + s.bending * moment**2
     N = shear + _W
     energy_1 = s.axial * N**2 + s.shear * shear**2 + s.bending * (R * shear) ** 2 - 2.0 * s.coupling * R * shear * N
-    return LowOrders(moment, shear, 2.0 * np.pi * R * energy_0, np.pi * R * energy_1)
+    return moment, shear, 2.0 * np.pi * R * energy_0, np.pi * R * energy_1
 
 
-def internal_forces(phi: Array, forces: Array, at: Array, section: Section) -> Array:
+def internal_forces(phi: Array, forces: Array, at: Array, section: Section, joint: Array | None = None) -> Array:
     """Section forces (..., k, 6) at the angles at (..., k) under forces (..., m, 3) at the angles phi (..., m).
 
     Leading axes are rings and load cases. Where the forces of a ring do not balance, what is missing is spread over it.
-    At a point force V_r, V_z and N are those just ahead of it.
+    At a point force V_r, V_z and N are those just ahead of it. joint (...): the angle at which a butted ring is open,
+    None for a welded one. The ends of its wire are free; ends that press on each other would carry more.
 
     >>> thin = Section(radius=10.0, bending=1.0, out_of_plane=1.0, torsion=1.3)
     >>> pull = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
@@ -53,32 +77,28 @@ def internal_forces(phi: Array, forces: Array, at: Array, section: Section) -> A
     >>> float((at_load[5] * np.pi / 10.0).round(12))
     1.0
     """
-    R, low = section.radius, low_orders(section)
+    R, (moment, one, _, _) = section.radius, _low_orders(section)
     angle = at[..., :, None] - phi[..., None, :]
-    c, s, series = np.cos(angle), np.sin(angle), sums(angle)
+    c, s, (cos_x, sin_x, sin_nx, sin_n) = np.cos(angle), np.sin(angle), sums(angle)
     radial, along, axial = (forces[..., None, :, i] for i in range(3))
-
-    def total(*terms: Array) -> Array:
-        return np.asarray(sum(terms)).sum(axis=-1)
-
-    one, N1 = low.shear, low.shear + _W
-    V_r = total(radial * (one * s - series.sin_x / np.pi), along * (one * c + series.cos_x / np.pi))
-    N = total(radial * (_W + N1 * c - series.cos_x / np.pi), along * (-N1 * s - series.sin_x / np.pi))
-    V_z = total(axial * (-series.sin_n / np.pi))
-    M_r = total(axial * (-R / np.pi * series.cos_x))
-    M_t = total(axial * (R / np.pi * series.sin_nx))
-    M_z = total(
-        radial * (low.moment - R * one * c + R / np.pi * series.cos_x),
-        along * (R * one * s + R / np.pi * series.sin_nx),
-    )
-    return np.stack([V_r, N, V_z, M_r, M_t, M_z], axis=-1)
+    N1 = one + _W
+    V_r = radial * (one * s - sin_x / np.pi) + along * (one * c + cos_x / np.pi)
+    N = radial * (_W + N1 * c - cos_x / np.pi) + along * (-N1 * s - sin_x / np.pi)
+    V_z, M_r, M_t = axial * (-sin_n / np.pi), axial * (-R / np.pi * cos_x), axial * (R / np.pi * sin_nx)
+    M_z = radial * (moment - R * one * c + R / np.pi * cos_x) + along * (R * one * s + R / np.pi * sin_nx)
+    closed = np.stack([q.sum(axis=-1) for q in (V_r, N, V_z, M_r, M_t, M_z)], axis=-1)
+    if joint is None:
+        return closed
+    there = internal_forces(phi, forces, joint[..., None], section)[..., 0, :]
+    x = -np.linalg.solve(self_stress(joint, R), there[..., None])[..., 0]
+    return np.asarray(closed + np.einsum("...kij,...j->...ki", self_stress(at, R), x))
 
 
-def flexibility(phi: Array, directions: Array, section: Section) -> Array:
+def flexibility(phi: Array, directions: Array, section: Section, joint: Array | None = None) -> Array:
     """Flexibility (..., m, m) in mm/N between points of a ring: displacements along `directions` per force along them.
 
-    phi (..., m), directions (..., m, 3) in local axes. Symmetric and positive semidefinite; exact for forces that
-    balance, half of lam C lam is their strain energy.
+    phi (..., m), directions (..., m, 3) in local axes, joint as in `internal_forces`. Symmetric and positive
+    semidefinite; exact for forces that balance, half of lam C lam is their strain energy.
 
     >>> thin = Section(radius=10.0, bending=1e-3, out_of_plane=1e-3, torsion=1.3e-3)
     >>> out = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
@@ -89,20 +109,29 @@ def flexibility(phi: Array, directions: Array, section: Section) -> Array:
     R, s = section.radius, section
     angle = phi[..., :, None] - phi[..., None, :]
     cos, cos_up, cos_down, sin_up, sin_down, cos_n = squares(angle)
-    low = low_orders(section)
+    _, _, energy_0, energy_1 = _low_orders(section)
     bend, mixed = s.bending * R**2, s.coupling * R
     rr = R / np.pi * ((s.axial + bend - 2.0 * mixed) * cos + s.shear * cos_up)
     tt = R / np.pi * (s.axial * cos_up + s.shear * cos + bend * cos_down - 2.0 * mixed * cos)
     rt = R / np.pi * ((s.axial + s.shear - mixed) * sin_up + (bend - mixed) * sin_down)
     zz = R / np.pi * (R**2 * (s.out_of_plane * cos + s.torsion * cos_down) + s.shear * cos_n)
-    rr = rr + low.energy_0 + low.energy_1 * np.cos(angle)
-    tt = tt + low.energy_1 * np.cos(angle)
-    rt = rt - low.energy_1 * np.sin(angle)
+    rr = rr + energy_0 + energy_1 * np.cos(angle)
+    tt = tt + energy_1 * np.cos(angle)
+    rt = rt - energy_1 * np.sin(angle)
     r, t, z = (directions[..., i] for i in range(3))
     out = r[..., :, None] * rr * r[..., None, :] + t[..., :, None] * tt * t[..., None, :]
-    out = out + z[..., :, None] * zz * z[..., None, :]
     cross = r[..., :, None] * rt * t[..., None, :]
-    return np.asarray(out + cross + np.swapaxes(cross, -1, -2))
+    out = out + z[..., :, None] * zz * z[..., None, :] + cross + np.swapaxes(cross, -1, -2)
+    if joint is None:
+        return np.asarray(out)
+    eight = 0.25 * np.pi * np.arange(8.0)  # products of states hold at most cos 2 phi: eight points integrate exactly
+    H = self_stress(eight, R)
+    F = np.einsum("kai,ab,kbj->ij", H, section_matrix(section), H) * 2.0 * np.pi * R / 8.0
+    # Amplitudes (..., 6, m) of the self-stress states that free the section at the joint of every unit force.
+    unit = np.eye(phi.shape[-1])[..., None] * directions[..., None, :, :]
+    q = internal_forces(phi[..., None, :], unit, joint[..., None, None], section)[..., 0, :]
+    X = -np.linalg.solve(self_stress(joint, R), np.swapaxes(q, -1, -2))
+    return np.asarray(out + np.einsum("...ak,ab,...bl->...kl", X, F, X))
 
 
 def self_stress(at: Array, radius: float) -> Array:
@@ -127,32 +156,3 @@ def section_matrix(section: Section) -> Array:
     S = np.diag([s.shear, s.axial, s.shear, s.out_of_plane, s.torsion, s.bending])
     S[1, 5] = S[5, 1] = s.coupling
     return S
-
-
-def _closing(phi: Array, directions: Array, joint: Array, section: Section) -> Array:
-    """Amplitudes (..., 6, m) of the self-stress states that free the section at `joint` (...) of every unit force."""
-    unit = np.eye(phi.shape[-1])[..., None] * directions[..., None, :, :]  # (..., m, m, 3)
-    q = internal_forces(phi[..., None, :], unit, np.asarray(joint)[..., None, None], section)[..., 0, :]
-    return np.asarray(-np.linalg.solve(self_stress(np.asarray(joint), section.radius), np.swapaxes(q, -1, -2)))
-
-
-def opened_forces(phi: Array, forces: Array, at: Array, joint: Array, section: Section) -> Array:
-    """Section forces (..., k, 6) as in `internal_forces` of a butted ring, open at the angle `joint` (...).
-
-    The ends of the wire are free: the joint carries no moment and no force. Ends that press on each other would carry
-    more.
-    """
-    joint = np.asarray(joint, float)
-    closed = internal_forces(phi, forces, at, section)
-    there = internal_forces(phi, forces, joint[..., None], section)[..., 0, :]
-    x = -np.linalg.solve(self_stress(joint, section.radius), there[..., None])[..., 0]
-    return closed + np.einsum("...kij,...j->...ki", self_stress(at, section.radius), x)
-
-
-def opened_flexibility(phi: Array, directions: Array, joint: Array, section: Section) -> Array:
-    """Flexibility (..., m, m) as in `flexibility` of a butted ring, open at the angle `joint` (...)."""
-    angles = 0.25 * np.pi * np.arange(8.0)  # products of states hold at most cos 2 phi: eight points integrate exactly
-    H = self_stress(np.asarray(angles, float), section.radius)
-    F = np.einsum("kai,ab,kbj->ij", H, section_matrix(section), H) * 2.0 * np.pi * section.radius / 8.0
-    X = _closing(phi, directions, joint, section)
-    return flexibility(phi, directions, section) + np.einsum("...ak,ab,...bl->...kl", X, F, X)

@@ -11,7 +11,7 @@ from rve.common.materials import STEEL, Material
 from rve.common.rings import Joint, read_joint
 from rve.common.types import Array
 from rve.ring.collapse import plastic_collapse
-from rve.ring.kernels import flexibility, opened_flexibility
+from rve.ring.kernels import flexibility
 from rve.ring.section import Ring
 from rve.ring.stress import peak_stress
 
@@ -48,10 +48,7 @@ def pulled_ring(r1: float, r2: float, material: Material = STEEL, joint: str = "
     at: list[Array | None] = [np.radians([angle]) for angle in angles] or [None]
     peaks = np.array([peak_stress(phi, pull, ring, joint=x).stress[0] for x in at])
     loads = [plastic_collapse(phi, pull, ring, stress, joint=x).factor[0] for x in at]
-    section = ring.curved()
-    opening = [
-        (flexibility(phi, pull, section) if x is None else opened_flexibility(phi, pull, x, section)).sum() for x in at
-    ]
+    opening = [flexibility(phi, pull, ring.curved(), x).sum() for x in at]
     worst = int(peaks.argmax())
     open_at = angles[worst] if angles else None
     return PulledRing(float(stress / peaks[worst]), float(min(loads)), float(max(opening)), open_at)

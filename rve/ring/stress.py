@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rve.common.types import Array
-from rve.ring.kernels import internal_forces, opened_forces
-from rve.ring.section import Ring, Section, skin_stress
+from rve.ring.kernels import internal_forces
+from rve.ring.section import Ring, skin_stress
 
 SECTIONS = 96
 """Sections looked at first, besides those under the loads."""
@@ -41,28 +41,23 @@ def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = Non
     >>> bool(abs(found.stress / thin - 1.0) < 2e-3)
     True
     """
-    kind = (ring, ring.curved(), joint)
     shape = phi.shape[:-1]
     uniform = np.broadcast_to(2.0 * np.pi / SECTIONS * np.arange(SECTIONS), (*shape, SECTIONS))
     at = np.concatenate([uniform, phi, phi - _BEFORE], axis=-1)
     fibre = np.broadcast_to(2.0 * np.pi / FIBRES * np.arange(FIBRES), (*shape, FIBRES))
-    best = _best(phi, forces, at, fibre, kind)
+    best = _best(phi, forces, at, fibre, ring, joint)
     wide, round_ = 2.0 * np.pi / SECTIONS, 2.0 * np.pi / FIBRES
     steps = np.linspace(-1.0, 1.0, 2 * _FINER + 1)
     for _ in range(_ZOOMS):
         near, skin = best.angle[..., None] + wide * steps, best.fibre[..., None] + round_ * steps
-        best = _best(phi, forces, near, skin, kind)
+        best = _best(phi, forces, near, skin, ring, joint)
         wide, round_ = wide / _FINER, round_ / _FINER
     return best
 
 
-def _best(phi: Array, forces: Array, at: Array, fibre: Array, kind: tuple[Ring, Section, Array | None]) -> Peak:
+def _best(phi: Array, forces: Array, at: Array, fibre: Array, ring: Ring, joint: Array | None) -> Peak:
     """The largest stress at sections at (..., k) and fibres (..., f)."""
-    ring, section, joint = kind
-    if joint is not None:
-        q = opened_forces(phi, forces, at, joint, section)
-    else:
-        q = internal_forces(phi, forces, at, section)
+    q = internal_forces(phi, forces, at, ring.curved(), joint)
     stress = skin_stress(q[..., :, None, :], fibre[..., None, :], ring.r1, ring.r2)
     flat = stress.reshape(*stress.shape[:-2], -1)
     top = flat.argmax(axis=-1)[..., None]

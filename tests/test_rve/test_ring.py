@@ -7,8 +7,6 @@ from rve.common.errors import InputError
 from rve.ring.kernels import (
     flexibility,
     internal_forces,
-    opened_flexibility,
-    opened_forces,
     section_matrix,
     self_stress,
 )
@@ -135,21 +133,21 @@ def test_frame_of_straight_beams_agrees():
 def test_a_butted_ring_is_free_at_its_joint(section):
     phi, forces = random_load(5)
     joint = np.array(1.0)
-    q = opened_forces(phi, forces, joint[None], joint, section)
+    q = internal_forces(phi, forces, joint[None], section, joint)
     assert np.abs(q).max() < 1e-12
     at, weight = pieces(phi, extra=[1.0])
-    q, S = opened_forces(phi, forces, at, joint, section), section_matrix(section)
+    q, S = internal_forces(phi, forces, at, section, joint), section_matrix(section)
     energy = np.einsum("k,ki,ij,kj->", weight, q, S, q) * 5.0
-    assert opened_flexibility(phi, forces, joint, section).sum() == pytest.approx(energy, rel=1e-11)
+    assert flexibility(phi, forces, section, joint).sum() == pytest.approx(energy, rel=1e-11)
     assert energy > flexibility(phi, forces, section).sum()
 
 
 def test_a_butted_ring_under_two_pulls_is_a_hook():
     """Open half-way between the pulls, one half carries all: M = F R sin t, opening pi/2 F R^3/(E I)."""
     phi = np.array([0.0, np.pi])
-    found = opened_flexibility(phi, np.tile(OUT, (2, 1)), np.array(np.pi / 2.0), THIN).sum()
+    found = flexibility(phi, np.tile(OUT, (2, 1)), THIN, np.array(np.pi / 2.0)).sum()
     assert found == pytest.approx(np.pi / 2.0 * R**3 / EI, rel=1e-10)
-    q = opened_forces(phi, np.tile(OUT, (2, 1)), np.array([np.pi / 3.0, 1.5 * np.pi]), np.array(np.pi / 2.0), THIN)
+    q = internal_forces(phi, np.tile(OUT, (2, 1)), np.array([np.pi / 3.0, 1.5 * np.pi]), THIN, np.array(np.pi / 2.0))
     assert np.abs(q[:, 5]) == pytest.approx([0.0, R], abs=1e-10)
 
 

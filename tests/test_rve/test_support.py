@@ -12,7 +12,7 @@ from rve.cli import main
 from rve.common.errors import InputError, NotConverged
 from rve.common.tensor import WEIGHT, double_dot, from_disc, mirror
 from rve.directions import grid
-from rve.equilibrium.dead_load import DeadLoad, open_gaps, random_poses, solve_dead
+from rve.equilibrium.dead_load import DeadLoad, LoadedCell, open_gaps, random_poses, solve_dead
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.largest_work import largest
 from rve.equilibrium.symmetry import is_symmetric, symmetry_of
@@ -182,7 +182,7 @@ def test_a_state_without_the_symmetry_of_the_slack_pose_is_found(S, work):
     assert found.works[0][0] == pytest.approx(first.h[0], abs=1e-9)
     middle = symmetry_of(SIX_IN_ONE).middle
     assert is_symmetric(first.states.pose, middle, 1e-6)[0]
-    pose = found.states.pose.take(np.array([len(found.states) - 1]))
+    pose = found.states.pose.take(np.array([len(found.states.S) - 1]))
     assert not is_symmetric(pose, middle, 1e-2)[0]
     E = strain_of(pose, (found.b_x_mm / 5.0, found.b_y_mm / 5.0))
     assert double_dot(np.array([S]), E)[0] == pytest.approx(found.h[0], abs=1e-12)
@@ -286,7 +286,6 @@ def test_the_command_prints_one_json_object():
 def test_too_few_iterations_are_named():
     with pytest.raises(NotConverged, match="reference cell"):
         support(Cell(), [1.0, 0.0, 1.0], replace(FIRST, max_iterations=0, attempts=1))
-    equations = Equations.of(FOUR_IN_ONE, 0.1, load=DeadLoad((2.2, 2.53)))
     none = replace(FIRST, max_iterations=0, tolerance=1e-300)
-    best = largest(np.array([[0.5, 0.0, 0.5]]), equations, (2.2, 2.53), none)
+    best = largest(np.array([[0.5, 0.0, 0.5]]), LoadedCell.of(FOUR_IN_ONE, 0.1, (2.2, 2.53), none))
     assert (best.found.status[0], best.h[0], best.works) == ("stalled", -np.inf, [[]])
