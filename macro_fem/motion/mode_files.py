@@ -43,56 +43,43 @@ def run_modes(
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)
     found = with_forces(solve_scene(scene if scene.motion is None else scene_at(scene, 0.0), law))
-    modes = find_modes(found, number)
-    summary = modes.summary | {"forces_by": forces_by(found), "cells": found.problem.disc.n_cells}
-    summary |= {
-        "law": found.problem.law.name,
-        "wall_s": found.wall_s,
-        "versions": versions("scikit-fem", "scikit-sparse"),
-    }
+    modes, problem = find_modes(found, number), found.problem
+    summary = modes.summary | {"forces_by": forces_by(found), "cells": problem.disc.n_cells, "law": problem.law.name}
+    summary |= {"wall_s": found.wall_s, "versions": versions("scikit-fem", "scikit-sparse")}
     with job(out, RECORD, inputs) as folder:
-        write_shapes(folder / "modes.vtu", modes)
-        if picture:
-            draw_shapes(folder / "modes.png", modes)
+        write_shapes(folder, modes, picture=picture)
         write_text(folder / RECORD, json_text(summary))
     return summary
 
 
-def _at_corners(modes: Modes, shape: Array) -> Array:
-    """Corners of the curtain at rest moved by a shape (n_nodes, 3) times 1 mm, (n_corners, 3) mm."""
-    found = modes.solution
-    return padded(corner_positions(replace(found, x=found.x + shape[:, : found.x.shape[1]])))
-
-
-def write_shapes(path: Path, modes: Modes) -> None:
-    """Each shape as point data `shape_1_FREQUENCY_Hz` and so on, on the curtain at rest."""
+def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
+    """modes.vtu, each shape as point data `shape_1_FREQUENCY_Hz` and so on, on the curtain at rest; with `picture`
+    modes.png, the shapes side by side, each at `SHOWN` of the size of the curtain."""
     import meshio
 
-    mesh, rest = modes.solution.problem.mesh.mesh, padded(corner_positions(modes.solution))
+    problem, rest = modes.solution.problem, padded(corner_positions(modes.solution))
+    cells = counterclockwise(problem.mesh.mesh.p.T, problem.mesh.mesh.t.T)
+    shapes = [at_corners(modes, shape) for shape in modes.shapes]
     names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]
-    shapes = [in_space(modes, shape) for shape in modes.shapes]
-    cells = [(VTU_CELLS[modes.solution.problem.disc.element], counterclockwise(mesh.p.T, mesh.t.T))]
-    write_mesh_file(path, meshio.Mesh(rest, cells, point_data=dict(zip(names, shapes, strict=True))))
-
-
-def in_space(modes: Modes, shape: Array) -> Array:
-    """The displacements (n_corners, 3) of a shape (n_nodes, 3) at the corners of the mesh."""
-    flat = modes.solution.problem.fem.d == 2
-    moved = _at_corners(modes, shape[:, [2, 2, 2]] if flat else shape) - padded(corner_positions(modes.solution))
-    return np.column_stack([0.0 * moved[:, :2], moved[:, 0]]) if flat else moved
-
-
-def draw_shapes(path: Path, modes: Modes) -> None:
-    """The shapes side by side, each at `SHOWN` of the size of the curtain."""
-    found = modes.solution
-    mesh, rest = found.problem.mesh.mesh, padded(corner_positions(found))
-    corners = as_triangles(counterclockwise(mesh.p.T, mesh.t.T))[0]
-    plotter, scale = new_plotter(len(modes.shapes)), Scale("displacement over the largest", 0.0, 1.0, 1.0)
-    for panel, shape in enumerate(modes.shapes):
+    blocks = [(VTU_CELLS[problem.disc.element], cells)]
+    write_mesh_file(folder / "modes.vtu", meshio.Mesh(rest, blocks, point_data=dict(zip(names, shapes, strict=True))))
+    if not picture:
+        return
+    plotter, scale = new_plotter(len(shapes)), Scale("displacement over the largest", 0.0, 1.0, 1.0)
+    for panel, shape in enumerate(shapes):
         plotter.subplot(0, panel)
-        way = in_space(modes, shape)
-        drawn = surface(rest + SHOWN * found.problem.mesh.size * way, corners)
-        drawn[scale.label] = np.linalg.norm(way, axis=1)
+        drawn = surface(rest + SHOWN * problem.mesh.size * shape, as_triangles(cells)[0])
+        drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
         look(plotter, THREE_QUARTERS)
-    save_picture(path, plotter, ", ".join(f"{one:.3g}" for one in modes.frequencies_Hz) + " Hz")
+    save_picture(folder / "modes.png", plotter, ", ".join(f"{one:.3g}" for one in modes.frequencies_Hz) + " Hz")
+
+
+def at_corners(modes: Modes, shape: Array) -> Array:
+    """The displacements (n_corners, 3) of a shape (n_nodes, 3) at the corners of the mesh."""
+    found, columns = modes.solution, []
+    for component in shape.T:  # each as if it were along x, of which nothing but the mesh knows
+        x = found.x.copy()
+        x[:, 0] += component
+        columns.append((corner_positions(replace(found, x=x)) - corner_positions(found))[:, 0])
+    return np.stack(columns, axis=1)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from homogenize import default_law, load_law
-from macro_fem.motion.files import COLUMNS, IMPULSES, RECORD, account_error, force_peaks
+from macro_fem.motion.files import COLUMNS, RECORD, row_of, summary_of
 from macro_fem.motion.views import IMAGES, PANELS, chosen
-from macro_fem.output.files import collection, versions
+from macro_fem.output.files import collection
+from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.motion import RingFrame, RingRun, solve_ring_motion
 from macro_fem.scene.schema import load_scene
-from rve.common.drawing.page import check_page, write_moments
+from rve.common.drawing.page import write_moments
 from rve.common.drawing.plane import new_figure, save_figure
-from rve.common.errors import require
 from rve.common.files import check_out_job, job, write_text
 from rve.common.texts import csv_text, json_text
 from rve.common.types import Array
@@ -28,26 +27,17 @@ if TYPE_CHECKING:
 
 
 def run_ring_motion(
-    scene_path: Path,
-    law_path: Path | None,
-    out: Path,
-    *,
-    space: bool = True,
-    start: str = "slack",
-    picture: bool = True,
-    html: bool = False,
+    scene_path: Path, law_path: Path | None, out: Path, *, picture: bool = True, html: bool = False, **how: Any
 ) -> dict[str, Any]:
     """Solve every ring of the scene of [motion] in a file, write its files into `out` and return the summary.
 
-    space, start: see `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read or begin.
+    how: space and start of `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read or
+    begin.
     """
-    if picture:
-        require("matplotlib", "plots", "motion.png", "ask for --no-picture")
-    if html:
-        check_page("motion.html", "leave out --html")
+    Pictures(picture, html=html, stem="motion").check_packages()
     scene, inputs = load_scene(scene_path), [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
-    run = solve_ring_motion(scene, EveryRing(default_law() if law_path is None else load_law(law_path), space, start))
+    run = solve_ring_motion(scene, EveryRing(default_law() if law_path is None else load_law(law_path), **how))
     rows = np.array([ring_row(frame) for frame in run.frames])
     summary = summarize_ring_motion(run, rows)
     with job(out, RECORD, inputs) as folder:
@@ -68,39 +58,21 @@ def run_ring_motion(
 def ring_row(frame: RingFrame) -> list[float]:
     """A row of motion.csv: means over the reference area, `relative_gap` the residual of the rings."""
     rings = frame.rings
-    mean, lowest = rings.mesh.area @ rings.centre / rings.mesh.area.sum(), rings.centre[:, 1].min()
-    force = float(np.linalg.norm(rings.reaction.sum(axis=0)))
-    return [frame.moment.t, *mean.tolist(), float(lowest), *astuple(frame.account), force, rings.kkt_residual]
+    return row_of(frame, rings.centre, rings.mesh.area, rings.reaction, rings.kkt_residual)
 
 
 def summarize_ring_motion(run: RingRun, rows: Array) -> dict[str, Any]:
     """The numbers of summary.json from the rows of motion.csv (m, 14)."""
-    assert run.scene.motion is not None
-    last, t = run.frames[-1], rows[:, 0]
-    contact = np.array([frame.rings.contacts.force.max(initial=0.0) for frame in run.frames])
-    return {
-        "status": str(run.status),
-        "message": run.message,
-        "duration_s": run.scene.motion.duration,
-        "reached_s": float(t[-1]),
-        "steps": len(rows) - 1,
-        "scheme": run.scene.motion.scheme,
-        "forces": IMPULSES,
-        **force_peaks(t, rows[:, COLUMNS.index("support_force_N")], impulse=True),
-        "peak_contact_force_N": float(contact.max()),
-        "peak_contact_force_at_s": float(t[contact.argmax()]),
-        "mean_end_mm": rows[-1, 1:4].tolist(),
-        "lowest_point_mm": float(rows[-1, 4]),
-        **{name: float(value) for name, value in zip(COLUMNS[5:12], rows[-1, 5:12], strict=True)},
-        "account_error": account_error(rows),
-        "relative_gap": float(rows[:, -1].max()),
-        "ring_count": len(last.rings.centre),
-        "centres": "space" if last.rings.is_space else "plane",
-        "min_gap_mm": min(frame.rings.contacts.min_gap_mm for frame in run.frames),
-        "links_intact": all(frame.rings.contacts.links_intact for frame in run.frames),
+    rings, contacts = run.frames[-1].rings, [frame.rings.contacts for frame in run.frames]
+    force = np.array([one.force.max(initial=0.0) for one in contacts])
+    return summary_of(run, rows, is_rigid=True) | {
+        "peak_contact_force_N": float(force.max()),
+        "peak_contact_force_at_s": float(rows[force.argmax(), 0]),
+        "ring_count": len(rings.centre),
+        "centres": "space" if rings.is_space else "plane",
+        "min_gap_mm": min(one.min_gap_mm for one in contacts),
+        "links_intact": all(one.links_intact for one in contacts),
         "iterations": sum(frame.iterations for frame in run.frames),
-        "wall_s": run.wall_s,
-        "versions": versions(),
     }
 
 

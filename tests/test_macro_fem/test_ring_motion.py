@@ -13,6 +13,7 @@ from macro_fem.cli import main
 from macro_fem.motion.files import COLUMNS, account_error
 from macro_fem.motion.masses import TONNE
 from macro_fem.motion.scheme import Moment
+from macro_fem.motion.stage import scene_at
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.motion import RingStage, first_ring_frame, next_ring_frame, solve_ring_motion
 from macro_fem.rings.motion_files import ring_row
@@ -59,7 +60,8 @@ def test_a_sheet_without_supports_falls_freely():
 def tossed(scheme, steps, duration, speed):
     """Momentum and angular momentum (steps + 1, 3) of a sheet without supports and weight, of random velocities in mm/s
     and turns, and its last frame."""
-    scene = read_scene(CURTAIN | {"support": {"kind": "top", "release": 0.0}, "load": {"gravity": 0.0}})
+    tables = {"support": {"kind": "top", "release": 0.0}, "load": {"gravity": 0.0}, "motion": {"duration": 1.0}}
+    scene = scene_at(read_scene(CURTAIN | tables), 0.0)
     stage = RingStage(scene, ring_scene(scene))
     asked = stage.at(duration)
     frame = first_ring_frame(asked, slack_rings(asked.mesh))
