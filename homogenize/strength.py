@@ -22,7 +22,7 @@ from rve.common.materials import Material, Stress, read_material
 from rve.common.rings import read_joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
 from rve.common.texts import as_html
-from rve.common.typed import Typed, numbers_or_none, read_entry, read_typed
+from rve.common.typed import Typed, read_entry, read_typed
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class Strength:
             "cauchy": self.cauchy.tolist(),
             "first_yield_1_per_mm": self.first_yield.tolist(),
             "collapse_1_per_mm": self.collapse.tolist(),
-            "compliance_mm_per_N": numbers_or_none(self.compliance),
+            "compliance_mm_per_N": [None if np.isnan(x) else float(x) for x in self.compliance],
             "error": None if self.error is None else asdict(self.error),
         }
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rve.common.drawing.plane import new_axes
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.drawing.space import THREE_QUARTERS, add, lines, look, new_plotter, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, balls, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
 from rve.common.types import Array
 from rve.geometry.circles import tangent_frame
@@ -30,7 +30,7 @@ MOST_TUBES, MOST_POINTS = 1000, 300_000
 MOST_DRAWN = 2_500_000
 """Points of all tori of a picture together; many rings have coarser ones."""
 CLOSE = 8.0
-"""Half of the side of the close-up, in r1."""
+"""Radius of the close-up, in r1."""
 WINDOW, NO_FORCE = "#009e73", "#808890"
 
 
@@ -133,30 +133,30 @@ class DrawnRings:
         look(plotter, THREE_QUARTERS)
         return plotter
 
-    def draw_close_up(self, reference: Array, at: int, sheet_normal: Array) -> Plotter:
+    def draw_close_up(self, at: int, sheet_normal: Array) -> Plotter:
         """A plotter with two panels: all rings, and those around ring number `at` from near, by their forces.
 
-        reference (n, 2): places in the reference state, mm; sheet_normal (3,): of the sheet at that ring.
+        sheet_normal (3,): of the sheet at that ring.
         """
         centre, force = self.centre, np.zeros(len(self.centre)) if self.force is None else self.force
-        axes, middle = axes_of_sheet(sheet_normal), middle_of_close_up(centre, reference, at, CLOSE * self.r1)
-        half, scale, plotter = CLOSE * self.r1, force_scale(force), new_plotter(2)
-        corners = middle + half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]]) @ axes.T
+        middle, half, scale, plotter = centre[at], CLOSE * self.r1, force_scale(force), new_plotter(2)
         plotter.subplot(0, 0)
         # Wire thinner than a pixel fades away: seen from afar it is drawn a pixel thick.
         thick = max(self.r2, 0.6e-3 * float(np.ptp(centre, axis=0).max()))
         along, around = (24, 6) if len(centre) < 6000 else (int(np.clip(MOST_DRAWN // (3 * len(centre)), 8, 14)), 3)
         add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
-        add(plotter, "close-up at the largest line load", lines(corners[None]), WINDOW, line_width=6)
-        look(plotter, (0.0, 0.0, -1.0) if is_plane(centre) else THREE_QUARTERS)
+        add(plotter, "close-up at the largest line load", balls(middle, half), WINDOW, opacity=0.3)
+        is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
+        look(plotter, (0.0, 0.0, -1.0) if is_plane else THREE_QUARTERS)
         plotter.subplot(0, 1)
-        near = (np.abs(centre - middle) < 1.7 * half).all(axis=1)
+        near = np.linalg.norm(centre - middle, axis=1) < 1.5 * half
         close = replace(self, centre=centre[near], normal=self.normal[near])
         add(plotter, "rings near by", close.tori(36, 12, **{scale.label: force[near]}), scale)
-        right, up, to_viewer = axes.T
-        seen = 0.9 * corners + 0.1 * middle
-        from_below = -(0.6 * right - 2.2 * up + 4.2 * to_viewer)  # and from the side: one sees how the rings lie
-        look(plotter, from_below, up, np.stack([seen.min(axis=0), seen.max(axis=0)]))
+        front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
+        up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
+        side = np.cross(up, front)
+        from_below = 2.2 * up - 0.6 * side - 4.2 * front  # and from the side: one sees how the rings lie
+        look(plotter, from_below, up, middle + 0.6 * half * np.array([[-1.0] * 3, [1.0] * 3]))
         return plotter
 
 
@@ -165,26 +165,3 @@ def force_scale(force: Array) -> Scale:
     top, largest = rounded_up(max(float(np.quantile(force, 0.998)), 1e-12)), float(force.max(initial=0.0))
     label = "largest contact force on the ring, N"
     return Scale(label, LEAST * top, top, largest, "log")
-
-
-def is_plane(centre: Array) -> bool:
-    """Whether rings at `centre` (n, 3) lie in the plane z = 0, but for what their centres leave it by in a cell."""
-    return bool(np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max())
-
-
-def middle_of_close_up(centre: Array, reference: Array, at: int, half: float) -> Array:
-    """The middle of the close-up. The worst ring `at` is often in a corner: the window stays inside the curtain."""
-    places = centre if is_plane(centre) else reference
-    low, high = places.min(axis=0), places.max(axis=0)
-    edge = np.minimum(0.85 * half, 0.5 * (high - low))
-    middle = np.clip(places[at], low + edge, high - edge)
-    return middle if is_plane(centre) else centre[np.argmin(((reference - middle) ** 2).sum(axis=1))]
-
-
-def axes_of_sheet(normal: Array) -> Array:
-    """Columns (3, 3): to the right, up and towards the viewer, for a sheet with this normal seen from its front."""
-    front = normal if normal[2] >= 0.0 else -normal
-    upward = np.array([0.0, 1.0, 0.0]) if abs(front[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
-    up = upward - (upward @ front) * front
-    up /= np.linalg.norm(up)
-    return np.stack([np.cross(up, front), up, front], axis=1)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from rve.common.errors import InputError, shown
+from rve.common.errors import InputError
 from rve.common.rings import Joint
 from rve.common.typed import Typed
 from rve.equilibrium.elastic_rings import ring_states
@@ -28,20 +28,8 @@ class RingOptions(Typed):
     joint: str = "welded"
 
     def check(self) -> None:
-        """BadField for a joint that is none."""
-        try:
-            object.__setattr__(self, "joint", Joint.of(self.joint).name)
-        except ValueError as error:
-            self.refuse(f"joint = {shown(self.joint)}: {error}")
-
-
-def _check_cell(table: StrainTable, cell: Cell) -> None:
-    """InputError unless the table is one of this cell, as far as its provenance says."""
-    given = {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}
-    for key, value in given.items():
-        theirs = table.provenance.get(key, value)
-        if theirs != value:
-            raise InputError(f"{key} = {value} of the cell: the table has {key} = {theirs}; give the table's cell")
+        """InputError for a joint that is none."""
+        object.__setattr__(self, "joint", Joint.of(self.joint).name)
 
 
 def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOptions()) -> StrainTable:
@@ -57,8 +45,10 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     >>> found.strength.round(1)  # yield stress in N/mm2 per N/mm of line load along the grain
     array([[123.2,  59.4]])
     """
-    _check_cell(table, cell)
     known, material, joint = table.provenance, cell.material, Joint.of(options.joint)
+    for key, value in {"weave": cell.weave.name, "grain": cell.grain, "r1_mm": cell.r1, "r2_mm": cell.r2}.items():
+        if known.get(key, value) != value:
+            raise InputError(f"{key} = {value} of the cell: the table has {known[key]}; give the table's cell")
     states, is_known = table.states, table.converged
     if states is None:  # a table that was read: solved again, from the slack pose alone
         states = locked_states(table.alpha_deg, table.beta_deg, cell, DirectOptions())

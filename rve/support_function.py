@@ -154,19 +154,13 @@ def checked_loads(S: ArrayLike) -> Array:
         S = np.atleast_2d(np.asarray(S, dtype=float))
     except (TypeError, ValueError) as error:
         raise InputError("S must be numbers S11, S12, S22, or rows of them") from error
-    if S.ndim != 2 or S.shape[1] != 3 or not len(S):
-        raise InputError(f"S has the shape {S.shape}; give S11, S12, S22, or rows of them")
-    if not np.isfinite(S).all():
-        raise InputError("S must be finite numbers")
+    if S.ndim != 2 or S.shape[1] != 3 or not len(S) or not np.isfinite(S).all():
+        raise InputError(f"S has the shape {S.shape}; give finite numbers S11, S12, S22, or rows of them")
     low, high = eigenvalues(S)
-    bad = np.flatnonzero(~((high > 0.0) & (low >= -ROUND_OFF * np.maximum(high, 0.0))))
-    if len(bad):
-        i = bad[0]
-        if not S[i].any():
-            raise InputError("S = 0, 0, 0: h is 0 and every strain is locked; give a load")
+    for i in np.flatnonzero(~((high > 0.0) & (low >= -ROUND_OFF * np.maximum(high, 0.0))))[:1]:
         raise InputError(
             f"S = {', '.join(f'{x:g}' for x in S[i])}: has the eigenvalue {low[i]:.3g}, and a mesh of rings carries no "
-            "compression: slack folds make S:E as large as one likes; give a load without negative eigenvalues"
+            "compression: slack folds make S:E as large as one likes; give a load that is tensile and not zero"
         )
     return S
 

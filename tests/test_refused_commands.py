@@ -52,7 +52,7 @@ homogenize strength law.json --S 1,0,1 --yield -4 -> --yield = -4.0: must be gre
 homogenize strength cloth.json --S 1,0,1 -> strength
 homogenize fit table.csv --out new.json --kind spline -> 'spline' is not one of
 homogenize fit table.csv --out nowhere/law.json -> nowhere
-homogenize fit law.json --out new.json -> is a law, which macro_fem run takes as --law, not a table
+homogenize fit law.json --out new.json -> column alpha_deg is missing
 homogenize export cloth.json --out umat.f -> kind = cloth: only polyhedral laws are exported
 homogenize plot law.json --table nowhere.csv --out new -> nowhere.csv
 macro_fem run scene.toml --out new --rings=-5,0.5 -> r1 = -5: rings are from 0.1 to 200 mm
@@ -63,10 +63,10 @@ macro_fem run scene.toml --out new --rings 5,0.5 --cache /proc/none -> --cache =
 macro_fem run scene.toml --out new --animation -> [load] steps = 1: there is nothing to animate
 macro_fem run scene.toml --out new --report r.txt -> ends in .pdf
 macro_fem run scene.toml --out new --dxf scene.toml -> scene.toml
-macro_fem run scene.toml --out new --law table.csv -> table.csv: is a strain-load table, which homogenize fit
-macro_fem run scene.toml --out new --law table.json -> table.json: is the record beside a strain-load table
-macro_fem run scene.toml --out new --law scene.toml -> scene.toml: is a scene
-macro_fem run law.json --out new -> is a law, which macro_fem run takes as --law, not a scene
+macro_fem run scene.toml --out new --law table.csv -> table.csv: is not JSON
+macro_fem run scene.toml --out new --law table.json -> table.json: format
+macro_fem run scene.toml --out new --law scene.toml -> scene.toml: is not JSON
+macro_fem run law.json --out new -> law.json: is not TOML
 macro_fem run half.toml --out new -> TOML
 macro_fem size scene.toml --vary speed --from 1 --to 2 --factor 1 -> the scene has no wind with a speed
 macro_fem size scene.toml --vary mass --from 3 --to 2 --factor 1 -> the smaller one first

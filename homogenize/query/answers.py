@@ -16,7 +16,6 @@ from homogenize.query.strain import locked_strain
 from homogenize.strength import MAKE_AGAIN
 from rve.common.errors import InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
-from rve.common.typed import numbers_or_none
 from rve.common.types import Array
 
 ROUNDING = 1e-12
@@ -59,9 +58,9 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
     }
 
 
-def components(key: str, values: Array) -> dict[str, float | None]:
-    """Named components of a triple (3,); None for nan, which JSON does not have."""
-    return {key.format(name): x for name, x in zip(NAMES, numbers_or_none(values), strict=True)}
+def components(key: str, values: Array) -> dict[str, float]:
+    """Named components of a triple (3,)."""
+    return {key.format(name): float(x) for name, x in zip(NAMES, values, strict=True)}
 
 
 def support_answer(path: str | Path, S: Array) -> dict[str, Any]:

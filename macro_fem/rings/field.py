@@ -203,7 +203,7 @@ class RingField:
         worst = self.summary["worst_cell"]
         reference = self.data["reference_mm"][:, :2]
         at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
-        return self.drawn.draw_close_up(reference, at, np.array(worst["normal"]))
+        return self.drawn.draw_close_up(at, np.array(worst["normal"]))
 
     def view(self, plotter: Plotter | None = None) -> Plotter:
         """All rings in space, coloured by contact force; tori where there are few of them, else their centre lines."""

@@ -132,15 +132,6 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str, w
             raise InputError(f"{where} {named:.160}: unknown {what}; {_meant(key, known)}{listed}")
 
 
-def numbers_or_none(values: Iterable[float]) -> list[float | None]:
-    """Numbers for a JSON file, which knows no NaN: None in its place.
-
-    >>> numbers_or_none([1, math.nan])
-    [1.0, None]
-    """
-    return [None if math.isnan(x) else float(x) for x in values]
-
-
 def _plain(value: Any) -> Any:
     """Lists and numbers of Python in place of those of numpy."""
     if isinstance(value, np.ndarray | np.generic):

@@ -55,20 +55,14 @@ class SweepItem:
         """What the answer depends on beside the files that are read."""
         return {"command": [self.package, *self.arguments], "versions": versions()}
 
-    @property
-    def written(self) -> dict[str, str]:
-        """Checksums of the record and of the files that it lists."""
-        names = (self.record.name, *read_json_object(self.record).get("files", {}))
-        return {str(self.record.parent / name): checksum(self.record.parent / name) for name in names}
-
 
 @dataclass(frozen=True)
 class Ended:
-    """How an item ended: exit code, the sentence of one that failed, and the checksums of the files it has read."""
+    """How an item ended: exit code, the sentence of one that failed, and checksums of the files it read and wrote."""
 
     code: int
     message: str
-    read: dict[str, str] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
 
 
 def run_item(item: SweepItem) -> Ended:
@@ -80,8 +74,9 @@ def run_item(item: SweepItem) -> Ended:
     except click.ClickException as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise error.__cause__ from None
-        return Ended(error.exit_code, error.format_message(), read)
-    return Ended(code if isinstance(code, int) else 0, "", read)
+        return Ended(error.exit_code, error.format_message())
+    folder, names = item.record.parent, [item.record.name, *read_json_object(item.record).get("files", {})]
+    return Ended(code or 0, "", read | {str(folder / name): checksum(folder / name) for name in names})
 
 
 def sweep(
@@ -104,7 +99,7 @@ def sweep(
     cache, ended = open_cache(out / MARKS, "--out"), {}
     for number, item in enumerate(items):
         if (found := cache.get(item.question)) is not None:
-            ended[number] = Ended(found["code"], found["message"])
+            ended[number] = Ended(found["code"], "")
             done(item.name)
     left = {number: item for number, item in enumerate(items) if number not in ended}
     run = _on_cluster(left, cluster) if cluster is not None else _here(left, jobs)
@@ -112,10 +107,10 @@ def sweep(
     try:
         with noted_if_stopped(kept), closing(run):
             for number, how in run:
-                item, ended[number] = items[number], how
-                if how.code in (0, 1) and not how.message:  # it has written its record
-                    cache.put(item.question, {"code": how.code, "message": ""}, how.read | item.written)
-                done(item.name)
+                ended[number] = how
+                if not how.message:
+                    cache.put(items[number].question, {"code": how.code}, how.files)
+                done(items[number].name)
     except BrokenProcessPool as error:
         lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
         raise NotConverged(f"{lost}; {kept}") from error
