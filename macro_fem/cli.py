@@ -19,14 +19,19 @@ MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
 
 
+_scene_and_law = options(
+    click.argument("scene", type=click.Path(path_type=Path)),
+    click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10."),
+)
+
+
 @click.group(cls=Group)
 def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
 
 
 @main.command(epilog="Example: macro_fem run scene.toml --law law.json --out curtain")
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
+@_scene_and_law
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib; in space pyvista).")
 @click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif.")
@@ -46,20 +51,7 @@ def main() -> None:
 @click.option("--dxf", type=click.Path(path_type=Path), help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @click.option("--continue", "goes_on", is_flag=True, help="With [motion]: go on from the end of the run in --out.")
-def run(
-    scene: Path,
-    law_path: Path | None,
-    out: Path,
-    picture: bool,
-    animation: bool,
-    html: bool,
-    explain: bool,
-    table: Path | None,
-    goes_on: bool,
-    report: Path | None,
-    dxf: Path | None,
-    **rings: Any,
-) -> None:
+def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: bool, **more: Any) -> None:
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png; motion.csv, motion.pvd, motion.png if it moves.
 
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
@@ -67,13 +59,12 @@ def run(
     """
     from macro_fem.demand.options import begin_with, ring_options
     from macro_fem.job import run_scene
-    from macro_fem.output.pictures import Pictures
     from macro_fem.scene.schema import load_scene
     from macro_fem.told import curtain_lines, default_law_lines, motion_lines
 
-    Pictures(picture, animation, html).check_packages()
-    asked = begin_with(ring_options(**rings), law_path, table)
-    drawn = {"picture": picture, "animation": animation, "html": html}
+    drawn = {name: more.pop(name) for name in ("picture", "animation", "html")}
+    table, report, dxf = (more.pop(name) for name in ("table", "report", "dxf"))
+    asked = begin_with(ring_options(**more), law_path, table)
     if load_scene(scene).motion is None:
         if goes_on:
             raise InputError("--continue: is for a scene with [motion]")
@@ -101,14 +92,12 @@ def run(
 
 
 def _fail_unless(converged: bool) -> None:
-    """Exit code 1 for an answer that has not converged."""
     if not converged:
         raise click.exceptions.Exit(1)
 
 
 @main.command(epilog="Example: macro_fem size scene.toml --law law.json --vary pitch --from 50 --to 400 --factor 3")
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
+@_scene_and_law
 @click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm; --vary r2 needs it.")
 @click.option("--vary", type=click.Choice(["pitch", "mass", "speed", "r2"]), required=True, help="What is varied.")
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
@@ -142,8 +131,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
 
 
 @main.command(epilog="Example: macro_fem modes scene.toml --law law.json --number 6 --out modes")
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10.")
+@_scene_and_law
 @click.option("--number", type=int, default=6, show_default=True, help="How many frequencies.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for modes.json, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
@@ -188,8 +176,7 @@ def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
 
 
 _ring_options = options(
-    click.argument("scene", type=click.Path(path_type=Path)),
-    click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10."),
+    _scene_and_law,
     click.option("--space/--plane", default=True, show_default=True, help="Centres free in space, or in the plane."),
     click.option(
         "--start",
@@ -216,19 +203,16 @@ def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path
     from macro_fem.scene.schema import load_scene
     from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
-    if load_scene(scene).motion is not None:
-        say(*default_law_lines(law_path))
-        summary = run_ring_motion(scene, law_path, out, space=space, start=start, picture=picture, html=html)
-        say(*motion_lines(summary, out))
-        answer(summary)
-        if summary["status"] == "stopped":
-            raise click.exceptions.Exit(130)
-        _fail_unless(summary["status"] == "converged")
-        return
-    summary = run_rings(scene, law_path, out, space=space, start=start, picture=picture, html=html)
-    say(*default_law_lines(law_path), *every_ring_lines(summary, out))
+    say(*default_law_lines(law_path))
+    solve = run_rings if load_scene(scene).motion is None else run_ring_motion
+    summary = solve(scene, law_path, out, space=space, start=start, picture=picture, html=html)
+    say(*(every_ring_lines if solve is run_rings else motion_lines)(summary, out))
     answer(summary)
+    if summary["status"] == "stopped":
+        raise click.exceptions.Exit(130)
     _fail_unless(summary["status"] == "converged")
+    if solve is run_ring_motion:
+        return
     law = () if law_path is None else ("--law", law_path)
     say_next(
         "macro_fem", "compare", scene, *law, *(() if space else ("--plane",)), why="beside the membrane of the law"

@@ -16,7 +16,6 @@ from homogenize import (
     with_material,
 )
 from macro_fem.answer import RECORD, Solution
-from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.combinations import combined
@@ -24,7 +23,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.demand.options import DemandOptions, OnDemand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures
-from macro_fem.problem import CurtainProblem, make_problem
+from macro_fem.problem import make_problem
 from macro_fem.rings.compare import Comparison
 from macro_fem.rings.every_ring import EveryRing, EveryRingSolution
 from macro_fem.rings.ring_scene import in_material, ring_scene
@@ -86,7 +85,9 @@ def solve_membrane(scene: Scene, law: MembraneLaw | LawInterval | None = None) -
     if not scene.solver.is_bounded:
         return MembraneSolution(scene, tuple(_steps(scene, law, scene.load.steps)))
     steps = _steps(scene, inner, scene.load.steps)
-    levels = tuple(_with_bounds(scene, inner, outer, steps[-1]))
+    if steps[-1].status != "converged":
+        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {steps[-1].message}")
+    levels = tuple(refined_levels(scene, inner, outer, mesh=steps[-1].problem.mesh, first=steps[-1]))
     return MembraneSolution(scene, (*steps[:-1], levels[-1].solution), levels)
 
 
@@ -128,14 +129,22 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
 
 
 def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
-    """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds."""
+    """The curtain at load steps 1 to `last`, each from the one before; one that obeys the law everywhere for bounds.
+
+    InputError if there is none at some step.
+    """
     mesh, count = build_mesh(scene, law.cell), scene.load.steps
     pose = admissible_problem if scene.solver.is_bounded else make_problem
     steps: list[CurtainSolution] = []
     for step in range(1, last + 1):
         work = f"{mesh.mesh.t.shape[1]} cells, load step {step} of {count}"
         with part_of(work, (step - 1) / last, step / last):
-            steps.append(_solved(pose(scene, law, mesh, step / count), steps[-1] if steps else None))
+            solution = solve_problem(pose(scene, law, mesh, step / count), steps[-1] if steps else None)
+        if solution.status == "infeasible":
+            at = f" at {step / count:.3g} of the prescribed moves" if count > 1 else ""
+            table = "obstacle" if solution.stop == "blocked" else "support"
+            raise InputError(f"{scene.source}: [{table}]: {solution.message}{at}")
+        steps.append(solution)
     return steps
 
 
@@ -153,9 +162,7 @@ def run_scene(
     as `dxf`. InputError in one sentence, and nothing written, if the scene cannot be read, is contradictory or has no
     solution. What a picture or solver needs, and what files would overwrite, is checked before anything is solved.
     """
-    wanted = Pictures(**files)
-    wanted.check_packages()
-    scene = load_scene(scene_path)
+    wanted, scene = Pictures(**files), load_scene(scene_path)
     wanted.check(scene)
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
     inputs = [scene_path, law_path, known, scene.mesh_file]
@@ -194,26 +201,5 @@ def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True,
 
     InputError for scenes that one of both cannot be.
     """
-    rings = ring_scene(scene, law)
-    disk = solve_membrane(scene, default_law() if law is None else law).solution
-    guide = disk if start == "disk" else None
-    found = rings.solve(space=space, disk=guide, options=FiniteOptions(by_motion=start == "motion"))
-    return Comparison(disk, EveryRingSolution(rings, found, start))
-
-
-def _solved(problem: CurtainProblem, start: CurtainSolution | None) -> CurtainSolution:
-    """The curtain at one share of the live load, from that of the last step; InputError if there is none."""
-    solution = solve_problem(problem, start)
-    if solution.status == "infeasible":
-        scene = problem.scene
-        at = f" at {problem.factor:.3g} of the prescribed moves" if scene.load.steps > 1 else ""
-        table = "obstacle" if solution.stop == "blocked" else "support"
-        raise InputError(f"{scene.source}: [{table}]: {solution.message}{at}")
-    return solution
-
-
-def _with_bounds(scene: Scene, law: MembraneLaw, outer: MembraneLaw | None, first: CurtainSolution) -> list[Level]:
-    """All levels of refinement; InputError if not even the curtain on the first mesh has converged."""
-    if first.status != "converged":
-        raise InputError(f"{scene.source}: [solver] bounds: need a converged curtain: {first.message}")
-    return list(refined_levels(scene, law, outer, mesh=first.problem.mesh, first=first))
+    rings = solve_every_ring(scene, EveryRing(law, space, start))
+    return Comparison(solve_membrane(scene, default_law() if law is None else law).solution, rings)
