@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from macro_fem.output.forces import support_rows
+from macro_fem.output.pictures import Pictures
 from macro_fem.solvers.status import Status
 from rve.common.errors import require
+from rve.common.files import check_out_job, job
 from rve.common.texts import as_html
 
 if TYPE_CHECKING:
@@ -28,7 +30,6 @@ class Solution(ABC):
     def summary(self) -> dict[str, Any]:
         """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
 
-    @abstractmethod
     def save(
         self,
         folder: str | Path,
@@ -40,9 +41,26 @@ class Solution(ABC):
     ) -> dict[str, Any]:
         """Write summary.json, VTU and pictures into `folder`; the summary.
 
+        By a law: curtain.vtu, support_forces.csv, order.csv, curtain.png, with more than one load step curtain.pvd with
+        one VTU per step and, as `animation`, curtain.gif of them, with `html` curtain.html, which turns in a browser.
+        Ring by ring: rings.vtu, support_forces.csv, rings.png, with `html` rings.html.
+
         All files appear together, and what they replace is gone (`rve.common.files`). InputError where they cannot be
         written, or would overwrite `inputs`, or if what a picture needs is missing.
         """
+        wanted = Pictures(picture, animation, html)
+        self._check(wanted)
+        check_out_job(folder, RECORD, inputs=inputs)
+        with job(folder, RECORD, inputs) as staged:
+            return self._write(staged, wanted)
+
+    @abstractmethod
+    def _check(self, wanted: Pictures) -> None:
+        """InputError for pictures that make no sense, or that need what is missing."""
+
+    @abstractmethod
+    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
+        """Write all files into a new folder; the summary."""
 
     @abstractmethod
     def plot(self, ax: Axes | None = None) -> Axes:

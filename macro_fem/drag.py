@@ -12,7 +12,7 @@ the normal, q C_D (a . w / |a|)^2, and counts 1/|a| layers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -35,20 +35,6 @@ EDGE = 0.3
 jump, and hardly do with 0.05."""
 LEAST_FRONT = 1e-9
 """Front per reference area below which it is none."""
-
-
-@dataclass(frozen=True, eq=False)
-class Front:
-    """What cells show to a wind: front (n_cells,) per reference area, layers (n_cells,) on the way of the wind."""
-
-    area: Array
-    layers: Array
-    reference: Array
-
-    @property
-    def total(self) -> float:
-        """The front that all cells share, mm2."""
-        return float(self.reference @ (1.0 / self.layers))
 
 
 def loaded(problem: CurtainProblem) -> Discretization:
@@ -85,9 +71,8 @@ def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
     """What a wind with a speed presses cells of vector areas a (n_cells, 3) with, (n_cells, 3), N/mm2."""
     along = unit(wind.direction)
     v = a @ along
-    front = front_of(problem, wind, x, a)
-    drag = dynamic_pressure(wind) * layered_drag(wind, problem.law.cell, front.layers, problem.where_wind)
-    push = drag / front.layers
+    layers = layers_of(problem, wind, x, a)
+    push = dynamic_pressure(wind) * layered_drag(wind, problem.law.cell, layers, problem.where_wind) / layers
     if not wind.follows:
         return np.asarray(push[:, None] * along)
     size = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT)
@@ -103,13 +88,14 @@ def vector_areas(problem: CurtainProblem, F: Array) -> Array:
     return recovered(problem.mesh.mesh.t.T, disc.cell_mean(np.cross(F[:, :, 0], F[:, :, 1])), disc.cell_area)
 
 
-def front_of(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Front:
-    """The front that a wind meets, of cells with vector areas a (n_cells, 3) and nodes at x (n_nodes, 3)."""
+def layers_of(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
+    """Layers (n_cells,) on the way of a wind, of cells with vector areas a (n_cells, 3) and nodes at x (n_nodes, 3).
+
+    1 over them is the front of a cell per reference area, as it shares it with the others.
+    """
     along = unit(wind.direction)
-    seen = np.maximum(np.abs(a @ along), LEAST_FRONT)
-    own = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT) if wind.follows else seen
-    layers = 1.0 / own + _shade(problem, x, along, 1.0 / own)
-    return Front(seen, layers, problem.disc.cell_area)
+    own = 1.0 / np.maximum(np.linalg.norm(a, axis=1) if wind.follows else np.abs(a @ along), LEAST_FRONT)
+    return own + _shade(problem, x, along, own)
 
 
 def _shade(problem: CurtainProblem, x: Array, along: Array, layers: Array) -> Array:
@@ -177,11 +163,8 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
 
     `layers` and `front_solidity` are means over the front.
     """
-    found = []
-    for wind in solution.problem.scene.of(Wind):
-        if wind.speed is not None:
-            found.append({"speed_m_per_s": wind.speed} | _told(solution, wind))
-    return {"wind": found} if found else {}
+    told = [_told(solution, wind) for wind in solution.problem.scene.of(Wind) if wind.speed is not None]
+    return {"wind": told} if told else {}
 
 
 def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
@@ -189,6 +172,7 @@ def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
     cell, where = problem.law.cell, problem.where_wind
     alone = layer_solidity(wind, cell, where)
     told = {
+        "speed_m_per_s": float(wind.speed or 0.0),
         "solidity": alone,
         "drag_coefficient": float(layered_drag(wind, cell, np.ones(1), where)[0]),
         "pressure_N_per_m2": wind_pressure(wind, cell, where) / PER_MM2,
@@ -196,13 +180,12 @@ def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
     if problem.fem.d == 2:
         return told | {"front_area_m2": 0.0, "drag_N": 0.0}
     a = vector_areas(problem, solution.F)
-    front = front_of(problem, wind, solution.x, a)
+    layers, reference = layers_of(problem, wind, solution.x, a), problem.disc.cell_area
+    front = float(reference @ (1.0 / layers))
     density = problem.factor * _drag(problem, wind, solution.x, a)
-    share = front.reference / front.layers
-    solidity = share @ layered_solidity(alone, front.layers) / front.total
     return told | {
-        "front_area_m2": front.total * PER_MM2,
-        "layers": float(front.reference.sum() / front.total),
-        "front_solidity": float(solidity),
-        "drag_N": float(front.reference @ density @ unit(wind.direction)),
+        "front_area_m2": front * PER_MM2,
+        "layers": float(reference.sum() / front),
+        "front_solidity": float((reference / layers) @ layered_solidity(alone, layers) / front),
+        "drag_N": float(reference @ density @ unit(wind.direction)),
     }

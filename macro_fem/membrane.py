@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from macro_fem.answer import RECORD, Solution
+from macro_fem.answer import Solution
 from macro_fem.bounds.adapt import Level
 from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.combinations import envelope, envelope_table
@@ -26,7 +26,7 @@ from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
 from rve.common.errors import require
-from rve.common.files import check_out_file, check_out_job, job, write_text
+from rve.common.files import check_out_file, write_text
 from rve.common.progress import tell
 from rve.common.texts import csv_text
 from rve.common.types import Array
@@ -75,35 +75,21 @@ class MembraneSolution(Solution):
         """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
         return self._summary(picture=False)
 
-    def save(
-        self,
-        folder: str | Path,
-        *,
-        picture: bool = True,
-        animation: bool = False,
-        html: bool = False,
-        inputs: Sequence[Path | None] = (),
-    ) -> dict[str, Any]:
-        """Write summary.json, curtain.vtu, support_forces.csv and curtain.png, see `Solution.save`.
-
-        With more than one load step curtain.pvd lists one VTU per step. `animation`: curtain.gif of the load steps;
-        `html`: curtain.html, which turns in a browser.
-        """
-        wanted = Pictures(picture, animation, html)
+    def _check(self, wanted: Pictures) -> None:
         wanted.check(self.scene)
-        check_out_job(folder, RECORD, inputs=inputs)
-        summary = self._summary(picture=picture)
+
+    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
+        summary = self._summary(picture=wanted.picture)
         density = error_density(self.solution, self.levels[-1].bounds) if self.levels else None
-        with job(folder, RECORD, inputs) as staged:
-            write_vtu(staged / "curtain.vtu", self.loaded, {} if density is None else {"error_N_mm_per_mm2": density})
-            if len(self.steps) > 1:
-                write_series(staged, self._shown)
-            tell("files and pictures")
-            write_pictures(staged, self._shown, wanted, density)
-            write_summary(staged, summary)
-            write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
-            if self.combinations:
-                write_text(staged / "envelope.csv", envelope_table(summary))
+        write_vtu(staged / "curtain.vtu", self.loaded, {} if density is None else {"error_N_mm_per_mm2": density})
+        if len(self.steps) > 1:
+            write_series(staged, self._shown)
+        tell("files and pictures")
+        write_pictures(staged, self._shown, wanted, density)
+        write_summary(staged, summary)
+        write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
+        if self.combinations:
+            write_text(staged / "envelope.csv", envelope_table(summary))
         return summary
 
     def write_html(self, path: str | Path) -> None:

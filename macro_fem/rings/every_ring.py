@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,11 +14,12 @@ from homogenize import MembraneLaw
 from macro_fem.answer import RECORD, Solution
 from macro_fem.output.files import rings as rings_of
 from macro_fem.output.forces import support_table
+from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from rve import Cell, FiniteSolution
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.errors import InputError
-from rve.common.files import check_out_job, job, versions, write_text
+from rve.common.files import versions, write_text
 from rve.common.texts import json_text
 from rve.common.types import Array
 
@@ -107,27 +107,18 @@ class EveryRingSolution(Solution):
             "start": self.start,
         }
 
-    def save(
-        self,
-        folder: str | Path,
-        *,
-        picture: bool = True,
-        animation: bool = False,
-        html: bool = False,
-        inputs: Sequence[Path | None] = (),
-    ) -> dict[str, Any]:
-        """Write summary.json, support_forces.csv, rings.vtu, rings.png, with `html` rings.html; see `Solution.save`."""
-        if animation:
+    def _check(self, wanted: Pictures) -> None:
+        if wanted.animation:
             raise InputError("animation: every ring is solved in one step, there is nothing to animate")
-        check_out_job(folder, RECORD, inputs=inputs)
-        with job(folder, RECORD, inputs) as staged:
-            self.found.write_vtu(staged / "rings.vtu")
-            if picture:
-                save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)
-            if html:
-                self.write_html(staged / "rings.html")
-            write_text(staged / "support_forces.csv", support_table(self.summary["support_forces"]))
-            write_text(staged / RECORD, json_text(self.summary))
+
+    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
+        self.found.write_vtu(staged / "rings.vtu")
+        if wanted.picture:
+            save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)
+        if wanted.html:
+            self.write_html(staged / "rings.html")
+        write_text(staged / "support_forces.csv", support_table(self.summary["support_forces"]))
+        write_text(staged / RECORD, json_text(self.summary))
         return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:

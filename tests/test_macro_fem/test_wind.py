@@ -8,7 +8,7 @@ import rve
 from homogenize.io import default_law
 from homogenize.laws.net import diagonal_net
 from macro_fem.curtain import solve_convex, solve_problem
-from macro_fem.drag import front_of, senses, vector_areas, wind_density, wind_summary
+from macro_fem.drag import layers_of, senses, vector_areas, wind_density, wind_summary
 from macro_fem.fem.assembly import gradient
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.wind import drag_coefficient, ring_solidity
@@ -200,11 +200,11 @@ def test_no_shape_takes_more_than_a_plate_on_its_front(seed):
     x = problem.fem.reference @ rng.standard_normal((3, 3)) * rng.uniform(0.2, 1.0)
     x += rng.uniform(0.0, 200.0) * rng.standard_normal(x.shape)
     a = vector_areas(problem, gradient(problem.disc, x))
-    front = front_of(problem, problem.winds[0], x, a)
+    front = problem.disc.cell_area @ (1.0 / layers_of(problem, problem.winds[0], x, a))
     density = wind_density(problem, x, senses(problem))
     drag = problem.disc.weight @ density[:, 2]
-    assert 0.0 < drag <= 4.0 / 3.0 * 0.5e-6 * 1.25 * 225.0 * front.total
-    assert front.total <= problem.disc.cell_area @ np.abs(a[:, 2]) * (1.0 + 1e-9)
+    assert 0.0 < drag <= 4.0 / 3.0 * 0.5e-6 * 1.25 * 225.0 * front
+    assert front <= problem.disc.cell_area @ np.abs(a[:, 2]) * (1.0 + 1e-9)
 
 
 def test_a_law_without_rings_needs_a_drag_coefficient(scene_tables):
