@@ -7,7 +7,7 @@ from typing import Any
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.symmetry import is_symmetric, symmetry_of
 from rve.geometry.cell import Cell
-from rve.geometry.pairs import pairs_in_reach, unlisted_gap
+from rve.geometry.contacts import pairs_in_reach, unlisted_gap
 
 SYMMETRIC = 1e-7
 """Lengths in r1 and tilts by which a symmetric locked state may miss its symmetry."""

@@ -28,8 +28,8 @@ from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations, mirror_modes
 from rve.explain import solver_work
 from rve.geometry.cell import Cell
+from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load, deformation_gradient, green_lagrange, second_pk
-from rve.geometry.pairs import unlisted_gap, widened
 from rve.geometry.pose import Pose, deformation, strain_of, tiled
 from rve.table import TABLE_FORMAT, RowQuality, StrainTable
 

@@ -17,7 +17,7 @@ from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import KnownStates, Largest, largest, largest_beyond
 from rve.equilibrium.limits import strain_is_unique
 from rve.geometry.cell import Cell
-from rve.geometry.pairs import unlisted_gap, widened
+from rve.geometry.contacts import unlisted_gap, widened
 from rve.geometry.weave import Weave
 from rve.solve import lattice_mm, reference_sides, weave_axes, weave_sides
 

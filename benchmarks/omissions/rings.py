@@ -14,8 +14,8 @@ from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equ
 from rve.equilibrium.symmetry import solve_equilibrium_symmetric
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
+from rve.geometry.contacts import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pairs import pairs_in_reach, unlisted_gap, widened
 from rve.geometry.weave import SIX_IN_ONE
 
 FORCED = ("asymmetry", "far-pairs", "unlisted-pairs", "idle-curvature")

@@ -194,25 +194,6 @@ def iterate_to_end(state: PathState, equations: Equations, options: DirectOption
     return finished, state
 
 
-def attempt_options(options: DirectOptions, attempt: int) -> DirectOptions:
-    """Options of an attempt: after the first, mu falls slowly and no step is taken back.
-
-    A load that is nearly uniaxial, or a pull along the grain of thin wire, moves the cell far along a narrow valley
-    while mu falls. If mu falls by a factor of ten or more, the cell is left behind on the wall of the valley and
-    stalls there.
-    """
-    if attempt == 0:
-        return options
-    shrink = SLOW[(attempt - 1) % len(SLOW)]
-    return replace(options, shrink=shrink, power=1.0, rejection=NEVER, max_iterations=4 * options.max_iterations)
-
-
-def disturb(pose: Pose, equations: Equations, seed: int, amount: float) -> Pose:
-    """Start poses shifted by seeded random numbers of size `amount`, the same for every case and batch."""
-    shift = amount * np.random.default_rng(seed).uniform(-1.0, 1.0, equations.modes.shape[1])
-    return moved(pose, equations.displacement(np.tile(shift, (len(pose.lattice), 1)), pose))
-
-
 def solve_equilibrium(
     s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
 ) -> Equilibrium:
@@ -238,23 +219,36 @@ def unit_loads(s: Array) -> Array:
 def follow(
     s: Array, equations: Equations, options: DirectOptions = DirectOptions(), start: Pose | None = None
 ) -> Equilibrium:
-    """Equilibria under the load of the equations, `s` being its rows; see `solve_equilibrium`."""
+    """Equilibria under the load of the equations, `s` being its rows; see `solve_equilibrium`.
+
+    Attempts after the first start from disturbed poses, the same for every case and batch; mu falls slowly there and no
+    step is taken back. A load that is nearly uniaxial, or a pull along the grain of thin wire, moves the cell far along
+    a narrow valley while mu falls. If mu falls by a factor of ten or more, the cell is left behind on the wall of the
+    valley and stalls there.
+    """
     first = start if start is not None else start_pose(equations.weave, len(s))
     contacts = equations.contacts(first, options.reach)
-    nan, none = np.full(len(s), np.nan), np.zeros(len(s), dtype=int)
+    nan, iterations = np.full(len(s), np.nan), np.zeros(len(s), dtype=int)
     stalled = np.full(len(s), "stalled", dtype="<U16")
-    found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, none, stalled, none + options.attempts)
-    left, iterations = np.arange(len(s)), none
+    tries = np.full(len(s), options.attempts)
+    found = Equilibrium(first, np.zeros(contacts.gap.shape), contacts, nan, iterations, stalled, tries)
+    left, tuned = np.arange(len(s)), options
     for attempt in range(options.attempts):
-        tuned = attempt_options(options, attempt)
         pose = first.take(left)
         if attempt > 0:
-            pose = disturb(pose, equations, attempt, 0.03)
-        state = start_path(left, s[left], pose, iterations, equations, tuned)
+            tuned = replace(options, shrink=SLOW[(attempt - 1) % len(SLOW)], power=1.0, rejection=NEVER)
+            tuned = replace(tuned, max_iterations=4 * options.max_iterations)
+            shift = 0.03 * np.random.default_rng(attempt).uniform(-1.0, 1.0, (1, equations.modes.shape[1]))
+            pose = moved(pose, equations.displacement(np.repeat(shift, len(left), axis=0), pose))
+        # On the central path as far as forces can be.
+        contacts, n = equations.contacts(pose, options.reach), len(left)
+        mu, inf, none = np.full(n, options.mu_start), np.full(n, np.inf), np.zeros(n)
+        lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
+        radius, stall = np.full(n, options.step), np.zeros(n, dtype=int)
+        state = PathState(left, s[left], pose, contacts, lam, mu, inf, inf, stall, radius, none, inf, iterations)
         finished, rest = iterate_to_end(state, equations, tuned)
         for part in finished:
-            tries = np.full(len(part.row), attempt + 1)
-            status = np.full(len(part.row), "converged", dtype="<U16")
+            tries, status = np.full(len(part.row), attempt + 1), np.full(len(part.row), "converged", dtype="<U16")
             done = Equilibrium(part.pose, part.lam, part.contacts, part.R, part.iterations, status, tries)
             found = found.put(part.row, done)
         left, iterations = rest.row, rest.iterations
@@ -263,14 +257,3 @@ def follow(
     total = found.iterations.copy()
     total[left] = iterations
     return replace(found, iterations=total)
-
-
-def start_path(
-    row: Index, s: Array, pose: Pose, iterations: Index, equations: Equations, options: DirectOptions
-) -> PathState:
-    """The state of cases at the start of an attempt, on the central path as far as forces can be."""
-    contacts = equations.contacts(pose, options.reach)
-    mu, inf, zero = np.full(len(row), options.mu_start), np.full(len(row), np.inf), np.zeros(len(row))
-    lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
-    radius = np.full(len(row), options.step)
-    return PathState(row, s, pose, contacts, lam, mu, inf, inf, zero.astype(int), radius, zero, inf, iterations)

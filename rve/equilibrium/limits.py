@@ -52,46 +52,32 @@ def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterato
             yield int(i), values, modes @ vectors
 
 
-def _inward(s: Array, size: float) -> Array:
-    """Line loads with the smaller principal value raised by `size` times the larger one."""
-    mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
-    radius = np.hypot(half, s[:, 1])
-    n1 = np.stack([radius + half, s[:, 1], radius - half], axis=1) / np.maximum(2.0 * radius, 1e-300)[:, None]
-    return s + size * (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
-
-
-def approach_limit(s: Array, equations: Equations, options: DirectOptions) -> list[Equilibrium]:
-    """Equilibria for decreasing second loads, each started from the one before.
-
-    The start of a solve is the one before stopped at complementarity 1e-3 of the second load, where gaps are still
-    open. From the slack pose such loads take ten times as many iterations, or stall.
-    """
-    found, start = [], None
-    for size in _SIZES:
-        loads, mu = _inward(s, size), 1e-3 * size
-        early = replace(options, attempts=1, mu_end=mu, tolerance=mu)
-        if start is not None:
-            early = replace(early, mu_start=8.0 * mu)
-        path = solve_equilibrium(loads, equations, early, start)
-        exact = replace(options, attempts=1, mu_start=mu)
-        found.append(solve_equilibrium(loads, equations, exact, path.pose))
-        start = path.pose
-    return found
-
-
 def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
     """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
 
-    The smallest three additions whose extrapolation Newton's method confirms count; status "no-limit" if none do.
+    Equilibria for decreasing additions come first, each started from the one before: the start is that one stopped at
+    complementarity 1e-3 of the addition, where gaps are still open. From the slack pose such loads take ten times as
+    many iterations, or stall. The smallest three additions whose extrapolation Newton's method confirms count; status
+    "no-limit" if none do.
     """
-    trail = approach_limit(s, equations, options)
+    mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
+    radius = np.hypot(half, s[:, 1])
+    n1 = np.stack([radius + half, s[:, 1], radius - half], axis=1) / np.maximum(2.0 * radius, 1e-300)[:, None]
+    inward = (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
+    trail: list[Equilibrium] = []
+    start, early = None, replace(options, attempts=1)
+    for size in _SIZES:
+        mu = 1e-3 * size
+        path = solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start)
+        exact = replace(options, attempts=1, mu_start=mu)
+        trail.append(solve_equilibrium(s + size * inward, equations, exact, path.pose))
+        start, early = path.pose, replace(early, mu_start=4.0 * mu)
     result = replace(trail[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
     iterations = np.sum([part.iterations for part in trail], axis=0)
     left = np.arange(len(s))
     for last in range(len(trail) - 1, 1, -1):
-        limit = extrapolate_limit(
-            [part.take(left) for part in trail[last - 2 : last + 1]], s[left], equations, options, last
-        )
+        three = [part.take(left) for part in trail[last - 2 : last + 1]]
+        limit = _extrapolate_limit(three, s[left], equations, options, 1e-3 * _SIZES[last])
         good = np.flatnonzero(limit.status == "converged")
         result = result.put(left[good], limit.take(good))
         left = np.delete(left, good)
@@ -100,35 +86,31 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     return replace(result, iterations=iterations)
 
 
-def extrapolate_limit(
-    three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, last: int
+def _extrapolate_limit(
+    three: list[Equilibrium], s: Array, equations: Equations, options: DirectOptions, force: float
 ) -> Equilibrium:
-    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone."""
+    """The limit of three equilibria with second loads d, d/2, d/4 as an equilibrium under s alone.
+
+    A guess keeps every pair of rings that carries more than `force` in the last one."""
     lattice, centres, normals = (
         np.einsum("k,k...->...", _WEIGHTS, np.stack([getattr(part.pose, name) for part in three]))
         for name in ("lattice", "centres", "normals")
     )
     guess = Pose(lattice, centres, normals / np.linalg.norm(normals, axis=2, keepdims=True))
-    reach = _reach(guess, three[-1], equations, options, 1e-3 * _SIZES[last])
-    pose, _, _, _ = polish(guess, equations, s, options, reach)
-    pose, lam, contacts, R = polish(pose, equations, s, options)
-    # Newton's steps may drift along the free mode: then the guess was too far away.
-    change = np.abs(three[-1].pose.lattice - three[-2].pose.lattice).max(axis=1)
-    stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
-    known = np.all([part.status == "converged" for part in three], axis=0)
-    ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
-    status = np.where(ok, "converged", "no-limit").astype("<U16")
-    return replace(three[-1], pose=pose, lam=lam, contacts=contacts, R=R, status=status)
-
-
-def _reach(guess: Pose, found: Equilibrium, equations: Equations, options: DirectOptions, force: float) -> Array:
-    """Gap (n,) within which the guess keeps every pair of rings that carries more than `force` in `found`."""
-    contacts = equations.contacts(guess, options.reach)
+    contacts, found = equations.contacts(guess, options.reach), three[-1]
     loaded = ((found.lam > force) & found.contacts.present).sum(axis=2)
     gaps = np.sort(np.where(contacts.present, contacts.gap, np.inf), axis=2)
     last = np.take_along_axis(gaps, np.maximum(loaded - 1, 0)[..., None], axis=2)[..., 0]
     widest = np.where((loaded > 0) & np.isfinite(last), np.abs(last), 0.0).max(axis=1)
-    return 1.5 * widest + 1e-6
+    pose, _, _, _ = polish(guess, equations, s, options, 1.5 * widest + 1e-6)
+    pose, lam, contacts, R = polish(pose, equations, s, options)
+    # Newton's steps may drift along the free mode: then the guess was too far away.
+    change = np.abs(found.pose.lattice - three[-2].pose.lattice).max(axis=1)
+    stays = np.abs(pose.lattice - guess.lattice).max(axis=1) < np.maximum(0.5 * change, 1e-9)
+    known = np.all([part.status == "converged" for part in three], axis=0)
+    ok = known & (R < 1e-9) & (contacts.min_gap > -1e-10) & contacts.links_intact & stays
+    status = np.where(ok, "converged", "no-limit").astype("<U16")
+    return replace(found, pose=pose, lam=lam, contacts=contacts, R=R, status=status)
 
 
 def touching(contacts: CellContacts, reach: float | Array) -> NDArray[np.bool_]:

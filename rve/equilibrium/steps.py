@@ -23,9 +23,7 @@ def carry_forces(old: CellContacts, lam: Array, new: CellContacts, mu: Array) ->
     force of the pair is shared out as on the central path, in proportion to 1/gap. New pairs start at mu/gap.
     """
     share = np.where(new.present, 1.0 / np.maximum(new.gap, 1e-14), 0.0)
-    between = new.rho[:, :, :, None] - old.rho[:, :, None, :]
-    distance = np.sqrt(np.einsum("npijx,npijx->npij", between, between))
-    distance = np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
+    distance = _distances(old, new)
     heir = distance.argmin(axis=2)
     slots = np.arange(distance.shape[2])[:, None]
     gives = (slots == heir[:, :, None, :]) & old.present[:, :, None, :]
@@ -47,7 +45,7 @@ def newton_direction(
     """
     n, m = system.r.shape
     target = np.where(present, (mu[:, None] - lam * gap) / gap, 0.0)
-    K, ratio = barrier_stiffness(system, gap, lam, present)
+    K, ratio = _barrier_stiffness(system, gap, lam, present)
     rhs = system.r + np.matmul(system.G.transpose(0, 2, 1), target[..., None])[..., 0]
     broken = ~(np.isfinite(K).all(axis=(1, 2)) & np.isfinite(rhs).all(axis=1))
     K[broken], rhs[broken] = np.eye(m), 0.0  # no step: the case stalls and is tried again from another start
@@ -67,7 +65,7 @@ def newton_direction(
     return dq, np.where(present, target - ratio * np.matmul(system.G, dq[..., None])[..., 0], 0.0)
 
 
-def barrier_stiffness(system: System, gap: Array, lam: Array, present: Flags) -> tuple[Array, Array]:
+def _barrier_stiffness(system: System, gap: Array, lam: Array, present: Flags) -> tuple[Array, Array]:
     """K = -J + G^T diag(lam/gap) G (n, m, m) and the ratios lam/gap (n, c), zero in empty slots."""
     ratio = np.where(present, lam / gap, 0.0)
     return -system.J + np.matmul(system.G.transpose(0, 2, 1) * ratio[:, None, :], system.G), ratio
@@ -92,8 +90,12 @@ class Valley:
     @staticmethod
     def of(system: System, contacts: CellContacts, gap: Array, lam: Array, count: int) -> Valley:
         """The valley of these poses."""
-        K, ratio = barrier_stiffness(system, gap, lam, contacts.present.reshape(gap.shape))
-        return Valley(contacts, system.G, gap, ratio, positive_stiffness(K), count)
+        K, ratio = _barrier_stiffness(system, gap, lam, contacts.present.reshape(gap.shape))
+        K = 0.5 * (K + K.transpose(0, 2, 1))
+        K = np.where(np.isfinite(K).all(axis=(1, 2), keepdims=True), K, np.eye(K.shape[1]))
+        lowest = np.linalg.eigvalsh(K)[:, 0]
+        shift = np.where(lowest <= 0.0, 1.2 * np.abs(lowest) + 1e-10, 1e-14)
+        return Valley(contacts, system.G, gap, ratio, K + shift[:, None, None] * np.eye(K.shape[1]), count)
 
     def correct(
         self, rows: Index, step: Array, pose: Pose, equations: Equations, reach: float
@@ -102,8 +104,10 @@ class Valley:
         contacts, G = equations.contacts(pose, reach), self.G[rows]
         predicted = self.gap[rows] + np.matmul(G, step[..., None])[..., 0]
         for _ in range(self.count):
-            reached = gaps_of(self.contacts.take(rows), contacts).reshape(predicted.shape)
-            short = np.where(np.isfinite(reached), predicted - reached, 0.0)
+            distance = _distances(self.contacts.take(rows), contacts)
+            reached = np.take_along_axis(contacts.gap, distance.argmin(axis=2), axis=2).reshape(predicted.shape)
+            known = np.isfinite(distance.min(axis=2)).reshape(predicted.shape)
+            short = np.where(known, predicted - reached, 0.0)
             push = np.matmul(G.transpose(0, 2, 1), (self.ratio[rows] * short)[..., None])
             back = np.clip(np.linalg.solve(self.K[rows], push)[..., 0], -LARGEST_CORRECTION, LARGEST_CORRECTION)
             pose = moved(pose, equations.displacement(back, pose))
@@ -111,23 +115,11 @@ class Valley:
         return pose, contacts
 
 
-def gaps_of(old: CellContacts, new: CellContacts) -> Array:
-    """Gaps (n, p, SLOTS) of the new contacts nearest to the old ones, nan where a pair has none any more."""
+def _distances(old: CellContacts, new: CellContacts) -> Array:
+    """Between the points (n, p, SLOTS, SLOTS) of new and old contacts on ring a, inf where there is none."""
     between = new.rho[:, :, :, None] - old.rho[:, :, None, :]
     distance = np.sqrt(np.einsum("npijx,npijx->npij", between, between))
-    distance = np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
-    nearest = np.take_along_axis(new.gap, distance.argmin(axis=2), axis=2)
-    return np.where(np.isfinite(distance.min(axis=2)), nearest, np.nan)
-
-
-def positive_stiffness(K: Array) -> Array:
-    """The symmetric part of K, raised by a multiple of the identity where it is indefinite."""
-    K = 0.5 * (K + K.transpose(0, 2, 1))
-    finite = np.isfinite(K).all(axis=(1, 2), keepdims=True)
-    K = np.where(finite, K, np.eye(K.shape[1]))
-    lowest = np.linalg.eigvalsh(K)[:, 0]
-    shift = np.where(lowest <= 0.0, 1.2 * np.abs(lowest) + 1e-10, 1e-14)
-    return np.asarray(K + shift[:, None, None] * np.eye(K.shape[1]))
+    return np.where(new.present[..., None] & old.present[:, :, None, :], distance, np.inf)
 
 
 def accept_step(
@@ -141,37 +133,25 @@ def accept_step(
 ) -> tuple[Pose, CellContacts, Array]:
     """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m), within `radius` (n,), that keeps gaps
     positive and links intact; its contacts and the share (n,) of dq. With a valley, steps are corrected."""
-    first, before = pose, contacts
+    first, before, bad = pose, contacts, np.arange(len(dq))
     length = np.minimum(1.0, radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
     floor = 0.01 * before.min_gap
-
-    def look(rows: Index) -> tuple[Pose, CellContacts, Flags]:
-        here, step = first.take(rows), length[rows, None] * dq[rows]
-        pose = moved(here, equations.displacement(step, here))
+    for _ in range(31):
+        here, step = first.take(bad), length[bad, None] * dq[bad]
+        there = moved(here, equations.displacement(step, here))
         if valley is None:
-            contacts = equations.contacts(pose, reach)
+            found = equations.contacts(there, reach)
         else:
-            pose, contacts = valley.correct(rows, step, pose, equations, reach)
-        apart = np.ones(len(rows), dtype=bool)
+            there, found = valley.correct(bad, step, there, equations, reach)
+        good = found.links_intact & (found.min_gap >= floor[bad])
         # Shorter steps cannot carry a ring through a wire.
-        far = np.abs(step).max(axis=1) > (0.2 * equations.wire if valley is None else 0.0)
-        long = np.flatnonzero(far)
+        long = np.flatnonzero(np.abs(step).max(axis=1) > (0.2 * equations.wire if valley is None else 0.0))
         if len(long):
-            way = parallel_clearance(here.take(long), pose.take(long), equations.weave, equations.wire)
-            apart[long] = way > -equations.wire
-        return pose, contacts, contacts.links_intact & (contacts.min_gap >= floor[rows]) & apart
-
-    pose, contacts, good = look(np.arange(len(dq)))
-    bad = np.flatnonzero(~good)
-    for _ in range(30):
+            way = parallel_clearance(here.take(long), there.take(long), equations.weave, equations.wire)
+            good[long] &= way > -equations.wire
+        pose, contacts, bad = pose.put(bad, there), contacts.put(bad, found), bad[~good]
         if not len(bad):
-            break
+            return pose, contacts, length
         length[bad] *= 0.5
-        part, found, good = look(bad)
-        pose, contacts = pose.put(bad, part), contacts.put(bad, found)
-        bad = bad[~good]
-    if len(bad):
-        length[bad] = 0.0
-        pose = pose.put(bad, first.take(bad))
-        contacts = contacts.put(bad, before.take(bad))
-    return pose, contacts, length
+    length[bad] = 0.0
+    return pose.put(bad, first.take(bad)), contacts.put(bad, before.take(bad)), length

@@ -13,23 +13,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rve.common.errors import InputError
+from rve.common.polygons import distance_to_polygon, inside, polygon_area
+from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import WEAVES
 from rve.solve import reference_sides, weave_sides
-from rve.strained.placed import axes_of_weave, reference_shares, shares
+from rve.strained.placed import axes_of_weave, neighbours, reference_shares, shares
 
 if TYPE_CHECKING:
     from rve.finite.solution import FiniteSolution
     from rve.finite.task import FiniteOptions
     from rve.finite.walls import HalfSpace
-
-Index = NDArray[np.intp]
 
 MOST_RINGS = 1_000_000
 _SAMPLES = 8
@@ -86,14 +85,17 @@ class FiniteMesh:
         for polygon in (border, *gaps):
             if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
                 raise InputError("an outline or a hole is not a list of three or more points [x, y]")
-        sides = tuple(cell.r1 * side for side in weave_sides(cell, reference_sides(cell, DirectOptions())))
+        sides = cell.r1 * np.array(weave_sides(cell, reference_sides(cell, DirectOptions())))
         axes = axes_of_weave(cell, hang_deg)
-        origin = _origin(border, np.array(sides), axes)
-        index, X = _sites(cell, border, gaps, np.array(sides), axes, origin)
+        index, X = _sites(cell, border, gaps, sides, axes)
+        if len(index) < 2:
+            raise InputError(f"the outline holds {len(index)} rings; a mesh has two or more")
         linked = _linked(cell, index)
-        _check_rings(index, linked)
-        area = _areas(X, cell, border, gaps, np.array(sides), axes)
-        return cls(cell, X, index, area, linked, (sides[0], sides[1]), hang_deg)
+        alone = len(np.setdiff1d(np.arange(len(index)), linked))
+        if alone:
+            raise InputError(f"{alone} of {len(index)} rings inside the outline link no other; enlarge or smooth it")
+        area = _areas(X, border, gaps, sides / (1, cell.weave.classes), axes)
+        return cls(cell, X, index, area, linked, (float(sides[0]), float(sides[1])), hang_deg)
 
     @property
     def mass(self) -> Array:
@@ -114,7 +116,7 @@ class FiniteMesh:
     def solve(
         self,
         force: Array,
-        held: NDArray[np.bool_],
+        held: Flags,
         at: Array,
         *,
         space: bool = True,
@@ -169,98 +171,38 @@ def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:
     )
 
 
-def _origin(border: Array, sides: Array, axes: Array) -> Array:
-    """Where the lattice point (0, 0) of class 0 is, mm."""
-    ij = (border - border[0]) @ axes / sides
-    if np.abs(ij - np.round(ij)).max() < 1e-4:
-        return border[0]
-    return 0.5 * (border.min(axis=0) + border.max(axis=0))
-
-
-def _sites(
-    cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Array, origin: Array
-) -> tuple[Index, Array]:
+def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Array) -> tuple[Index, Array]:
     """Lattice points and centres of the rings inside the outline and outside the holes."""
+    ij = (border - border[0]) @ axes / sides
+    is_whole = np.abs(ij - np.round(ij)).max() < 1e-4
+    origin = border[0] if is_whole else 0.5 * (border.min(axis=0) + border.max(axis=0))
     ij = (border - origin) @ axes / sides
     low, high = np.floor(ij.min(axis=0)).astype(int) - 1, np.ceil(ij.max(axis=0)).astype(int) + 1
     count = cell.weave.classes * int((high - low + 1).prod())
     if count > MOST_RINGS:
         raise InputError(f"the box around the outline has {count} rings, at most {MOST_RINGS} are allowed")
     i, j = (x.ravel() for x in np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)))
-    parts = []
-    for ring, share in enumerate(reference_shares(cell)):
-        X = ((np.column_stack([i, j]) + share) * sides) @ axes.T + origin
-        parts.append((np.column_stack([np.full(len(i), ring), i, j]), X))
-    index, X = (np.concatenate(column) for column in zip(*parts, strict=True))
-    keep = _inside(X, border) | _is_on(X, border, 1e-4 * sides.min())
-    for hole in holes:
-        keep &= ~_inside(X, hole) | _is_on(X, hole, 1e-4 * sides.min())
-    order = np.lexsort((X[keep, 0], X[keep, 1]))
-    return index[keep][order], X[keep][order]
-
-
-def _inside(points: Array, polygon: Array) -> NDArray[np.bool_]:
-    """Even-odd rule, (n,)."""
-    x, y = points.T
-    result = np.zeros(len(points), bool)
-    for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        if ay != by:
-            result ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
-    return result
-
-
-def _is_on(points: Array, polygon: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Whether points lie within a tolerance of a side, (n,)."""
-    result = np.zeros(len(points), bool)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        along = b - a
-        s = np.clip((points - a) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-        result |= np.linalg.norm(points - a - s[:, None] * along, axis=1) <= tolerance
-    return result
+    index = np.concatenate([np.column_stack([np.full(len(i), k), i, j]) for k in range(cell.weave.classes)])
+    X = ((index[:, 1:] + reference_shares(cell)[index[:, 0]]) * sides) @ axes.T + origin
+    keep, near = inside(X, border, holes), 1e-4 * float(sides.min())
+    for polygon in (border, *holes):
+        keep |= distance_to_polygon(X, polygon, 2.0 * near) <= near
+    index, X = index[keep], X[keep]
+    order = np.lexsort((X[:, 0], X[:, 1]))
+    return index[order], X[order]
 
 
 def _linked(cell: Cell, index: Index) -> Index:
     """Pairs (m, 2) of rings that the weave links."""
-    low = index[:, 1:].min(axis=0) - 1
-    shape = (cell.weave.classes, *(index[:, 1:].max(axis=0) - low + 2))
-    table = np.full(shape, -1)
-    table[index[:, 0], index[:, 1] - low[0], index[:, 2] - low[1]] = np.arange(len(index))
-    found = []
-    for a, b, i, j in cell.weave.pairs[cell.weave.linked]:
-        first = np.flatnonzero(index[:, 0] == a)
-        to = index[first, 1:] + (i, j) - low
-        there = ((to >= 0) & (to < shape[1:])).all(axis=1)
-        second = table[b, to[there, 0], to[there, 1]]
-        found.append(np.column_stack([first[there], second])[second >= 0])
-    pairs = np.sort(np.concatenate(found), axis=1)
-    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+    found = [np.column_stack(two) for pair, *two in neighbours(cell.weave, index) if cell.weave.linked[pair]]
+    return np.unique(np.sort(np.concatenate(found), axis=1), axis=0)
 
 
-def _check_rings(index: Index, linked: Index) -> None:
-    if len(index) < 2:
-        raise InputError(f"the outline holds {len(index)} rings; a mesh has two or more")
-    alone = np.setdiff1d(np.arange(len(index)), linked)
-    if len(alone):
-        raise InputError(f"{len(alone)} of {len(index)} rings inside the outline link no other; enlarge or smooth it")
-
-
-def _areas(X: Array, cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Array) -> Array:
+def _areas(X: Array, border: Array, holes: list[Array], brick: Array, axes: Array) -> Array:
     """Reference area (n,) in mm2 of each ring; their sum is the area inside the outline."""
-    brick = sides / (1, cell.weave.classes)
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * brick @ axes.T
-    part = np.zeros(len(X))
-    for offset in offsets:
-        at = X + offset
-        keep = _inside(at, border)
-        for hole in holes:
-            keep &= ~_inside(at, hole)
-        part += keep / len(offsets)
-    total = _polygon_area(border) - sum(_polygon_area(hole) for hole in holes)
+    part = sum(inside(X + offset, border, holes) / len(offsets) for offset in offsets)
+    total = polygon_area(border) - sum(polygon_area(hole) for hole in holes)
     part = np.maximum(part, 1.0 / len(offsets))
     return np.asarray(part * total / part.sum())
-
-
-def _polygon_area(polygon: Array) -> float:
-    x, y = (polygon - polygon[0]).T
-    return 0.5 * abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()))

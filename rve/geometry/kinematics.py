@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rve.common.tensor import IDENTITY
 from rve.common.types import Array
 
 
@@ -37,15 +38,18 @@ def _cos_sin(degrees: ArrayLike) -> tuple[Array, Array]:
 
 def green_lagrange(F: Array) -> Array:
     """Green-Lagrange strain (n, 3) of deformation gradients F (n, 2, 2), eq. (2)."""
-    c = np.stack(
-        [
-            F[:, 0, 0] ** 2 + F[:, 1, 0] ** 2,
-            F[:, 0, 0] * F[:, 0, 1] + F[:, 1, 0] * F[:, 1, 1],
-            F[:, 0, 1] ** 2 + F[:, 1, 1] ** 2,
-        ],
-        axis=1,
-    )
-    return 0.5 * (c - np.array([1.0, 0.0, 1.0]))
+    C = np.matmul(F.transpose(0, 2, 1), F)
+    return 0.5 * (_triples(C) - IDENTITY)
+
+
+def _triples(A: Array) -> Array:
+    """Components 11, 12, 22 (n, 3) of symmetric tensors (n, 2, 2)."""
+    return np.asarray(A.reshape(-1, 4)[:, [0, 1, 3]])
+
+
+def _tensors(a: Array) -> Array:
+    """Symmetric tensors (n, 2, 2) of triples (n, 3)."""
+    return np.asarray(a[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
 
 
 def deformation_gradient(E: Array) -> Array:
@@ -69,23 +73,16 @@ def deformation_gradient(E: Array) -> Array:
 
 def second_pk(F: Array, s: Array) -> Array:
     """Second Piola-Kirchhoff line load S = J F^-1 s F^-T, (n, 3), of Cauchy line loads s (n, 3)."""
-    f11, f12, f21, f22 = F[:, 0, 0], F[:, 0, 1], F[:, 1, 0], F[:, 1, 1]
-    J = f11 * f22 - f12 * f21
     # J F^-1 = adj F, so S = adj(F) s adj(F)^T / J
-    s11, s12, s22 = s[:, 0], s[:, 1], s[:, 2]
-    a11, a12, a21, a22 = f22, -f12, -f21, f11
-    S11 = a11 * a11 * s11 + 2.0 * a11 * a12 * s12 + a12 * a12 * s22
-    S12 = a11 * a21 * s11 + (a11 * a22 + a12 * a21) * s12 + a12 * a22 * s22
-    S22 = a21 * a21 * s11 + 2.0 * a21 * a22 * s12 + a22 * a22 * s22
-    return np.stack([S11, S12, S22], axis=1) / J[:, None]
+    adjoint = F[:, ::-1, ::-1].transpose(0, 2, 1) * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return _triples(adjoint @ _tensors(s) @ adjoint.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None])
 
 
 def cauchy_of(S: Array, E: Array) -> Array:
     """Cauchy line loads s = F S F^T / J (n, 3) of second Piola-Kirchhoff line loads S (n, 3) at strains E (n, 3), in
     the frame of the rotation rule (5): the inverse of `second_pk`."""
     F = deformation_gradient(E)
-    s = F @ S[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ F.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None]
-    return np.asarray(s.reshape(-1, 4)[:, [0, 1, 3]])
+    return _triples(F @ _tensors(S) @ F.transpose(0, 2, 1) / np.linalg.det(F)[:, None, None])
 
 
 def lattice_strain(lattice: Array, sides: tuple[float, float]) -> tuple[Array, Array, Array]:

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
-from rve.common.progress import part_of
 from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.types import Array
-from rve.equilibrium.interior_point import DirectOptions, Equilibrium
+from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
-from rve.solve import BLOCK, locked_block
+from rve.solve import locked_block, locked_states
 
 
 def directions(s: Array) -> tuple[Array, Array, Array]:
@@ -104,12 +103,10 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
     rounded[:, 0] = np.mod(rounded[:, 0] + 90.0, 180.0) - 90.0
     rounded[:, 1] = np.maximum(rounded[:, 1], 0.5 * step)
     keys, back = np.unique(rounded, axis=0, return_inverse=True)
-    unit = np.full((len(keys), cell.weave.classes), np.nan)
-    for first in range(0, len(keys), BLOCK):
-        rows = slice(first, first + BLOCK)
-        with part_of(f"contact forces of {len(keys)} loads", first / len(keys), min(1.0, (first + BLOCK) / len(keys))):
-            states = locked_block(keys[rows, 0], keys[rows, 1], replace(cell, grain="y"), options or DirectOptions())
-        unit[rows] = _largest(states.found, cell)
+    states = locked_states(keys[:, 0], keys[:, 1], replace(cell, grain="y"), options or DirectOptions())
+    per_pair, pairs = states.lam.max(axis=2), states.cell.weave.pairs[:, :2]
+    mine = [per_pair[:, (pairs == ring).any(axis=1)].max(axis=1) for ring in range(cell.weave.classes)]
+    unit = np.where((states.found.status == "converged")[:, None], np.stack(mine, axis=1), np.nan)
     good = np.flatnonzero(np.isfinite(unit).all(axis=1))
     if not len(good):
         raise NotConverged(f"contact forces: none of {len(keys)} load directions of the curtain was solved")
@@ -118,13 +115,3 @@ def largest_forces(s: Array, cell: Cell, options: DirectOptions | None = None, s
         unit[row] = unit[good[np.argmin((loads[good] - loads[row]) ** 2 @ WEIGHT)]]
     out[loaded] = size[loaded, None] * cell.r1 * unit[back.ravel()]
     return out
-
-
-def _largest(found: Equilibrium, cell: Cell) -> Array:
-    """Largest force (n, K) on a ring of each class in units of s r1; nan where a case has not converged."""
-    per_pair = np.where(found.contacts.present, found.lam, 0.0).max(axis=2)
-    out = np.zeros((len(per_pair), cell.weave.classes))
-    for ring in range(cell.weave.classes):
-        mine = (cell.weave.pairs[:, :2] == ring).any(axis=1)
-        out[:, ring] = per_pair[:, mine].max(axis=1)
-    return np.where((found.status == "converged")[:, None], out, np.nan)

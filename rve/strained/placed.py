@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.geometry.cell import Cell
 from rve.geometry.circles import are_linked, dot, local_minima
 from rve.geometry.pose import Pose
+from rve.geometry.weave import Weave
 
 _CHUNK = 100_000
 """Pairs measured together: keeps the arrays of samples below 100 MB."""
@@ -57,43 +59,43 @@ class Fit:
     gap_mm: Array
     links: int
     linked: int
-    broken: NDArray[np.bool_]
+    broken: Flags
 
 
-def fit_rings(index: NDArray[np.intp], centre: Array, normal: Array, cell: Cell) -> Fit:
+def neighbours(weave: Weave, index: Index) -> Iterator[tuple[int, Index, Index]]:
+    """For each pair of the weave its number, and the rings (k,) that are its first and its second.
+
+    index (n, 3): class and lattice point i, j of each ring.
+    """
+    low = index[:, 1:].min(axis=0) - 1
+    shape = (weave.classes, *(index[:, 1:].max(axis=0) - low + 2))
+    table = np.full(shape, -1)
+    table[index[:, 0], index[:, 1] - low[0], index[:, 2] - low[1]] = np.arange(len(index))
+    for pair, (a, b, i, j) in enumerate(weave.pairs):
+        first = np.flatnonzero(index[:, 0] == a)
+        to = index[first, 1:] + (i, j) - low
+        there = ((to >= 0) & (to < shape[1:])).all(axis=1)
+        second = table[b, to[there, 0], to[there, 1]]
+        yield pair, first[there][second >= 0], second[second >= 0]
+
+
+def fit_rings(index: Index, centre: Array, normal: Array, cell: Cell) -> Fit:
     """Gaps between all rings that may touch, and whether the pairs that the weave links interlink, as placed.
 
     index (n, 3): class and lattice point i, j of each ring; centre (n, 3) in mm; unit normal (n, 3).
     """
-    low = index[:, 1:].min(axis=0) - 1
-    shape = (cell.weave.classes, *(index[:, 1:].max(axis=0) - low + 2))
-    table = np.full(shape, -1)
-    table[index[:, 0], index[:, 1] - low[0], index[:, 2] - low[1]] = np.arange(len(index))
     gap, broken = np.full(len(index), np.inf), np.zeros(len(index), dtype=bool)
-    links = linked = 0
-    for (a, b, i, j), is_link in zip(cell.weave.pairs, cell.weave.linked, strict=True):
-        first = np.flatnonzero(index[:, 0] == a)
-        to = index[first, 1:] + (i, j) - low
-        there = ((to >= 0) & (to < shape[1:])).all(axis=1)
-        first, to = first[there], to[there]
-        second = table[b, to[:, 0], to[:, 1]]
-        first, second = first[second >= 0], second[second >= 0]
+    links, linked, reach = 0, 0, 2.0 * cell.wire + NEAR
+    for pair, first, second in neighbours(cell.weave, index):
         for k in range(0, len(first), _CHUNK):
             one, two = first[k : k + _CHUNK], second[k : k + _CHUNK]
             d = (centre[two] - centre[one]) / cell.r1
-            _lower(gap, one, two, d, normal, cell)
-            if is_link:
+            near = np.flatnonzero(dot(d, d) < (2.0 + reach) ** 2)
+            found = local_minima(d[near], normal[one[near]], normal[two[near]], 1.0, reach=reach)
+            for rings in (one, two):
+                np.minimum.at(gap, rings[near[found.pair]], cell.r1 * found.distance - 2.0 * cell.r2)
+            if cell.weave.linked[pair]:
                 holds = are_linked(d, normal[one], normal[two], 1.0)
                 links, linked = links + len(holds), linked + int(holds.sum())
                 broken[one[~holds]] = broken[two[~holds]] = True
     return Fit(gap, links, linked, broken)
-
-
-def _lower(gap: Array, one: NDArray[np.intp], two: NDArray[np.intp], d: Array, normal: Array, cell: Cell) -> None:
-    """Lowers the gaps (n,) of rings `one` and `two` to those between them; d (m, 3) from centre to centre in r1."""
-    reach = 2.0 * cell.wire + NEAR
-    near = np.flatnonzero(dot(d, d) < (2.0 + reach) ** 2)
-    found = local_minima(d[near], normal[one[near]], normal[two[near]], 1.0, reach=reach)
-    size = cell.r1 * found.distance - 2.0 * cell.r2
-    for rings in (one, two):
-        np.minimum.at(gap, rings[near[found.pair]], size)

@@ -2,8 +2,14 @@
 
 The strain E* of a curtain leaves offset and tilts of the rings open. They are chosen as near as contacts allow to an
 arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so that a locked
-strain gives its own locked state). The springs of `springs` and the interior-point method of `equilibrium` find it:
-gaps stay positive and links intact in every iterate, so that every pose is admissible, converged or not.
+strain gives its own locked state). Springs replace the line load in the equations. With lengths in r1 and D = E - E*
+their potential is
+
+    W = 1/2 |D+|^2 fold + 1/2 |D-|^2 + 1/2 weak (sum |c_k - c_k*|^2 + sum |n_k - n_k*|^2),
+
+D+, D-: excess and deficit relative to the target strain, D = D+ - D-, both positive semidefinite. The interior-point
+method of `equilibrium` finds the pose of least W: nearest in strain first, because `weak` is small. Gaps stay positive
+and links intact in every iterate, so that every pose is admissible, converged or not.
 
 The rings cannot always have the strain E*. It may lie outside what rings reach in tension, because the law has an error
 or is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane. There it hangs in
@@ -26,14 +32,14 @@ from rve.common.tensor import WEIGHT, eigenvalues
 from rve.common.typed import Typed
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, follow
-from rve.equilibrium.system import Equations
+from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell
+from rve.geometry.circles import cross, dot, tangent_frame
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
 from rve.solve import locked_block, reference_sides, weave_sides
 from rve.strained.placed import shares
-from rve.strained.springs import Spring
 
 _BLOCK = 1024
 """Cells solved together: larger blocks need more memory, smaller ones more time."""
@@ -186,3 +192,66 @@ def _settled(
             good |= found.status == "converged"
     contacts = find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach)
     return found.pose, contacts, good
+
+
+@dataclass(frozen=True)
+class Spring:
+    """Springs of a weave with reference sides b_x, b_y (in r1); `fold` and `weak` as in the header of the module.
+
+    Rows of its load hold the strain E* (3), then for every class but the first the shares (i, j) of the lattice vectors
+    in its centre, then the normal of every class (3 each).
+    """
+
+    sides: tuple[float, float]
+    fold: float = 1.0
+    weak: float = 1e-5
+
+    def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
+        """See rve.equilibrium.system.CellLoad."""
+        n, k = pose.normals.shape[:2]
+        f, J = np.zeros((n, T.shape[2])), np.zeros((n, T.shape[2], T.shape[2]))
+        E, dE, ddE = lattice_strain(pose.lattice, self.sides)
+        g, H = split_response(E - s[:, :3], self.fold)
+        f[:, :3] -= np.einsum("ni,nix->nx", WEIGHT * g, dE)
+        stiffness = np.matmul(np.matmul(dE.transpose(0, 2, 1), WEIGHT[:, None] * H), dE)
+        J[:, :3, :3] -= stiffness + np.einsum("ni,nixy->nxy", WEIGHT * g, ddE)
+        for ring in range(k - 1):
+            i, j = s[:, 3 + 2 * ring, None], s[:, 4 + 2 * ring, None]
+            delta = pose.centres[:, ring + 1] - i * pose.a1 - j * pose.a2
+            B = -(i[..., None] * T[:, 0:2] + j[..., None] * T[:, 2:4])
+            B[:, :, 3 + 2 * ring : 5 + 2 * ring] += np.eye(2)
+            f -= self.weak * np.einsum("ni,nix->nx", delta, B)
+            J -= self.weak * np.matmul(B.transpose(0, 2, 1), B)
+            add_lattice_curvature(J, self.weak * np.concatenate([i * delta, j * delta], axis=1))
+        target = s[:, 2 * k + 1 :].reshape(n, k, 3)
+        along, diagonal = dot(pose.normals, target), np.einsum("nii->ni", J)
+        for axis, e in enumerate(tangent_frame(pose.normals)):
+            columns = slice(2 * k + 1 + axis, None, 2)
+            f[:, columns] += self.weak * dot(cross(e, pose.normals), target)
+            diagonal[:, columns] -= self.weak * along
+        return f, J
+
+    def size(self, f: Array, M: Array) -> Array:
+        """Residuals are measured against one unit of spring force."""
+        return np.ones(len(f))
+
+
+def split_response(D: Array, fold: float) -> tuple[Array, Array]:
+    """Gradient (n, 3) of fold/2 |D+|^2 + 1/2 |D-|^2 with respect to the tensor D, and its derivative (n, 3, 3).
+
+    Both in tensor components, D = triples (11, 12, 22); principal values > 0 of D weigh `fold`, the others 1.
+    """
+    mean, half = 0.5 * (D[:, 0] + D[:, 2]), 0.5 * (D[:, 0] - D[:, 2])
+    radius = np.hypot(half, D[:, 1])
+    safe = np.maximum(radius, 1e-300)
+    c, s = np.where(radius > 0.0, half / safe, 1.0), np.where(radius > 0.0, D[:, 1] / safe, 0.0)
+    d1, d2 = mean + radius, mean - radius
+    w1, w2 = np.where(d1 > 0.0, fold, 1.0), np.where(d2 > 0.0, fold, 1.0)
+    P1 = 0.5 * np.stack([1.0 + c, s, 1.0 - c], axis=1)
+    P2 = 0.5 * np.stack([1.0 - c, -s, 1.0 + c], axis=1)
+    Q = np.stack([-s, c, s], axis=1) / np.sqrt(2.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shear = np.where(radius > 1e-14, (w1 * d1 - w2 * d2) / (2.0 * radius), 0.5 * (w1 + w2))
+    gradient = (w1 * d1)[:, None] * P1 + (w2 * d2)[:, None] * P2
+    H = sum((w[:, None, None] * P[:, :, None]) * (WEIGHT * P)[:, None, :] for w, P in ((w1, P1), (w2, P2), (shear, Q)))
+    return gradient, np.asarray(H)

@@ -7,7 +7,6 @@ from rve import solve as sweep
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.solve import solve_table
-from rve.strained import forces as ring_forces
 from rve.strained.forces import largest_forces
 
 ALPHA, BETA = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
@@ -31,7 +30,7 @@ def test_forces_in_blocks_are_those_of_each_load(monkeypatch):
     size = np.array([1.0, 0.0, 0.3, 2.0, 5.0])
     s = size[:, None] * cauchy_line_load(ALPHA, BETA)
     alone = np.vstack([largest_forces(one[None], cell) for one in s])
-    monkeypatch.setattr(ring_forces, "BLOCK", 2)
+    monkeypatch.setattr(sweep, "BLOCK", 2)
     together = largest_forces(s, cell)
     np.testing.assert_allclose(together, alone, rtol=1e-6)
     assert (together[1] == 0.0).all()

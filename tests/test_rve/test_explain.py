@@ -8,8 +8,8 @@ import pytest
 from rve.equilibrium.system import Equations
 from rve.explain import features
 from rve.geometry.cell import Cell
+from rve.geometry.contacts import unlisted_gap, unlisted_pairs, widened
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pairs import unlisted_gap, unlisted_pairs, widened
 from rve.geometry.pose import start_pose
 from rve.geometry.weave import FOUR_IN_ONE, supercell
 from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve

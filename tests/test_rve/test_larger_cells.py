@@ -16,7 +16,7 @@ from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import balanced, in_cell, unstable_motions
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.pairs import unlisted_gap
+from rve.geometry.contacts import unlisted_gap
 from rve.geometry.pose import Pose, moved, start_pose, strain_of, tiled
 from rve.geometry.weave import SIX_IN_ONE, WEAVES, supercell
 from rve.solve import reference_sides, solve_table, weave_sides

@@ -8,7 +8,7 @@ import pytest
 from rve.geometry.kinematics import green_lagrange, lattice_strain
 from rve.geometry.pose import moved, reduction, start_pose
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, supercell
-from rve.strained.springs import Spring, split_response
+from rve.strained.poses import Spring, split_response
 
 SPRING = Spring((2.2, 2.5), fold=0.1, weak=0.3)
 CASES = 5

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
-from macro_fem.scene.meshing.outline import distance_to_polygon
 from rve.common.errors import InputError
+from rve.common.polygons import distance_to_polygon
 from rve.common.types import Array
 
 CORNER = math.radians(40.0)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from macro_fem.fem.cells import counterclockwise, cross, signed_areas, triangle_areas
+from rve.common.polygons import distance_to_polygon, inside
 from rve.common.types import Array
 
 MAX_LATTICE = 8_000_000
@@ -51,45 +52,6 @@ def mesh_outline(
     return points[used], triangles.reshape(-1, 3)
 
 
-def inside(points: Array, outline: Array, holes: list[Array]) -> np.ndarray:
-    """Which points (n, 2) lie inside the outline and outside every hole, (n,)."""
-    result = _in_polygon(points, outline)
-    for hole in holes:
-        result &= ~_in_polygon(points, hole)
-    return result
-
-
-def _in_polygon(points: Array, polygon: Array) -> np.ndarray:
-    """Even-odd rule; each side looks only at the points of its heights."""
-    order = np.argsort(points[:, 1])
-    x, y = points[order].T
-    result = np.zeros(len(points), bool)
-    for (ax, ay), (bx, by) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        if ay == by:
-            continue
-        start, stop = np.searchsorted(y, (min(ay, by), max(ay, by)))
-        result[start:stop] ^= x[start:stop] < ax + (y[start:stop] - ay) * (bx - ax) / (by - ay)
-    back = np.empty_like(result)
-    back[order] = result
-    return back
-
-
-def distance_to_polygon(points: Array, polygon: Array, reach: float = math.inf) -> Array:
-    """Distance (n,) to the nearest side, or `reach` where that is farther; each side looks only at points in reach."""
-    order = np.argsort(points[:, 1])
-    lifted = points[order]
-    best = np.full(len(points), reach)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        low, high = min(a[1], b[1]) - reach, max(a[1], b[1]) + reach
-        part = slice(*np.searchsorted(lifted[:, 1], (low, high)))
-        along = b - a
-        s = np.clip((lifted[part] - a) @ along / (along @ along), 0.0, 1.0)
-        best[part] = np.minimum(best[part], np.linalg.norm(lifted[part] - a - s[:, None] * along, axis=1))
-    back = np.empty_like(best)
-    back[order] = best
-    return back
-
-
 def _subdivided(polygon: Array, spacing: float) -> Array:
     """The polygon's corners and points between them at most `spacing` apart."""
     parts = []
@@ -127,10 +89,10 @@ def _check_polygons(outline: Array, holes: list[Array]) -> None:
         if abs(signed_areas(polygon)) <= 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2:
             raise ValueError(f"{name}: has no area, its corners lie on a line")
     for k, hole in enumerate(holes, start=1):
-        if not np.all(_in_polygon(hole, outline)) or _crosses(hole, outline, same=False):
+        if not np.all(inside(hole, outline)) or _crosses(hole, outline, same=False):
             raise ValueError(f"holes: hole {k} is not inside the outline")
         for j, other in enumerate(holes[: k - 1], start=1):
-            if _crosses(hole, other, same=False) or _in_polygon(hole[:1], other)[0] or _in_polygon(other[:1], hole)[0]:
+            if _crosses(hole, other, same=False) or inside(hole[:1], other)[0] or inside(other[:1], hole)[0]:
                 raise ValueError(f"holes: hole {k} and hole {j} overlap")
 
 
