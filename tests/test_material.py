@@ -61,10 +61,3 @@ def test_one_density_from_the_command_line_to_the_weight_of_the_curtain(titanium
     assert summary["mass_kg"] == pytest.approx(AREAL_MASS * 0.3 * 0.2, rel=1e-6)
     assert summary["total_load_N"] == pytest.approx([0.0, -9.81 * AREAL_MASS * 0.06], rel=1e-6)
     assert "areal_mass_kg_per_m2" not in summary["rings"]
-
-
-def test_the_areal_mass_of_the_scene_wins_and_the_summary_says_so(titanium):
-    summary = summary_of(titanium, titanium / "law.json", "areal_mass = 4.0")
-    assert (summary["areal_mass_kg_per_m2"], summary["areal_mass_from"]) == (4.0, "scene")
-    assert summary["mass_kg"] == pytest.approx(4.0 * 0.06, rel=1e-9)
-    assert summary["total_load_N"] == pytest.approx([0.0, -9.81 * 4.0 * 0.06], rel=1e-9)

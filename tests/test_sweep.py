@@ -121,19 +121,6 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path):
     assert mass() == pytest.approx(8.0 * first)
 
 
-@pytest.mark.slow
-def test_a_stop_while_a_result_is_kept_begins_no_further_item(tmp_path):
-    def stop(name):
-        raise KeyboardInterrupt
-
-    r2 = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2]
-    long = ("--alpha", "0:45:5", "--beta", "0:90:10")  # each takes longer than a busy machine lets a process wait
-    items = table_items(tmp_path, [5.0], r2, ["4-in-1"], "y", long)
-    with pytest.raises(KeyboardInterrupt):
-        sweep(items, tmp_path, jobs=2, done=stop)
-    assert 0 < len(list(tmp_path.glob("*.csv"))) <= 4  # not what lay ready for the workers: six would be written
-
-
 @pytest.mark.parametrize(
     ("jobs", "number", "code"), [(1, signal.SIGINT, 130), pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )

@@ -165,20 +165,6 @@ def test_quiet_commands_print_only_what_they_are_asked_for(command, there):
     assert bool(done.stdout) == (command in ANSWERS)
 
 
-def test_a_rigid_curtain_on_hooks_says_that_other_forces_balance_its_load_too(tmp_path):
-    hooks = SCENE.replace('kind = "corners"', 'kind = "hooks", pitch = 11.0')
-    told = {}
-    for kind in ("rigid", "elastic"):
-        (tmp_path / f"{kind}.toml").write_text(f'{hooks}[solver]\nkind = "{kind}"\n')
-        words = ["run", str(tmp_path / f"{kind}.toml"), "--out", str(tmp_path / kind), "--no-picture"]
-        told[kind] = CliRunner().invoke(GROUPS["macro_fem"], words).output
-        note = json.loads((tmp_path / kind / "summary.json").read_text())["support_forces_note"]
-        assert (note is None) == (kind == "elastic")
-    assert "\nrigid rings can share the load in many ways" in told["rigid"]
-    assert 'kind = "elastic" under [solver]' in told["rigid"]
-    assert "many ways" not in told["elastic"]
-
-
 @pytest.mark.parametrize(
     ("package", "command"), [(package, name) for package, group in GROUPS.items() for name in group.commands]
 )

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima
 from benchmarks.every_ring.cases import SHEETS
-from benchmarks.every_ring.cell import cell_strains, depths, edge_forces
+from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.starts import random_start
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh
@@ -21,12 +21,6 @@ def test_brute_force_knows_two_circles():
     assert least_gap(centre, normal, 1.0, 0.05) == pytest.approx(0.1)
 
 
-def test_brute_force_finds_the_links_of_the_weave():
-    mesh = FiniteMesh.rectangle(Cell(), 2, 2)
-    centre, normal = mesh.slack()
-    assert linked_pairs(centre, normal, 5.0) == {(int(a), int(b)) for a, b in mesh.linked}
-
-
 def test_edge_forces_are_those_of_the_line_load():
     mesh = FiniteMesh.rectangle(Cell(), 4, 3)
     P = np.array([[1.0, 0.3], [-0.2, 2.0]])
@@ -34,16 +28,6 @@ def test_edge_forces_are_those_of_the_line_load():
     area = np.ptp(mesh.X, axis=0).prod()
     assert np.abs(force.sum(axis=0)).max() < 1e-9
     assert pytest.approx(force.T @ mesh.X / area) == P
-
-
-def test_strains_of_cells_are_those_of_an_even_deformation():
-    mesh = FiniteMesh.rectangle(Cell(), 4, 3)
-    F = np.array([[1.1, 0.2], [-0.1, 0.9]])
-    E = cell_strains(mesh, mesh.X @ F.T)
-    exact = 0.5 * (F.T @ F - np.eye(2))
-    assert E.shape == (4, 3, 3)
-    assert np.allclose(E, exact[[0, 0, 1], [0, 1, 1]])
-    assert depths((4, 3)).tolist() == [[0, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 0]]
 
 
 def test_random_starts_are_admissible_and_differ():
@@ -54,11 +38,3 @@ def test_random_starts_are_admissible_and_differ():
         assert least_gap(placed.x, placed.normal, 1.0, 0.1) > 0.0
         assert linked_pairs(placed.x, placed.normal, 1.0) == woven
     assert np.abs(first.x - second.x).max() > 0.1
-
-
-def test_sheets_are_similar_and_their_loads_grow_with_the_weight():
-    for sheet in SHEETS[2:]:
-        small, large = (ring_scene(sheet.scene(k, 4)) for k in (1, 2))
-        assert large.mesh.area.sum() == pytest.approx(4.0 * small.mesh.area.sum(), rel=1e-6)
-        assert large.force.sum(axis=0) == pytest.approx(4.0 * small.force.sum(axis=0), rel=1e-6)
-        assert -small.force[:, 1].sum() == pytest.approx(sheet.weight(1), rel=1e-6)

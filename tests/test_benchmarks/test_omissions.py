@@ -1,13 +1,9 @@
 """What the report says of a trial follows from its numbers, and every section's small pieces work."""
 
-import numpy as np
 import pytest
 
 from benchmarks.omissions import motion, rings
 from benchmarks.omissions.compare import LEFT_OUT
-from benchmarks.omissions.curtains import by_option, third_coordinate
-from homogenize.io import default_law
-from macro_fem.solvers.options import PathOptions
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 
@@ -20,19 +16,6 @@ def test_a_feature_of_rings_forced(feature):
     assert row["default"] == LEFT_OUT
 
 
-@pytest.mark.parametrize("term", motion.TERMS)
-def test_a_motion_ends_in_the_locked_state(term):
-    assert motion.moved(term, (np.array([0.0]), np.array([45.0])))["same"]
-
-
 def test_supports_across_the_plane_carry_nothing():
     """A ring that is held would carry 0.1. Forces are known to the square root of the tolerance where minima merge."""
     assert max(motion.support_across(ratio)[motion.ACROSS] for ratio in (5.0, 10.0, 20.0)) < 1e-5
-
-
-def test_features_of_curtains_forced():
-    law = default_law()
-    assert third_coordinate(law, "corners", 3)["same"]
-    row = by_option(law, "idle half-spaces", 3, PathOptions(), PathOptions(pruned_at=()))
-    assert row["same"]
-    assert row["default"] == LEFT_OUT

@@ -5,16 +5,6 @@ from benchmarks.work_precision import chain, curtain
 from examples.curtain import SETTINGS
 
 
-def test_the_net_is_exact_with_aligned_triangles_and_from_above_without():
-    problem = curtain.net_problem()
-    aligned, diagonal = (
-        curtain.run(problem, curtain.Way("P1", pattern), 8, curtain.NET_MEAN_HEIGHT)
-        for pattern in ("aligned", "diagonal")
-    )
-    assert abs(aligned[curtain.ERROR]) < 1e-7
-    assert diagonal[curtain.ERROR] > 1e-3
-
-
 def test_coarse_certified_interval_holds_the_extrapolated_height():
     reference, doubt = curtain.reference_height(16)
     (level, _), *_ = curtain.certified(curtain.corner_problem(), 8, 0)

@@ -9,12 +9,8 @@ from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.refine import (
     FINEST,
     Nodes,
-    chords_of,
-    hermite,
-    in_triangles,
     on_arcs,
     refined_half_spaces,
-    triangles_of,
 )
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import rows_from_table
@@ -30,30 +26,6 @@ from rve.table import read_table
 from .conftest import disc_grid, rows_of
 
 DATA = Path(__file__).parent / "data"
-A, SLOPE = np.array([[0.5, 0.1], [0.1, 0.3]]), np.array([0.2, -0.1])
-
-
-def quadratic_nodes(x):
-    """Nodes of h = x.A x / 2 + SLOPE.x over the disc; E11 - E22 and E12 are twice and once the gradient."""
-    g = x @ A + SLOPE
-    E = np.stack([g[:, 0], g[:, 1], -g[:, 0]], axis=1)
-    return Nodes(x, 0.5 * np.einsum("ni,ij,nj->n", x, A, x) + x @ SLOPE, E, np.arange(len(x)))
-
-
-def test_hermite_is_exact_for_cubics():
-    c = np.array([0.3, -0.2, 0.7, 0.4])
-    t = np.linspace(0.0, 1.0, 9)
-    value, slope = np.polynomial.Polynomial(c), np.polynomial.Polynomial(c).deriv()
-    assert np.allclose(hermite(t, value(0.0), value(1.0), slope(0.0), slope(1.0)), value(t), atol=1e-15)
-
-
-def test_centres_of_triangles_are_exact_for_quadratics():
-    nodes = quadratic_nodes(np.random.default_rng(19).uniform(-0.6, 0.6, (60, 2)))
-    triangles = triangles_of(nodes)
-    assert len(triangles) > 60
-    x, h = in_triangles(nodes, triangles)
-    assert np.allclose(h, 0.5 * np.einsum("ni,ij,nj->n", x, A, x) + x @ SLOPE, atol=1e-14)
-    assert len(chords_of(triangles, nodes)) == len(np.unique(chords_of(triangles, nodes), axis=0))
 
 
 def test_the_rim_is_closely_sampled_and_right_to_fourth_order(ellipsoid):
@@ -68,14 +40,6 @@ def test_the_rim_is_closely_sampled_and_right_to_fourth_order(ellipsoid):
         error.append(np.abs(h - ellipsoid.support(from_disc(x))).max())
     assert np.log2(error[0] / error[1]) > 3.7
     assert error[1] < 2e-6
-
-
-def test_slopes_at_a_flat_face_depend_on_the_way():
-    E = np.array([[0.0, 0.0, 0.0], [0.4, 0.1, -0.4]])
-    nodes = Nodes(np.zeros((1, 2)), np.zeros(1), E, np.zeros(2, int))
-    way = from_disc(np.array([[1.0, 0.0]])) - from_disc(np.zeros((1, 2)))
-    assert nodes.slope(np.array([0]), way, last=False)[0] == pytest.approx(0.4)
-    assert nodes.slope(np.array([0]), way, last=True)[0] == pytest.approx(0.0)
 
 
 def test_refined_rows_predict_to_fourth_order(ellipsoid):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from homogenize.directions import hull_of
 from homogenize.fitting.bounds import outer_law
-from homogenize.fitting.report import error_report, held_out_misfit, is_sampled, misfit_of, random_loads
+from homogenize.fitting.report import error_report, held_out_misfit, is_sampled
 from homogenize.fitting.rows import normality
 from rve.common.tensor import from_disc
 
@@ -29,21 +28,6 @@ def test_a_small_polygon_ends_where_its_corners_are():
     assert is_sampled(polygon, from_disc(0.49 * corners(24))).all()
     assert not is_sampled(polygon, from_disc(0.51 * corners(24))).any()
     assert np.array_equal(is_sampled(polygon, 7.0 * from_disc(0.49 * corners(5))), np.ones(5, bool))
-
-
-def test_the_cone_of_rows_is_their_hull():
-    polygon = hull_of(disc_grid(3, 16), True)
-    assert len(polygon) == 16
-    assert np.allclose(np.hypot(*polygon.T), 1.0)
-
-
-def test_misfit_names_the_worst_load():
-    S = random_loads(50)
-    error = np.zeros(50)
-    error[17] = -0.25
-    found = misfit_of(S, error)
-    assert (found.maximum, found.mean, found.count) == (0.25, 0.005, 50)
-    assert found.worst_S == tuple(S[17])
 
 
 def test_held_out_error_is_that_of_laws_that_have_not_seen_the_row(ellipsoid):

@@ -77,13 +77,6 @@ def test_failed_doubled_and_compressive_rows_are_dropped_by_name(ellipsoid):
         rows_from_table(table_of(S, E, status=np.full(len(S), "stalled")))
 
 
-def test_mirror_rows_appear_once(rows):
-    both = with_mirror(rows)
-    assert len(both) == 2 * len(rows) - int(((np.abs(rows.S[:, 1]) < 1e-9) & (np.abs(rows.E[:, 1]) < 1e-9)).sum())
-    assert np.allclose(double_dot(both.S, both.E), both.h)
-    assert len(rows.take(np.arange(3))) == 3
-
-
 def test_a_row_with_shear_in_load_or_strain_alone_has_its_mirror_image():
     """On a flat face a load without shear may lock at a sheared strain; its image is another strain of that face."""
     S = np.array([[0.5, 0.0, 0.5], [0.6, 0.2, 0.4], [0.7, 0.0, 0.3]])

@@ -58,14 +58,6 @@ def test_the_shipped_law_is_what_the_script_makes():
     assert {**made, **left} == {**shipped, **left}
 
 
-def test_strength_leaves_the_mechanics_of_the_shipped_law_as_they_are(table):
-    plain, law = fit(table).law, default_law()
-    assert plain.strength is None
-    assert law.strength is not None
-    assert np.allclose(plain.support(law.S), law.support(law.S), atol=1e-10)
-    assert np.array_equal(plain.stiffness, law.stiffness)
-
-
 def test_support_off_the_grid(directions):
     """The figures of docs/explanation/laws.md; the aim was 5e-4 and 1e-4 (missed by 1 direction in 1000, met)."""
     _, _, S, E = directions
@@ -93,36 +85,11 @@ def test_strains_off_the_grid(directions):
     assert error.max() < 2.5e-2
 
 
-def test_five_rows_give_a_sound_law_that_knows_its_error(table):
-    few = spoilt(
-        table, np.flatnonzero(np.isin(table.alpha_deg, (0.0, 45.0)) & np.isin(table.beta_deg, (0, 45, 90)))[:5]
-    )
-    result = fit(few)
-    S = random_loads(300)
-    assert result.report.gap.maximum > 0.05
-    assert np.all(result.law.support(S) >= bounds_of(rows_from_table(few)).lower(S) - 1e-12)
-    loads = result.law.response(np.random.default_rng(1).normal(scale=0.5, size=(100, 3))).S
-    assert eigenvalues(loads)[0].min() > -1e-9
-
-
 def test_one_angle_is_refused_or_marked(table):
     with pytest.raises(InputError, match="on one line"):
         fit(spoilt(table, np.flatnonzero(table.alpha_deg == 0.0)))
     result = fit(spoilt(table, np.flatnonzero(table.alpha_deg == 20.0)))
     assert result.report.gap.maximum > 0.1
-
-
-def test_failed_rows_and_copies_do_not_matter(table):
-    status = np.array(table.status, dtype="<U20")
-    status[5::7] = "stalled"
-    E = table.E.copy()
-    E[5::7] = np.nan
-    with_failures = fit(spoilt(table, np.arange(len(table)), status=status, E=E)).law
-    without = fit(spoilt(table, np.flatnonzero(status == "converged"))).law
-    twice = fit(spoilt(table, np.tile(np.flatnonzero(status == "converged"), 2))).law
-    S = random_loads(300)
-    assert np.array_equal(with_failures.support(S), without.support(S))
-    assert np.allclose(twice.support(S), without.support(S), atol=1e-12)
 
 
 def test_outlier_is_refused_by_row_number(table):

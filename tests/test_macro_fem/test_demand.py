@@ -18,7 +18,7 @@ from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
-from macro_fem.demand.directions import first_directions, rounded, widest
+from macro_fem.demand.directions import first_directions, widest
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.options import DemandOptions, OnDemand
 from macro_fem.demand.ring_strength import strength_of_rows
@@ -303,15 +303,6 @@ def test_directions_are_asked_where_they_widen_most_and_apart():
     assert len(widest(x, part, np.vstack([known, x * [1.0, -1.0], x]), 8, True)) > 0
     assert len(widest(x, 0.0 * part, known, 8, True)) == 0
     assert widest(x, part, known, 1, False)[0, 1] == pytest.approx(heavy[1], abs=0.02)
-
-
-def test_directions_are_rounded_into_the_disc():
-    angle = np.linspace(0.0, 6.0, 200)
-    x = rounded(np.column_stack([np.cos(angle), np.sin(angle)]))
-    assert np.hypot(*x.T).max() <= 1.0 + 3e-16
-    S = from_disc(x)
-    assert (0.25 * (S[:, 0] + S[:, 2]) ** 2 - 0.25 * (S[:, 0] - S[:, 2]) ** 2 - S[:, 1] ** 2).min() > -1e-15
-    assert np.array_equal(rounded(x), rounded(rounded(x)))
 
 
 def test_the_summary_tells_interval_parts_and_questions(known_rings, tmp_path):

@@ -113,17 +113,14 @@ def test_the_mirror_image_of_a_strain_has_the_mirror_image_of_the_rings(states, 
     is_admissible(image, CELL)
 
 
-def sheet(F, E, S, turn):
-    """A square of 8 triangles with uniform deformation F and strain E in weave axes, everything turned by `turn`."""
-    x, y = np.meshgrid(np.linspace(-40.0, 40.0, 3), np.linspace(-40.0, 40.0, 3))
-    X = np.column_stack([x.ravel(), y.ravel()])
-    squares = np.array([[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]])
-    triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
-    own = np.tile(E, (8, 1))
-    loads = np.full(8, 1.0)
-    return Curtain(
-        X @ turn.T, X @ F.T @ turn.T, triangles, np.arange(8), own, np.tile(S, (8, 1)), loads, np.full(8, 2, dtype=int)
-    )
+def sheet(F, E, S, turn, count=2):
+    """A square of 2 count^2 triangles with uniform deformation F, strain E, stress S in weave axes, all turned."""
+    X = np.stack(np.meshgrid(*[np.linspace(-40.0, 40.0, count + 1)] * 2), axis=-1).reshape(-1, 2)
+    a = (np.arange(count) + (count + 1) * np.arange(count)[:, None]).ravel()
+    triangles = np.concatenate([np.stack([a, a + 1, a + count + 2], 1), np.stack([a, a + count + 2, a + count + 1], 1)])
+    n = len(triangles)
+    rest = np.tile(E, (n, 1)), np.tile(S, (n, 1)), np.ones(n), np.full(n, 2, dtype=int)
+    return Curtain(X @ turn.T, X @ F.T @ turn.T, triangles, np.arange(n), *rest)
 
 
 @pytest.mark.parametrize("hang", [0.0, 90.0, 33.0])
@@ -219,23 +216,11 @@ def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, gra
     np.testing.assert_allclose(fit_of(moved, cell).gap_mm, fit_of(rings, cell).gap_mm, atol=1e-9)
 
 
-def fine_sheet(F, count):
-    """A square of 2 count^2 triangles with uniform deformation F."""
-    x, y = np.meshgrid(np.linspace(-40.0, 40.0, count + 1), np.linspace(-40.0, 40.0, count + 1))
-    X = np.column_stack([x.ravel(), y.ravel()])
-    i, j = np.meshgrid(np.arange(count), np.arange(count))
-    a = (i + (count + 1) * j).ravel()
-    triangles = np.concatenate([np.stack([a, a + 1, a + count + 2], 1), np.stack([a, a + count + 2, a + count + 1], 1)])
-    n = len(triangles)
-    rest = (np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.full(n, 2, dtype=int))
-    return Curtain(X, X @ F.T, triangles, np.arange(n), *rest)
-
-
 def test_a_sheet_bent_to_a_cylinder_keeps_its_links(states, table):
     """Normals of the sheet are those of the cylinder, and all rings that were linked in the plane are linked on it."""
     _, E, _, _ = table
     found = nearest_poses(E[3:4], CELL, OPTIONS, states)
-    flat = fine_sheet(deformation_gradient(found.E)[0], 16)
+    flat = sheet(deformation_gradient(found.E)[0], np.zeros(3), np.zeros(3), np.eye(2), 16)
     radius = 80.0
     angle = flat.x[:, 0] / radius
     bent = replace(flat, x=np.column_stack([radius * np.sin(angle), flat.x[:, 1], radius * np.cos(angle)]))
@@ -404,56 +389,51 @@ def test_a_window_and_the_picture(hung, tmp_path):
     assert points[:, 0].max() < 60.0
 
 
-def assert_one_sentence(result, words):
-    assert result.exit_code == 2, result.output
-    message = result.stderr.strip()
-    assert message.startswith("Error: ")
-    assert "\n" not in message
-    assert words in message
+def spoilt(change):
+    """A function that changes the mesh file of a folder, whose summary then tells no checksums."""
+
+    def spoil(folder):
+        data = meshio.read(folder / "curtain.vtu")
+        change(data)
+        data.write(folder / "curtain.vtu")
+        known = json.loads((folder / "summary.json").read_text())
+        (folder / "summary.json").write_text(json.dumps({key: known[key] for key in known if key != "files"}))
+
+    return spoil
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda data: data.cell_data.pop("E_11_12_22"), "E_11_12_22"),
-        (lambda data: data.cell_data["S_11_12_22_N_per_mm"][0].__setitem__((0, 0), np.nan), "S_11_12_22"),
-        (lambda data: data.points.__setitem__((0, 2), 1.0), "not plane"),
-        (lambda data: data.points.__setitem__(slice(None), 0.0), "no area"),
-    ],
+def told(text):
+    return lambda folder: (folder / "summary.json").write_text(text)
+
+
+BAD = (
+    (spoilt(lambda data: data.cell_data.pop("E_11_12_22")), "E_11_12_22"),
+    (spoilt(lambda data: data.cell_data["S_11_12_22_N_per_mm"][0].__setitem__((0, 0), np.nan)), "S_11_12_22"),
+    (spoilt(lambda data: data.points.__setitem__((0, 2), 1.0)), "not plane"),
+    (spoilt(lambda data: data.points.__setitem__(slice(None), 0.0)), "no area"),
+    (told("{"), "JSON"),
+    (told('{"hang_deg": 0, "rings": {"r1_mm": 5}}'), "does not tell r2_mm, b_x_mm, b_y_mm of the rings"),
+    (told('{"hang_deg": NaN, "rings": null}'), "hang_deg = nan: is not a finite number"),
+    (told('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 14.0}}'), "of no known weave"),
+    (lambda folder: (folder / "curtain.vtu").open("a").write("\n"), "does not belong to"),  # another run's
 )
-def test_a_bad_curtain_is_one_sentence(hung, tmp_path, change, words):
-    data = meshio.read(hung / "curtain.vtu")
-    change(data)
-    data.write(tmp_path / "curtain.vtu")
-    known = json.loads((hung / "summary.json").read_text())
-    (tmp_path / "summary.json").write_text(json.dumps({key: known[key] for key in known if key != "files"}))
-    assert_one_sentence(run(tmp_path, "--out", tmp_path / "rings"), words)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("{", "JSON"),
-        ('{"hang_deg": 0, "rings": {"r1_mm": 5}}', "does not tell r2_mm, b_x_mm, b_y_mm of the rings"),
-        ('{"hang_deg": NaN, "rings": null}', "hang_deg = nan: is not a finite number"),
-        ('{"hang_deg": 0, "rings": {"r1_mm": 5, "r2_mm": 0.5, "b_x_mm": 11.0, "b_y_mm": 14.0}}', "of no known weave"),
-    ],
-)
-def test_a_bad_summary_beside_the_curtain_is_one_sentence(hung, tmp_path, text, words):
-    (tmp_path / "curtain.vtu").write_bytes((hung / "curtain.vtu").read_bytes())
-    (tmp_path / "summary.json").write_text(text)
-    assert_one_sentence(run(tmp_path, "--out", tmp_path / "rings"), words)
-
-
-def test_a_curtain_of_another_run_is_not_taken_for_that_of_the_summary(hung, tmp_path):
+def copied(hung, folder):
     for name in ("curtain.vtu", "summary.json"):
-        (tmp_path / name).write_bytes((hung / name).read_bytes())
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert set(summary["files"]) >= {"curtain.vtu"}
-    vtu = tmp_path / "curtain.vtu"
-    vtu.write_text(vtu.read_text() + "\n")
-    words = "does not belong to"
-    assert_one_sentence(run(vtu, "--out", tmp_path / "rings", "--no-picture"), words)
+        (folder / name).write_bytes((hung / name).read_bytes())
+    return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.mark.parametrize(("spoil", "words"), BAD, ids=[words for _, words in BAD])
+def test_bad_files_are_one_sentence(hung, tmp_path, spoil, words):
+    copied(hung, tmp_path)
+    spoil(tmp_path)
+    result = run(tmp_path, "--out", tmp_path / "rings")
+    assert result.exit_code == 2, result.output
+    assert result.stderr.startswith("Error: ")
+    assert result.stderr.count("\n") == 1
+    assert words in result.stderr
     assert not (tmp_path / "rings").exists()
 
 
@@ -467,10 +447,7 @@ def test_line_loads_are_averaged_by_area():
 
 
 def test_rings_of_a_curtain_that_is_not_solved_say_so(hung, tmp_path):
-    for name in ("curtain.vtu", "summary.json"):
-        (tmp_path / name).write_bytes((hung / name).read_bytes())
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    (tmp_path / "summary.json").write_text(json.dumps(summary | {"status": "iterations"}))
+    (tmp_path / "summary.json").write_text(json.dumps(copied(hung, tmp_path) | {"status": "iterations"}))
     done = run(tmp_path, "--out", tmp_path / "rings", "--no-picture", "--window", "0,0,30,30")
     assert done.exit_code == 0, done.output
     assert "not solved: its status is iterations" in done.output

@@ -7,12 +7,11 @@ import pytest
 
 from homogenize.io import default_law
 from macro_fem.problem import gathered_start
-from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, mean_product, measure
-from macro_fem.solvers.cone_step import find_step, step_lengths
+from macro_fem.solvers.cone_program import Program, compliance_root, find_first_state, measure
+from macro_fem.solvers.cone_step import find_step
 from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, with_cuts
-from macro_fem.solvers.cutting_planes import find_nearest, join, widen
+from macro_fem.solvers.cutting_planes import find_nearest
 from macro_fem.solvers.options import PathOptions
 from rve.common.tensor import double_dot, trace
 from tests.test_macro_fem.sheets import posed
@@ -81,37 +80,6 @@ def test_what_is_missing_is_what_no_known_half_space_says(problem, rings):
     assert violated.any()
     assert found.is_missing[violated].all()
     assert np.allclose(found.violation, -slack / (h + 0.5 * (S[:, 0] + S[:, 2])))
-
-
-def test_joining_keeps_the_unknowns_and_the_central_path(problem, rings):
-    program, state, step, found = on_the_way(problem, rings)
-    into = join(program, state, found)
-    fresh = into.fresh
-    assert np.array_equal(into.program.cones.point[fresh], np.flatnonzero(found.is_missing))
-    assert np.array_equal(into.state.z, state.z)
-    old = np.setdiff1d(np.arange(len(into.order)), fresh)
-    assert np.array_equal(into.state.s.head[old], state.s.head)
-    assert np.array_equal(into.state.s.tail[old], state.s.tail)
-    assert min(into.state.s.margin().min(), into.state.y.margin().min()) > 0.0
-    # every point carries what it did, and all its dual vectors are lowered alike
-    before = program.cones.sum(state.y.head * program.c)
-    assert into.program.cones.sum(into.state.y.head * into.program.c) == pytest.approx(before, rel=1e-12)
-    factor = into.state.y.head[old] / state.y.head
-    assert into.state.y.tail[old] == pytest.approx(state.y.tail * factor[:, None], rel=1e-12)
-    product = soc.product(into.state.s, into.state.y)
-    lowered = np.ones(len(program.cones.first))
-    lowered[program.cones.point] = factor
-    mu = mean_product(program, state) * lowered[into.program.cones.point[fresh]]
-    assert product.head[fresh] == pytest.approx(mu, rel=1e-6)
-    assert np.abs(product.tail[fresh]).max() < 1e-6 * mu.max()
-    # inside the law before the step, so nothing is lifted: the residual of the cones stays what it was
-    assert measure(into.program, into.state).outside == pytest.approx(measure(program, state).outside, abs=1e-12)
-    shorter = widen(step, into)
-    assert shorter.primal < step.primal
-    assert min(step_lengths(into.program, into.state, shorter, 1.0)) >= min(shorter.primal, shorter.dual)
-    E = green_strain(problem.fem.gradient(state.z + shorter.primal * step.dz))
-    end = find_nearest(into.program, E, shorter.d_wanted)
-    assert end.violation[found.is_missing].max() < 0.0
 
 
 def test_the_path_takes_few_steps_though_the_law_has_thousands_of_half_spaces(problem, rings):

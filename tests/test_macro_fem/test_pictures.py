@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import macro_fem
-from macro_fem.cli import main
 from macro_fem.output.space_view import pulls
 from rve.common.errors import InputError
+from tests.films import film_of
 
 HAMMOCK = {
     "curtain": {"width": 240, "height": 300},
@@ -51,34 +50,13 @@ def test_a_page_of_a_curtain(hammock, plane, tmp_path):
         plane.write_html(tmp_path)
 
 
-def test_a_plane_scene_has_a_picture_and_a_film_with_a_frame_per_load_step(plane, tmp_path):
-    from PIL import Image
-
-    plane.save(tmp_path, animation=True)
+@pytest.mark.parametrize("kind", ["plane", pytest.param("hammock", marks=pytest.mark.slow)])
+def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path):
+    request.getfixturevalue(kind).save(tmp_path, animation=True)
     assert {"curtain.png", "curtain.gif", "summary.json"} <= {file.name for file in tmp_path.iterdir()}
-    with Image.open(tmp_path / "curtain.gif") as film:
-        assert (film.format, film.n_frames) == ("GIF", 2)
-        first = np.asarray(film.convert("RGB")).astype(int)
-        film.seek(1)
-        last = np.asarray(film.convert("RGB")).astype(int)
-    assert 1e-3 < (np.abs(first - last).max(axis=-1) > 40).mean() < 0.5
-
-
-@pytest.mark.slow
-def test_the_command_writes_picture_animation_and_page_in_space(tmp_path):
-    from PIL import Image
-
-    scene = '[curtain]\nwidth = 240\nheight = 300\n[mesh]\ncells = 6\n[load]\nsteps = 2\n[[support]]\nkind = "top"\n'
-    scene += '[[support]]\nkind = "edge"\nedge = "bottom"\nmove = [0, 260, 150]\n'
-    (tmp_path / "scene.toml").write_text(scene)
-    out = tmp_path / "out"
-    arguments = ["run", str(tmp_path / "scene.toml"), "--out", str(out), "--animation", "--html"]
-    done = CliRunner().invoke(main, arguments)
-    assert done.exit_code == 0, done.output
-    assert {"curtain.png", "curtain.gif", "curtain.html", "curtain.vtu"} <= {file.name for file in out.iterdir()}
-    assert np.asarray(Image.open(out / "curtain.png").convert("RGB")).std() > 10.0  # not empty
-    with Image.open(out / "curtain.gif") as film:
-        assert film.n_frames == 2
+    frames, changed = film_of(tmp_path / "curtain.gif")
+    assert frames == 2
+    assert 1e-3 < changed < 0.5
 
 
 def test_rings_of_a_curtain_in_space_are_those_of_its_files_and_lie_on_it(hammock, tmp_path):

@@ -205,11 +205,3 @@ def test_patch_in_every_locked_state(ring_like, state, element):
     scale = np.abs(solution.problem.force).sum() * 60.0
     assert abs(solution.primal - exact) < 1e-8 * scale
     assert np.abs(solution.F - F).max() < 1e-4
-
-
-def test_moved_supports_move_the_curtain(ring_like, scene_tables):
-    still = solve(scene_tables(support={"kind": "top", "gather": 0.9}), ring_like)
-    moved = solve(scene_tables(support={"kind": "top", "gather": 0.9, "move": [30.0, -7.0]}), ring_like)
-    assert moved.mean_height() == pytest.approx(still.mean_height() - 7.0, abs=1e-6)
-    shift = -(still.problem.force.sum(axis=0) @ np.array([30.0, -7.0]))
-    assert moved.primal == pytest.approx(still.primal + shift, abs=1e-8 * np.abs(still.problem.force).sum() * 100.0)

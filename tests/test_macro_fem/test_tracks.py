@@ -1,17 +1,12 @@
 """Curtains on tracks: places and lengths in closed form, what follows from what, and what is refused."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from homogenize.io import default_law
-from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.bounds.interval import bound
-from macro_fem.curtain import solve_problem, solve_scene
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.tracks import Track, track_curve, track_places
 from rve.common.errors import InputError
@@ -136,17 +131,6 @@ def test_bounds_of_a_curtain_on_an_arc_close(ring_like, scene_tables):
         assert bounds.status == "converged"
         gaps.append(bounds.gap / np.linalg.norm(solution.problem.force, axis=1).sum() / 100.0)
     assert 0.0 < gaps[1] < 0.8 * gaps[0]
-
-
-def test_bounds_are_found_with_a_runner_at_every_corner_of_a_coarse_mesh():
-    """Edges held where the coarse curtain is are out of reach around runners; at the slack start they are not."""
-    support = {"kind": "track", "radius": 60.0, "fullness": 1.5, "pitch": 25.0}
-    tables = {"curtain": {"width": 100.0, "height": 80.0}, "mesh": {"cells": 4}, "load": WIND, "support": support}
-    scene, law = read_scene(tables), default_law()
-    fine = solve_problem(make_problem(scene, law, build_mesh(replace(scene, mesh=replace(scene.mesh, cells=8)), None)))
-    bounds = bound(solve_problem(admissible_problem(scene, law, build_mesh(scene, law.cell))))
-    assert bounds.status == "converged"
-    assert bounds.lower < fine.primal
 
 
 @pytest.mark.parametrize("pitch", [None, 25.0])

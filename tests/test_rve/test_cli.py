@@ -67,10 +67,3 @@ def test_case_prints_json_and_draws(tmp_path):
     assert run("case", "--alpha", "0", "--beta", "45", "--plot", tmp_path / "bare").exit_code == 0
     assert (tmp_path / "bare").read_bytes()[:4] == b"\x89PNG"
     assert {path.name for path in tmp_path.iterdir()} == {"case.png", "bare"}
-
-
-def test_compressive_rows_stay_in_the_table(tmp_path):
-    result = run("table", "--out", tmp_path / "t.csv", "--alpha", "0", "--beta", "45,91")
-    assert result.exit_code == 0
-    assert pd.read_csv(tmp_path / "t.csv")["status"].tolist() == ["converged", "compressive"]
-    assert "1 rows compressive" in result.output

@@ -8,10 +8,10 @@ import pytest
 from rve.equilibrium.system import Equations
 from rve.explain import features
 from rve.geometry.cell import Cell
-from rve.geometry.contacts import unlisted_gap, unlisted_pairs, widened
+from rve.geometry.contacts import unlisted_gap
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import start_pose
-from rve.geometry.weave import FOUR_IN_ONE, supercell
+from rve.geometry.weave import FOUR_IN_ONE
 from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
 from rve.solve import solve_table
 
@@ -47,16 +47,6 @@ def test_limits_and_further_attempts_are_told():
     slow = solve_table(Cell(5.0, 0.25), ([45.0], [0.005]))
     assert slow.converged.all()
     assert said(slow)["attempts"]["used"]
-
-
-def test_every_pair_is_listed_once():
-    wide = widened(FOUR_IN_ONE)
-    names = {tuple(pair) for pair in wide.pairs.tolist()}
-    assert len(names) == len(wide.pairs) == 161
-    assert not names & {(b, a, -i, -j) for a, b, i, j in names}
-    assert set(map(tuple, FOUR_IN_ONE.pairs.tolist())) <= names
-    assert not len(unlisted_pairs(wide).pairs)
-    assert len(unlisted_pairs(supercell(FOUR_IN_ONE, 2, 2)).pairs)
 
 
 def test_the_gap_of_unlisted_pairs_is_a_bound():

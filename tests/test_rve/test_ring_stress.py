@@ -48,13 +48,6 @@ def test_the_inside_of_thick_wire_is_stressed_more():
     assert inside / straight == pytest.approx(1.0 + 0.75 * 0.16 + 0.625 * 0.16**2, rel=5e-3)
 
 
-def test_torsion_and_bending_combine_by_von_mises():
-    thin = (1e5, 1.0)
-    both = skin_stress(np.array([0, 0, 0, 0.0, 2.0, 3.0]), np.array(0.0), *thin)
-    sigma, tau = 3.0 * 4.0 / np.pi, 2.0 * 2.0 / np.pi
-    assert both == pytest.approx(np.sqrt(sigma**2 + 3.0 * tau**2), rel=1e-4)
-
-
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_the_peak_is_that_of_a_much_finer_search(seed):
     phi, forces = random_load(seed)

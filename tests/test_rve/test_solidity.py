@@ -28,12 +28,6 @@ def test_an_upright_ring_covers_a_stadium():
     assert shadow(one_ring(side, np.pi / 2), wire) == pytest.approx(exact, rel=1e-2)
 
 
-def test_rings_that_overlap_count_once():
-    """Two coaxial rings cast the shadow of one; a cell of two translated rings is two cells of one."""
-    two = Pose(np.array([[3.0, 3.0, 0.0]]), np.zeros((1, 2, 2)), np.array([[[0.0, 0.0, 1.0]] * 2]))
-    assert shadow(two, 0.2) == shadow(one_ring(3.0, 0.0), 0.2)
-
-
 @pytest.mark.parametrize("grain", ["x", "y"])
 def test_the_solidity_of_the_reference_cell_is_that_of_random_sight_lines(grain):
     """2,000 random lines of sight, each against every ring nearby as a curve in space."""

@@ -11,7 +11,6 @@ from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.more_columns import with_rings
-from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.table import read_table
 
@@ -33,14 +32,6 @@ def test_states_are_those_of_the_rows(table):
     np.testing.assert_allclose(part.pose.a1 * 5.0, table.x2_mm[good], atol=1e-12)
     np.testing.assert_allclose(part.contacts.min_gap * 5.0, table.quality.min_gap_mm[good], atol=1e-15)
     assert part.lam[~part.contacts.present].max() == 0.0
-
-
-def test_states_do_not_go_into_files(table, tmp_path):
-    table.save(tmp_path / "t.csv")
-    read = read_table(tmp_path / "t.csv")
-    assert read.states is None
-    with pytest.raises(InputError, match="no locked states to draw"):
-        draw_case(read)
 
 
 def test_rings_are_those_of_a_table_from_a_file(table, tmp_path):

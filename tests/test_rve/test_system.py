@@ -97,12 +97,6 @@ def test_conjugate_work_of_both_stresses():
     np.testing.assert_allclose((S * [1, 2, 1] * dE).sum(axis=1), work, atol=1e-8)
 
 
-def test_rotation_rule_holds():
-    rng = np.random.default_rng(4)
-    F = deformation_gradient(0.1 * rng.normal(size=(30, 3)))
-    np.testing.assert_allclose(F[:, 1, 0] / F[:, 0, 0], F[:, 0, 1] / F[:, 1, 1], atol=1e-14)
-
-
 def test_axes_of_the_load_are_exact():
     assert np.array_equal(cauchy_line_load([0, 90, 180], [0, 0, 0])[:, [0, 2]], [[1, 0], [0, 1], [1, 0]])
     one, other = cauchy_line_load([20.0], [35.0]), cauchy_line_load([110.0], [55.0])
