@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, count_of, outcomes
-from benchmarks.problems import Array, normality, square
+from benchmarks.problems import normality, square
 from homogenize import default_law
 from homogenize.laws.net import ring_net
 from homogenize.laws.polyhedral import PolyhedralLaw
@@ -18,12 +18,9 @@ from macro_fem.fem.hung_law import HungLaw
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from rve.directions import product
-from rve.equilibrium.interior_point import DirectOptions, solve_equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import Pose, moved, start_pose
 from rve.geometry.weave import FOUR_IN_ONE, SIX_IN_ONE, Weave
 from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions, solve
 from rve.solve import solve_table
@@ -47,7 +44,7 @@ RIMS = {
 }
 """beta for alpha over the full circle, at and near the boundary of the tensile cone."""
 OUTCOME, RISES = "outcome", "energy never rises"
-LATTICE, STATUS, HEIGHT = "difference of lattices, r1", "status or message", "mean height, mm"
+STATUS, HEIGHT = "status or message", "mean height, mm"
 FAR = 1e6
 NOISE = {"R": "at_most 1e-11", "overlap, mm": "at_most 1e-12", "iterations, median": ".0f"}
 
@@ -82,59 +79,6 @@ def random_rows(groups: int, each: int = 250) -> list[Row]:
         angles = rng.uniform(-180.0, 180.0, each), rng.uniform(0.0, 90.0, each)
         rows.append(table_row(f"{each} at random, r1/r2 = {ratio:.1f}", solve_table(Cell(R1, R1 / ratio), angles)))
     return rows
-
-
-def admissible(pose: Pose, gap: float = 0.0) -> Array:
-    """Which poses keep all links and every gap above `gap`, (n,)."""
-    contacts = find_contacts(pose, FOUR_IN_ONE, WIRE, 0.6)
-    return contacts.links_intact & (contacts.min_gap > gap)
-
-
-def squeezed(sense: float, gap: float) -> Pose:
-    """The slack cell closed (sense -1) or opened (+1) evenly in its plane until its least gap is `gap` r1."""
-    slack = start_pose(FOUR_IN_ONE, 1)
-
-    def pose(part: float) -> Pose:
-        f = 1.0 + sense * part
-        return Pose(slack.lattice * [f, f, 1.0], slack.centres * f, slack.normals)
-
-    low, high = 0.0, 1.0
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if admissible(pose(middle), gap)[0] else (low, middle)
-    return pose(low)
-
-
-def random_poses(count: int, seed: int = 7) -> Pose:
-    """Admissible poses, sides and centres moved by up to 0.3 r1 and rings tilted by up to 0.3."""
-    rng = np.random.default_rng(seed)
-    found = start_pose(FOUR_IN_ONE, 1)
-    while len(found.lattice) <= count:
-        shift = 0.3 * rng.uniform(-1.0, 1.0, (2 * count, 4 * FOUR_IN_ONE.classes + 1))
-        pose = moved(start_pose(FOUR_IN_ONE, 2 * count), shift)
-        found = found.join([pose.take(admissible(pose))])
-    return found.take(np.arange(1, count + 1))
-
-
-def start_row(name: str, start: Pose) -> Row:
-    """Starts, as many for each load of `UNIQUE` in turn: how far their locked lattices are from the default's."""
-    n = len(start.lattice) // len(UNIQUE)
-    s, equations = cauchy_line_load(*UNIQUE.T), Equations.of(FOUR_IN_ONE, WIRE)
-    found = solve_equilibrium(np.repeat(s, n, axis=0), equations, DirectOptions(), start)
-    truth = np.repeat(solve_equilibrium(s, equations).pose.lattice, n, axis=0)
-    apart = np.abs(found.pose.lattice - truth).max(axis=1)[found.status == "converged"]
-    return {"start": name, OUTCOME: outcomes(found.status), LATTICE: apart.max()}
-
-
-def start_rows(random: int) -> list[Row]:
-    """From nearly closed, nearly open and random poses."""
-    each = np.zeros(len(UNIQUE), int)
-    rows = [
-        start_row(f"nearly {name}, least gap {gap:.0e} r1", squeezed(sense, gap).take(each))
-        for name, sense in (("closed", -1.0), ("open", 1.0))
-        for gap in (1e-2, 1e-6, 1e-12)
-    ]
-    return [*rows, start_row("random poses", random_poses(random * len(UNIQUE)))]
 
 
 def ladders() -> Iterator[tuple[str, dict[str, float]]]:
@@ -235,11 +179,11 @@ def curtain_rows() -> list[Row]:
 
 
 def measure(full: bool) -> Section:
-    """All of it; `full` has four times as many random loads and starts."""
+    """All of it; `full` has four times as many random loads."""
     more = 4 if full else 1
     loads = [ratio_row(weave, ratio) for weave, ratios in RATIOS for ratio in ratios]
     loads += [rim_row(name, ratio) for name in RIMS for ratio in (5.0, 10.0, 50.0)] + random_rows(6 * more)
-    starts, curtains = start_rows(10 * more), curtain_rows()
+    curtains = curtain_rows()
     motions = [motion_row(*one, steps=200 * more) for one in ladders()]
     laws = [law_row(*one) for one in law_kinds().items()]
     text = (
@@ -252,7 +196,6 @@ def measure(full: bool) -> Section:
     conclusion = f"Loads that end otherwise than `converged`: {'; '.join(missed) or 'none'}. {good} curtains converge."
     tables = (
         table("Loads of cells", loads, NOISE),
-        table("Starts of cells, r1/r2 = 10, 7 loads", starts, {LATTICE: "at_most 1e-10"}),
         table("The paper's scheme, 6 loads", motions, {"largest R": ".0e", "steps, median": ".0f"}),
         table("Laws", laws, {"E - E* = A S": "at_most 1e-14"}),
         table("Curtains", curtains, {"unbalanced": "at_most 1e-12", HEIGHT: ".5g"}),

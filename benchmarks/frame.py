@@ -49,15 +49,13 @@ class Curve:
 
 @dataclass(frozen=True)
 class Diagram:
-    """Curves over logarithmic axes, or (`bars`) a bar from 1 for each x = 0, 1, 2... with the names in `ticks`."""
+    """Curves over logarithmic axes."""
 
     key: str
     title: str
     x_label: str
     y_label: str
     curves: tuple[Curve, ...]
-    bars: bool = False
-    ticks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,11 @@ def svg(diagram: Diagram) -> str:
     settings: dict[Any, Any] = {"svg.hashsalt": diagram.key, "svg.fonttype": "none", "font.size": 10}
     with plt.rc_context(settings):
         figure, ax = plt.subplots(figsize=(7.6, 4.6), layout="constrained")
-        (_bars if diagram.bars else _curves)(ax, diagram)
+        for i, curve in enumerate(diagram.curves):
+            x, y = np.array(curve.x, dtype=float), np.array(curve.y, dtype=float)
+            kept = np.isfinite(x) & np.isfinite(y) & (x > 0.0) & (y > 0.0)
+            look: Any = {"marker": MARKERS[i % len(MARKERS)], "color": COLOURS[i % len(COLOURS)], "label": curve.label}
+            ax.loglog(x[kept], y[kept], ms=6, lw=1.6, linestyle="-" if curve.joined else "none", **look)
         ax.set(xlabel=diagram.x_label, ylabel=diagram.y_label)
         ax.set_title(diagram.title, loc="left", fontsize=11)
         ax.set_axisbelow(True)
@@ -168,24 +170,6 @@ def svg(diagram: Diagram) -> str:
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
         plt.close(figure)
     return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
-
-
-def _curves(ax: Any, diagram: Diagram) -> None:
-    for i, curve in enumerate(diagram.curves):
-        x, y = np.array(curve.x, dtype=float), np.array(curve.y, dtype=float)
-        kept = np.isfinite(x) & np.isfinite(y) & (x > 0.0) & (y > 0.0)
-        line, marker, colour = "-" if curve.joined else "none", MARKERS[i % len(MARKERS)], COLOURS[i % len(COLOURS)]
-        ax.loglog(x[kept], y[kept], ms=6, lw=1.6, label=curve.label, linestyle=line, marker=marker, color=colour)
-
-
-def _bars(ax: Any, diagram: Diagram) -> None:
-    width = 0.8 / len(diagram.curves)
-    for i, curve in enumerate(diagram.curves):
-        places = np.array(curve.x, dtype=float) + (i - 0.5 * (len(diagram.curves) - 1)) * width
-        height = np.nan_to_num(np.array(curve.y, dtype=float), nan=1.0) - 1.0
-        ax.bar(places, height, width, bottom=1.0, color=COLOURS[i % len(COLOURS)], label=curve.label)
-    ax.set_yscale("log")
-    ax.set_xticks(range(len(diagram.ticks)), diagram.ticks)
 
 
 def machine() -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from benchmarks.frame import Diagram, Table, curves, table
+from benchmarks.frame import Table, table
 from benchmarks.measure import Row, at_most, count_of
 
 NOISE = 1e-14
@@ -41,15 +41,6 @@ def trial(
 def trial_table(title: str, trials: Sequence[Row]) -> Table:
     """The trials."""
     return table(title, trials, {"time without, s": ".3f", "time with, s": ".3f", RATIO: ".2f"})
-
-
-def bars(key: str, title: str, trials: Sequence[Row]) -> Diagram:
-    """Time with each feature over the time without, a bar for each scene."""
-    features = list(dict.fromkeys(row["feature"] for row in trials))
-    placed = [row | {"_place": features.index(row["feature"])} for row in trials]
-    ticks = tuple(feature.lstrip("-").replace("-", "-\n", 1).replace(" ", "\n") for feature in features)
-    drawn = curves(placed, "scene", "_place", RATIO)
-    return Diagram(key, title, "feature", "time with / time without", drawn, bars=True, ticks=ticks)
 
 
 def verdict(trials: Sequence[Row]) -> str:

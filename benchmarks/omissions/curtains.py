@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.frame import Section
 from benchmarks.measure import Row, least_seconds
-from benchmarks.omissions.compare import LEFT_OUT, USED, bars, trial, trial_table, verdict
+from benchmarks.omissions.compare import LEFT_OUT, USED, trial, trial_table, verdict
 from benchmarks.problems import square
 from homogenize.io import default_law
 from homogenize.laws.polyhedral import PolyhedralLaw
@@ -53,8 +53,7 @@ def measure(full: bool) -> Section:
         f"straight bars. `coarse-start`: a coarser curtain first, by default from {COARSE_FROM} points on."
     )
     tables = (trial_table("Features switched on in curtains", trials),)
-    diagram = bars("curtains", "Features that curtains leave out", trials)
-    return Section("Curtains", text, tables, (diagram,), verdict(trials))
+    return Section("Curtains", text, tables, (), verdict(trials))
 
 
 def problem_of(

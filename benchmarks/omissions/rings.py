@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, least_seconds
-from benchmarks.omissions.compare import LEFT_OUT, USED, bars, trial, trial_table, verdict
+from benchmarks.omissions.compare import LEFT_OUT, USED, trial, trial_table, verdict
 from benchmarks.omissions.motion import TOLERANCE
 from benchmarks.problems import Array, loads
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
@@ -48,8 +48,7 @@ def measure(full: bool) -> Section:
         trial_table("Features switched on in the direct solver", trials),
         table("What the solver met", met, {GAP: ".3f"}, met_note),
     )
-    diagram = bars("rings", "Features that locked rings leave out", trials)
-    return Section("Pairs and symmetry of rings", text, tables, (diagram,), verdict(trials))
+    return Section("Pairs and symmetry of rings", text, tables, (), verdict(trials))
 
 
 def solved(cell: Cell, s: Array, feature: str = "") -> Equilibrium:

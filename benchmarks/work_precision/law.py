@@ -30,7 +30,6 @@ LIMIT = 5e-3
 """Wanted error of a strain component."""
 KINDS = ("net", "inner", "outer", "refined")
 GRADED_RESOLUTION = 1e-5
-OFFSETS = (1e-4, 1e-3, 1e-2, 5e-2)
 POINTS = 50_000
 
 
@@ -166,19 +165,8 @@ def kind_table(rows: Sequence[Row], source: StrainTable, unseen: StrainTable) ->
     return table(title, rows, FORMS | {"us per point": ".2g"}, note)
 
 
-def speed_table(laws: dict[str, tuple[MembraneLaw, Array]]) -> Table:
-    """Million points per second of laws with strains of their tables, at distances from the surface."""
-    rows = [
-        {"offset beyond the surface": offset}
-        | {name: 1e-6 / seconds_per_point(law, E, offset) for name, (law, E) in laws.items()}
-        for offset in OFFSETS
-    ]
-    forms = {"offset beyond the surface": ".0e"} | dict.fromkeys(laws, ".2f")
-    return table("Response, million points per second", rows, forms)
-
-
 def measure(full: bool) -> Section:
-    """The section: spacing of the table, kinds of law, speed."""
+    """The section: spacing of the table, kinds of law."""
     unseen = unseen_directions(2000 if full else 600)
     steps = (15.0, 10.0, 5.0, 2.5) + (1.25,) * full
     uniform = {step: least_seconds(partial(solve_table, Cell(), loads(step)), long=0.0) for step in steps}
@@ -189,11 +177,7 @@ def measure(full: bool) -> Section:
     spaced = spacing_rows(named, unseen)
     plain = uniform[5.0][0]
     kinds = kind_rows(plain, graded[0], unseen)
-    laws = {
-        "refined, 5 degrees": (made(plain)[0], rows_from_table(plain).E),
-        "refined, graded": (made(graded[0], resolution=GRADED_RESOLUTION)[0], rows_from_table(graded[0]).E),
-    }
-    tables = (spacing_table(spaced), kind_table(kinds, plain, unseen), speed_table(laws))
+    tables = (spacing_table(spaced), kind_table(kinds, plain, unseen))
     text = (
         f"Laws from strain tables of r1/r2 = 10 against {len(unseen)} random directions that are in no fit, each "
         "solved by `rve`. h is the support function max S:E at unit trace of S (the work of a load), E the strain "
