@@ -85,7 +85,9 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
             f"the curtain at rest ended as {solution.status}, so that it has no modes: {solution.message}"
         )
     in_space = solution.problem.fem.d == 3
-    K, M, lumped, T = _in_space(solution) if in_space else _across(solution)
+    T = sparse.csc_matrix(solution.problem.fem.tied().tie) if in_space else _across(solution)
+    each = (sparse.kron(A, sparse.eye(3)) if in_space else A for A in _of_one_component(solution))
+    K, M, lumped = (sparse.csc_matrix(T.T @ A @ T) for A in each)
     n = M.shape[0]
     C = _constraints(solution, T) if in_space else sparse.csr_matrix((0, n))
     most = (n - C.shape[0]) // 2
@@ -114,11 +116,11 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     if not in_space:
         shapes = np.concatenate([np.zeros((*shapes.shape[:2], 2)), shapes], axis=2)
     shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
-    left_out = "motion of slack parts, and motion that " + (
-        "leaves the locked surface" if in_space else "stays in its plane"
+    left_out = (
+        f"motion of slack parts, and motion that {'leaves the locked surface' if in_space else 'stays in its plane'}"
     )
-    coarse = "; the mesh is too coarse for so many: the higher ones are its own, use more cells" if is_coarse else ""
-    return Modes(frequency, multiplicity, shapes, solution, left_out + coarse)
+    left_out += "; the mesh is too coarse for so many: the higher ones are its own, use more cells" if is_coarse else ""
+    return Modes(frequency, multiplicity, shapes, solution, left_out)
 
 
 def _distinct(square: Array, kept: np.ndarray) -> tuple[Array, np.ndarray, np.ndarray]:
@@ -129,27 +131,16 @@ def _distinct(square: Array, kept: np.ndarray) -> tuple[Array, np.ndarray, np.nd
     return frequency[first], which[first], np.diff(np.append(first, len(which)))
 
 
-def _across(solution: CurtainSolution) -> tuple[sparse.csc_matrix, ...]:
-    """Stiffness, consistent and lumped masses of motions across the plane; the matrix (n_nodes, n) from unknowns to
-    nodes."""
-    problem = solution.problem
-    fixed = np.asarray(problem.supports.mask.any(axis=1))
-    bars = problem.supports.bars
-    T = sparse.csc_matrix(sparse.eye(len(fixed)) if bars is None else bars)
-    moves = np.flatnonzero(~fixed & (np.diff(T.indptr) > 0))
-    T = T[:, moves]
-    return *(sparse.csc_matrix(T.T @ A @ T) for A in _scalar(solution)), T
+def _across(solution: CurtainSolution) -> sparse.csc_matrix:
+    """The matrix (n_nodes, n) from unknowns to nodes of motions across the plane."""
+    supports = solution.problem.supports
+    fixed = np.asarray(supports.mask.any(axis=1))
+    T = sparse.csc_matrix(sparse.eye(len(fixed)) if supports.bars is None else supports.bars)
+    return T[:, np.flatnonzero(~fixed & (np.diff(T.indptr) > 0))]
 
 
-def _in_space(solution: CurtainSolution) -> tuple[sparse.csc_matrix, ...]:
-    """Stiffness, consistent and lumped masses of motions in space; the matrix (3 n_nodes, n) from unknowns to nodes."""
-    problem = solution.problem
-    T = sparse.csc_matrix(problem.fem.tied().tie)
-    return *(sparse.csc_matrix(T.T @ sparse.kron(A, sparse.eye(3)) @ T) for A in _scalar(solution)), T
-
-
-def _scalar(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
-    """The geometric stiffness, N/mm, and both masses, N s2/mm, of one component (n_nodes, n_nodes)."""
+def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
+    """The geometric stiffness, N/mm, and consistent and lumped masses, N s2/mm, (n_nodes, n_nodes)."""
     problem, disc, S = solution.problem, solution.problem.disc, solution.S
     A = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)[:, None, :, None, :]
     pattern = sparsity(disc, 1, np.ones(disc.n_nodes, bool))

@@ -58,9 +58,23 @@ class EveryRingSolution(Solution):
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The numbers of summary.json: lengths in mm, forces in N; null for forces where there are none."""
-        rings, solution = self.scene, self.found
-        has_forces = bool(np.isfinite(solution.contacts.force).all())
-        largest = float(solution.contacts.force.max(initial=0.0)) if has_forces else math.nan
+        rings, solution, contacts = self.scene, self.found, self.found.contacts
+        has_forces = bool(np.isfinite(contacts.force).all())
+        largest = float(contacts.force.max(initial=0.0)) if has_forces else math.nan
+        supports = []
+        for name, held in rings.groups:
+            forces, places = solution.reaction[held], zip(rings.mesh.X[held], solution.centre[held], strict=True)
+            supports.append(
+                {
+                    "support": name,
+                    "force_N": or_none(forces.sum(axis=0)),
+                    "largest_nodal_force_N": or_none(np.linalg.norm(forces, axis=1).max(initial=0.0)),
+                    "points": [
+                        {"at_mm": X.tolist(), "force_N": or_none(force), "place_mm": x.tolist()}
+                        for force, (X, x) in zip(forces, places, strict=True)
+                    ],
+                }
+            )
         return {
             "status": solution.status,
             "message": solution.message,
@@ -70,29 +84,16 @@ class EveryRingSolution(Solution):
             "lowest_point_mm": float(solution.centre[:, 1].min()),
             "depth_mm": float(np.ptp(solution.centre[:, 2])),
             "potential_N_mm": solution.potential,
-            "min_gap_mm": solution.contacts.min_gap_mm,
+            "min_gap_mm": contacts.min_gap_mm,
             "notes": list(rings.notes),
             "links": len(rings.mesh.linked),
-            "links_intact": solution.contacts.links_intact,
+            "links_intact": contacts.links_intact,
             "kkt_residual": or_none(solution.kkt_residual),
             "way_left_mm": solution.way_left_mm,
-            "contacts": int((solution.contacts.force > 1e-6 * largest).sum()) if has_forces else None,
+            "contacts": int((contacts.force > 1e-6 * largest).sum()) if has_forces else None,
             "largest_contact_force_N": or_none(largest),
             "total_load_N": solution.load.sum(axis=0).tolist(),
-            "support_forces": [
-                {
-                    "support": name,
-                    "force_N": or_none(solution.reaction[held].sum(axis=0)),
-                    "largest_nodal_force_N": or_none(np.linalg.norm(solution.reaction[held], axis=1).max(initial=0.0)),
-                    "points": [
-                        {"at_mm": X.tolist(), "force_N": or_none(f), "place_mm": x.tolist()}
-                        for X, f, x in zip(
-                            rings.mesh.X[held], solution.reaction[held], solution.centre[held], strict=True
-                        )
-                    ],
-                }
-                for name, held in rings.groups
-            ],
+            "support_forces": supports,
             "safety_factor": None,
             "obstacles": [
                 {"obstacle": wall.name, "reaction_N": or_none(force)}

@@ -49,6 +49,14 @@ class WorstCell:
     forces: CellForces
     turn: Array
 
+    def table(self) -> str:
+        """Its contacts as CSV: rings, point, force, direction, in the axes of the curtain."""
+        names = ["a_class", "a_i", "a_j", "b_class", "b_i", "b_j", "x_mm", "y_mm", "z_mm", "force_N", "nx", "ny", "nz"]
+        one = self.forces
+        numbers = np.column_stack([one.point @ self.turn.T, one.force, one.normal @ self.turn.T])
+        pairs = zip(one.a.tolist(), one.b.tolist(), numbers, strict=True)
+        return csv_text(names, ([*a, *b, *(f"{x:.12g}" for x in row)] for a, b, row in pairs))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RingField:
@@ -184,7 +192,7 @@ class RingField:
         check_outputs(folder, inputs, picture=picture, html=html)
         with job(folder, RECORD, inputs) as staged:
             self.drawn.write_vtu(staged / "rings.vtu", self.data, tubes=tubes)
-            write_text(staged / "worst_cell.csv", forces_table(self.worst.forces, self.worst.turn))
+            write_text(staged / "worst_cell.csv", self.worst.table())
             write_text(staged / RECORD, json_text(self.summary))
             if stl:
                 self.drawn.write_stl(staged / "rings.stl")
@@ -231,11 +239,3 @@ class RingField:
     def _repr_html_(self) -> str:
         """What a notebook shows: the summary line, what the statuses mean, and the numbers that are single values."""
         return as_html(self, self.summary, (f"{name}: {text}" for name, text in self.summary["meanings"].items()))
-
-
-def forces_table(forces: CellForces, turn: Array) -> str:
-    """Contacts of one cell as CSV: rings, point, force, direction; turn (3, 3) leads into the axes of the curtain."""
-    names = ["a_class", "a_i", "a_j", "b_class", "b_i", "b_j", "x_mm", "y_mm", "z_mm", "force_N", "nx", "ny", "nz"]
-    columns = (forces.a, forces.b, forces.point @ turn.T, forces.force, forces.normal @ turn.T)
-    rows = zip(*columns, strict=True)
-    return csv_text(names, ([*a, *b, *(f"{x:.12g}" for x in (*at, force, *way))] for a, b, at, force, way in rows))

@@ -18,7 +18,7 @@ from macro_fem.motion.stage import let_go, scene_at
 from macro_fem.motion.step import Forces
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
-from macro_fem.scene.moving import Motion, Thrown
+from macro_fem.scene.moving import Thrown
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed, Wind
 from rve import FiniteOptions, FiniteSolution, ring_places, slack_rings, step_rings
@@ -83,9 +83,12 @@ def solve_ring_motion(scene: Scene, who: EveryRing | None = None) -> RingRun:
 
 def ring_frames(scene: Scene, who: EveryRing) -> Iterator[RingFrame]:
     """The frames of `solve_ring_motion`, each as soon as it is known; the first one is that at the start."""
-    motion = _checked(scene)
-    at_start = scene_at(scene, 0.0)
-    first = ring_scene(at_start, who.rings)
+    motion = motion_of(scene)
+    if scene.of(Thrown):
+        raise InputError(f"{scene.source}: [[body]]: every ring in motion meets floors and walls only, no bodies")
+    if any(wind.speed is not None for wind in scene.of(Wind)):
+        raise InputError(f"{scene.source}: [load.wind] speed: every ring in motion takes a pressure, no speed")
+    first = ring_scene(scene_at(scene, 0.0), who.rings)
     stage = RingStage(scene, first)
     after = JUST_AFTER * motion.duration  # supports that let go at t = 0 hold nothing then
     rings = _hung(first, who) if motion.start == "hung" else _slack(stage.at(after), who.space)
@@ -96,16 +99,6 @@ def ring_frames(scene: Scene, who: EveryRing) -> Iterator[RingFrame]:
     start = first_ring_frame(stage.at(0.0), rings).paced(Pace(first_step(motion)))
     size = float(np.hypot(*np.ptp(first.mesh.X, axis=0)))
     yield from stepped(motion, start, advance, size, f"{len(rings.centre)} rings")
-
-
-def _checked(scene: Scene) -> Motion:
-    """The motion of a scene; InputError for what rings in motion cannot be asked for."""
-    motion = motion_of(scene)
-    if scene.of(Thrown):
-        raise InputError(f"{scene.source}: [[body]]: every ring in motion meets floors and walls only, no bodies")
-    if any(wind.speed is not None for wind in scene.of(Wind)):
-        raise InputError(f"{scene.source}: [load.wind] speed: every ring in motion takes a pressure, no speed")
-    return motion
 
 
 def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
@@ -123,17 +116,17 @@ def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
 
 def _slack(asked: RingScene, space: bool) -> FiniteSolution:
     """The slack weave at rest; InputError where supports hold its rings elsewhere, or walls cut it."""
+    where = f"{asked.scene.source}: [motion] start = 'reference'"
     if asked.scene.in_space and not space:
         raise InputError(f"{asked.scene.source}: {asked.scene.space_reason}: centres cannot stay there")
-    rings, source = slack_rings(asked.mesh, space=space, walls=asked.walls), asked.scene.source
+    rings = slack_rings(asked.mesh, space=space, walls=asked.walls)
     away = float(np.abs(np.where(asked.held, asked.at - rings.centre, 0.0)).max(initial=0.0))
     if away > NEAR * asked.mesh.cell.r1:
         raise InputError(
-            f"{source}: [motion] start = 'reference': supports hold rings up to {away:.4g} mm from where they are in "
-            f"the slack weave; use 'hung'"
+            f"{where}: supports hold rings up to {away:.4g} mm from where they are in the slack weave; use 'hung'"
         )
     if rings.contacts.min_gap_mm <= 0.0:
-        raise InputError(f"{source}: [motion] start = 'reference': a floor or wall cuts the slack weave; move it away")
+        raise InputError(f"{where}: a floor or wall cuts the slack weave; move it away")
     return rings
 
 
