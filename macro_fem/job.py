@@ -163,11 +163,10 @@ def run_scene(
     solution. What a picture or solver needs, and what files would overwrite, is checked before anything is solved.
     """
     wanted, scene = Pictures(**files), load_scene(scene_path)
-    wanted.check(scene)
     known = on_demand.known if on_demand and isinstance(on_demand.known, Path) else None
     inputs = [scene_path, law_path, known, scene.mesh_file]
     check_out_job(out, RECORD, inputs=inputs)
-    wanted.check_paths(inputs)
+    wanted.check(scene, inputs)
     law = None if law_path is None else interval_or_law(law_path)
     with noted_if_stopped(f"what was in {out} before is unchanged"):
         found = solve(scene, law if on_demand is None else on_demand)
@@ -189,7 +188,7 @@ def run_rings(
     how: space and start of `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read, or
     makes no sense for rings.
     """
-    Pictures(picture, html=html, stem="rings").check_packages()
+    Pictures(picture, html=html, stem="rings").check()
     scene, inputs = load_scene(scene_path), [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
     law = default_law() if law_path is None else load_law(law_path)

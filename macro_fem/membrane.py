@@ -99,15 +99,14 @@ class MembraneSolution(Solution):
 
     def write_report(self, path: str | Path, inputs: Sequence[Path | None] = ()) -> None:
         """Write two pages of PDF: scene, shape, order, forces, factors, limits, checksums of `inputs` (matplotlib)."""
-        Pictures(report=Path(path)).check_paths(inputs)
-        require("matplotlib", "plots", "a report", "read summary.json")
+        Pictures(picture=False, report=Path(path)).check(inputs=inputs)
         from macro_fem.report import write_report
 
         write_report(path, self.loaded, self.summary, inputs)
 
     def write_dxf(self, path: str | Path) -> None:
         """Write the outline of the flat sheet as DXF, mm; InputError without ezdxf (extra `cad`)."""
-        Pictures(dxf=Path(path)).check_paths(())
+        Pictures(picture=False, dxf=Path(path)).check()
         write_outline(Path(path), self.solution.problem.mesh.mesh)
 
     def plot(self, ax: Axes | None = None) -> Axes:

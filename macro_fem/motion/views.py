@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -55,7 +57,7 @@ def chosen(frames: Sequence[F], most: int = MOST_SHOWN) -> list[F]:
 
 
 def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wanted: Pictures) -> None:
-    """Write the wanted pictures into `folder`."""
+    """Write the wanted pictures into `folder`; motion.mp4 beside motion.gif where ffmpeg is installed."""
 
     def told(most: int) -> Titled:
         return [(f"{one.moment.t:.3f} s", as_solution(run, one)) for one in chosen(frames, most)]
@@ -73,3 +75,7 @@ def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wan
         save_figure(folder / "motion.png", plots.side_by_side(told(PANELS)))
     if wanted.animation:
         write_animation(folder / "motion.gif", told(IMAGES))
+        if ffmpeg := shutil.which("ffmpeg"):
+            even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
+            words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")
+            subprocess.run(words, check=False)

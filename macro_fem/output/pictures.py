@@ -25,6 +25,8 @@ from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
 from rve.common.types import Array
 
+NO_GIF = "leave out --animation"
+
 
 @dataclass(frozen=True)
 class Pictures:
@@ -38,41 +40,33 @@ class Pictures:
     dxf: Path | None = None
     stem: str = "curtain"
 
-    def check_packages(self) -> None:
-        """InputError if a package is missing that pictures of every scene need."""
-        for name, instead in self._drawn():
-            require("matplotlib", "plots", name, instead)
+    def check(self, scene: Scene | None = None, inputs: Sequence[Path | None] = ()) -> None:
+        """InputError, before anything is solved, for a package that is missing, a file that cannot be written or would
+        overwrite one of `inputs`, and what makes no sense in this scene."""
+        for is_asked, ending, instead in (
+            (self.picture, "png", "ask for --no-picture"),
+            (self.animation, "gif", NO_GIF),
+        ):
+            if is_asked:
+                require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
+                if scene is not None and scene.in_space:
+                    check_render(f"{self.stem}.{ending}", instead)
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
-        if self.report is not None:
-            require("matplotlib", "plots", "--report", "leave it out")
-        if self.dxf is not None:
-            require("ezdxf", "cad", "--dxf", "leave it out")
-
-    def check_paths(self, inputs: Sequence[Path | None]) -> None:
-        """InputError for a report or outline that cannot be written, or would overwrite one of `inputs`."""
-        for option, path, ending in (("--report", self.report, ".pdf"), ("--dxf", self.dxf, ".dxf")):
+        if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
+            raise InputError(
+                f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}"
+            )
+        for option, path, ending, package, extra in (
+            ("--report", self.report, ".pdf", "matplotlib", "plots"),
+            ("--dxf", self.dxf, ".dxf", "ezdxf", "cad"),
+        ):
             if path is None:
                 continue
+            require(package, extra, option, "leave it out")
             check_out_file(path, option, inputs)
             if path.suffix.lower() != ending:
                 raise InputError(f"{option} = {path}: give a name that ends in {ending}")
-
-    def check(self, scene: Scene) -> None:
-        """InputError, before anything is solved, for what is missing or makes no sense in this scene."""
-        self.check_packages()
-        if self.animation and scene.load.steps < 2 and scene.motion is None:
-            raise InputError(
-                f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or leave out "
-                "--animation"
-            )
-        for name, instead in self._drawn() if scene.in_space else []:
-            check_render(name, instead)
-
-    def _drawn(self) -> list[tuple[str, str]]:
-        """Names of the wanted files, and what to do without each."""
-        asked = ((self.picture, "png", "ask for --no-picture"), (self.animation, "gif", "leave out --animation"))
-        return [(f"{self.stem}.{ending}", instead) for is_asked, ending, instead in asked if is_asked]
 
 
 def write_pictures(

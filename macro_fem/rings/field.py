@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
+from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain
 from macro_fem.rings.places import Rings
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
@@ -34,8 +35,7 @@ def check_outputs(folder: str | Path, inputs: Iterable[str | Path | None], *, pi
     """InputError if files cannot be written, or would overwrite `inputs`, or what a picture needs is missing."""
     if picture:
         check_render("rings.png")
-    if html:
-        check_page("rings.html", "leave out --html")
+    Pictures(picture=False, html=html, stem="rings").check()
     check_out_job(folder, RECORD, inputs=inputs)
 
 

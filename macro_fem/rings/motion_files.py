@@ -34,7 +34,7 @@ def run_ring_motion(
     how: space and start of `EveryRing`. InputError in one sentence, and nothing written, for what cannot be read or
     begin.
     """
-    Pictures(picture, html=html, stem="motion").check_packages()
+    Pictures(picture, html=html, stem="motion").check()
     scene, inputs = load_scene(scene_path), [scene_path, law_path]
     check_out_job(out, RECORD, inputs=inputs)
     run = solve_ring_motion(scene, EveryRing(default_law() if law_path is None else load_law(law_path), **how))
