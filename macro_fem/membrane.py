@@ -20,7 +20,7 @@ from macro_fem.output.intervals import bounds_summary, interval_summary
 from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
 from macro_fem.rings.curtain import curtain_of
 from macro_fem.rings.localize import localize
-from macro_fem.scene.meshing.dxf import write_outline
+from macro_fem.scene.meshing.mesh_files import write_outline
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution

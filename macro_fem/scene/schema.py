@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from macro_fem.scene import support_kinds, tracks
 from macro_fem.scene.checks import check_scene
-from macro_fem.scene.meshing.dxf import read_outline
+from macro_fem.scene.meshing.mesh_files import read_outline
 from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Shape

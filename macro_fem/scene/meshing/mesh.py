@@ -19,15 +19,23 @@ from homogenize import CellInfo
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges
 from macro_fem.scene.meshing.mesh_files import read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
-from macro_fem.scene.meshing.places import HookRow, hook_places, through, with_nodes_at
+from macro_fem.scene.meshing.places import hook_places, through, with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
-from macro_fem.scene.tables import PatchLoad
+from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common.errors import InputError
 from rve.common.types import Array
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""
+
+
+@dataclass(frozen=True, eq=False)
+class HookRow:
+    """The hooks of one support: their nodes (k,), and the pitch that fits the edge, mm."""
+
+    nodes: np.ndarray
+    pitch: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,37 +78,26 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     InputError if its outline or mesh file cannot be meshed, or a point lies off it or would need a flat cell.
     """
     mesh = _plain_mesh(scene, cell)
-    rows = _hook_rows(scene, mesh)
-    places, wheres = _wanted(scene, mesh, rows)
-    if not len(places):
-        return mesh
-    cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, places, wheres)
-    mesh = replace(mesh, mesh=cut, edges=edges)
-    ends = np.cumsum([0, *(len(row.places) for row in rows.values())])
-    parts = zip(rows.items(), ends, ends[1:], strict=False)
-    return replace(mesh, hooks={number: replace(row, nodes=nodes[a:b]) for (number, row), a, b in parts})
-
-
-def _hook_rows(scene: Scene, mesh: CurtainMesh) -> dict[int, HookRow]:
-    """The hooks of each support that has some, by its number, without their nodes; none where there is no top edge."""
-    if "top" not in mesh.edges:
-        return {}
-    pairs = mesh.mesh.facets[:, mesh.edges["top"]].T
-    return {
-        number: hook_places(mesh.mesh.p.T, pairs, item, f"{scene.source}: {item.where}")
-        for number, item in enumerate(scene.support)
-        if item.has_hooks
-    }
-
-
-def _wanted(scene: Scene, mesh: CurtainMesh, rows: dict[int, HookRow]) -> tuple[Array, list[str]]:
-    """Where nodes are needed (k, 2), and how each place is named in messages (k,)."""
-    hooks = [(f"[support] hook at [{x:g}, {y:g}]", (x, y)) for row in rows.values() for x, y in row.places]
-    longest = mesh.longest_side
+    rows: dict[int, tuple[Array, float]] = {}
+    for number, item in enumerate(scene.support):
+        if item.has_hooks and "top" in mesh.edges:
+            pairs = mesh.mesh.facets[:, mesh.edges["top"]].T
+            rows[number] = hook_places(mesh.mesh.p.T, pairs, item, f"{scene.source}: {item.where}")
     points = [(item.where, at) for item in scene.items for at in item.points]
-    points += [("[load.patch]", patch.at) for patch in scene.of(PatchLoad) if patch.radius < longest]
-    named = hooks + [(f"{what} at = {list(at)}", at) for what, at in points]
-    return np.array([at for _, at in named]).reshape(-1, 2), [f"{scene.source}: {what}" for what, _ in named]
+    points += [("[load.patch]", patch.at) for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
+    named: list[tuple[str, Vector]] = [
+        (f"[support] hook at [{x:g}, {y:g}]", (x, y)) for places, _ in rows.values() for x, y in places
+    ]
+    named += [(f"{what} at = {list(at)}", at) for what, at in points]
+    if not named:
+        return mesh
+    wheres = [f"{scene.source}: {what}" for what, _ in named]
+    cut, edges, nodes = with_nodes_at(mesh.mesh, mesh.edges, np.array([at for _, at in named]), wheres)
+    hooks, first = {}, 0
+    for number, (places, pitch) in rows.items():
+        hooks[number] = HookRow(nodes[first : first + len(places)], pitch)
+        first += len(places)
+    return replace(mesh, mesh=cut, edges=edges, hooks=hooks)
 
 
 def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:

@@ -1,4 +1,4 @@
-"""Meshes in files as plane sheets: their cells checked, their groups of lines as named edges."""
+"""Meshes in files as plane sheets, their groups of lines as named edges; outlines as DXF by ezdxf (extra `cad`)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import skfem
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross, signed_areas
-from macro_fem.scene.meshing.edges import facets_between, named_edges
+from macro_fem.scene.meshing.edges import boundary_loops, facets_between, named_edges
 from macro_fem.scene.meshing.places import least_sine
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
-from rve.common.errors import InputError, shown
+from rve.common.errors import InputError, require, shown
+from rve.common.files import atomic_path
 from rve.common.meshes import read_mesh_file
 from rve.common.types import Array
 
@@ -111,3 +112,39 @@ def _check_sides(mesh: Any) -> None:
         if off.min(initial=np.inf) < 1e-9 * length[side]:
             x, y = corners[near][off.argmin()]
             raise InputError(f"the point ({x:g}, {y:g}) lies on the side of a cell that it is no corner of")
+
+
+def read_outline(path: Path) -> dict[str, Any]:
+    """Keys `outline` and `holes` of a shape from the closed polylines of a DXF file in mm: the largest is the outline.
+
+    InputError where ezdxf is missing, for a file that is none, and where it has no closed polyline or arcs in one.
+    """
+    require("ezdxf", "cad", "a DXF outline", "give its corners as outline")
+    import ezdxf
+
+    try:
+        lines: Any = ezdxf.readfile(path).modelspace().query("LWPOLYLINE POLYLINE")
+    except (OSError, ezdxf.DXFError) as error:
+        raise InputError(f"{path}: cannot be read as DXF: {str(error).splitlines()[0]}") from error
+    closed = [line for line in lines if (line.closed if line.dxftype() == "LWPOLYLINE" else line.is_closed)]
+    if not closed or any(line.has_arc for line in closed):
+        raise InputError(f"{path}: needs closed polylines (LWPOLYLINE or POLYLINE) of straight sides, no arcs")
+    rings = [[(float(x), float(y)) for x, y, *_ in line.vertices_in_wcs()] for line in closed]
+    rings.sort(key=lambda ring: -abs(signed_areas(np.array(ring))))
+    return {"outline": rings[0], "holes": rings[1:]}
+
+
+def write_outline(path: Path, mesh: Any) -> None:
+    """Write the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
+    require("ezdxf", "cad", "--dxf", "leave it out")
+    import ezdxf
+    import ezdxf.units
+
+    document = ezdxf.new(units=ezdxf.units.MM)
+    document.layers.add("CURTAIN")
+    for loop in boundary_loops(mesh):
+        document.modelspace().add_lwpolyline(
+            mesh.p[:, loop.nodes].T.tolist(), close=True, dxfattribs={"layer": "CURTAIN"}
+        )
+    with atomic_path(path) as temporary:
+        document.saveas(temporary)

@@ -59,20 +59,11 @@ class _Change:
     sine: float
 
 
-@dataclass(frozen=True, eq=False)
-class HookRow:
-    """The hooks of one support: reference `places` (k, 2), the `pitch` that fits the edge, mm, and their nodes (k,)."""
+def hook_places(points: Array, pairs: np.ndarray, item: Support, where: str) -> tuple[Array, float]:
+    """Places (k, 2) of hooks on an edge of facets `pairs` (m, 2), even along each of its lines, and their pitch, mm.
 
-    places: Array
-    pitch: float
-    nodes: np.ndarray
-
-
-def hook_places(points: Array, pairs: np.ndarray, item: Support, where: str) -> HookRow:
-    """Hooks on an edge of facets `pairs` (m, 2): evenly spaced along each of its lines, with one at each end.
-
-    The spacing is the one nearest to the pitch that fits; that of the longest line is told. InputError if the pitch is
-    longer than the edge, or finer than its facets.
+    One is at each end. The pitch is the nearest one that fits, told for the longest line. InputError if it is longer
+    than the edge, or finer than its facets.
     """
     found, fitted = [], []
     pitch, count = getattr(item, "pitch", None), getattr(item, "count", None)
@@ -92,7 +83,7 @@ def hook_places(points: Array, pairs: np.ndarray, item: Support, where: str) -> 
         fitted.append((length, length / number))
         at = np.linspace(0.0, length, number + 1)[: number if is_closed else None]
         found.append(np.stack([np.interp(at, arc, line[:, 0]), np.interp(at, arc, line[:, 1])], axis=-1))
-    return HookRow(np.concatenate(found), max(fitted)[1], np.zeros(0, np.int64))
+    return np.concatenate(found), max(fitted)[1]
 
 
 def with_nodes_at(
