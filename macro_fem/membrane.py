@@ -14,9 +14,16 @@ from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.combinations import envelope, envelope_table
 from macro_fem.elastic_forces import with_forces
 from macro_fem.order import order
-from macro_fem.output.files import features, summarize, write_series, write_summary, write_vtu
+from macro_fem.output.files import (
+    bounds_summary,
+    features,
+    interval_summary,
+    summarize,
+    write_series,
+    write_summary,
+    write_vtu,
+)
 from macro_fem.output.forces import obstacle_summary
-from macro_fem.output.intervals import bounds_summary, interval_summary
 from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
 from macro_fem.rings.curtain import curtain_of
 from macro_fem.rings.localize import localize
