@@ -38,10 +38,16 @@ MATERIAL_NAMES = (
 )
 """The names in `rve.geometry.weave.WEAVES` and `rve.common.materials.MATERIALS`, not imported to print a help text."""
 
+FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+def _choice(name: str, *words: str, text: str) -> Any:
+    """An option for one of some words, by default the first."""
+    return click.option(name, type=click.Choice(words), default=words[0], show_default=True, help=text)
+
+
 explain_option = click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
-grain_option = click.option(
-    "--grain", type=click.Choice(["y", "x"]), default="y", show_default=True, help="Axis along which rings interlace."
-)
+grain_option = _choice("--grain", "y", "x", text="Axis along which rings interlace.")
 cell_options = options(
     click.option("--r1", type=float, default=5.0, show_default=True, help="Radius of a ring's centre circle in mm."),
     click.option("--r2", type=float, default=0.5, show_default=True, help="Radius of the wire in mm."),
@@ -51,34 +57,18 @@ cell_options = options(
     click.option("--poisson", type=float, help="Poisson's ratio, without unit; by default the material's."),
     click.option("--yield", type=float, help="Yield stress in N/mm2; by default the material's."),
     click.option("--ultimate", type=float, help="Ultimate stress in N/mm2; by default the material's."),
-    click.option("--weave", type=click.Choice(WEAVE_NAMES), default="4-in-1", show_default=True, help="Weave."),
+    _choice("--weave", *WEAVE_NAMES, text="Weave."),
     grain_option,
 )
 larger_options = options(
     click.option("--cells", default="1x1", show_default=True, help="Primitive cells that move independently, as 2x2."),
-    click.option(
-        "--centres",
-        type=click.Choice(["plane", "space"]),
-        default="plane",
-        show_default=True,
-        help="Where the centres of rings may be.",
-    ),
+    _choice("--centres", "plane", "space", text="Where the centres of rings may be."),
 )
+coexisting = "Where several locked states coexist: that of largest work, or the first from the slack pose."
+referred = "Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one."
 branch_options = options(
-    click.option(
-        "--branches",
-        type=click.Choice(["largest", "first"]),
-        default="largest",
-        show_default=True,
-        help="Where several locked states coexist: that of largest work, or the first from the slack pose.",
-    ),
-    click.option(
-        "--reference",
-        type=click.Choice(["side-by-side", "locked"]),
-        default="side-by-side",
-        show_default=True,
-        help="Cell that strains refer to under a pull along the grain: symmetric in the grain, or the longest one.",
-    ),
+    _choice("--branches", "largest", "first", text=coexisting),
+    _choice("--reference", "side-by-side", "locked", text=referred),
 )
 
 
@@ -131,16 +121,14 @@ def main() -> None:
 
 
 @main.command(epilog="Example: rve table --out table.csv --r1 6 --r2 0.6 --material 'titanium grade 2' --rings")
-@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="CSV file to write.")
+@click.option("--out", required=True, type=FILE, help="CSV file to write.")
 @click.option(
     "--alpha", help="Principal angles in degrees, FIRST:LAST:STEP or A,B,...  [default: 0:45:5; -40:45:5 if chiral]"
 )
 @click.option("--beta", help="Ratio angles in degrees, as --alpha.  [default: 0:90:5]")
 @click.option("--loads", type=click.Path(path_type=Path), help="CSV with alpha_deg, beta_deg instead of a grid.")
 @click.option("--graded", is_flag=True, help="403 directions, close where strains change fast, instead of a grid.")
-@click.option(
-    "--method", type=click.Choice(METHODS), default="direct", show_default=True, help="How locked states are found."
-)
+@_choice("--method", *METHODS, text="How locked states are found.")
 @click.option("--rings", is_flag=True, help="Add stiffness (dE/dS) and strength columns of the rings' own wire.")
 @click.option("--joint", help="With --rings: welded, butted:ANGLE (degrees from the grain) or butted:worst.")
 @explain_option
@@ -184,16 +172,15 @@ def table(
 
 def _say_of_table(found: Any, out: Path, method: str) -> None:
     """Rows by status, and what is particular about some."""
-    good = int(found.converged.sum())
     free = int((~found.unique & found.converged).sum())
-    say(f"{out}: {good} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
+    several = 0 if found.branch is None else int((found.branch != "slack").sum())
+    say(f"{out}: {found.converged.sum()} of {len(found)} rows converged in {found.provenance['wall_s']:.1f} s")
     if free:
         where = "the limit from inside the tensile cone" if method == "direct" else "where the motion has ended"
         say(f"{free} rows leave the strain free (unique = 0); their E is {where}")
-    several = 0 if found.branch is None else int((found.branch != "slack").sum())
     if several:
         say(f"{several} rows have several locked states; theirs is of largest work (column branch, JSON)")
-    if found.provenance.get("bound_note"):
+    if found.provenance["bound_note"]:
         say(found.provenance["bound_note"])
     for status in sorted(set(found.status) - {"converged"}):
         say(f"{(found.status == status).sum()} rows {status}: {SENTENCES[str(status)]}")
@@ -202,9 +189,9 @@ def _say_of_table(found: Any, out: Path, method: str) -> None:
 @main.command(epilog="Example: rve case --alpha 45 --beta 0 --plot case.png")
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write, PNG, SVG or PDF.")
-@click.option("--html", type=click.Path(dir_okay=False, path_type=Path), help="Page to write that turns in a browser.")
-@click.option("--animation", type=click.Path(dir_okay=False, path_type=Path), help="GIF to write: the cell locking.")
+@click.option("--plot", type=FILE, help="Picture to write, PNG, SVG or PDF.")
+@click.option("--html", type=FILE, help="Page to write that turns in a browser.")
+@click.option("--animation", type=FILE, help="GIF to write: the cell locking.")
 @explain_option
 @cell_options
 def case(

@@ -21,7 +21,7 @@ from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.locked_states import LockedStates
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.cell import Cell
-from rve.paper.stewart_trinkle import StewartTrinkleOptions, follow_motion
+from rve.paper.stewart_trinkle import CellMotion, StewartTrinkleOptions, solve
 from rve.table import StrainTable
 
 if TYPE_CHECKING:
@@ -202,10 +202,11 @@ def locking_motion(table: StrainTable) -> list[tuple[LockedStates, int]]:
     """
     states = locked_row(table)
     options = StewartTrinkleOptions(r1_mm=states.cell.r1, density=states.cell.density)
-    way = follow_motion(states.s, Equations.of(states.cell.weave, states.cell.wire), options)
-    if way[-1].R[0] >= options.tolerance:
+    way: list[CellMotion] = []
+    rest = solve(states.s, Equations.of(states.cell.weave, states.cell.wire), options, watch=way.append)
+    if rest.status[0] != "converged":
         raise NotConverged(
-            f"the motion of the paper's scheme has not come to rest in {len(way)} steps: R = {way[-1].R[0]:.1e}; "
+            f"the motion of the paper's scheme has not come to rest in {len(way)} steps: R = {rest.R[0]:.1e}; "
             "ask for --plot or --html, which show the locked cell of the direct solver"
         )
     places = [np.concatenate([*map(np.ravel, (m.pose.lattice, m.pose.centres, m.pose.normals))]) for m in way]

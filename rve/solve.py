@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -57,17 +56,13 @@ def locked_block(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectO
     return LockedStates(found, s, unique | ~tensile, replace(cell, weave=weave), options.reach)
 
 
-def locked_states(
-    alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions, progress: Callable[[int], None] | None = None
-) -> LockedStates:
+def locked_states(alpha_deg: Array, beta_deg: Array, cell: Cell, options: DirectOptions) -> LockedStates:
     """Locked states of any number of loads (n,), block by block."""
     blocks = []
     for first in range(0, len(alpha_deg), BLOCK):
         rows = slice(first, first + BLOCK)
         with part_of(f"{len(alpha_deg)} loads", first / len(alpha_deg), min(1.0, (first + BLOCK) / len(alpha_deg))):
             blocks.append(locked_block(alpha_deg[rows], beta_deg[rows], cell, options))
-        if progress is not None:
-            progress(len(blocks[-1].s))
     widest = max((states.cell for states in blocks), key=lambda cell: len(cell.weave.pairs))
     blocks = [states.listing(widest) for states in blocks]
     return blocks[0].join(blocks[1:])
@@ -132,18 +127,14 @@ def checked_angles(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> tuple[Array, Ar
 
 
 def solve_table(
-    cell: Cell,
-    loads: tuple[ArrayLike, ArrayLike] | None = None,
-    options: DirectOptions | None = None,
-    *,
-    progress: Callable[[int], None] | None = None,
+    cell: Cell, loads: tuple[ArrayLike, ArrayLike] | None = None, options: DirectOptions | None = None
 ) -> StrainTable:
     """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the direct solver.
 
     Without loads they are the grid of 5 degrees. The reference cell is the locked state under a pull along the grain;
     it is always solved and raises NotConverged if it fails. Where several locked states coexist, a row holds that of
     largest work (options.branches). Other rows that fail keep their status and have nan elsewhere. The table's `states`
-    are the locked states. `progress` is called with the number of rows done since the last call.
+    are the locked states.
 
     >>> print(solve_table(Cell(), ([0.0], [45.0])).x2_mm[0, 0].round(4))
     13.1163
@@ -156,7 +147,7 @@ def solve_table(
     began = time.perf_counter()
     alpha, beta = checked_angles(*loads)
     sides = reference_sides(cell, options)
-    states = locked_states(alpha, beta, cell, options, progress)
+    states = locked_states(alpha, beta, cell, options)
     record: dict[str, Any] = {"work": solver_work(states, cell)}
     if options.branches == "largest":
         table, record["branches"] = largest_table(alpha, beta, cell, states, options, sides)

@@ -158,13 +158,6 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPa
         )
 
 
-def _text(values: NDArray[Any]) -> list[str]:
-    """A column as cells of a CSV file; numbers in full, an unknown number is an empty cell."""
-    if values.dtype.kind != "f":
-        return [str(value) for value in values]
-    return [repr(float(value)) if np.isfinite(value) else "" for value in values]
-
-
 def write_table(table: StrainTable, path: AnyPath) -> None:
     """Write the CSV and its sidecar JSON, both or none; an unknown number is an empty cell.
 
@@ -174,8 +167,11 @@ def write_table(table: StrainTable, path: AnyPath) -> None:
     check_out_table(path, "table")
     target, sidecar = Path(path), sidecar_path(path)
     columns = table.columns()
+    numbers = [
+        np.where(np.isfinite(one), one.astype(object), "") if one.dtype.kind == "f" else one for one in columns.values()
+    ]
     with job(target.parent, sidecar.name, clears=False) as folder:
-        write_text(folder / target.name, csv_text([*columns], zip(*map(_text, columns.values()), strict=True)))
+        write_text(folder / target.name, csv_text([*columns], zip(*(one.tolist() for one in numbers), strict=True)))
         write_text(folder / sidecar.name, json_text({"format": TABLE_FORMAT} | table.provenance))
 
 

@@ -23,11 +23,10 @@ from rve.common.types import Array
 
 @dataclass(frozen=True)
 class ContactStep:
-    """Displacements w (n, m), contact forces lam (n, c) >= 0, Newton iterations (n,); whether converged (n,)."""
+    """Displacements w (n, m), contact forces lam (n, c) >= 0; whether converged (n,)."""
 
     w: Array
     lam: Array
-    iterations: NDArray[np.intp]
     converged: NDArray[np.bool_]
 
 
@@ -60,11 +59,8 @@ def solve_contact_step(programme: Programme, *, max_iterations: int = 60) -> Con
     >>> step.w, step.lam
     (array([[-0.5]]), array([[1.5]]))
     """
-    n, m = programme.b.shape
-    w = np.zeros((n, m))
-    iterations = np.zeros(n, dtype=int)
-    converged = np.zeros(n, dtype=bool)
-    todo = np.arange(n)
+    w, todo = np.zeros(programme.b.shape), np.arange(len(programme.b))
+    converged = np.zeros(len(todo), dtype=bool)
     for _ in range(max_iterations):
         part = programme.take(todo)
         # At the start nothing moves yet: what touches or penetrates works.
@@ -74,13 +70,12 @@ def solve_contact_step(programme: Programme, *, max_iterations: int = 60) -> Con
         H = part.A + np.matmul(Gt * kw[:, None, :], part.G)
         target = np.linalg.solve(H, (part.b - _times(Gt, kw * part.gap))[..., None])[..., 0]
         w[todo], settled = _searched(part, w[todo], target, working)
-        iterations[todo] += 1
         converged[todo[settled]] = True
         todo = todo[~settled]
         if not len(todo):
             break
     lam = np.maximum(-programme.k * (programme.gap + _times(programme.G, w)), 0.0)
-    return ContactStep(w, lam, iterations, converged)
+    return ContactStep(w, lam, converged)
 
 
 def _searched(

@@ -87,18 +87,13 @@ class Dynamics:
         decay = np.where(turns, turning, options.damping / (options.load * ring_mass))
         mass = ring_mass * equations.mass
         stiffness = options.stiffness / options.load * np.maximum(copies(equations.weave), 1)
-        maps = _ring_maps(equations.weave, size)
-        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, maps)
-
-
-def _ring_maps(weave: Weave, size: int) -> Array:
-    maps = np.zeros((len(weave.rings), 2, size))
-    for ring, (kind, i, j) in enumerate(weave.rings.tolist()):
+        maps = np.zeros((len(equations.weave.rings), 2, size))
+        kind, i, j = equations.weave.rings.T
+        own = np.flatnonzero(kind)
         for x in range(2):
-            maps[ring, x, x], maps[ring, x, 2 + x] = i, j
-            if kind > 0:
-                maps[ring, x, 2 + 2 * kind + x] = 1.0
-    return maps
+            maps[:, x, x], maps[:, x, 2 + x] = i, j
+            maps[own, x, 2 + 2 * kind[own] + x] = 1.0
+        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, maps)
 
 
 def largest_motion(v: Array, weave: Weave, dynamics: Dynamics) -> Array:

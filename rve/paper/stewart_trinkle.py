@@ -13,6 +13,7 @@ Options, units and matrices are in `rve.paper.dynamics`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,7 +28,7 @@ from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.distance import distance_gradient, distance_hessian
 from rve.geometry.pose import Pose, moved, reduction, ring_normals, start_pose
-from rve.paper.contact_qp import ContactStep, Programme, solve_contact_step
+from rve.paper.contact_qp import Programme, solve_contact_step
 from rve.paper.dynamics import (
     Dynamics,
     StewartTrinkleOptions,
@@ -165,18 +166,6 @@ def _freeze(motion: CellMotion, equations: Equations, dynamics: Dynamics, curvat
     return _Frozen(T, gap_gradients(motion.pose, con, equations), load, gap, k, total, bend)
 
 
-def _trial(motion: CellMotion, frozen: _Frozen, h: Array, dynamics: Dynamics) -> tuple[ContactStep, Array]:
-    """The solved quadratic programme of a step of length h (n,), and the ring velocities at its end."""
-    T, Tt = frozen.T, frozen.T.transpose(0, 2, 1)
-    hh = h[:, None, None]
-    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T)) + frozen.bend
-    force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
-    force[:, :4] += frozen.load
-    b = np.matmul(Tt, force[..., None])[..., 0]
-    step = solve_contact_step(Programme(A, b, frozen.G, frozen.gap, frozen.k))
-    return step, np.matmul(T, step.w[..., None])[..., 0] / h[:, None]
-
-
 def advanced(
     motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics
 ) -> tuple[CellMotion, Array, Array]:
@@ -211,7 +200,13 @@ def _tried(
     dynamics: Dynamics,
 ) -> tuple[CellMotion, Array, Flags]:
     """The motion after a step of length h (n,), the change of its energy, and whether the step may be accepted."""
-    step, v = _trial(motion, start, h, dynamics)
+    T, Tt, hh = start.T, start.T.transpose(0, 2, 1), h[:, None, None]
+    A = np.matmul(Tt, np.matmul(dynamics.mass / hh**2 + dynamics.damping / hh, T)) + start.bend
+    force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
+    force[:, :4] += start.load
+    b = np.matmul(Tt, force[..., None])[..., 0]
+    step = solve_contact_step(Programme(A, b, start.G, start.gap, start.k))
+    v = np.matmul(T, step.w[..., None])[..., 0] / h[:, None]
     pose = moved(motion.pose, step.w)
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     way = np.concatenate([pose.a1 - motion.pose.a1, pose.a2 - motion.pose.a2], axis=1)
@@ -236,12 +231,17 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Cel
 
 
 def solve(
-    s: Array, equations: Equations, options: StewartTrinkleOptions | None = None, *, history: bool = False
+    s: Array,
+    equations: Equations,
+    options: StewartTrinkleOptions | None = None,
+    *,
+    history: bool = False,
+    watch: Callable[[CellMotion], None] = lambda motion: None,
 ) -> Settled:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
 
     Starts at rest from the slack pose of the weave. Nothing is raised for a case that does not converge; its status is
-    "step-limit" or "time-step" and its pose the last one.
+    "step-limit" or "time-step" and its pose the last one. `watch` is given the start and the motion after every step.
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
@@ -253,11 +253,13 @@ def solve(
     dynamics, motion = Dynamics.of(equations, options), begin(s, equations, options)
     ended: list[CellMotion] = []
     log: list[tuple[Any, ...]] = []
+    watch(motion)
     while len(motion.row):
         # The residual falls by powers of ten on the way to rest, and the slowest case counts.
         here = way(1.0, float(motion.R.max()), options.tolerance) or 0.0
         tell(f"motion of {len(s)} cells, {len(motion.row)} under way", 1.0 - (1.0 - here) * len(motion.row) / len(s))
         motion, h, rise = advanced(motion, equations, options, dynamics)
+        watch(motion)
         if history:
             kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
             side = (motion.lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))
@@ -271,24 +273,3 @@ def solve(
     status = np.where(options.tolerance > end.R, "converged", np.where(end.h == 0.0, "time-step", "step-limit"))
     columns = (end.pose, end.contacts, end.lam, end.R, end.steps, end.rejected, end.time, status.astype("<U16"))
     return Settled(*columns, History(*map(np.concatenate, zip(*log, strict=True))) if history else None)
-
-
-def follow_motion(s: Array, equations: Equations, options: StewartTrinkleOptions | None = None) -> list[CellMotion]:
-    """The motion of one case under the Cauchy line load s (1, 3): its start, then every accepted step.
-
-    The last has R below the tolerance if the rings have come to rest within the steps that the options allow.
-
-    >>> from rve.geometry.weave import FOUR_IN_ONE
-    >>> way = follow_motion(np.array([[0.0, 0.0, 1.0]]), Equations.of(FOUR_IN_ONE, 0.1))
-    >>> (5 * way[-1].pose.lattice[0, :2]).round(3), bool(way[-1].R[0] < 1e-9)
-    (array([11.   , 12.646]), True)
-    """
-    options = options or StewartTrinkleOptions()
-    dynamics, way = Dynamics.of(equations, options), [begin(s, equations, options)]
-    while way[-1].R[0] >= options.tolerance and way[-1].steps[0] < options.max_steps:
-        motion, h, _ = advanced(way[-1], equations, options, dynamics)
-        if h[0] == 0.0:
-            break
-        way.append(motion)
-        tell(f"motion of the cell, step {motion.steps[0]}")
-    return way

@@ -14,10 +14,8 @@ ALPHA, BETA = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0
 
 def test_a_table_in_blocks_is_that_of_its_rows(monkeypatch):
     alone = [solve_table(Cell(), ([a], [b])) for a, b in zip(ALPHA, BETA, strict=True)]
-    seen = []
     monkeypatch.setattr(sweep, "BLOCK", 2)
-    table = solve_table(Cell(), (ALPHA, BETA), progress=seen.append)
-    assert seen == [2, 2, 1]
+    table = solve_table(Cell(), (ALPHA, BETA))
     assert len(table.E) == 5
     np.testing.assert_allclose(table.E, np.vstack([one.E for one in alone]), atol=1e-9)
     np.testing.assert_allclose(table.alpha_deg, ALPHA)
