@@ -25,8 +25,8 @@ support = {kind = "top", gather = 1.9} -> farther apart
 support = {kind = "hooks", pitch = 500.0} -> pitch = 500
 support = {kind = "hooks", pitch = 50.0, capacity = true} -> capacity = True
 support = {kind = "hooks", pitch = 25, sliding = true, gather = 0.8} -> gather = 0.8: has no effect on hooks
-support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: must have at most 3 entries
-support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: must have 2 entries
+support = {kind = "top", move = [1, 2, 3, 4]} -> (top) move = [1, 2, 3, 4]: expected a list of length <= 3
+support = {kind = "point", at = [0, 1, 2]} -> at = [0, 1, 2]: expected a list of length 2
 support = {kind = "edge", edge = "top", held = "zx"} -> held = 'zx': is not one of both, x, y, z, xy, xz, yz
 support = {kind = "edge", edge = "top", held = "z"} -> held = 'z': holds nothing, as the scene lies in the plane
 support = {kind = "edge", edge = "top", held = "xy", move = [0, 0, 1]} -> has no effect along z, as held = 'xy'
@@ -52,7 +52,7 @@ support.kind = "rail"; load.edge = {edge = "bottom", force = [0.1, 0.0]} -> noth
 support = [{kind = "top"}, {kind = "point", at = [0, 100], move = [5, 0]}] -> the point (0, 100) at different places
 combination = [{name = "a", wind = 1.5}] -> wind: has no effect, as the scene has no [load.wind]
 combination = [{name = "a"}, {name = "a"}] -> a: is the name of two combinations
-combination = [{name = "a", bar = -1}] -> [combination] bar = -1: must be at least 0
+combination = [{name = "a", bar = -1}] -> [combination] bar = -1: expected a number >= 0
 combination = [{bar = 1}] -> [combination] name: is missing
 combination = [{name = "a", weigth = 1}] -> did you mean weight?
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
@@ -80,7 +80,7 @@ start = {origin = [0, 0, 0]} -> [start]: has no effect without bodies
 material.poisson = 0.4 -> poisson = 0.4: is that of the law's table, 0.3
 material.colour = 1 -> colour = 1: unknown key; known are material, density
 material = {yield = 400.0, ultimate = 300.0} -> [material] ultimate = 300: is less than the yield stress, 400
-material.young = 210.0 -> [material] young = 210.0: must be at least 500
+material.young = 210.0 -> [material] young = 210.0: expected a number >= 500
 curtain = {width = 3.0, height = 2.5} -> [curtain] width = 3: is less than
 curtain.height = 2.5 -> lengths are in mm, did you mean 2500?
 curtain = {shape = "disk", radius = 1.2} -> radius = 1.2: is less than the diameter of a ring, 10 mm

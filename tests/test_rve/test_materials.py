@@ -33,7 +33,7 @@ def test_given_values_replace_those_of_the_named_material():
     ("given", "message"),
     [
         ({"material": "mithril"}, "known are steel"),
-        ({"young": 210.0}, "young = 210.0: must be at least 500"),  # GPa
+        ({"young": 210.0}, "young = 210.0: expected a number >= 500"),  # GPa
         ({"yield": 400.0, "ultimate": 300.0}, "^ultimate = 300: is less than the yield stress, 400"),
         ({"ultimate": 100.0}, "^(--)?ultimate = 100: is less than the yield stress, 235"),
     ],

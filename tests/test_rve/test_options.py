@@ -20,9 +20,9 @@ from rve.paper.dynamics import StewartTrinkleOptions
 @pytest.mark.parametrize(
     ("kind", "given", "words"),
     [
-        (DirectOptions, {"shrink": 5}, "shrink = 5: must be at most 0.99"),
-        (DirectOptions, {"tolerance": -1}, "tolerance = -1: must be greater than 0"),
-        (StewartTrinkleOptions, {"curvature": 1}, "curvature = 1: is not true or false"),
+        (DirectOptions, {"shrink": 5}, "shrink = 5: expected a number <= 0.99"),
+        (DirectOptions, {"tolerance": -1}, "tolerance = -1: expected a number > 0"),
+        (StewartTrinkleOptions, {"curvature": 1}, "curvature = 1: expected true or false"),
     ],
 )
 def test_options_are_refused_in_one_sentence(kind, given, words):
