@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 A4 = (8.27, 11.69)
-WIDTH = 108
+WIDTH = 105
 """Characters of a line."""
 MOST_ROWS = 22
 """Most points in the table of forces: those with the largest ones."""
@@ -61,7 +61,7 @@ def write_report(
     _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
     second, y = _page(name, 2), 0.93
     for title, lines in _sections(summary, [one for one in inputs if one is not None]):
-        y = _section(second, y, title, lines)
+        y = _section(second, y, title, lines, is_table="place in the flat sheet" in title)
     told = {"Title": f"Curtain of ring mesh: {name}", "Creator": "macro_fem", "CreationDate": None}
     with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
         file.savefig(first)
@@ -77,13 +77,16 @@ def _page(name: str, number: int) -> Figure:
     return figure
 
 
-def _section(page: Figure, y: float, title: str, lines: Iterable[str], colour: str = "#111111") -> float:
+def _section(
+    page: Figure, y: float, title: str, lines: Iterable[str], colour: str = "#111111", is_table: bool = False
+) -> float:
     """A title and lines of text below the height `y`; the height below them."""
     head = textwrap.wrap(title, 90)
     page.text(0.08, y, "\n".join(head), size=10, weight="bold", va="top", color=colour, linespacing=1.25)
     y -= 0.006 + 0.0148 * len(head)
     text = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="    ")]
-    page.text(0.08, y, "\n".join(text), size=7, family="monospace", va="top", linespacing=1.25)
+    family = "monospace" if is_table else "sans-serif"
+    page.text(0.08, y, "\n".join(text), size=7.5, family=family, va="top", linespacing=1.25)
     return y - 0.0128 * len(text) - 0.01
 
 
@@ -130,13 +133,18 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
     size = max(x1 - x0, y1 - y0)
     off = 0.06 * size
-    for start, end, length, turn in (
-        ((x0, y0 - off), (x1, y0 - off), x1 - x0, 0),
-        ((x1 + off, y0), (x1 + off, y1), y1 - y0, 90),
-    ):
-        ax.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.8})
+    spans = (
+        ((x0, y0 - off), (x1, y0 - off), f"{x1 - x0:g} mm", 0),
+        ((x1 + off, y0), (x1 + off, y1), f"{y1 - y0:g} mm", 90),
+    )
+    for start, end, told, turn in spans:
+        ax.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
         x, y = 0.5 * np.add(start, end)
-        ax.text(x, y, f"{length:g} mm", ha="center", va="center", rotation=turn, size=8, backgroundcolor="white")
+        ax.text(x, y, told, ha="center", va="center", rotation=turn, size=8, backgroundcolor="white")
+    for row in solution.problem.mesh.hooks.values():
+        first, (x, y) = np.add(row.places[:2], [0.0, 0.6 * off])
+        ax.annotate("", first, (x, y), arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
+        ax.text(x + 0.2 * off, y, f"{len(row.places)} points, {row.pitch:g} mm apart", va="center", size=8)
     forces: tuple[PointLoad | PatchLoad, ...] = (*scene.of(PointLoad), *scene.of(PatchLoad))
     for one in forces:
         way = np.array(one.force[:2]) / (np.linalg.norm(one.force) or 1.0) * 0.1 * size
@@ -146,6 +154,6 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     loads += [f"wind of {value:g} {unit}" for value, unit in winds]
     loads += [f"{list(one.force)} N at {list(one.at)}" for one in forces]
     loads += [f"{list(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
-    ax.text(0.0, 1.02, "Flat sheet, mm. " + ", ".join(loads), transform=ax.transAxes, size=8, wrap=True)
-    ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 0.5 * off), aspect="equal")
+    ax.text(0.0, 1.04, "Flat sheet, mm. " + ", ".join(loads), transform=ax.transAxes, size=8, wrap=True)
+    ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 1.8 * off), aspect="equal")
     ax.axis("off")
