@@ -211,6 +211,17 @@ def corner_positions(solution: CurtainSolution) -> Array:
     return mean_at_corners(mesh.t.T, at_corners)
 
 
+def cell_fields(solution: CurtainSolution) -> dict[str, Array]:
+    """Strain, line load, largest principal line load and state of the cells, by their names in curtain.vtu."""
+    disc = solution.problem.disc
+    return {
+        STRAIN: disc.cell_mean(solution.E),
+        STRESS: disc.cell_mean(solution.S),
+        LINE_LOAD_1: solution.principal()[0][:, 0],
+        STATE: solution.state(),
+    }
+
+
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
     """The curtain as VTU: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
@@ -222,18 +233,12 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
 
     mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
-    F = disc.cell_mean(solution.F)
-    in_space = np.einsum("cij,cj->ci", F, direction)
     used = strength.utilisation(solution)
-    cell_data: dict[str, Sequence[Array]] = {
-        STRAIN: [disc.cell_mean(solution.E)],
-        STRESS: [disc.cell_mean(solution.S)],
-        LINE_LOAD_1: [values[:, 0]],
-        LINE_LOAD_2: [values[:, 1]],
-        DIRECTION_1: [padded(in_space)],
-        STATE: [solution.state().astype(float)],
-        **({} if used is None else {"utilisation": [used]}),
-        **{name: [np.asarray(data)] for name, data in (extra or {}).items()},
+    data = cell_fields(solution) | {
+        LINE_LOAD_2: values[:, 1],
+        DIRECTION_1: padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
+        **({} if used is None else {"utilisation": used}),
+        **(extra or {}),
     }
     point_data = {
         DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
@@ -242,7 +247,8 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
     if solution.problem.walls is not None:
         point_data["obstacle_force_N"] = padded(corner_forces(solution.problem, solution.pushes))
     cells = [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))]
-    write_mesh_file(path, meshio.Mesh(padded(mesh.p.T), cells, point_data, cell_data))
+    each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}
+    write_mesh_file(path, meshio.Mesh(padded(mesh.p.T), cells, point_data, each))
 
 
 def corner_forces(problem: CurtainProblem, forces: Array) -> Array:

@@ -167,9 +167,8 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     share = np.sqrt(np.minimum(values[cells, 0] / scale.top, 1.0))
     centre = corner_positions(solution)[:, :2][mesh.t.T[cells]].mean(axis=1)
     half = 0.01 * solution.problem.mesh.size * along * share[:, None]
-    strokes = list(np.stack([centre - half, centre + half], axis=1))
     tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
-    ax.add_collection(LineCollection(strokes, colors=tones, linewidths=0.8))
+    ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))
     ax.plot([], [], color="black", lw=1.2, label="direction of this load")
 
 

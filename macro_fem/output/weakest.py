@@ -20,14 +20,7 @@ class Link(NamedTuple):
 
 
 def weakest(summary: dict[str, Any]) -> dict[str, Any]:
-    """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded.
-
-    >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
-    >>> known = {"utilisation_of_averages_max": 0.2, "utilisation_of_point_forces_max": 0.0}
-    >>> ring = {"utilisation_of_hook_rings_max": 0.4, "ring_at_hook": "ring at hook 3"}
-    >>> weakest({"support_forces": [hooks], **known, **ring})
-    {'weakest': 'ring at hook 3', 'weakest_factor': 2.5}
-    """
+    """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded."""
     least = min(links(summary), default=None)
     return {"weakest": least.name if least else None, "weakest_factor": least.factor if least else None}
 

@@ -14,7 +14,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import as_triangles, counterclockwise, padded, recovered, triangle_areas
-from macro_fem.output.files import corner_positions
+from macro_fem.output.files import cell_fields, corner_positions
 from macro_fem.solution import CurtainSolution
 from rve import Cell, cell_of_sides
 from rve.common.errors import InputError
@@ -118,16 +118,9 @@ def curtain_of_cells(
 
 def curtain_of(solution: CurtainSolution, summary: dict[str, Any]) -> Curtain:
     """The curtain of an answer in memory, without files: what curtain.vtu and summary.json hold."""
-    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
-    data = {
-        STRAIN: disc.cell_mean(solution.E),
-        STRESS: disc.cell_mean(solution.S),
-        LINE_LOAD_1: solution.principal()[0][:, 0],
-        STATE: solution.state(),
-    }
-    cells = counterclockwise(mesh.p.T, mesh.t.T)
-    told = read_told(summary, "the curtain's summary")
-    return curtain_of_cells(mesh.p.T, corner_positions(solution), cells, data, told, "a curtain in memory")
+    mesh, source = solution.problem.mesh.mesh, "a curtain in memory"
+    cells, told = counterclockwise(mesh.p.T, mesh.t.T), read_told(summary, "the curtain's summary")
+    return curtain_of_cells(mesh.p.T, corner_positions(solution), cells, cell_fields(solution), told, source)
 
 
 def curtain_file(path: str | Path) -> Path:
