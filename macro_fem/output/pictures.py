@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from macro_fem.output import plots
-from macro_fem.output.space_view import Titled, draw_curtain, drawn, note, title
+from macro_fem.output.space_view import Titled, draw_curtain, drawn, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.page import check_page, write_page
@@ -82,7 +82,7 @@ def write_pictures(
         for panel, direction in enumerate((FRONT, THREE_QUARTERS)):
             plotter.subplot(0, panel)
             draw_curtain(last, plotter, direction=direction)
-        save_picture(picture, plotter, title(last), note(last))
+        save_picture(picture, plotter, title(last))
     elif wanted.picture:
         save_figure(picture, plots.panels(last, error))
     if wanted.animation:
@@ -93,11 +93,10 @@ def write_pictures(
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     """Write the curtain in space as one HTML file that turns in a browser; InputError if plotly is missing."""
     check_page(str(path))
-    write_page(path, draw_curtain(solution), f"{title(solution)}\n{note(solution)}".strip())
+    write_page(path, draw_curtain(solution), title(solution))
 
 
 def write_animation(path: Path, steps: Titled) -> None:
     """Write the curtain at each step as GIF, with one scale of colours and one camera."""
-    solution = steps[0][1]
-    in_space, words = solution.problem.scene.in_space, note(solution)
-    save_animation(path, (compose(one, head, words) for head, one in drawn(steps)) if in_space else plots.frames(steps))
+    in_space = steps[0][1].problem.scene.in_space
+    save_animation(path, (compose(one, words) for words, one in drawn(steps)) if in_space else plots.frames(steps))

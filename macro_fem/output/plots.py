@@ -56,37 +56,24 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_states(solution: CurtainSolution, ax: Axes) -> Axes:
-    """Where the curtain is slack, drawn in one direction (it would wrinkle) or taut in both."""
+def panels(solution: CurtainSolution, error: Array | None = None) -> Figure:
+    """Line loads with directions, the states (slack, drawn in one direction where it would wrinkle, taut in both), and
+    the density (n_cells,) of the gap between the bounds if there is one, over four decades."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    _colour(solution, solution.state().astype(float), ax, cmap=ListedColormap(STATE_COLOURS), vmin=0.0, vmax=2.0)
-    _legend(ax, [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)])
-    return ax
-
-
-def plot_error(solution: CurtainSolution, density: Array, ax: Axes) -> Axes:
-    """Where the gap between the bounds comes from: its density (n_cells,) over four decades."""
-    largest = float(density.max(initial=0.0))
-    top = rounded_up(largest)
-    ax = _plot_field(
-        solution, density, Scale("gap between the bounds, N mm per mm2", 1e-4 * top, top, largest, "log"), ax
-    )
-    ax.set_title("where the bounds differ", fontsize=11)
-    return ax
-
-
-def panels(solution: CurtainSolution, error: Array | None = None) -> Figure:
-    """Line loads with directions beside the states, and the error map if there is one."""
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
     count = 2 if error is None else 3
     figure = new_figure(5.2 * count, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
     axes = figure.subplots(1, count)
     plot_line_loads(solution, axes[0])
-    plot_states(solution, axes[1])
+    _colour(solution, solution.state(), axes[1], cmap=ListedColormap(STATE_COLOURS), vmin=0.0, vmax=2.0)
+    _legend(axes[1], [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)])
     if error is not None:
-        plot_error(solution, error, axes[2])
+        largest = float(error.max(initial=0.0))
+        top = rounded_up(largest)
+        scale = Scale("gap between the bounds, N mm per mm2", 1e-4 * top, top, largest, "log")
+        _plot_field(solution, error, scale, axes[2]).set_title("where the bounds differ", fontsize=11)
     return figure
 
 

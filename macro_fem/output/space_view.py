@@ -115,12 +115,6 @@ def title(solution: CurtainSolution) -> str:
     return f"total load {load:.4g} N, {height}"
 
 
-def note(solution: CurtainSolution) -> str:
-    """What a reader must know besides."""
-    has_floor = any(isinstance(item, Floor) for item in solution.problem.scene.obstacle)
-    return "" if has_floor else "the ground is drawn a little below the lowest point"
-
-
 def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     """The deformed curtain with the largest principal line load at its corners."""
     mesh = solution.problem.mesh.mesh
