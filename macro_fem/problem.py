@@ -17,7 +17,6 @@ from macro_fem.scene.obstacles import Obstacle, PlacedObstacle, is_flat, with_ro
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
-from macro_fem.scene.tracks import check_tracks
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common.errors import InputError
@@ -99,8 +98,6 @@ def make_problem(
     if released is None:
         supports = pin_sliding(supports, disc, force, scene.source)
     hung = HungLaw(law, scene.curtain.weave_angle)
-    if scene.solver.kind != "elastic" and released is None:
-        check_tracks(scene, mesh, hung)
     fem = supports.fem(disc)
     problem = CurtainProblem(scene, mesh, disc, hung, supports, fem, force, factor)
     winds = tuple(wind for wind in scene.of(Wind) if wind.is_shaped and fem.d == 3)

@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from homogenize import MembraneLaw
-from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.scene.sites import NONE, Held, Site, edge_line, placed_along
 from macro_fem.scene.tables import (
     MAX_CORNERS,
@@ -37,7 +35,6 @@ from rve.common.types import Array
 
 if TYPE_CHECKING:
     from macro_fem.scene.meshing.mesh import CurtainMesh
-    from macro_fem.scene.schema import Scene
 
 AGREES = 0.01
 """A fullness that is given besides a track of known length may differ from theirs by this part of it."""
@@ -182,23 +179,3 @@ def track_of(item: Track, mesh: CurtainMesh, where: str) -> tuple[np.ndarray, Ar
     line, s = edge_line(mesh, "top", f"{where} needs edge")
     x, y = mesh.mesh.p[:, line]
     return line, s, track_curve(item, s[-1], 0.5 * float(x.min() + x.max()), float(y.max()), where)
-
-
-def check_tracks(scene: Scene, mesh: CurtainMesh, law: MembraneLaw) -> None:
-    """InputError for a track between two points of which the top edge would be longer than the law lets it be."""
-    for number, item in enumerate(scene.support):
-        if not isinstance(item, Track):
-            continue
-        where = f"{scene.source}: [support] (track)"
-        line, s, curve = track_of(item, mesh, where)
-        at = s if not item.has_hooks else np.linspace(0.0, s[-1], len(mesh.hooks[number].nodes))
-        steps = np.diff(s) * largest_stretch(law, np.diff(mesh.mesh.p[:, line].T, axis=0))
-        longest = np.diff(np.interp(at, s, np.concatenate([[0.0], np.cumsum(steps)])))
-        apart = np.linalg.norm(np.diff(track_places(item, curve, at, s[-1]), axis=0), axis=1)
-        worst = int(np.argmax(apart / longest))
-        if apart[worst] > longest[worst] * (1.0 + 1e-9):
-            raise InputError(
-                f"{where}: a track of {curve.length:g} mm is too long for the mesh: it stretches the top edge of "
-                f"{s[-1]:g} mm by {100.0 * (apart[worst] / np.diff(at)[worst] - 1.0):.3g} %, and the rings lock at "
-                f"{100.0 * (longest[worst] / np.diff(at)[worst] - 1.0):.3g} %"
-            )

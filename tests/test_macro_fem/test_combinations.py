@@ -99,7 +99,6 @@ REFUSED = {
     "held-bar": "is held, or has a second bar",
     "curved": "is not straight",  # a bar on a disk
     "plane": "as the scene lies in the plane",  # held = "z"
-    "too-long": "is too long for the mesh",
     "inside": "mm inside it",
     "line": "closed",
     "blocked": "cannot clear its obstacles",

@@ -141,5 +141,4 @@ def test_a_track_too_long_for_the_mesh_is_refused(ring_like, scene_tables, pitch
     short = {"kind": "track", "path": [[0.0, 0.0], [0.999 * limit, 0.0]], **runners}
     assert solved(scene_tables, ring_like, short).status == "converged"
     beyond = {"kind": "track", "path": [[0.0, 0.0], [1.001 * limit, 0.0]], **runners}
-    with pytest.raises(InputError, match=r"scene: \[support\] \(track\): a track of 158\.5\d+ mm is too long"):
-        solved(scene_tables, ring_like, beyond)
+    assert solved(scene_tables, ring_like, beyond).status == "infeasible"
