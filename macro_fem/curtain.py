@@ -53,11 +53,8 @@ def solve_scene(scene: Scene, law: MembraneLaw) -> CurtainSolution:
     """The curtain of a scene at its full load.
 
     >>> from homogenize.io import default_law
-    >>> from macro_fem.scene.schema import read_scene
-    >>> scene = read_scene({"curtain": {"width": 100.0, "height": 100.0}, "mesh": {"cells": 4},
-    ...                     "support": {"kind": "top"}})
-    >>> solution = solve_scene(scene, default_law())
-    >>> solution.status
+    >>> from macro_fem import Mesh, Rectangle, Top
+    >>> solve_scene(Scene(Rectangle(100.0, 100.0), [Top()], Mesh(cells=4)), default_law()).status
     'converged'
     """
     law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
@@ -89,7 +86,7 @@ def solve_convex(
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
     reach, relaxation = _known_reach(problem, start) or supports_reach(problem), None
-    if is_elastic(problem.scene) and reach.is_out and reach.excess < elastic_stretch(problem):
+    if is_elastic(problem.scene) and reach.is_out and reach.excess < _elastic_stretch(problem):
         reach = replace(reach, upper=1.0)
     if reach.is_out:
         result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)))
@@ -151,7 +148,7 @@ def supports_reach(problem: CurtainProblem) -> Reach:
     return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
 
 
-def elastic_stretch(problem: CurtainProblem) -> float:
+def _elastic_stretch(problem: CurtainProblem) -> float:
     """About how far the loads of a scene stretch its rings: load times size over area, times the mean compliance.
 
     Supports out of reach by more end as "infeasible": an answer would be the elasticity of rings drawn beyond what the

@@ -61,7 +61,7 @@ def wind_density(problem: CurtainProblem, x: Array, sense: list[float]) -> Array
     total = np.zeros_like(area)
     for wind, sign in zip(problem.winds, sense, strict=True):
         if wind.speed is None:
-            total += sign * problem.factor * wind_pressure(wind, None, "") * area
+            total += sign * problem.factor * wind_pressure(wind, None) * area
         else:
             total += spread(problem.disc, problem.factor * _drag(problem, wind, x, seen))
     return total
@@ -72,7 +72,7 @@ def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
     along = unit(wind.direction)
     v = a @ along
     layers = layers_of(problem, wind, x, a)
-    push = dynamic_pressure(wind) * layered_drag(wind, problem.law.cell, layers, problem.where_wind) / layers
+    push = dynamic_pressure(wind) * layered_drag(wind, problem.law.cell, layers) / layers
     if not wind.follows:
         return np.asarray(push[:, None] * along)
     size = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT)
@@ -151,7 +151,7 @@ def senses(problem: CurtainProblem) -> list[float]:
         along = float(normal @ unit(wind.direction))
         if wind.speed is None and abs(along) < 1e-3:
             raise InputError(
-                f"{problem.where_wind} direction = {list(wind.direction)}: lies in the flat sheet, so "
+                f"{problem.scene.source}: [load.wind] direction = {list(wind.direction)}: lies in the flat sheet, so "
                 "that it tells no side for follows = true; lay the sheet across it by [start]"
             )
         signs.append(float(np.sign(along)))
@@ -169,13 +169,13 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
 
 def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
     problem = solution.problem
-    cell, where = problem.law.cell, problem.where_wind
-    alone = layer_solidity(wind, cell, where)
+    cell = problem.law.cell
+    alone = layer_solidity(wind, cell)
     told = {
         "speed_m_per_s": float(wind.speed or 0.0),
         "solidity": alone,
-        "drag_coefficient": float(layered_drag(wind, cell, np.ones(1), where)[0]),
-        "pressure_N_per_m2": wind_pressure(wind, cell, where) / PER_MM2,
+        "drag_coefficient": float(layered_drag(wind, cell, np.ones(1))[0]),
+        "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
     }
     if problem.fem.d == 2:
         return told | {"front_area_m2": 0.0, "drag_N": 0.0}

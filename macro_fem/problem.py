@@ -63,11 +63,6 @@ class CurtainProblem:
             U, _, Vt = np.linalg.svd(way + 1e-3 * max(size[0], 1.0) * np.eye(3, 2), full_matrices=False)
         return np.asarray(U @ Vt)
 
-    @property
-    def where_wind(self) -> str:
-        """What sentences about its winds begin with."""
-        return f"{self.scene.source}: [load.wind]"
-
     @cached_property
     def elastic_law(self) -> HungLaw:
         """The law of an elastic curtain, whose rings give by direction where the law knows it."""

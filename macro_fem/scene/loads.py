@@ -14,7 +14,7 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
-from macro_fem.scene.wind import wind_pressure
+from macro_fem.scene.wind import check_drag, wind_pressure
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -45,14 +45,13 @@ def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
 
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
-    """The force of a wind on the flat sheet square to it (d,), N/mm2; InputError where the law tells no drag.
+    """The force of a wind on the flat sheet square to it (d,), N/mm2.
 
     Wind with a speed along a sheet in the plane meets no front: it is zero.
     """
     if scene.d == 2 and wind.speed is not None:
         return np.zeros(2)
-    pressure = wind_pressure(wind, cell, f"{scene.source}: [load.wind]")
-    return np.asarray(pressure * unit(wind.direction)[: scene.d])
+    return np.asarray(wind_pressure(wind, cell) * unit(wind.direction)[: scene.d])
 
 
 def nodal_forces(
@@ -75,6 +74,7 @@ def nodal_forces(
     for patch in scene.of(PatchLoad):
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.of(Wind):
+        check_drag(wind, cell, f"{scene.source}: [load.wind]")
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
 

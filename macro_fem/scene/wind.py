@@ -43,23 +43,28 @@ def dynamic_pressure(wind: Wind) -> float:
     return 0.5e-6 * (AIR_DENSITY if wind.air_density is None else wind.air_density) * wind.speed**2
 
 
-def wind_pressure(wind: Wind, cell: CellInfo | None, where: str) -> float:
-    """Pressure on one flat layer square to the wind, N/mm2; InputError, which begins with `where`, without rings."""
+def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:
+    """Pressure on one flat layer square to the wind, N/mm2."""
     if wind.speed is None:
         assert wind.pressure is not None
         return 1e-6 * wind.pressure
-    return dynamic_pressure(wind) * float(layered_drag(wind, cell, np.ones(1), where)[0])
+    return dynamic_pressure(wind) * float(layered_drag(wind, cell, np.ones(1))[0])
 
 
-def layer_solidity(wind: Wind, cell: CellInfo | None, where: str) -> float:
+def layer_solidity(wind: Wind, cell: CellInfo | None) -> float:
     """Solidity of one layer: that of the rings, or that whose drag is the given one, 1 from that of a plate on."""
     if wind.drag_coefficient is not None:
         return solidity_of_drag(wind.drag_coefficient)
-    if cell is None:
+    assert cell is not None  # see `check_drag`
+    return ring_solidity(cell)
+
+
+def check_drag(wind: Wind, cell: CellInfo | None, where: str) -> None:
+    """InputError, which begins with `where`, if the law has no rings to tell the drag of a speed."""
+    if wind.speed is not None and wind.drag_coefficient is None and cell is None:
         raise InputError(
             f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give drag_coefficient"
         )
-    return ring_solidity(cell)
 
 
 def layered_solidity(solidity: float, layers: Array) -> Array:
@@ -67,13 +72,13 @@ def layered_solidity(solidity: float, layers: Array) -> Array:
     return np.asarray(1.0 - (1.0 - solidity) ** layers)
 
 
-def layered_drag(wind: Wind, cell: CellInfo | None, layers: Array, where: str) -> Array:
+def layered_drag(wind: Wind, cell: CellInfo | None, layers: Array) -> Array:
     """C_D (k,) per area of a front of `layers` (k,).
 
     A given `drag_coefficient` above that of a plate, say of an opening that the mesh closes, holds for any layers.
     """
     most = max(SOLID, wind.drag_coefficient or 0.0) / SOLID
-    return most * drag_coefficient(layered_solidity(layer_solidity(wind, cell, where), layers))
+    return most * drag_coefficient(layered_solidity(layer_solidity(wind, cell), layers))
 
 
 @lru_cache(maxsize=8)
