@@ -142,9 +142,9 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
         x, y = 0.5 * np.add(start, end)
         ax.text(x, y, told, ha="center", va="center", rotation=turn, size=8, backgroundcolor="white")
     for row in solution.problem.mesh.hooks.values():
-        first, (x, y) = np.add(row.places[:2], [0.0, 0.6 * off])
+        first, (x, y) = np.add(mesh.p[:, row.nodes[:2]].T, [0.0, 0.6 * off])
         ax.annotate("", first, (x, y), arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
-        ax.text(x + 0.2 * off, y, f"{len(row.places)} points, {row.pitch:g} mm apart", va="center", size=8)
+        ax.text(x + 0.2 * off, y, f"{len(row.nodes)} points, {row.pitch:g} mm apart", va="center", size=8)
     forces: tuple[PointLoad | PatchLoad, ...] = (*scene.of(PointLoad), *scene.of(PatchLoad))
     for one in forces:
         way = np.array(one.force[:2]) / (np.linalg.norm(one.force) or 1.0) * 0.1 * size

@@ -90,7 +90,8 @@ def largest_that_holds(
         raise InputError(f"--from = {low:g}, --to = {high:g}: give two positive values, the smaller one first")
     if not 0.0 < factor < np.inf:
         raise InputError(f"--factor = {factor:g}: must be positive")
-    values = _pitches(scene, who, low, high) if vary == "pitch" else None
+    is_pitch = vary == "pitch"
+    values = _pitches(scene, who, low, high) if is_pitch else np.linspace(low, high, COARSE).tolist()
     rows: dict[float, Row] = {}
 
     def use(value: float) -> float:
@@ -101,7 +102,7 @@ def largest_that_holds(
                 rows[value] = _row(scene, who, vary, value)
         return factor / (rows[value].factor or 1e-300)
 
-    best = _continuous(use, np.linspace(low, high, COARSE).tolist()) if values is None else _discrete(use, values)
+    best = search(use, values, between=not is_pitch)
     if best is None:
         most = max(rows.values(), key=lambda row: row.factor or 0.0)
         why = f"the largest factor is {most.factor:.3g}, at {most.value:g}" if most.factor else most.status
@@ -115,34 +116,30 @@ def largest_that_holds(
     return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve)
 
 
-def _continuous(use: Callable[[float], float], grid: list[float]) -> float | None:
-    """The last value with a use of at most 1: the use is nearly linear in what is varied, so it is interpolated."""
-    good = [i for i, value in enumerate(grid) if use(value) <= 1.0]
-    if not good or good[-1] == len(grid) - 1:
-        return grid[good[-1]] if good else None
-    low, high = grid[good[-1]], grid[good[-1] + 1]
+def search(use: Callable[[float], float], values: Sequence[float], *, between: bool) -> float | None:
+    """The last of `values`, in order, with a use of at most 1, None if none has; or one `between` them.
+
+    The use is nearly linear in what is varied, so it is interpolated; among values alone numbers are halved.
+    """
+    few = range(len(values)) if between else np.unique(np.linspace(0, len(values) - 1, COARSE).round().astype(int))
+    good = [int(k) for k in few if use(values[k]) <= 1.0]
+    if not good or good[-1] == len(values) - 1:
+        return values[good[-1]] if good else None
+    first = good[-1], next(int(k) for k in few if k > good[-1])
+    if not between:
+        while first[1] - first[0] > 1:
+            middle = sum(first) // 2
+            first = (middle, first[1]) if use(values[middle]) <= 1.0 else (first[0], middle)
+        return values[first[0]]
+    low, high = (values[k] for k in first)
     for _ in range(MOST):
-        if use(low) > 1.0 - CLOSE or high - low < CLOSE * (grid[-1] - grid[0]):
+        if use(low) > 1.0 - CLOSE or high - low < CLOSE * (values[-1] - values[0]):
             break
         # Aimed a little below 1, so that the values that are tried end on the side that holds.
         way = (1.0 - 0.5 * CLOSE - use(low)) / (use(high) - use(low))
-        middle = low + (high - low) * min(max(way, 0.05), 0.95)
-        low, high = (middle, high) if use(middle) <= 1.0 else (low, middle)
+        value = low + (high - low) * min(max(way, 0.05), 0.95)
+        low, high = (value, high) if use(value) <= 1.0 else (low, value)
     return low
-
-
-def _discrete(use: Callable[[float], float], values: Sequence[float]) -> float | None:
-    """The same among values in order, by halving the numbers between."""
-    few = np.unique(np.linspace(0, len(values) - 1, COARSE).round().astype(int)).tolist()
-    good = [i for i in few if use(values[i]) <= 1.0]
-    if not good:
-        return None
-    low = good[-1]
-    high = next((i for i in few if i > low), low + 1)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if use(values[middle]) <= 1.0 else (low, middle)
-    return values[low]
 
 
 def _pitches(scene: Scene, who: Any, low: float, high: float) -> list[float]:

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import macro_fem
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.many.size import _continuous, _discrete
+from macro_fem.many.size import search
 from rve.common.errors import InputError
 
 HOOKS = """
@@ -91,12 +91,12 @@ def test_the_search_finds_where_a_falling_factor_crosses(asked):
         tried.append(value)
         return value / asked
 
-    best = _continuous(use, [0.1, 2.5, 5.0, 7.5, 10.0])
+    best = search(use, [0.1, 2.5, 5.0, 7.5, 10.0], between=True)
     assert asked * (1 - 4e-3) < best <= asked
     values = [0.1 * k for k in range(1, 100)]
-    assert _discrete(use, values) == max(value for value in values if value <= asked)
-    assert _continuous(lambda _: 2.0, [1.0, 2.0]) is None
-    assert _discrete(lambda _: 0.5, values) == values[-1]
+    assert search(use, values, between=False) == max(value for value in values if value <= asked)
+    assert search(lambda _: 2.0, [1.0, 2.0], between=True) is None
+    assert search(lambda _: 0.5, values, between=False) == values[-1]
 
 
 def test_a_pitch_finer_than_the_mesh_takes_more_cells():
