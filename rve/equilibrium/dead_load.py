@@ -16,7 +16,7 @@ from rve.common.records import Index
 from rve.common.tensor import double_dot, trace
 from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
-from rve.equilibrium.system import Equations, on_coordinates, weighted_size
+from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.contacts import parallel_clearance
 from rve.geometry.kinematics import deformation_gradient, second_pk
 from rve.geometry.pose import Pose, moved, start_pose, strain_of
@@ -51,6 +51,7 @@ class DeadLoad:
     """
 
     sides: tuple[float, float]
+    is_relative: bool = True
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """See CellLoad."""
@@ -61,10 +62,6 @@ class DeadLoad:
             K[:, x, 2 + x] = K[:, 2 + x, x] = s[:, 1]
             K[:, 2 + x, 2 + x] = s[:, 2] * b1 / b2
         return on_coordinates(K, pose, T)
-
-    def size(self, f: Array, M: Array) -> Array:
-        """See CellLoad."""
-        return weighted_size(f, M)
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,8 @@ class Equilibrium(Rows):
 class PathState(Rows):
     """Cases still in the batch: row numbers, loads, poses, contacts, forces, path parameter, progress of the iteration.
 
-    best, last: merit; stall: iterations without progress; radius: trust radius; moved: length of the last step.
+    system: their equations; best, last: merit; stall: iterations without progress; radius: trust radius; moved: length
+    of the last step.
     """
 
     row: Index
@@ -98,6 +99,7 @@ class PathState(Rows):
     pose: Pose
     contacts: CellContacts
     lam: Array
+    system: System
     mu: Array
     best: Array
     last: Array
@@ -108,89 +110,78 @@ class PathState(Rows):
     iterations: Index
 
 
-def measure_merit(state: PathState, system: System) -> tuple[Array, Array, Array]:
+def measure_merit(state: PathState) -> tuple[Array, Array, Array]:
     """Weighted residual R, largest distance from the central path, and the merit that joins both, each (n,)."""
     product = state.lam * np.where(state.contacts.present, state.contacts.gap, 0.0)
     off = np.where(state.contacts.present, np.abs(product - state.mu[:, None, None]), 0.0).reshape(len(state.row), -1)
-    R = system.weighted_residual
+    R = state.system.weighted_residual
     return R, off.max(axis=1), np.sqrt(R**2 + (off**2).sum(axis=1))
 
 
-def update_path(state: PathState, off: Array, merit: Array, options: DirectOptions) -> PathState:
-    """The state with its path parameter, trust radius and counters updated."""
-    better = merit < state.last
-    improved = merit < 0.9 * state.best
-    stall = np.where(improved, 0, state.stall + 1)
-    on_path = (10.0 * state.mu > state.R) & (off < 0.9 * state.mu)
-    # A barrier centre may not exist right where contacts merge: go on to the next mu after `patience` idle iterations.
-    stuck = stall >= options.patience
-    less = np.minimum(options.shrink * state.mu, state.mu**options.power)
-    idle = min(2.0 * options.shrink, 1.0 - 0.5 * (1.0 - options.shrink))
-    mu = np.where(on_path, less, np.where(stuck, idle * state.mu, state.mu))
-    mu = np.maximum(mu, options.mu_end)
-    fresh = on_path | stuck
-    radius = np.where(better, 2.0 * state.radius, np.where(stall >= 3, 0.4 * state.radius, state.radius))
-    radius = np.where(fresh, options.step, radius)
-    return replace(
-        state,
-        mu=mu,
-        best=np.where(fresh, np.inf, np.where(improved, merit, state.best)),
-        last=np.where(fresh, np.inf, merit),
-        stall=np.where(fresh, 0, stall),
-        radius=np.clip(radius, 1e-7, options.step),
-        iterations=state.iterations + 1,
-    )
-
-
-def iterate(state: PathState, equations: Equations, options: DirectOptions, system: System) -> PathState:
+def iterate(state: PathState, equations: Equations, options: DirectOptions) -> PathState:
     """One interior-point iteration for every case of the batch."""
-    n = len(state.row)
-    con = state.contacts
+    n, con, mu = len(state.row), state.contacts, state.mu[:, None, None]
     present = con.present.reshape(n, -1)
     gap = np.where(present, con.gap.reshape(n, -1), 1.0)
     lam = state.lam.reshape(n, -1)
-    dq, dlam = newton_direction(system, gap, lam, state.mu, present, state.radius)
-    valley = Valley.of(system, con, gap, lam, options.corrections) if options.corrections else None
+    dq, dlam = newton_direction(state.system, gap, lam, state.mu, present, state.radius)
+    valley = Valley.of(state.system, con, gap, lam, options.corrections) if options.corrections else None
     pose, contacts, length = accept_step(state.pose, con, dq, state.radius, equations, options.reach, valley)
     with np.errstate(divide="ignore", invalid="ignore"):
         longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(axis=1)
     lam = (lam + np.minimum(longest, 1.0)[:, None] * dlam).reshape(state.lam.shape)
     lam = carry_forces(con, lam, contacts, state.mu)
-    centre = state.mu[:, None, None] / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
+    centre = mu / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
     lam = np.where(contacts.present, np.clip(lam, 1e-8 * centre, 1e8 * centre), 0.0)
-    moved = length * np.abs(dq).max(axis=1)
-    return replace(state, pose=pose, contacts=contacts, lam=lam, moved=moved)
+    system = equations.assemble(pose, contacts, lam, state.s)
+    return replace(state, pose=pose, contacts=contacts, lam=lam, system=system, moved=length * np.abs(dq).max(axis=1))
+
+
+def update_path(state: PathState, off: Array, merit: Array, options: DirectOptions) -> PathState:
+    """The state with its path parameter, trust radius and counters updated."""
+    better, improved = merit < state.last, merit < 0.9 * state.best
+    stall = np.where(improved, 0, state.stall + 1)
+    on_path = (10.0 * state.mu > state.R) & (off < 0.9 * state.mu)
+    # A barrier centre may not exist right where contacts merge: go on to the next mu after `patience` idle iterations.
+    fresh = on_path | (stall >= options.patience)
+    idle = min(2.0 * options.shrink, 1.0 - 0.5 * (1.0 - options.shrink)) * state.mu
+    mu = np.where(on_path, np.minimum(options.shrink * state.mu, state.mu**options.power), idle)
+    radius = np.where(better, 2.0 * state.radius, np.where(stall >= 3, 0.4 * state.radius, state.radius))
+    return replace(
+        state,
+        mu=np.maximum(np.where(fresh, mu, state.mu), options.mu_end),
+        best=np.where(fresh, np.inf, np.where(improved, merit, state.best)),
+        last=np.where(fresh, np.inf, merit),
+        stall=np.where(fresh, 0, stall),
+        radius=np.clip(np.where(fresh, options.step, radius), 1e-7, options.step),
+        iterations=state.iterations + 1,
+    )
 
 
 def iterate_to_end(state: PathState, equations: Equations, options: DirectOptions) -> tuple[list[PathState], PathState]:
     """Iterate until every case has converged or the iterations are used up: converged cases, and the others."""
     finished: list[PathState] = []
-    anchor, anchor_system, cases = state, None, len(state.row)
+    anchor, cases = None, len(state.row)
     for iteration in range(options.max_iterations + 1):
-        system = equations.assemble(state.pose, state.contacts, state.lam, state.s)
-        R, off, merit = measure_merit(state, system)
-        if anchor_system is not None:
-            worse = merit > options.rejection * state.last
-            if worse.any():
-                rows = np.flatnonzero(worse)
-                radius = np.maximum(0.3 * np.minimum(state.radius, state.moved), 1e-7)
-                state = state.put(rows, replace(anchor, radius=radius).take(rows))
-                system = system.put(rows, anchor_system.take(rows))
-                R, off, merit = measure_merit(state, system)
-                state = replace(state, last=np.where(worse, merit, state.last))
+        R, off, merit = measure_merit(state)
+        worse = merit > options.rejection * state.last
+        if anchor is not None and worse.any():
+            rows = np.flatnonzero(worse)
+            radius = np.maximum(0.3 * np.minimum(state.radius, state.moved), 1e-7)
+            state = state.put(rows, replace(anchor, radius=radius).take(rows))
+            R, off, merit = measure_merit(state)
+            state = replace(state, last=np.where(worse, merit, state.last))
         state = replace(state, R=R)
-        done = (options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end)
-        if done.any():
-            finished.append(state.take(done))
-            go = ~done
-            state, system, off, merit = state.take(go), system.take(go), off[go], merit[go]
+        go = ~((options.tolerance > R) & (state.mu <= options.mu_end) & (off < 10.0 * options.mu_end))
+        if not go.all():
+            finished.append(state.take(~go))
+            state, off, merit = state.take(go), off[go], merit[go]
         if not len(state.row) or iteration == options.max_iterations:
             break
         here = way(options.mu_start, float(np.median(state.mu)), options.mu_end) or 0.0
         tell(f"{cases} loads of rings", 1.0 - (1.0 - here) * len(state.row) / cases)
-        state = update_path(state, off, merit, options)
-        anchor, anchor_system = state, system
-        state = iterate(state, equations, options, system)
+        anchor = state = update_path(state, off, merit, options)
+        state = iterate(state, equations, options)
     return finished, state
 
 
@@ -245,7 +236,10 @@ def follow(
         mu, inf, none = np.full(n, options.mu_start), np.full(n, np.inf), np.zeros(n)
         lam = np.where(contacts.present, mu[:, None, None] / np.maximum(contacts.gap, 1e-9), 0.0)
         radius, stall = np.full(n, options.step), np.zeros(n, dtype=int)
-        state = PathState(left, s[left], pose, contacts, lam, mu, inf, inf, stall, radius, none, inf, iterations)
+        system = equations.assemble(pose, contacts, lam, s[left])
+        state = PathState(
+            left, s[left], pose, contacts, lam, system, mu, inf, inf, stall, radius, none, inf, iterations
+        )
         finished, rest = iterate_to_end(state, equations, tuned)
         for part in finished:
             tries, status = np.full(len(part.row), attempt + 1), np.full(len(part.row), "converged", dtype="<U16")

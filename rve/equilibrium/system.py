@@ -57,28 +57,26 @@ def weighted_size(f: Array, M: Array) -> Array:
 
 
 class CellLoad(Protocol):
-    """What pulls at a cell; `s` holds one row of numbers per case whose meaning is the load's own."""
+    """What pulls at a cell; `s` holds one row of numbers per case whose meaning is the load's own. is_relative: whether
+    residuals are measured against its force, or against 1."""
+
+    @property
+    def is_relative(self) -> bool: ...
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """Generalised force (n, m) on the reduced coordinates and its derivative (n, m, m); T is reduction(pose)."""
         ...
 
-    def size(self, f: Array, M: Array) -> Array:
-        """The force (n,) that residuals are measured against, for forces f (n, k) and mass matrices M (n, k, k)."""
-        ...
-
 
 @dataclass(frozen=True)
 class CauchyLoad:
-    """The Cauchy line loads s (n, 3); residuals are relative to them."""
+    """The Cauchy line loads s (n, 3)."""
+
+    is_relative: bool = True
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """See CellLoad."""
         return on_coordinates(lattice_load(pose, s)[1], pose, T)
-
-    def size(self, f: Array, M: Array) -> Array:
-        """See CellLoad."""
-        return weighted_size(f, M)
 
 
 def on_coordinates(K: Array, pose: Pose, T: Array) -> tuple[Array, Array]:
@@ -225,4 +223,5 @@ class Equations:
         f, M, J = np.matmul(Bt, f[..., None])[..., 0], Bt @ M @ B, Bt @ J @ B
         if self.middle is not None:
             add_lattice_curvature(J, 0.5 * np.concatenate([part * r[:, 3:5] for part in self.middle], axis=1))
-        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, self.load.size(f, M))
+        size = weighted_size(f, M) if self.load.is_relative else np.ones(n)
+        return System(np.matmul(Bt, r[..., None])[..., 0], f, J, G @ B, M, size)

@@ -191,12 +191,8 @@ class Pattern:
         return solved
 
 
-def _expansion() -> tuple[Index, Array]:
-    """Entries (100,) of a pair's block (7, 7), with signs, in its four blocks (5, 5) aa, ab, ba, bb of the matrix."""
-    place = np.array([[0, 1, 2, 3, 4], [0, 1, 2, 5, 6]])
-    sign = np.array([[-1.0, -1.0, -1.0, 1.0, 1.0], [1.0] * BLOCK])
-    index = PAIR * place[:, None, :, None] + place[None, :, None, :]
-    return index.ravel(), (sign[:, None, :, None] * sign[None, :, None, :]).ravel()
-
-
-_EXPAND, _SIGN = _expansion()
+# Entries (100,) of a pair's block (7, 7), with signs, in its four blocks (5, 5) aa, ab, ba, bb of the matrix.
+_PLACE = np.array([[0, 1, 2, 3, 4], [0, 1, 2, 5, 6]])
+_SIGNS = np.array([[-1.0, -1.0, -1.0, 1.0, 1.0], [1.0] * BLOCK])
+_EXPAND = (PAIR * _PLACE[:, None, :, None] + _PLACE[None, :, None, :]).ravel()
+_SIGN = (_SIGNS[:, None, :, None] * _SIGNS[None, :, None, :]).ravel()

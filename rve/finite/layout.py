@@ -90,7 +90,8 @@ class FiniteMesh:
         index, X = _sites(cell, border, gaps, sides, axes)
         if len(index) < 2:
             raise InputError(f"the outline holds {len(index)} rings; a mesh has two or more")
-        linked = _linked(cell, index)
+        pairs = [np.column_stack(two) for pair, *two in neighbours(cell.weave, index) if cell.weave.linked[pair]]
+        linked = np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
         alone = len(np.setdiff1d(np.arange(len(index)), linked))
         if alone:
             raise InputError(f"{alone} of {len(index)} rings inside the outline link no other; enlarge or smooth it")
@@ -141,14 +142,13 @@ class FiniteMesh:
         from rve.finite.problem import Problem
         from rve.finite.solution import solve_mesh
         from rve.finite.step import rest_by_motion
+        from rve.finite.task import FiniteOptions
 
-        held = np.asarray(held, dtype=bool)
-        at = np.asarray(at, dtype=float)
-        near = None if guide is None else np.asarray(guide, dtype=float)
-        problem = Problem(self, np.asarray(force, dtype=float), held, at, space, tuple(walls), near)
-        if options is not None and options.by_motion:
-            return rest_by_motion(problem, options)
-        return solve_mesh(problem, options)
+        force, at = np.asarray(force, dtype=float), np.asarray(at, dtype=float)
+        near, options = None if guide is None else np.asarray(guide, dtype=float), options or FiniteOptions()
+        problem = Problem(self, force, np.asarray(held, dtype=bool), at, space, tuple(walls), near)
+        problem.check()
+        return rest_by_motion(problem, options) if options.by_motion else solve_mesh(problem, options)
 
 
 def cell_of_sides(r1: float, r2: float, sides: tuple[float, float]) -> Cell:
@@ -190,12 +190,6 @@ def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Ar
     index, X = index[keep], X[keep]
     order = np.lexsort((X[:, 0], X[:, 1]))
     return index[order], X[order]
-
-
-def _linked(cell: Cell, index: Index) -> Index:
-    """Pairs (m, 2) of rings that the weave links."""
-    found = [np.column_stack(two) for pair, *two in neighbours(cell.weave, index) if cell.weave.linked[pair]]
-    return np.unique(np.sort(np.concatenate(found), axis=1), axis=0)
 
 
 def _areas(X: Array, border: Array, holes: list[Array], brick: Array, axes: Array) -> Array:

@@ -19,9 +19,8 @@ from rve.common.factor import Factorizer, Solve
 from rve.common.records import Index
 from rve.common.types import Array
 from rve.finite.equations import METRIC, PAIR, Pattern, blocks, lacking, pair_vectors, spread, times
-from rve.finite.passage import safe_parts
 from rve.finite.task import BLOCK, State, Task
-from rve.finite.touching import Touching
+from rve.finite.touching import Touching, safe_parts
 
 _WAY = 3.0
 """Largest way of a held ring in one iteration, in r1."""

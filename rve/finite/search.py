@@ -12,8 +12,7 @@ from rve.common.records import Index
 from rve.common.types import Array
 from rve.finite.equations import spread
 from rve.finite.newton import Iteration, Step
-from rve.finite.passage import is_passage_safe
-from rve.finite.touching import Touching, followed_gaps, links_intact, of_pairs
+from rve.finite.touching import Touching, followed_gaps, is_passage_safe, links_intact, of_pairs
 
 _TURNS = 3
 """Trials of a step, as it is and corrected."""

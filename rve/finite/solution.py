@@ -198,14 +198,13 @@ class FiniteSolution:
         return ax
 
 
-def solve_mesh(problem: Problem, options: FiniteOptions | None = None) -> FiniteSolution:
+def solve_mesh(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     """The answer to a problem; see `FiniteMesh.solve`."""
     began = time.perf_counter()
-    options = options or FiniteOptions()
-    problem.check()
     task, unit = problem.task()
-    found = solve_rings(task, problem.start(options), options)
-    return as_solution(problem, task, found, unit, time.perf_counter() - began)
+    return as_solution(
+        problem, task, solve_rings(task, problem.start(options), options), unit, time.perf_counter() - began
+    )
 
 
 def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s: float) -> FiniteSolution:

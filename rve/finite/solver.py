@@ -102,7 +102,12 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             if not is_calm and is_last:
                 # Points beside a minimum move with it and may keep a last residual: the next end goes without them.
                 task = replace(task, beside=not task.beside)
-            state, pace = _at_next_mu(state, task, options, is_calm), pace.at_next(is_calm)
+            # Where a fold runs through the mesh at a small mu, every ring that it meets shortens the steps; at a higher
+            # mu it passes in a few.
+            lower = max(options.last, min(_SHRINK * state.mu, state.mu**_POWER))
+            mu = lower if is_calm else min(_HIGHEST, _LIFT * state.mu)
+            state = state.at(task.find(state.touching.placed, _reach(options, mu)), mu)
+            pace = pace.at_next(is_calm)
             G = gradients(state.touching)
         state, record, is_minimum = _advance(state, task, G, factorize)
         history.append(replace(record, residual=residual))
@@ -143,16 +148,6 @@ class Patience:
     def is_over(self, options: FiniteOptions, is_last: bool) -> bool:
         """Whether mu is to be lifted; the last one only where the residual does not fall."""
         return self.idle > 1.5 * options.patience if is_last else self.slow > self.patience
-
-
-def _at_next_mu(state: State, task: Task, options: FiniteOptions, is_calm: bool) -> State:
-    """The state with a lower mu, or a higher one where it did not get calm, and the contacts that count there.
-
-    Where a fold runs through the mesh at a small mu, every ring that it meets shortens the steps; at a higher one it
-    passes in a few.
-    """
-    mu = max(options.last, min(_SHRINK * state.mu, state.mu**_POWER)) if is_calm else min(_HIGHEST, _LIFT * state.mu)
-    return state.at(task.find(state.touching.placed, _reach(options, mu)), mu)
 
 
 def _reach(options: FiniteOptions, mu: float) -> float:

@@ -132,7 +132,10 @@ def _step(
     load = float(np.abs(problem.force).sum() + (np.tile(weight, 2)[:, None] * np.abs(aim - ring_places(start))).sum())
     task, unit = problem.task(max(load, _STILL * r1 * float(weight.sum())))
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
-    inertia = _inertia(mesh.cell, weight, aim, unit, len(problem.walls))
+    radius, walls = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))  # without inertia
+    place, normal = (np.concatenate([part, walls]) for part in (aim[:n] / r1, aim[n:] / radius))
+    heavy = np.append(weight, walls[:, 0])
+    inertia = RingInertia(heavy * r1 / unit, place, heavy * radius**2 / (unit * r1), normal)
     task = replace(task, inertia=inertia, beside=False)
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, options.reach)
@@ -146,25 +149,15 @@ def _step(
     own = nearest(con, touching)
     closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
     pushes = unit * spread(con, gradients(con), found.force)[:n]
-    radius, torque = gyration_radius(mesh.cell), r1 * rotation(rings.normal, pushes[:, 3:])
+    torque = r1 * rotation(rings.normal, pushes[:, 3:])
     drawn = weight * (rings.normal * (radius * rings.normal - aim[n:])).sum(axis=1)
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
     return RingStep(rings, np.concatenate([pushes[:, :3], axes]), unit * r1 * float(found.force @ closed))
 
 
-def _near_equilibrium(problem: Problem, rings: FiniteSolution, options: FiniteOptions) -> FiniteSolution:
-    """The equilibrium near rings whose contacts have forces, with its status."""
-    task, unit = problem.task()
-    touching = task.find(problem.placed(rings.centre, rings.normal), options.reach)
-    own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
-    found = solve_near(task, touching, _forces(rings, touching, unit, own.first), own)
-    return as_solution(problem, task, found, unit, 0.0)
-
-
 def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     """The equilibrium in which a damped motion from the slack weave ends; see `FiniteMesh.solve`."""
     began, r1 = time.perf_counter(), problem.mesh.cell.r1
-    problem.check()
     placed = problem.start(options)
     planes = zip(problem.walls, placed.x[placed.rings :], strict=True)
     cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - problem.mesh.cell.r2) for wall, p in planes)
@@ -173,6 +166,7 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     size = np.linalg.norm(problem.force, axis=1)
     load = np.maximum(size, size.mean())  # masses times 1 mm/s2: on the way to rest they may be any
     share, v, energy = 1.0, np.zeros((2 * len(load), 3)), 0.0
+    own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
     history: tuple[Record, ...] = ()
     for number in range(MOST_STEPS):
         tell(f"{len(load)} rings on their way to rest, step {number + 1}")
@@ -195,20 +189,15 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
         is_past = kinetic < energy
         v, energy = (0.0 * v, 0.0) if is_past else (moved / h, kinetic)
         if part == 1.0 and (is_past or np.abs(moved).max() < CALM * r1):
-            found = _near_equilibrium(problem, rings, options)
+            task, unit = problem.task()
+            touching = task.find(problem.placed(rings.centre, rings.normal), options.reach)
+            near = solve_near(task, touching, _forces(rings, touching, unit, own.first), own)
+            found = as_solution(problem, task, near, unit, 0.0)
             history += found.history
             if found.status == "converged":
                 break
         share = min(1.0, LONGER * share)
     return replace(found, wall_s=time.perf_counter() - began, history=history)
-
-
-def _inertia(cell: Cell, weight: Array, aim: Array, unit: float, walls: int) -> RingInertia:
-    """The term of inertia without units, 0 for walls."""
-    n, radius = len(weight), gyration_radius(cell)
-    weight = np.append(weight, np.zeros(walls))
-    place, normal = (np.concatenate([part, np.zeros((walls, 3))]) for part in (aim[:n] / cell.r1, aim[n:] / radius))
-    return RingInertia(weight * cell.r1 / unit, place, weight * radius**2 / (unit * cell.r1), normal)
 
 
 def _forces(start: FiniteSolution, touching: Touching, unit: float, mu: float) -> Array:

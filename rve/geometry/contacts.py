@@ -59,27 +59,14 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, *, far_pa
     wire = r2/r1. Pairs too far apart to touch are skipped unless `far_pairs` is set.
     """
     d, na, nb = (x.reshape(-1, 3) for x in pair_geometry(pose, weave))
-    limit = 2.0 * wire + reach
+    n, p, limit = len(pose.lattice), len(weave.pairs), 2.0 * wire + reach
     near = np.arange(len(d)) if far_pairs else np.flatnonzero(can_touch(d, limit))
     found = local_minima(d[near], na[near], nb[near], 1.0, reach=limit)
-    return contacts_of(replace(found, pair=near[found.pair]), (d, na, nb), weave, wire)
-
-
-def can_touch(d: Array, limit: float) -> NDArray[np.bool_]:
-    """Whether circles of radius 1 with offsets d (..., 3) can come as near as `limit`."""
-    return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
-
-
-def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weave, wire: float) -> CellContacts:
-    """Minima in their slots; `geometry`: offset and normals of every pair of every case, each (n * p, 3)."""
-    d, na, nb = geometry
-    p = len(weave.pairs)
-    n = len(d) // p
     rank = np.zeros(len(found.pair), dtype=int)
     for back in range(1, SLOTS + 1):
         rank[back:] += found.pair[back:] == found.pair[:-back]
     found = found.take(rank < SLOTS)
-    slot = found.pair * SLOTS + rank[rank < SLOTS]
+    slot = near[found.pair] * SLOTS + rank[rank < SLOTS]
 
     def slots(values: NDArray[Any], empty: Any) -> NDArray[Any]:
         out = np.full((n * p * SLOTS, *values.shape[1:]), empty, dtype=values.dtype)
@@ -96,6 +83,11 @@ def contacts_of(found: Minima, geometry: tuple[Array, Array, Array], weave: Weav
         slots(found.normal, 0.0),
         (are_linked(d, na, nb, 1.0).reshape(n, p) == weave.linked).all(axis=1),
     )
+
+
+def can_touch(d: Array, limit: float) -> NDArray[np.bool_]:
+    """Whether circles of radius 1 with offsets d (..., 3) can come as near as `limit`."""
+    return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
 
 
 def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, samples: int = 12) -> Array:

@@ -112,9 +112,11 @@ def largest_factors(
         go = go[~(fine & (decrement < 1e-9))]
         if not len(go):
             break
-    found = _bounds(J, y, sharp, scale[:, 0])
-    found.factor[go] = found.upper[go] = np.nan
-    return found
+    # The answer scaled out to the yield surface, and the bound of the multipliers on it, which balance here.
+    size = np.sqrt((_moments(J, y) ** 2).sum(axis=1))
+    upper, factor = (2.0 * size / (1.0 - size**2)).sum(axis=1) / sharp, y[:, 0] / size.max(axis=1)
+    factor[go] = np.nan
+    return Limits(factor / scale[:, 0], np.maximum(upper, factor) / scale[:, 0])
 
 
 def _moments(J: Array, y: Array) -> Array:
@@ -163,11 +165,3 @@ def _barrier(m: Array, g: Array) -> Array:
     inside = (room > 0.0).all(axis=1) & (g > 0.0).all(axis=1)
     value = -np.log(np.where(room > 0.0, room, 1.0)).sum(axis=1) - np.log(np.where(g > 0.0, g, 1.0)).sum(axis=1)
     return np.where(inside, value, np.inf)
-
-
-def _bounds(J: Array, y: Array, sharp: Array, scale: Array) -> Limits:
-    """The answer scaled out to the yield surface, and the bound of the multipliers on it, which balance here."""
-    size = np.sqrt((_moments(J, y) ** 2).sum(axis=1))
-    upper = (2.0 * size / (1.0 - size**2)).sum(axis=1) / sharp
-    factor = y[:, 0] / size.max(axis=1)
-    return Limits(factor / scale, np.maximum(upper, factor) / scale)

@@ -45,25 +45,14 @@ def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = Non
     uniform = np.broadcast_to(2.0 * np.pi / SECTIONS * np.arange(SECTIONS), (*shape, SECTIONS))
     at = np.concatenate([uniform, phi, phi - _BEFORE], axis=-1)
     fibre = np.broadcast_to(2.0 * np.pi / FIBRES * np.arange(FIBRES), (*shape, FIBRES))
-    best = _best(phi, forces, at, fibre, ring, joint)
-    wide, round_ = 2.0 * np.pi / SECTIONS, 2.0 * np.pi / FIBRES
     steps = np.linspace(-1.0, 1.0, 2 * _FINER + 1)
-    for _ in range(_ZOOMS):
-        near, skin = best.angle[..., None] + wide * steps, best.fibre[..., None] + round_ * steps
-        best = _best(phi, forces, near, skin, ring, joint)
-        wide, round_ = wide / _FINER, round_ / _FINER
-    return best
-
-
-def _best(phi: Array, forces: Array, at: Array, fibre: Array, ring: Ring, joint: Array | None) -> Peak:
-    """The largest stress at sections at (..., k) and fibres (..., f)."""
-    q = internal_forces(phi, forces, at, ring.curved(), joint)
-    stress = skin_stress(q[..., :, None, :], fibre[..., None, :], ring.r1, ring.r2)
-    flat = stress.reshape(*stress.shape[:-2], -1)
-    top = flat.argmax(axis=-1)[..., None]
-    row, column = top // fibre.shape[-1], top % fibre.shape[-1]
-    return Peak(
-        np.take_along_axis(flat, top, -1)[..., 0],
-        np.take_along_axis(at, row, -1)[..., 0],
-        np.take_along_axis(fibre, column, -1)[..., 0],
-    )
+    for zoom in range(_ZOOMS + 1):
+        q = internal_forces(phi, forces, at, ring.curved(), joint)
+        stress = skin_stress(q[..., :, None, :], fibre[..., None, :], ring.r1, ring.r2)
+        flat = stress.reshape(*shape, -1)
+        top = flat.argmax(axis=-1)[..., None]
+        angle = np.take_along_axis(at, top // fibre.shape[-1], -1)
+        skin = np.take_along_axis(fibre, top % fibre.shape[-1], -1)
+        at = angle + 2.0 * np.pi / SECTIONS / _FINER**zoom * steps
+        fibre = skin + 2.0 * np.pi / FIBRES / _FINER**zoom * steps
+    return Peak(np.take_along_axis(flat, top, -1)[..., 0], angle[..., 0], skin[..., 0])

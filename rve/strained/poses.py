@@ -19,17 +19,14 @@ folds, E* = E - fold with a positive semidefinite fold, and the flat pose E with
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
 
 from rve.common.errors import NotConverged
 from rve.common.progress import part_of
 from rve.common.records import Rows
 from rve.common.tensor import WEIGHT, eigenvalues
-from rve.common.typed import Typed
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations, add_lattice_curvature
@@ -50,34 +47,30 @@ POSE_MEANINGS = {
     "stalled": "the springs did not settle; an admissible pose from on the way is drawn",
 }
 """Statuses of poses, and what they mean."""
-
-
-Part = Annotated[float, Meta(gt=0.0, le=1.0)]
-Angles = Annotated[tuple[Annotated[float, Meta(ge=-90.0, le=90.0)], ...], Meta(min_length=1, max_length=1000)]
+_LADDER = (
+    (1e-2, 3e-1, 3e-2, 1e-3),
+    (1e-2, 1e-2, 1e-3, 1e-5),
+    (1e-2, 1e-4, 1e-5, 1e-7),
+    (1e-3, 1e-5, 1e-7, 1e-9),
+    (1e-3, 1e-6, 1e-9, 1e-11),
+)
+"""Stages, each started from the one before: the weights of a fold and of the arrangement against strain that rings fall
+short of, and the first and last complementarity. Stiff springs come first: with weak ones some cells lock."""
+_MERGE = 1e-6
+"""Strains that agree to this are one solve."""
 
 
 @dataclass(frozen=True)
-class PoseOptions(Typed):
-    """How poses are found; InputError for values out of range.
+class PoseOptions:
+    """How poses are found.
 
-    tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4. ladder:
-    stages, each started from the one before, with the weights of a fold and of the arrangement against strain that
-    rings fall short of, and the first and last complementarity. Stiff springs come first: with weak ones from the start
-    some cells lock on the way. merge: strains that agree to this are one solve. states: angles alpha and beta, degrees,
-    of the locked states that arrangements are interpolated between; more states cost time once per curtain. direct:
-    options of the interior-point method.
+    tolerance: strain by which a pose may miss its target and still has "met" it; the law's own error is 4e-4. states:
+    angles alpha and beta, degrees, of the locked states that arrangements are interpolated between; more states cost
+    time once per curtain. direct: options of the interior-point method.
     """
 
-    tolerance: Annotated[float, Meta(gt=0.0, le=1.0)] = 1e-3
-    ladder: Annotated[tuple[tuple[Part, Part, Part, Part], ...], Meta(min_length=1, max_length=100)] = (
-        (1e-2, 3e-1, 3e-2, 1e-3),
-        (1e-2, 1e-2, 1e-3, 1e-5),
-        (1e-2, 1e-4, 1e-5, 1e-7),
-        (1e-3, 1e-5, 1e-7, 1e-9),
-        (1e-3, 1e-6, 1e-9, 1e-11),
-    )
-    merge: Annotated[float, Meta(gt=0.0, le=1e-2)] = 1e-6
-    states: tuple[Angles, Angles] = (
+    tolerance: float = 1e-3
+    states: tuple[tuple[float, ...], tuple[float, ...]] = (
         (-45.0, -30.0, -15.0, 0.0, 15.0, 30.0),
         (2.0, 10.0, 20.0, 30.0, 45.0, 60.0, 70.0, 80.0, 88.0),
     )
@@ -148,7 +141,7 @@ def nearest_poses(
     # A symmetric curtain has every strain twice: a mirrored weave is solved for E12 >= 0 only.
     flip = (E[:, 1] < 0.0) & cell.weave.has_images
     upright = np.where(flip[:, None], E * np.array([1.0, -1.0, 1.0]), E)
-    _, first, back = np.unique(np.round(upright / options.merge), axis=0, return_index=True, return_inverse=True)
+    _, first, back = np.unique(np.round(upright / _MERGE), axis=0, return_index=True, return_inverse=True)
     targets = upright[first]
     blocks = []
     for i in range(0, len(targets), _BLOCK):
@@ -178,17 +171,15 @@ def _settled(
     """
     rows = states.arrangement(E)
     start, good = None, np.zeros(len(E), dtype=bool)
-    for stage, (fold, weak, first, last) in enumerate(options.ladder):
+    for stage, (fold, weak, first, last) in enumerate(_LADDER):
         springs = Spring(states.sides, fold, weak)
         # Weak springs leave weak contact forces, whose curvature counts all the same.
         equations = replace(Equations.of(cell.weave, cell.wire, load=springs), idle_curvature=True)
-        quick = replace(
-            options.direct, mu_start=first, mu_end=last, tolerance=max(last, 1e-9), attempts=1, max_iterations=50
-        )
-        with part_of(f"stage {stage + 1}", stage / len(options.ladder), (stage + 1) / len(options.ladder)):
-            found = follow(rows, equations, quick, start)
+        quick = replace(options.direct, mu_start=first, mu_end=last, attempts=1, max_iterations=50)
+        with part_of(f"stage {stage + 1}", stage / len(_LADDER), (stage + 1) / len(_LADDER)):
+            found = follow(rows, equations, replace(quick, tolerance=max(last, 1e-9)), start)
         start = found.pose
-        if stage >= len(options.ladder) - 3:
+        if stage >= len(_LADDER) - 3:
             good |= found.status == "converged"
     contacts = find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach)
     return found.pose, contacts, good
@@ -205,6 +196,7 @@ class Spring:
     sides: tuple[float, float]
     fold: float = 1.0
     weak: float = 1e-5
+    is_relative: bool = False
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """See rve.equilibrium.system.CellLoad."""
@@ -230,10 +222,6 @@ class Spring:
             f[:, columns] += self.weak * dot(cross(e, pose.normals), target)
             diagonal[:, columns] -= self.weak * along
         return f, J
-
-    def size(self, f: Array, M: Array) -> Array:
-        """Residuals are measured against one unit of spring force."""
-        return np.ones(len(f))
 
 
 def split_response(D: Array, fold: float) -> tuple[Array, Array]:
