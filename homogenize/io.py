@@ -17,8 +17,8 @@ from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common.errors import InputError, shown
-from rve.common.reading import read_json
+from rve.common.errors import shown
+from rve.common.reading import read_json_object
 from rve.common.rings import check_rings
 from rve.common.typed import Typed, read_entry, read_typed
 
@@ -79,10 +79,7 @@ def load_law(path: str | Path) -> StoredLaw:
 
     InputError names file, key and value of what this version does not read.
     """
-    record = read_json(path)
-    if not isinstance(record, dict):
-        raise InputError(f"{path}: a law file holds one JSON object, this one holds a {type(record).__name__}")
-    found = read_typed(LawEntries, record, f"{path}:")
+    found = read_typed(LawEntries, read_json_object(path), f"{path}:")
     provenance, strength = found.provenance or {}, found.strength
     if provenance.get("sampled_loads") is not None:
         read_entry(provenance, "sampled_loads", tuple[tuple[Coordinate, Coordinate], ...], f"{path}: provenance")

@@ -201,7 +201,7 @@ def case(
     from rve.common.drawing.page import check_page
     from rve.common.drawing.plane import save_figure
     from rve.common.drawing.space import check_render
-    from rve.plots import draw_case, write_case_page, write_locking
+    from rve.plots import draw_case, locked_row, write_case_page, write_locking
     from rve.solve import solve_table
     from rve.table import COLUMNS
 
@@ -218,9 +218,7 @@ def case(
     found = solve_table(asked_cell(**cell), ([alpha], [beta]))
     if explain:
         _explain(found)
-    status = str(found.status[0])
-    if status != "converged":
-        raise NotConverged(f"alpha = {alpha}, beta = {beta}: {status}: {SENTENCES[status]}")
+    locked_row(found)
     row = {name: column[0] for name, column in found.columns().items() if name in COLUMNS}
     answer(row | {"areal_mass_kg_per_m2": found.provenance["areal_mass_kg_per_m2"]}, always=True)
     if plot is not None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rve.common.types import Array
+from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
-from rve.geometry.circles import tangent_frame
 from rve.geometry.pose import Pose
 from rve.solve import reference_pose
 
@@ -40,16 +39,10 @@ def shadow(pose: Pose, wire: float) -> float:
     1.0
     """
     axes = np.stack([pose.a1[0], pose.a2[0]])
-    circles = _projected(pose).reshape(-1, 2)
+    centre = np.pad(pose.centres[0], ((0, 0), (0, 1)))
+    circles = DrawnRings(centre, pose.normals[0], 1.0, wire).circles(POINTS)[0][..., :2].reshape(-1, 2)
     shifts = np.array([[i, j] for i in range(-3, 4) for j in range(-3, 4)]) @ axes
     tree = cKDTree((shifts[:, None] + circles).reshape(-1, 2))
     places = (np.arange(SIGHT_LINES)[:, None] * STEPS % 1.0) @ axes
     distance, _ = tree.query(places, distance_upper_bound=wire)
     return float(np.isfinite(distance).mean())
-
-
-def _projected(pose: Pose) -> Array:
-    """Points (K, POINTS, 2) of the centre circles of one cell, seen face on, in units of r1."""
-    e1, e2 = tangent_frame(pose.normals[0])
-    angle = 2.0 * np.pi * np.arange(POINTS)[:, None] / POINTS
-    return np.asarray(pose.centres[0, :, None] + np.cos(angle) * e1[:, None, :2] + np.sin(angle) * e2[:, None, :2])

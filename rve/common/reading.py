@@ -59,14 +59,9 @@ def read_text(path: AnyPath, most: int, kind: str) -> str:
         raise InputError(f"{path}: is not {kind}: {error}") from error
 
 
-def read_json(path: AnyPath) -> Any:
-    """The value in a JSON file; InputError if it is not JSON or nested too deeply."""
-    return _parse(path, MOST_JSON_BYTES, "JSON", json.loads)
-
-
 def read_json_object(path: AnyPath) -> dict[str, Any]:
-    """The object in a JSON file; InputError as in `read_json`, and if the file holds something else."""
-    found = read_json(path)
+    """The object in a JSON file; InputError if it is not JSON, nested too deeply, or something else."""
+    found = _parse(path, MOST_JSON_BYTES, "JSON", json.loads)
     if not isinstance(found, dict):
         raise InputError(f"{path}: must hold one JSON object, not a {type(found).__name__}")
     return found

@@ -40,6 +40,7 @@ class Study:
     reference cell in r1, to which strains of both refer; wall_s: seconds of the scheme and of the direct solver.
     """
 
+    cell: Cell
     s: Array
     table: StrainTable
     options: StewartTrinkleOptions
@@ -93,7 +94,7 @@ def solve_study(
     ended = time.perf_counter()
     assert rest.history is not None
     sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
-    return Study(s, table, options, rest, rest.history, sides, (ended - between, between - began))
+    return Study(cell, s, table, options, rest, rest.history, sides, (ended - between, between - began))
 
 
 def comparison(study: Study) -> list[tuple[str, str, str, str]]:

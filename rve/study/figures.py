@@ -47,12 +47,8 @@ def _name_axes(ax: Any, names: tuple[str, str, str]) -> None:
 
 
 def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Any:
-    """Figs. 10 to 12: the locked cell under a load, which is solved if the study does not have it."""
-    case, table = study.case(alpha_deg, beta_deg), study.table
-    if case is None:
-        assert table.states is not None
-        case, table = 0, solve_table(table.states.cell, ([alpha_deg], [beta_deg]))
-    return draw_case(table, case).figure
+    """Figs. 10 to 12: the locked cell under a load."""
+    return draw_case(solve_table(study.cell, ([alpha_deg], [beta_deg]))).figure
 
 
 def strains(study: Study) -> Figure:
