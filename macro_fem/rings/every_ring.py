@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from homogenize import MembraneLaw
-from macro_fem.answer import RECORD, Solution
+from macro_fem.answer import Solution
 from macro_fem.output.files import rings as rings_of
-from macro_fem.output.forces import support_table
+from macro_fem.output.files import write_summary
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from rve import Cell, FiniteSolution
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.errors import InputError
-from rve.common.files import versions, write_text
-from rve.common.texts import json_text
+from rve.common.files import versions
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -118,8 +117,7 @@ class EveryRingSolution(Solution):
             save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)
         if wanted.html:
             self.write_html(staged / "rings.html")
-        write_text(staged / "support_forces.csv", support_table(self.summary["support_forces"]))
-        write_text(staged / RECORD, json_text(self.summary))
+        write_summary(staged, self.summary)
         return self.summary
 
     def plot(self, ax: Axes | None = None) -> Axes:

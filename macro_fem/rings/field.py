@@ -25,7 +25,6 @@ from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from pyvista import Plotter
 
 RECORD = "localize.json"
 """The file that stands for the job; it lists the others by their checksums."""
@@ -184,9 +183,9 @@ class RingField:
         """Write rings.vtu, worst_cell.csv, localize.json and rings.png into `folder`; the summary.
 
         `tubes`: write tori instead of centre lines; `stl`: rings.stl, the surfaces of the rings, for CAD and printing;
-        `html`: rings.html, which turns in a browser. All files appear
-        together, and what they replace is gone (`rve.common.files`). InputError where they cannot be written or would
-        overwrite one of `inputs`, or if what a picture needs is missing.
+        `html`: rings.html, which turns in a browser; rings.png: all rings beside those around the cell with the largest
+        line load. All files appear together, and what they replace is gone (`rve.common.files`). InputError where they
+        cannot be written or would overwrite one of `inputs`, or if what a picture needs is missing.
         """
         inputs = list(inputs)
         check_outputs(folder, inputs, picture=picture, html=html)
@@ -199,28 +198,21 @@ class RingField:
             if html:
                 self.write_html(staged / "rings.html")
             if picture:
-                save_picture(staged / "rings.png", self.close_view(), self._title)
+                worst, reference = self.summary["worst_cell"], self.data["reference_mm"][:, :2]
+                at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
+                plotter = self.drawn.draw_close_up(at, np.array(worst["normal"]))
+                save_picture(staged / "rings.png", plotter, self._title)
         return self.summary
 
     @property
     def _title(self) -> str:
         return f"{len(self)} rings, {self.fit.linked} of {self.fit.links} links intact as drawn"
 
-    def close_view(self) -> Plotter:
-        """All rings beside those around the cell with the largest line load, as a plotter of pyvista."""
-        worst = self.summary["worst_cell"]
-        reference = self.data["reference_mm"][:, :2]
-        at = int(np.argmin(((reference - worst["reference_mm"]) ** 2).sum(axis=1)))
-        return self.drawn.draw_close_up(at, np.array(worst["normal"]))
-
-    def view(self, plotter: Plotter | None = None) -> Plotter:
-        """All rings in space, coloured by contact force; tori where there are few of them, else their centre lines."""
-        return self.drawn.draw(plotter)
-
     def write_html(self, path: str | Path) -> None:
-        """Write the rings as one HTML file that turns in a browser without a network; InputError without plotly."""
+        """Write the rings as one HTML file that turns in a browser without a network, coloured by contact force, tori
+        where there are few of them, else their centre lines; InputError without plotly."""
         check_page(str(path))
-        write_page(path, self.view(), self._title)
+        write_page(path, self.drawn.draw(), self._title)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Centre lines of all rings seen from the front, coloured by contact force, on `ax` or axes of their own."""
