@@ -19,6 +19,7 @@ from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
 from rve.common.errors import InputError
 from rve.common.materials import Material, Stress, read_material
+from rve.common.records import Rows
 from rve.common.rings import read_joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
 from rve.common.texts import as_html
@@ -73,7 +74,7 @@ class StrengthEntries(Typed):
 
 
 @dataclass(frozen=True, eq=False)
-class Strength:
+class Strength(Rows):
     """Strength of n load directions, linear between them on the triangles of their disc.
 
     S (n, 3) of unit trace; cauchy (n, 3): the Cauchy loads of these rows, of unit trace; first_yield, collapse (n,):
@@ -132,8 +133,7 @@ class Strength:
     def stretched(self) -> Strength:
         """The same of the loads whose compliance is known."""
         known = np.isfinite(self.compliance) & (self.compliance > 0.0)
-        names = ("S", "cauchy", "first_yield", "collapse", "compliance")
-        return replace(self, **{name: getattr(self, name)[known] for name in names})
+        return self.take(known)
 
     def text(self) -> str:
         """What is known of the error, in one line."""

@@ -121,7 +121,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
         check_out_job(out, "size.json", inputs=[scene, law_path])
         if picture:
             require("matplotlib", "plots", "size.png", "ask for --no-picture")
-    on_demand = begin_with(ring_options(rings, None, None, None, None, False), law_path, None)
+    on_demand = begin_with(ring_options(rings), law_path, None)
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
     ends = asked["low"], asked["high"]
     found = largest_that_holds(load_scene(scene), on_demand or law, asked["vary"], ends, asked["factor"])

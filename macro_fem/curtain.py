@@ -27,8 +27,7 @@ from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones, green_strain, take_from
-from macro_fem.solvers.options import COUNTED, PathOptions
-from macro_fem.solvers.path_result import PathResult, Terms, unsolved
+from macro_fem.solvers.path import COUNTED, PathOptions, PathResult, Terms, unsolved
 from macro_fem.solvers.status import Reach, load_scale
 from macro_fem.solvers.stretch_limit import reach_of, solve_at_stretch_limit
 from macro_fem.solvers.walls import TOUCHED, Walls

@@ -16,8 +16,8 @@ from homogenize import (
     with_material,
 )
 from macro_fem.answer import RECORD, Solution
+from macro_fem.bounds.adapt import admissible_problem
 from macro_fem.bounds.adapt import levels as refined_levels
-from macro_fem.bounds.admissible import admissible_problem
 from macro_fem.combinations import combined
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.options import DemandOptions, OnDemand

@@ -127,7 +127,7 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     scene, supports, disc = problem.scene, problem.supports, problem.disc
     x = supports.positions
     normal = one.normal(x)
-    walls = Walls(np.arange(disc.n_nodes), normal, one.offset(normal))
+    walls = Walls(disc.at_nodes, normal, one.offset(normal), np.full(disc.n_nodes, one.number))
     deep = np.where(walls.is_movable(problem.fem), 0.0, -walls.gap(x))
     if deep.max(initial=0.0) <= TOUCHED * problem.mesh.size:
         return
@@ -163,8 +163,7 @@ def tangent_walls(body: PlacedObstacle, fem: SupportedFem, normal: Array) -> Wal
     """The half-spaces of normals (m, d) that touch a body, at all points that meet it and can move."""
     at = meeting_points(body.obstacle, fem.disc)
     free = np.flatnonzero((np.not_equal(at.share, 0.0) & ~np.all(fem.held, axis=1)[at.node]).any(axis=1))
-    own = at.only(free)
-    return Walls(own.node, normal[free], body.offset(normal[free]), np.full(len(free), body.number), own.share)
+    return Walls(at.take(free), normal[free], body.offset(normal[free]), np.full(len(free), body.number))
 
 
 def stabilising_tension(problem: CurtainProblem) -> float:

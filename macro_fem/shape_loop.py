@@ -175,7 +175,7 @@ class _Watch:
         lattice = disc.lattice if fine == FINE else disc.lattice_of(fine)
         is_held = np.isin(lattice.node, np.flatnonzero(problem.fem.held.any(axis=1)))
         is_held = (is_held & (lattice.share != 0.0)).any(axis=1)
-        self.lattice = lattice.only(np.flatnonzero(~is_held))
+        self.lattice = lattice.take(np.flatnonzero(~is_held))
         self.deepest = deepest
 
     def look(self, bodies: Sequence[PlacedObstacle], before: Array, after: Array) -> None:
@@ -255,10 +255,10 @@ def _measure_settling(
     for body, normal in zip(problem.bodies, turned, strict=True):
         assert walls is not None
         of_body = walls.owner == body.number
-        own, push = walls.only(of_body), found.wall_forces[of_body]
+        own, push = walls.take(of_body), found.wall_forces[of_body]
         now = tangent_walls(body, problem.fem, normal)
         misfit += float(push @ np.linalg.norm(now.normal - own.normal, axis=1))
-        product += float(push @ np.abs(body.gap(own.places(x))))
+        product += float(push @ np.abs(body.gap(own.at.places(x))))
         inside = max(0.0, -float(body.gap(problem.disc.lattice.places(x)).min()))
         deepest, depth = max(deepest, inside), max(depth, inside / body.obstacle.breadth)
     product /= total * problem.mesh.size

@@ -21,8 +21,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import same_cones
-from macro_fem.solvers.options import PATH, PathOptions
-from macro_fem.solvers.path_result import PathResult
+from macro_fem.solvers.path import PATH, PathOptions, PathResult
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""
@@ -113,7 +112,7 @@ def all_half_spaces(law: MembraneLaw, cells: int) -> Row:
 def ties(law: MembraneLaw, cells: int) -> Row:
     """A matrix between nodes and unknowns though no bar needs one."""
     plain = problem_of(law, "corners", cells)
-    tied = replace(plain, fem=plain.fem.tied())
+    tied = replace(plain, fem=replace(plain.fem, tie=plain.fem.T))
     return compared("ties", "corners", (partial(height, plain), partial(height, tied)), plain)
 
 

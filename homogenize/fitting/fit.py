@@ -168,12 +168,11 @@ def cell_of(table: StrainTable) -> CellInfo:
 
     Without an areal mass the cell is that of the 4-in-1 weave with the sidecar's density, or of steel.
     """
-    where = "the sidecar file of the table:"
+    where, sizes = "the sidecar file of the table:", ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm")
     known = check_rings(table.provenance, where)
-    for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm"):
+    for key in sizes:
         if key not in known:
             raise InputError(f"{where} {key}: is missing")
-    r1, r2, b_x, b_y = (known[key] for key in ("r1_mm", "r2_mm", "b_x_mm", "b_y_mm"))
+    r1, r2, b_x, b_y = (known[key] for key in sizes)
     cell = ring_cell(r1, r2, b_x, b_y, known.get("density_kg_per_mm3", STEEL_KG_PER_MM3))
-    mass = known.get("areal_mass_kg_per_m2", cell.areal_mass_kg_per_m2)
-    return replace(cell, areal_mass_kg_per_m2=mass)
+    return replace(cell, areal_mass_kg_per_m2=known.get("areal_mass_kg_per_m2", cell.areal_mass_kg_per_m2))

@@ -86,26 +86,24 @@ def rows_from_table(table: StrainTable) -> LockedRows:
 
     Failed rows, rows that are not tensile and exact duplicates are dropped by name. InputError if nothing is left.
     """
-    number = np.arange(len(table.alpha_deg))
     size = trace(table.S)
     finite = np.isfinite(table.S).all(axis=1) & np.isfinite(table.E).all(axis=1)
     ok = table.converged & finite & (size > 0.0)
     determinant = table.S[:, 0] * table.S[:, 2] - table.S[:, 1] ** 2
     tensile = determinant >= -ROUNDING * size**2
-    dropped = [f"row {i}: status {table.status[i]}" for i in number[~table.converged]]
-    dropped += [f"row {i}: not a finite load with S11 + S22 > 0" for i in number[table.converged & ~ok]]
-    dropped += [f"row {i}: the load is not tensile" for i in number[ok & ~tensile]]
-    keep = number[ok & tensile]
+    dropped = [f"row {i}: status {table.status[i]}" for i in np.flatnonzero(~table.converged)]
+    dropped += [f"row {i}: not a finite load with S11 + S22 > 0" for i in np.flatnonzero(table.converged & ~ok)]
+    dropped += [f"row {i}: the load is not tensile" for i in np.flatnonzero(ok & ~tensile)]
+    keep = np.flatnonzero(ok & tensile)
     if not keep.size:
         raise InputError("the table has no converged tensile row")
-    S = table.S[keep] / size[keep, None]
-    E = table.E[keep]
+    S, E = table.S[keep] / size[keep, None], table.E[keep]
     key = np.round(np.hstack([S, E]) / ROUNDING).astype(np.int64)
     first = np.sort(np.unique(key, axis=0, return_index=True)[1])
     dropped += [f"row {i}: the same load and strain as an earlier row" for i in np.delete(keep, first)]
-    S, E, keep = S[first], E[first], keep[first]
-    unique = np.asarray(table.unique, bool)[keep]
-    return LockedRows(S, E, double_dot(S, E), unique, keep, tuple(dropped), table.is_mirrored)
+    keep, unique = keep[first], np.asarray(table.unique, bool)[keep[first]]
+    h = double_dot(S[first], E[first])
+    return LockedRows(S[first], E[first], h, unique, keep, tuple(dropped), table.is_mirrored)
 
 
 def with_mirror(rows: LockedRows) -> LockedRows:
@@ -119,8 +117,7 @@ def with_mirror(rows: LockedRows) -> LockedRows:
 
 def rows_to_dict(rows: LockedRows) -> dict[str, Any]:
     """Loads, strains and flags of the rows as plain lists for a file, and whether the weave is its own mirror image."""
-    lists = {"S": rows.S.tolist(), "E": rows.E.tolist(), "unique": rows.unique.tolist()}
-    return lists | {"is_mirrored": rows.is_mirrored}
+    return {name: getattr(rows, name).tolist() for name in ("S", "E", "unique")} | {"is_mirrored": rows.is_mirrored}
 
 
 @dataclass(frozen=True)
@@ -135,7 +132,7 @@ class RowEntries(Typed):
     def check(self) -> None:
         """BadField for lists of different lengths and for rows that no cell can have."""
         lengths = len(self.S), len(self.E), len(self.unique)
-        if len(set(lengths)) > 1:
+        if not lengths[0] == lengths[1] == lengths[2]:
             self.refuse(f"S, E, unique: differ in length, {lengths}")
         S, E = np.array(self.S), np.array(self.E)
         good = (np.abs(trace(S) - 1.0) < ROUNDING) & (eigenvalues(S)[0] >= -ROUNDING)
@@ -172,11 +169,9 @@ def normality(rows: LockedRows, tolerance: float = NORMALITY_TOLERANCE) -> Norma
     i, j = np.unravel_index(int(np.argmin(gap)), gap.shape)
     bad = gap < -tolerance
     blamed: list[int] = []
-    alive = np.ones(len(both), bool)
-    while (bad & alive[:, None] & alive).any():
-        count = bad & alive[:, None] & alive
-        per_row = np.bincount(both.source, count.sum(axis=0) + count.sum(axis=1))
-        blamed.append(int(np.argmax(per_row)))
-        alive &= both.source != blamed[-1]
+    while bad.any():
+        blamed.append(int(np.argmax(np.bincount(both.source, bad.sum(axis=0) + bad.sum(axis=1)))))
+        is_out = both.source == blamed[-1]
+        bad &= ~is_out[:, None] & ~is_out
     worst = (int(both.source[i]), int(both.source[j]))
     return Normality(min(float(gap[i, j]), 0.0), worst, tuple(sorted(blamed)), tolerance)

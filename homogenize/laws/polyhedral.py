@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhedron_of, respond
+from homogenize.laws.geometry import Polyhedron, fibres, highest, outer_vertices, polyhedron_of, respond
 from homogenize.laws.net import STATED_STIFFNESS
 from homogenize.laws.protocol import (
     CellInfo,
@@ -27,7 +27,7 @@ from homogenize.laws.protocol import (
 )
 from homogenize.laws.stored import StoredLaw
 from rve.common.errors import InputError
-from rve.common.tensor import eigenvalues, from_disc, trace
+from rve.common.tensor import disc, eigenvalues, from_disc, trace
 from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
 
@@ -68,8 +68,7 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
 
     def half_spaces(self) -> HalfSpaces:
         """Seventeen tight ones: the equibiaxial load, eight half-way to the rim of the tensile cone, eight on it."""
-        angle = 0.25 * np.pi * np.arange(8)
-        ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        ring = disc(fibres(8))
         S = from_disc(np.vstack([np.zeros((1, 2)), 0.5 * ring, ring]))
         return HalfSpaces(S, self.support(S))
 

@@ -38,7 +38,7 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
             f"--beta {beta_deg}: rings cannot push; both line loads are tensile for beta from 0 to 90 degrees"
         )
     rows = rows_from_provenance(law.provenance, str(path))
-    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows=rows)
+    found = locked_strain(law, np.array([alpha_deg]), np.array([beta_deg]), rows)
     if found.status[0] != "converged":
         raise InputError(
             f"{path}: no strain of this law carries --alpha {alpha_deg} --beta {beta_deg}: the direction is missed "
@@ -120,13 +120,12 @@ def error_at_rows(path: str | Path, table_path: str | Path) -> dict[str, Any]:
     good = (found.status == "converged") & rows.unique & found.unique
     miss = np.abs(found.E - rows.E).max(axis=1)[good]
     support = misfit_of(rows.S, law.support(rows.S) - rows.h)
-    outside = sum(extrapolates(law, S) for S in rows.S)
     strain = {"max": float(miss.max(initial=0.0)), "mean": float(miss.sum() / max(len(miss), 1)), "loads": len(miss)}
     return {
         "h_error": {"max": support.maximum, "mean": support.mean, "loads": support.count},
         "strain_error": strain | {"above_5e-3": int((miss > 5e-3).sum())},
         "not_compared": int((~good).sum()),
-        "extrapolated": int(outside),
+        "extrapolated": sum(extrapolates(law, S) for S in rows.S),
     }
 
 

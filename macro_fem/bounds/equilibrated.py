@@ -19,24 +19,26 @@ coefficients. In space P is 3 x 2 and all of this holds component by component. 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-import skfem
+from scipy import sparse
 
 from homogenize import MembraneLaw
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.discretization import Discretization, discretize
+from macro_fem.fem.cells import in_space_of
+from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
+from macro_fem.scene.sites import Held, Sliding, sliding_nodes
+from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers.walls import Walls
-from rve.common.errors import InputError
 from rve.common.types import Array
-
-NAME = "equilibrium"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,18 +56,21 @@ class DualMesh:
         """Corner numbers (2, n_facets) of the ends of the edges."""
         return self.mesh.mesh.facets
 
+    @cached_property
+    def edges(self) -> Array:
+        """Every edge from its first to its second end (n_facets, 2), mm."""
+        first, second = self.mesh.mesh.p.T[self.facets]
+        return np.asarray(second - first)
+
+    @cached_property
     def edge_lengths(self) -> Array:
         """Length of every edge (n_facets,), mm."""
-        ends = self.mesh.mesh.p[:, self.facets]
-        return np.hypot(*(ends[:, 1] - ends[:, 0]))
+        return np.hypot(*self.edges.T)
 
 
 def dual_mesh(mesh: CurtainMesh) -> DualMesh:
-    """The hybrid element on a mesh of triangles; InputError for quadrilaterals."""
-    sk = mesh.mesh
-    if not isinstance(sk, skfem.MeshTri1):
-        raise InputError("bounds need a mesh of triangles, this one has quadrilaterals")
-    flat = discretize(sk, "P1")
+    """The hybrid element on a mesh of triangles."""
+    sk, flat = mesh.mesh, discretize(mesh.mesh, "P1")
     n_facets, n_cells = sk.facets.shape[1], sk.t.shape[1]
     dofs = np.empty((n_cells, 7), dtype=np.int64)
     # skfem numbers the edges of a triangle (0, 1), (1, 2), (0, 2); the corner opposite to each:
@@ -78,7 +83,7 @@ def dual_mesh(mesh: CurtainMesh) -> DualMesh:
     nodes = np.concatenate([ends.transpose(2, 1, 0).reshape(-1, 2), sk.p[:, sk.t].mean(axis=1).T])
     disc = replace(
         flat,
-        element=NAME,
+        element="equilibrium",
         nodes=nodes,
         cell_dofs=dofs,
         shape_values=np.tile(np.array([0.0] * 6 + [1.0]), (3, 1)),
@@ -128,7 +133,7 @@ class DualProblem:
 def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
     """Nodal forces (n_nodes, d) of an even traction (d,) in N/mm on edges: half of each edge's force at each end."""
     force = np.zeros((dual.disc.n_nodes, len(traction)))
-    half = 0.5 * dual.edge_lengths()[facets][:, None] * traction
+    half = 0.5 * dual.edge_lengths[facets][:, None] * traction
     np.add.at(force, 2 * facets, half)
     np.add.at(force, 2 * facets + 1, half)
     return force
@@ -151,9 +156,8 @@ def dead_and_live(
     force = load_vector(disc, weight_per_area(scene, law.cell))
     for bar in scene.of(Bar):
         facets = mesh.edge(bar.edge, "[load.bar] edge")
-        length = dual.edge_lengths()[facets].sum()
         weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
-        force += traction_forces(dual, facets, weight / length)
+        force += traction_forces(dual, facets, weight / dual.edge_lengths[facets].sum())
     for wind in scene.of(Wind):
         force += 0.0 if wind.is_shaped else load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
     if shaped is not None:
@@ -165,8 +169,10 @@ def dead_and_live(
         part, extra = _spread_point(dual, law, np.array(point.at), factor * components(point.force, scene))
         force += part
         cost += extra
-    for patch in scene.of(PatchLoad):
-        force += _patch(dual, np.array(patch.at), patch.radius, factor * components(patch.force, scene))
+    for patch in scene.of(PatchLoad):  # as in P1: even within each triangle, by the area in the disk
+        shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(patch.at), patch.radius)
+        even = shares[:, None] / shares.sum() * (factor * components(patch.force, scene))
+        force[2 * dual.facets.shape[1] :] += even
     return force, cost
 
 
@@ -174,16 +180,94 @@ def _spread_point(dual: DualMesh, law: MembraneLaw, at: Array, load: Array) -> t
     """A point load spread evenly over the edges at the nearest corner, and its cost: |f| times the mean distance."""
     corner = int(np.argmin(np.linalg.norm(dual.mesh.mesh.p.T - at, axis=1)))
     facets, _ = edges_at_corner(dual, corner)
-    lengths = dual.edge_lengths()[facets]
-    ends = dual.mesh.mesh.p[:, dual.facets[:, facets]]
-    stretch = largest_stretch(law, (ends[:, 1] - ends[:, 0]).T)
+    lengths = dual.edge_lengths[facets]
+    stretch = largest_stretch(law, dual.edges[facets])
     moved = float((stretch * lengths**2).sum() / (2.0 * lengths.sum()))
     return traction_forces(dual, facets, load / lengths.sum()), float(np.linalg.norm(load)) * moved
 
 
-def _patch(dual: DualMesh, at: Array, radius: float, load: Array) -> Array:
-    """A patch load as the primal P1 discretisation has it: even within each triangle, by the area in the disk."""
-    shares = disk_areas(dual.mesh.mesh.p.T[dual.mesh.mesh.t.T], at, radius)
-    force = np.zeros((dual.disc.n_nodes, len(load)))
-    force[2 * dual.facets.shape[1] :] = shares[:, None] / shares.sum() * load
-    return force
+def dual_problem(solution: CurtainSolution, factor: float, inward: float) -> DualProblem:
+    """The hybrid problem that belongs to a P1 solution.
+
+    Edges at held points are held where the curtain is, drawn the share `inward` towards its slack start.
+    """
+    problem = solution.problem
+    scene, mesh, given = problem.scene, problem.mesh, problem.supports
+    dual = dual_mesh(mesh)
+    force, cost = dead_and_live(scene, dual, problem.law, factor, problem.wind)
+    d = problem.fem.d
+    mask = np.zeros((dual.disc.n_nodes, d), bool)
+    positions = in_space_of(dual.disc.nodes, d)
+    near_point = slackened(solution, inward)
+    tethers = [(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))]
+    for held in given.held:
+        if len(held.facets):
+            continue
+        for node, component, centre in zip(held.nodes, held.mask, held.positions, strict=True):
+            facet, near = edges_at_corner(dual, int(node))
+            for end in range(2):
+                mask[2 * facet + end] |= component
+                positions[2 * facet + end] = near_point[dual.facets[end, facet]]
+            tethers.append((facet, near, np.tile(np.where(component, centre, np.nan), (len(facet), 1))))
+    whole: np.ndarray = np.asarray(mask.all(axis=1))
+    lines: list[tuple[np.ndarray, Array]] = []
+    for held in given.held:
+        if len(held.facets):
+            _hold_edge(dual, held, mask, positions)
+            nodes = np.concatenate([2 * held.facets, 2 * held.facets + 1])
+            if held.slide is None:
+                whole[nodes] = mask[nodes].all(axis=1)
+            else:
+                lines.append((nodes, held.slide))
+    none = Sliding.none(d)
+    sliding = sliding_nodes(lines, whole) if lines else none
+    supports = Supports(given.held, mask, positions, sliding, none, _bars(solution, dual))
+    supports = pin_sliding(supports, dual.disc, force, scene.source)
+    parts = Tethers(*(np.concatenate(part) for part in zip(*tethers, strict=True)))
+    return DualProblem(dual, supports.fem(dual.disc), force, parts, cost, _walls(problem.walls, dual))
+
+
+def _hold_edge(dual: DualMesh, held: Held, mask: np.ndarray, positions: Array) -> None:
+    """Holds both ends of every facet of an edge support where the primal support holds the corners; in place."""
+    number = np.full(dual.mesh.mesh.p.shape[1], -1)
+    number[held.nodes] = np.arange(len(held.nodes))
+    for end in range(2):
+        which = number[dual.facets[end, held.facets]]
+        node = 2 * held.facets + end
+        positions[node] = np.where(held.mask[which], held.positions[which], positions[node])
+        mask[node] |= held.mask[which]
+
+
+def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
+    """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
+
+    Their pushes are even in every triangle. The law of the continuous curtain has them at all points, so that any such
+    pushes give a lower bound.
+    """
+    if walls is None or not len(walls):
+        return None
+    planes = np.unique(np.column_stack([walls.normal, walls.offset]), axis=0)
+    n_cells, first = dual.disc.n_cells, 2 * dual.facets.shape[1]
+    middles = Points.of(np.tile(first + np.arange(n_cells), len(planes)))
+    even = np.repeat(planes, n_cells, axis=0)
+    return Walls(middles, even[:, :-1], even[:, -1], np.zeros(len(even), int))
+
+
+def _bars(solution: CurtainSolution, dual: DualMesh) -> sparse.csc_matrix | None:
+    """The straight bars' edges, kept on a line in the dual as they are in the primal problem."""
+    lines = []
+    X = dual.disc.nodes
+    for bar in solution.problem.scene.of(Bar):
+        if bar.straight:
+            facets = dual.mesh.edge(bar.edge, "[load.bar] edge")
+            nodes = np.concatenate([2 * facets, 2 * facets + 1])
+            along = X[nodes] @ np.ptp(X[nodes], axis=0)
+            lines.append(nodes[np.argsort(along, kind="stable")])
+    return straight_ties(lines, X) if lines else None
+
+
+def at_dual_nodes(x: Array, dual: DualMesh) -> Array:
+    """Nodal positions x of P1 at the unknowns of the dual (n_nodes, d)."""
+    corners = x[dual.facets]  # (2, n_facets, d)
+    middle = x[dual.mesh.mesh.t].mean(axis=0)
+    return np.concatenate([corners.transpose(1, 0, 2).reshape(-1, x.shape[1]), middle])

@@ -1,6 +1,6 @@
 """A certified interval for the potential of the continuous curtain, and where its width comes from.
 
-Upper bound: a conforming curtain, admissible in every triangle (`macro_fem.bounds.admissible`). Lower bound: the
+Upper bound: a conforming curtain, admissible in every triangle (`macro_fem.bounds.adapt`). Lower bound: the
 equilibrated stress of `macro_fem.bounds.equilibrated`, with every half-space an outer one, so that it holds for the law
 and not for a few planes. With an outer law below and an inner one above, the interval holds for every law between.
 Supports and loads at points, which no line traction can meet, are spread over the edges around the point; the true
@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homogenize import MembraneLaw
-from macro_fem.bounds.dual_problem import BOUND, BoundOptions, _at_dual_nodes, dual_problem
-from macro_fem.bounds.equilibrated import DualProblem
+from macro_fem.bounds.equilibrated import DualProblem, at_dual_nodes, dual_problem
 from macro_fem.drag import with_wind
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.hung_law import largest_stretch
@@ -28,10 +27,16 @@ from macro_fem.problem import make_problem
 from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import repeat_cones, with_support
-from macro_fem.solvers.options import PathOptions
-from macro_fem.solvers.path_result import PathResult, Terms
+from macro_fem.solvers.cones import take_from, with_support
+from macro_fem.solvers.path import PathOptions, PathResult, Terms
 from rve.common.types import Array
+
+PATH_OF_BOUNDS = PathOptions(gap=2e-5, violation=5e-3, drawn=False)
+"""How the dual program is solved. Larger gaps weaken the bound; that of any mesh is far larger than the default.
+Half-spaces left out weaken it, too."""
+INWARD = 0.05
+"""How far the start is drawn from the P1 curtain to its slack start. On the curtain itself no cone has room left and
+the first steps get stuck; farther away more steps are needed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,7 @@ class CurtainBounds:
 
     error (n_cells,): share of every triangle in upper - lower, N mm, which it sums to; `points`: the part of it that is
     due to supports and loads at points and to the solvers' own gaps. law_part: how much of upper - lower the distance
-    between inner and outer law may make, N mm; None where both bounds are those of one law. loads: where it comes from.
+    between inner and outer law may make, N mm; None where both bounds are those of one law.
     """
 
     upper: float
@@ -48,10 +53,8 @@ class CurtainBounds:
     error: Array
     points: float
     status: str
-    iterations: int
     wall_s: float
     law_part: float | None = None
-    loads: Loads | None = None
 
     @property
     def gap(self) -> float:
@@ -89,25 +92,22 @@ def loads_of(weight: Array, S: Array, inner: MembraneLaw, outer: MembraneLaw) ->
 
 
 def bound(
-    solution: CurtainSolution,
-    factor: float = 1.0,
-    outer: MembraneLaw | None = None,
-    options: BoundOptions = BOUND,
+    solution: CurtainSolution, factor: float = 1.0, outer: MembraneLaw | None = None, path: PathOptions = PATH_OF_BOUNDS
 ) -> CurtainBounds:
     """Bounds of the potential around an admissible solution on a mesh of triangles, at the same load step `factor`.
 
     The solution is one in P1, or in P2 with the law at the corners of triangles. `outer`: a law, in the frame of the
     weave, that contains the solution's; the lower bound is then for it.
-    InputError for other meshes and for a piece of the curtain that hangs on a single corner of another.
+    InputError for a piece of the curtain that hangs on a single corner of another.
     """
     begin = time.perf_counter()
     upper, inner, area = solution.primal, solution.problem.law, solution.problem.disc.weight
     gradients = solution.F if solution.problem.disc.n_quad == 3 else np.tile(solution.F, (3, 1, 1))
     solution = linear_part(solution, factor, outer)
     problem = solution.problem
-    dual, result = _solved(solution, factor, options)
+    dual, result = _solve(solution, factor, path, INWARD)
     if result.stop == "infeasible":
-        dual, result = _solved(solution, factor, replace(options, inward=1.0))
+        dual, result = _solve(solution, factor, path, 1.0)
     held = dual.fem.positions(np.zeros(dual.fem.n))
     value = result.dual - float((dual.force * held).sum())
     tether_cost, moment = _tether_cost(dual, problem.law, result, held)
@@ -121,32 +121,24 @@ def bound(
         error=error + _near_points(dual, moment, points),
         points=points,
         status=result.status,
-        iterations=result.iterations,
         wall_s=time.perf_counter() - begin,
         law_part=None if loads is None else min(loads.law_part, upper - lower),
-        loads=loads,
     )
 
 
-def _solved(solution: CurtainSolution, factor: float, options: BoundOptions) -> tuple[DualProblem, PathResult]:
+def _solve(
+    solution: CurtainSolution, factor: float, path: PathOptions, inward: float
+) -> tuple[DualProblem, PathResult]:
     """The hybrid problem of a P1 solution and its answer.
 
     Edges around points are held where the P1 curtain is, drawn `inward`. The P1 part of a P2 curtain may leave the law
     by more than that where points are close, so that these places are out of reach; those of the slack start are not.
     """
-    problem = solution.problem
-    dual = dual_problem(solution, factor, options)
-    fem = dual.fem
-    start = fem.unknowns(_at_dual_nodes(slackened(solution, options.inward), dual.dual))
-    path = PathOptions(
-        gap=options.gap,
-        violation=options.violation,
-        max_iterations=problem.scene.solver.max_iterations,
-        cones=solution.cones,
-        drawn=False,
-    )
-    load = fem.gather(dual.force)
-    return dual, solve_path(fem, problem.law, load, start, problem.mesh.size, path, Terms(walls=dual.walls))
+    problem, dual = solution.problem, dual_problem(solution, factor, inward)
+    start = dual.fem.unknowns(at_dual_nodes(slackened(solution, inward), dual.dual))
+    path = replace(path, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
+    load, terms = dual.fem.gather(dual.force), Terms(walls=dual.walls)
+    return dual, solve_path(dual.fem, problem.law, load, start, problem.mesh.size, path, terms)
 
 
 def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | None) -> CurtainSolution:
@@ -156,7 +148,7 @@ def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | N
     """
     problem, cones = solution.problem, solution.cones
     if cones is not None and problem.disc.n_quad == 1:
-        cones = repeat_cones(cones, 3)
+        cones = take_from(cones, np.tile(np.arange(len(cones.first)), 3))
     flat = replace(problem.scene, mesh=replace(problem.scene.mesh, element="P1"))
     if outer is not None or problem.disc.element != "P1":
         wind = problem.wind
@@ -194,12 +186,10 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     is_held = np.isfinite(tethers.centre)
     R = np.where(is_held, balance[node], 0.0)  # (2, k, d): nodal reactions at the near and the far end
     moved = (R * np.where(is_held, held[node] - tethers.centre, 0.0)).sum()
-    length = mesh.edge_lengths()[facet]
+    length = mesh.edge_lengths[facet]
     r = (4.0 * R - 2.0 * R[::-1]) / length[:, None]
     size = np.linalg.norm(r, axis=-1)
-    ends = mesh.mesh.mesh.p[:, mesh.facets[:, facet]]
-    kappa = largest_stretch(law, (ends[:, 1] - ends[:, 0]).T)
-    moment = kappa * length**2 * (size[0] / 6.0 + size[1] / 3.0)
+    moment = largest_stretch(law, mesh.edges[facet]) * length**2 * (size[0] / 6.0 + size[1] / 3.0)
     return float(moved + moment.sum()), moment
 
 
@@ -207,7 +197,7 @@ def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
     """Pushes of walls on every triangle times the distance (n_cells,) of its middle in the P1 curtain x, N mm."""
     error = np.zeros(dual.dual.disc.n_cells)
     if dual.walls is not None:
-        gap = dual.walls.gap(_at_dual_nodes(x, dual.dual))
+        gap = dual.walls.gap(at_dual_nodes(x, dual.dual))
         error += (result.wall_forces * gap).reshape(-1, len(error)).sum(axis=0)
     return error
 

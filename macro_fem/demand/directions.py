@@ -38,9 +38,10 @@ def first_directions(is_mirrored: bool) -> Array:
     >>> len(first_directions(True)), len(first_directions(False))
     (12, 19)
     """
-    rim = np.pi * np.arange(7) / 6.0 if is_mirrored else np.pi * np.arange(12) / 6.0
-    ring = np.pi * np.arange(4) / 3.0 if is_mirrored else np.pi * np.arange(6) / 3.0
-    points = [np.zeros((1, 2)), *(r * np.column_stack([np.cos(a), np.sin(a)]) for r, a in ((0.6, ring), (1.0, rim)))]
+    points = [np.zeros((1, 2))]
+    for radius, half in ((0.6, 3), (1.0, 6)):
+        angle = np.pi * np.arange(half + 1 if is_mirrored else 2 * half) / half
+        points.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
     return rounded(np.vstack(points))
 
 
@@ -61,17 +62,13 @@ def widest(x: Array, part: Array, known: Array, most: int, is_mirrored: bool) ->
     chosen: list[Array] = []
     free = np.zeros(0)
     for i in np.argsort(-weight, kind="stable"):
-        if len(chosen) == most:
-            break
         point = _placed(centre[i], known)
         distance = _least_distance(point, known)
-        if distance < SAME:
-            continue
         taken = np.array(chosen).reshape(-1, 2)
-        if (np.hypot(*(taken - point).T) < np.maximum(free, APART * distance)).any():
-            continue
-        chosen.append(point)
-        free = np.append(free, APART * distance)
+        is_near = (np.hypot(*(taken - point).T) < np.maximum(free, APART * distance)).any()
+        if distance >= SAME and not is_near and len(chosen) < most:
+            chosen.append(point)
+            free = np.append(free, APART * distance)
     return np.array(chosen).reshape(-1, 2)
 
 

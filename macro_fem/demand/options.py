@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
 from rve import WEAVES, Cell
@@ -61,37 +62,27 @@ class OnDemand:
         return self.known
 
 
-def ring_options(
-    rings: str | None,
-    weave: str | None,
-    grain: str | None,
-    accuracy: float | None,
-    cache: Path | None,
-    no_cache: bool,
-) -> OnDemand | None:
-    """The rings that are asked, None if no radii are given.
+def ring_options(rings: str | None, **given: Any) -> OnDemand | None:
+    """The rings that are asked, None if no radii are given; the rest as the command line has it.
 
     InputError for radii, weave or grain that make no mesh, and for options that need --rings.
 
-    >>> ring_options("5,0.5", None, None, 1e-3, None, True).cell.wire
+    >>> ring_options("5,0.5", no_cache=True).cell.wire
     0.1
     """
+    told = {name: value for name, value in given.items() if value is not None and value is not False}
     if rings is None:
-        given = {"--weave": weave, "--grain": grain, "--accuracy": accuracy, "--cache": cache}
-        for name, value in given.items():
-            if value is not None:
-                raise InputError(f"{name} = {value}: belongs to --rings R1,R2")
-        if no_cache:
-            raise InputError("--no-cache: belongs to --rings R1,R2")
+        for name, value in told.items():
+            raise InputError(f"--{name.replace('_', '-')} = {value}: belongs to --rings R1,R2")
         return None
-    if cache is not None and no_cache:
+    if "cache" in told and "no_cache" in told:
         raise InputError("--cache and --no-cache contradict each other: give one")
-    weave = "4-in-1" if weave is None else weave
+    weave = told.get("weave", "4-in-1")
     if weave not in WEAVES:
         raise InputError(f"--weave = {shown(weave)}: known are {', '.join(WEAVES)}")
-    cell = Cell(*radii(rings), WEAVES[weave], "y" if grain is None else grain)
-    folder = None if no_cache else default_folder() if cache is None else cache
-    return OnDemand(cell, DEMAND.accuracy if accuracy is None else accuracy, cache=folder)
+    cell = Cell(*radii(rings), WEAVES[weave], told.get("grain", "y"))
+    folder = None if "no_cache" in told else told.get("cache", default_folder())
+    return OnDemand(cell, told.get("accuracy", DEMAND.accuracy), cache=folder)
 
 
 def default_folder() -> Path:

@@ -4,7 +4,6 @@ yield."""
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -47,15 +46,8 @@ def with_strength(found: Demand, cell: Cell, cache: Cache) -> Demand:
         found.rings.hits += asked.hits
         if asked.rows is None:
             break
-        rows, strength = rows.join([asked.rows]), join_strengths(strength, strength_of_rows(asked.rows, cell))
+        rows, strength = rows.join([asked.rows]), strength.join([strength_of_rows(asked.rows, cell)])
     return told
-
-
-def join_strengths(one: Strength, other: Strength) -> Strength:
-    """The strength at the loads of both, with the error of `one`."""
-    names = ("S", "cauchy", "first_yield", "collapse", "compliance")
-    both: dict[str, Any] = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
-    return replace(one, **both)
 
 
 def strength_of_rows(rows: LockedRows, cell: Cell) -> Strength:

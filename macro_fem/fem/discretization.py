@@ -18,6 +18,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
+from rve.common.records import Rows
 from rve.common.types import Array
 
 Index = NDArray[np.int64]
@@ -41,7 +42,7 @@ FINE = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class Points(Rows):
     """Points x = sum of share times node, each between the nodes of one cell: node and share (m, k)."""
 
     node: Index
@@ -54,9 +55,15 @@ class Points:
         """Places (m, d) of the points for nodes at x (n_nodes, d)."""
         return np.asarray((self.share[:, :, None] * x[self.node]).sum(axis=1))
 
-    def only(self, keep: NDArray[Any]) -> Points:
-        """Those chosen by a mask or by numbers."""
-        return Points(self.node[keep], self.share[keep])
+    @classmethod
+    def of(cls, nodes: Index) -> Points:
+        """The nodes (m,) themselves."""
+        return cls(nodes[:, None], np.ones((len(nodes), 1)))
+
+    def widened(self, k: int) -> Points:
+        """The same points with k nodes each, further ones without a share."""
+        more = ((0, 0), (0, k - self.node.shape[1]))
+        return Points(np.pad(self.node, more), np.pad(self.share, more))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +113,8 @@ class Discretization:
     @cached_property
     def grad(self) -> Array:
         """The gradients of the shape functions at each point, (n_points, n_local, 2), 1/mm."""
-        g = np.einsum("qJa,Jjqc->qcaj", self.shape_gradients, self._jacobian_at_points)
+        inverse = np.broadcast_to(self.inverse_jacobian, (2, 2, self.n_quad, self.n_cells))
+        g = np.einsum("qJa,Jjqc->qcaj", self.shape_gradients, inverse)
         return g.reshape(self.n_points, -1, 2)
 
     @cached_property
@@ -123,7 +131,7 @@ class Discretization:
     @cached_property
     def at_nodes(self) -> Points:
         """The nodes themselves."""
-        return Points(np.arange(self.n_nodes)[:, None], np.ones((self.n_nodes, 1)))
+        return Points.of(np.arange(self.n_nodes))
 
     @cached_property
     def hull(self) -> Points:
@@ -187,11 +195,6 @@ class Discretization:
         stacked = values.reshape(self.n_quad, self.n_cells, -1)
         mean = np.einsum("qc,qcx->cx", w / self.cell_area, stacked)
         return mean.reshape((self.n_cells, *values.shape[1:]))
-
-    @property
-    def _jacobian_at_points(self) -> Array:
-        shape = (2, 2, self.n_quad, self.n_cells)
-        return np.broadcast_to(self.inverse_jacobian, shape)
 
 
 def _bernstein(X: Array, is_triangle: bool) -> Array:

@@ -60,7 +60,8 @@ class HungLaw:
 
     def half_spaces(self) -> HalfSpaces:
         """Half-spaces to start with, see MembraneLaw."""
-        return self._turned(self.own.half_spaces())
+        start = self.own.half_spaces()
+        return replace(start, S=start.S @ self.to_curtain.T)
 
     def cut(self, E: Array) -> Cut:
         """The most violated half-space, see MembraneLaw."""
@@ -76,9 +77,6 @@ class HungLaw:
     def elastic(self) -> HungLaw:
         """The law with the compliance of its rings, see MembraneLaw."""
         return replace(self, own=elastic_law(self.own))
-
-    def _turned(self, found: HalfSpaces) -> HalfSpaces:
-        return replace(found, S=found.S @ self.to_curtain.T)
 
 
 def rotation_on_triples(angle_deg: float) -> Array:

@@ -23,17 +23,26 @@ from rve.common.types import Array
 class SparsityPattern:
     """Where the entries of a symmetric matrix on the free unknowns go; made once by `sparsity`.
 
-    n: number of free unknowns; free (n,): their flat numbers, increasing; d: components per node.
+    number (n_nodes * d,): the free unknown of each flat number, -1 where it is held; d: components per node.
     indptr (n + 1,), indices (nnz,): compressed columns of the lower triangle with its diagonal.
     slot (n_entries, n_cells): place in the data of each packed entry of a cell, nnz for "not free".
     """
 
-    n: int
+    number: Index
     d: int
-    free: Index
     indptr: NDArray[np.int32]
     indices: NDArray[np.int32]
     slot: Index
+
+    @property
+    def n(self) -> int:
+        """Number of free unknowns."""
+        return len(self.indptr) - 1
+
+    @property
+    def free(self) -> Index:
+        """Flat numbers of the free unknowns (n,), increasing."""
+        return np.flatnonzero(self.number >= 0)
 
     @property
     def nnz(self) -> int:
@@ -46,10 +55,6 @@ class SparsityPattern:
             np.bincount(self.slot.ravel(), weights=packed.ravel(), minlength=self.nnz + 1)[: self.nnz], dtype=np.float64
         )
 
-    def lower(self, data: Array) -> sparse.csc_matrix:
-        """The lower triangle as a sparse matrix that shares `data` (what CHOLMOD reads)."""
-        return _csc(data, self.indices, self.indptr, self.n)
-
     def full(self, data: Array) -> sparse.csc_matrix:
         """Both triangles as a sparse matrix (what SuperLU and conjugate gradients read)."""
         indptr, indices, source = self._mirror
@@ -61,9 +66,12 @@ class SparsityPattern:
         return self.indptr[:-1].astype(np.int64)
 
     def place(self, row: Index, column: Index) -> Index:
-        """Places in the data of entries (k,) of the lower triangle, which must be stored."""
-        found = np.searchsorted(self._keys, column * self.n + row)
-        return np.asarray(found, dtype=np.int64)
+        """Places in the data of entries (...) by their flat numbers: -1 above the diagonal and where one is held.
+
+        The others must be entries of the pattern.
+        """
+        i, j = self.number[row], self.number[column]
+        return np.where((j >= 0) & (i >= j), np.searchsorted(self._keys, j * self.n + i), -1)
 
     @cached_property
     def _keys(self) -> Index:
@@ -73,7 +81,7 @@ class SparsityPattern:
     @cached_property
     def _mirror(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Index]:
         # Numbers from 1 ride along as data: scipy sorts them into the full pattern once and for all.
-        lower = self.lower(np.arange(1.0, self.nnz + 1.0))
+        lower = _csc(np.arange(1.0, self.nnz + 1.0), self.indices, self.indptr, self.n)
         full = (lower + sparse.tril(lower, -1).T).tocsc()
         full.sort_indices()
         return full.indptr, full.indices, full.data.astype(np.int64) - 1
@@ -122,7 +130,7 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -
         slot = np.where(is_first, place[pair_of, l, k], place[pair_of, k, l])
         slots.append(slot[a, b] if k == l else slot.reshape(n_local**2, -1))
     index = (lower.indptr.astype(np.int32), lower.indices.astype(np.int32))
-    return SparsityPattern(n, d, np.flatnonzero(free), *index, np.concatenate(slots))
+    return SparsityPattern(np.where(free, number, -1), d, *index, np.concatenate(slots))
 
 
 def tied_pattern(pattern: SparsityPattern, tie: sparse.csc_matrix) -> tuple[SparsityPattern, sparse.csr_matrix]:
@@ -147,7 +155,7 @@ def tied_pattern(pattern: SparsityPattern, tie: sparse.csc_matrix) -> tuple[Spar
     j, i = np.divmod(unique, n)
     indptr = np.searchsorted(j, np.arange(n + 1)).astype(np.int32)
     no_slot = np.zeros((0, 0), dtype=np.int64)
-    return SparsityPattern(n, pattern.d, np.arange(n), indptr, i.astype(np.int32), no_slot), spread
+    return SparsityPattern(np.arange(n), pattern.d, indptr, i.astype(np.int32), no_slot), spread
 
 
 def component_pairs(d: int) -> list[tuple[int, int]]:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from macro_fem.fem.assembly import gradient, internal_force, stiffness
+from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.sparsity import SparsityPattern, sparsity, tied_pattern
 from rve.common.factor import Factorizer, Solve
@@ -37,18 +38,19 @@ class SupportedFem:
     tie: sparse.csc_matrix | None = None
     loose: int = 0
 
-    def tied(self) -> SupportedFem:
-        """The same curtain with its free components picked by a matrix T, as if bars tied them; itself if some do."""
+    @cached_property
+    def T(self) -> sparse.csc_matrix:
+        """T (n_nodes * d, n_z); without ties it picks the free components."""
         if self.tie is not None:
-            return self
+            return self.tie
         free = np.flatnonzero(self.free)
         one = (np.ones(len(free)), (free, np.arange(len(free))))
-        return replace(self, tie=sparse.csc_matrix(one, shape=(self.free.size, len(free))))
+        return sparse.csc_matrix(one, shape=(self.free.size, len(free)))
 
     def moved(self, x_held: Array) -> SupportedFem:
         """The same curtain with its held components elsewhere; pattern and symbolic factor are kept."""
         other = replace(self, x_held=x_held)
-        kept = ("pattern", "_tied", "solver")
+        kept = ("T", "pattern", "_tied", "factorizer")
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
@@ -60,19 +62,17 @@ class SupportedFem:
     @property
     def n(self) -> int:
         """Number of free unknowns."""
-        return int(self.free.sum()) if self.tie is None else self.tie.shape[1]
+        return int(self.T.shape[1])
 
     @cached_property
     def held(self) -> np.ndarray:
         """Which components (n_nodes, d) no unknown moves."""
-        held = ~self.free if self.tie is None else np.diff(self.tie.tocsr().indptr) == 0
-        return np.asarray(held.reshape(self.x_held.shape))
+        return np.asarray((np.diff(self.T.tocsr().indptr) == 0).reshape(self.x_held.shape))
 
     @cached_property
     def reference(self) -> Array:
         """Positions of the nodes in the plane reference state (n_nodes, d), mm."""
-        nodes = self.disc.nodes
-        return np.column_stack([nodes, np.zeros((len(nodes), self.d - 2))])
+        return in_space_of(self.disc.nodes, self.d)
 
     @property
     def size(self) -> float:
@@ -108,7 +108,7 @@ class SupportedFem:
 
     def gather(self, nodal: Array) -> Array:
         """T^T f (n,) of nodal forces f (n_nodes, d)."""
-        return nodal.ravel()[self.free] if self.tie is None else self.tie.T @ nodal.ravel()
+        return self.T.T @ nodal.ravel()
 
     def unknowns(self, x: Array) -> Array:
         """The z whose positions are nearest to x (n_nodes, d)."""
@@ -119,12 +119,7 @@ class SupportedFem:
 
     def spread(self, dz: Array) -> Array:
         """T dz as nodal vectors (n_nodes, d)."""
-        out = np.zeros(self.x_held.size)
-        if self.tie is None:
-            out[self.free] = dz
-        else:
-            out = self.tie @ dz
-        return out.reshape(self.x_held.shape)
+        return (self.T @ dz).reshape(self.x_held.shape)
 
     def matrix_data(self, tangent: Array, added: Array | None = None) -> Array:
         """Data of the lower triangle of B^T (w A) B for tangents A (nq, d, 2, d, 2), in the order of its pattern.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from macro_fem.fem.discretization import Points
 from macro_fem.motion.step import Stepped
 from macro_fem.problem import CurtainProblem, meeting_points, placed_obstacles, tangent_walls
 from macro_fem.scene.moving import Ball
@@ -58,7 +59,7 @@ class Contacts:
             share = np.column_stack([points.share[near], np.full(len(near), -1.0)])
             normal = away[near] / np.maximum(distance[near], 1e-300)[:, None]
             owner = np.full(len(near), -1 - k)
-            found.append(Walls(node, normal, np.full(len(near), ball.radius), owner, share))
+            found.append(Walls(Points(node, share), normal, np.full(len(near), ball.radius), owner))
         return found
 
     def misses(self, x: Array) -> bool:
@@ -92,13 +93,13 @@ class Contacts:
         moved, touched = 0.0, 0.0
         for number in np.unique(end.walls.owner):
             which = np.flatnonzero(end.walls.owner == number)
-            own, push = end.walls.only(which), end.result.wall_forces[which]
+            own, push = end.walls.take(which), end.result.wall_forces[which]
             if number < 0:
-                touched += float(push @ (np.linalg.norm(own.places(x), axis=1) - own.offset))
+                touched += float(push @ (np.linalg.norm(own.at.places(x), axis=1) - own.offset))
                 continue
             old: PlacedObstacle | None = self.before.get(int(number))
             if old is None:
                 continue
             moved += float(push @ (own.offset - old.offset(own.normal)))
-            touched += float(push @ old.gap(own.places(x)))
+            touched += float(push @ old.gap(own.at.places(x)))
         return moved, touched

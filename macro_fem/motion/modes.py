@@ -85,7 +85,7 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
             f"the curtain at rest ended as {solution.status}, so that it has no modes: {solution.message}"
         )
     in_space = solution.problem.fem.d == 3
-    T = sparse.csc_matrix(solution.problem.fem.tied().tie) if in_space else _across(solution)
+    T = solution.problem.fem.T if in_space else _across(solution)
     each = (sparse.kron(A, sparse.eye(3)) if in_space else A for A in _of_one_component(solution))
     K, M, lumped = (sparse.csc_matrix(T.T @ A @ T) for A in each)
     n = M.shape[0]

@@ -19,8 +19,7 @@ from macro_fem.motion.scheme import Difference
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.inertia import Inertia, times
-from macro_fem.solvers.options import PathOptions
-from macro_fem.solvers.path_result import PathResult, Terms
+from macro_fem.solvers.path import PathOptions, PathResult, Terms
 from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
 

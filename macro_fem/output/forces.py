@@ -124,8 +124,8 @@ def pushes_of(solution: CurtainSolution, number: int) -> tuple[np.ndarray, Array
     walls = solution.problem.walls
     if walls is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
-    own = walls.only(walls.owner == number)
-    nodes = np.unique(own.node[own.share != 0.0])
+    own = walls.take(walls.owner == number)
+    nodes = np.unique(own.at.node[own.at.share != 0.0])
     nodal = own.nodal(solution.wall_forces[walls.owner == number], solution.problem.disc.n_nodes)
     return nodes, padded(nodal[nodes])
 

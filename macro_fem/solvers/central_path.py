@@ -20,7 +20,6 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import (
     ConeState,
-    Iteration,
     Measure,
     Program,
     compliance_root,
@@ -31,23 +30,29 @@ from macro_fem.solvers.cone_program import (
 )
 from macro_fem.solvers.cone_step import advance, find_step
 from macro_fem.solvers.cones import first_cones, least_slack
-from macro_fem.solvers.cutting_planes import drop_stray, find_nearest, join, prune, widen
-from macro_fem.solvers.options import (
-    ANEW,
-    GOOD,
-    INSIDE,
-    MOST_DRAWN,
-    PATH,
-    PATIENCE,
-    RELEASED,
-    SETTLED,
-    PathOptions,
-)
-from macro_fem.solvers.path_result import RIGID_TERMS, PathResult, Terms
+from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
+from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
-from macro_fem.solvers.walls import NO_ROWS, all_forces, rows_of
+from macro_fem.solvers.walls import rows_of
 from rve.common.progress import tell, way
 from rve.common.types import Array
+
+SETTLED = 1e-2
+"""Stagnation is checked only below this error; earlier, gap and residuals fall alternately."""
+PATIENCE = 15
+"""Steps below `SETTLED` without a new least error or half-space after which rounding stops the iteration."""
+GOOD = 0.5
+"""A step is found anew with the half-spaces in its way if they leave less than this part of it,"""
+ANEW = 2
+"""but not more often than this in a row. More often costs factorisations, less often short steps."""
+RELEASED = 1e-7
+"""Relative gap at which a guiding load is taken away. Earlier, slack parts move from where it has put them; later,
+steps are short, as the path is closer to the boundary."""
+INSIDE = 1e-3
+"""Relative margin in the law from which a state is good enough to draw the answer back to. Larger values keep earlier
+states, farther from the answer."""
+MOST_DRAWN = 1e-3
+"""Longest part of the way to that state that the answer is drawn. More would hide a wrong answer."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,8 @@ class _Place:
     def primal(self) -> float:
         """-l.z plus the stored energy, N mm."""
         stored = 0.5 * float((self.program.fem.weight * soc.row_dot(self.state.eps, self.state.eps)).sum())
-        return stored - float(self.program.load @ self.state.z) + self.program.inertia.energy(self.state.z)
+        moving = 0.0 if self.program.inertia is None else self.program.inertia.energy(self.state.z)
+        return stored - float(self.program.load @ self.state.z) + moving
 
     @property
     def lower(self) -> float:
@@ -105,44 +111,39 @@ def solve_path(
     is well inside the law keeps the path inside and makes the primal value a bound.
     """
     loads, inertia = load_scale(load, fem.weight), terms.inertia
+    rows = rows_of(fem, terms.walls, size)
     program = Program(
         fem=fem,
         law=law,
         load=load if terms.guide is None else load + terms.guide,
         cones=first_cones(law, len(fem.weight)) if options.cones is None else options.cones,
         R=compliance_root(terms.compliance),
-        scale=loads * size + inertia.energy_scale,
-        total=loads + inertia.force_scale,
-        rows=NO_ROWS if terms.walls is None else rows_of(fem, terms.walls, size),
+        scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
+        total=loads + (0.0 if inertia is None else inertia.force_scale),
+        rows=rows,
         inertia=inertia,
     )
     first = _measure(program, find_first_state(program, start, options.first_gap))
-    place, inner, stop, history = solve_central_path(first, load, options)
-    found = _make_result(place.under(load), stop, inner, history, options)
-    if terms.walls is None:
-        return found
-    return replace(found, wall_forces=all_forces(terms.walls, fem, program.rows, place.state.u))
+    place, inner, stop, steps = solve_central_path(first, load, options)
+    return _make_result(place.under(load), stop, inner, steps, options)
 
 
-def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, list[Iteration]]:
-    """Where the path from a place ends, the place near it with the largest margin, why it ends, and its steps."""
+def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, int]:
+    """Where the path from a place ends, the place near it with the largest margin, why it ends, how many steps."""
     inner, best = replace(place, interior_margin=-place.violation), place
-    prunes, history = list(options.pruned_at), list[Iteration]()
-    waited, held, first = 0, 0, place.now.gap
-    while (stop := _find_stop(place, inner, load, options, len(history))) is None:
+    prunes, steps, waited, held, first = list(options.pruned_at), 0, 0, 0, place.now.gap
+    while (stop := _find_stop(place, inner, load, options, steps)) is None:
         tell(f"curtain of {len(place.program.fem.weight)} points", way(first, place.now.gap, options.gap))
         after = None if waited > PATIENCE else _try_step(place, options, may_wait=held < ANEW)
         if after is None:
-            return best, inner, "stalled", history
-        now, known = place.now, len(place.program.c)
-        program, state = after.program, after.state
-        history.append(Iteration(now.gap, now.unbalanced, now.outside, after.primal, after.dual, len(program.c)))
-        held = 0 if after.dual > 0.0 else held + 1
-        if prunes and now.gap < prunes[0]:
+            return best, inner, "stalled", steps
+        known, program, state = len(place.program.c), after.program, after.state
+        steps, held = steps + 1, 0 if after.is_moved else held + 1
+        if prunes and place.now.gap < prunes[0]:
             program, state = prune(program, state)
             del prunes[0]
         if not is_inside(state):
-            return best, inner, "stalled", history
+            return best, inner, "stalled", steps
         place = _measure(program, state, after.interior_margin)
         if place.interior_margin > inner.interior_margin and inner.interior_margin < INSIDE:
             inner = place
@@ -152,7 +153,7 @@ def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tupl
             place = place.under(load)
         if is_released or place.now.error < best.now.error:
             best, waited = place, 0
-    return best if stop == "iterations" else place, inner, stop, history
+    return best if stop == "iterations" else place, inner, stop, steps
 
 
 def _measure(program: Program, state: ConeState, interior_margin: float = -np.inf) -> _Place:
@@ -161,12 +162,11 @@ def _measure(program: Program, state: ConeState, interior_margin: float = -np.in
 
 @dataclass(frozen=True)
 class _After:
-    """Program and state after a step of these lengths, and the interior margin of the new z, -inf if not known."""
+    """Program and state after a step, whether the state has moved, and the interior margin of z, -inf if not known."""
 
     program: Program
     state: ConeState
-    primal: float
-    dual: float
+    is_moved: bool
     interior_margin: float = -np.inf
 
 
@@ -181,16 +181,16 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> _After 
         return None
     F = program.fem.gradient(state.z + step.primal * step.dz)
     E = program.locked(F, state.eps + step.primal * step.deps)
-    found = drop_stray(program, now, find_nearest(program, E, now.wanted + step.d_wanted * step.primal))
-    if not found.is_missing.any():
+    found = find_nearest(program, now, E, now.wanted + step.d_wanted * step.primal)
+    if not len(found.missing):
         after = advance(state, step)
         margin = min(-float(found.violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
-        return _After(program, after, step.primal, step.dual, margin)
+        return _After(program, after, step.dual > 0.0, margin)
     into = join(program, state, found)
     shorter = widen(step, into)
     if may_wait and shorter.primal < GOOD * step.primal:
-        return _After(into.program, into.state, 0.0, 0.0)
-    return _After(into.program, advance(into.state, shorter), shorter.primal, shorter.dual)
+        return _After(into.program, into.state, False)
+    return _After(into.program, advance(into.state, shorter), shorter.dual > 0.0)
 
 
 def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, steps: int) -> str | None:
@@ -226,7 +226,7 @@ def _draw_inside(place: _Place, inner: _Place, options: PathOptions) -> _Place:
     return near
 
 
-def _make_result(place: _Place, stop: str, inner: _Place, history: list[Iteration], options: PathOptions) -> PathResult:
+def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: PathOptions) -> PathResult:
     """The record, its numbers those of the answer it holds."""
     answer = place if stop in ("infeasible", "blocked") else _draw_inside(place, inner, options)
     program, y = place.program, place.state.y
@@ -242,6 +242,7 @@ def _make_result(place: _Place, stop: str, inner: _Place, history: list[Iteratio
         P=-program.pull(y)[0],
         primal=answer.primal,
         dual=answer.lower,
-        history=tuple(history),
+        iterations=steps,
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
+        wall_forces=program.rows.reactions(place.state.u),
     )

@@ -38,27 +38,17 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
 from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
-from macro_fem.solvers.inertia import NO_INERTIA, Inertia
-from macro_fem.solvers.options import LIFT, PATH
+from macro_fem.solvers.inertia import Inertia
 from macro_fem.solvers.soc import Vectors
-from macro_fem.solvers.walls import NO_ROWS, WallRows
+from macro_fem.solvers.walls import WallRows
 from rve.common.tensor import WEIGHT
 from rve.common.types import Array
 
 REACH = 4.0
 """No point of an admissible state is farther than this many sizes from its place in another one: twice the stretch."""
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """One line of the history: relative gap, residuals of equilibrium and of the cones, step lengths, cones."""
-
-    gap: float
-    unbalanced: float
-    outside: float
-    step_primal: float
-    step_dual: float
-    cones: int
+LIFT = 0.1
+"""Least relative distance from the boundary of a cone at which an iteration begins. Larger lifts make larger cone
+residuals at the start, smaller ones short first steps."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +81,8 @@ class Program:
     R: Array
     scale: float
     total: float
-    rows: WallRows = NO_ROWS
-    inertia: Inertia = NO_INERTIA
+    rows: WallRows
+    inertia: Inertia | None = None
 
     @cached_property
     def L(self) -> Array:
@@ -121,6 +111,11 @@ class Program:
         """Sum of the areas of all cones, mm2."""
         return float(self.w.sum()) + float(self.rows.v.sum())
 
+    def added(self, weight: Array) -> Array:
+        """Data of the lower triangle that half-spaces on nodes of these weights (m,) and inertia add to the matrix."""
+        data = self.rows.added(weight)
+        return data if self.inertia is None else data + self.inertia.data
+
     @property
     def lead(self) -> int:
         """Components of a cone's tail before F L: 1 for n, 0 in a rigid curtain."""
@@ -132,10 +127,9 @@ class Program:
         out = np.empty((lead + 2 * F.shape[1], len(point)))
         for a in range(F.shape[1]):
             root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[lead + 2 * a : lead + 2 * a + 2])
-        if not lead:
-            return Vectors(np.zeros(len(point)), out.T)
-        out[0] = soc.row_dot(self.N[which], eps[point])
-        return Vectors(out[0], out.T)
+        head = soc.row_dot(self.N[which], eps[point])
+        out[:lead] = head
+        return Vectors(head, out.T)
 
     def slack(self, z: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
         """(c + n, n, F L): the primal cone vectors that the unknowns ask for."""
@@ -151,7 +145,7 @@ class Program:
 
     def carried(self, y: Vectors) -> Array:
         """y_0 + y_n (nc,): c times the multiplier lam of each half-space, whose stress is lam S."""
-        return y.head + y.tail[:, 0] if self.lead else y.head
+        return y.head + y.tail[:, : self.lead].sum(axis=1)
 
     def locked(self, F: Array, eps: Array) -> Array:
         """E - R eps (nq, 3): the strain that the half-spaces limit; tau beside it where there is one, (nq, 4)."""
@@ -201,21 +195,22 @@ def measure(program: Program, state: ConeState) -> Measure:
     fem, w, scale, rows = program.fem, program.w, program.scale, program.rows
     sum_of_parts, strain = program.pull(state.y)
     r_y = fem.force(sum_of_parts) + rows.force(state.u)
-    r_x = program.load + r_y + program.inertia.force(state.z)
+    r_x, energy, below = program.load + r_y, 0.0, None
+    if program.inertia is not None:
+        r_x = r_x + program.inertia.force(state.z)
+        energy, below = program.inertia.energy(state.z), program.inertia.deficit(r_x)
     r_e = strain - state.eps
     wanted = program.slack(state.z, state.eps)
     r_s, r_t = state.s - wanted, state.t - rows.slack(state.z)
     zero = np.zeros_like(state.z)
-    held = fem.gradient(zero)
     dual = -float((w * state.y.head * program.c).sum())
-    dual -= float((fem.weight * (sum_of_parts * held).sum(axis=(1, 2))).sum())
+    dual -= float((fem.weight * (sum_of_parts * fem.gradient(zero)).sum(axis=(1, 2))).sum())
     dual -= 0.5 * float((fem.weight * soc.row_dot(strain, strain)).sum())
     dual -= float((rows.v * state.u * rows.slack(zero)).sum())
     unbalanced = float(np.abs(r_x).sum()) / program.total
-    below = program.inertia.deficit(r_x)
-    lower = (dual - float(((program.load + r_y) * state.z).sum()) + program.inertia.energy(state.z)) / scale
+    lower = (dual - float(((program.load + r_y) * state.z).sum()) + energy) / scale
     return Measure(
-        gap=_products(program, state) / scale,
+        gap=mean_product(program, state) * program.area / scale,
         unbalanced=unbalanced,
         outside=max(float(np.sqrt((r_s.dot(r_s) / program.c**2).max())), float(np.abs(r_t).max(initial=0.0))),
         strain=float(np.sqrt((fem.weight * soc.row_dot(r_e, r_e)).sum() / scale)),
@@ -232,12 +227,8 @@ def measure(program: Program, state: ConeState) -> Measure:
 
 def mean_product(program: Program, state: ConeState) -> float:
     """mu: the mean of s.y over the cones, N/mm."""
-    return _products(program, state) / program.area
-
-
-def _products(program: Program, state: ConeState) -> float:
-    """Sum of all s.y times their areas, N mm."""
-    return float((program.w * state.s.dot(state.y)).sum()) + float((program.rows.v * state.t * state.u).sum())
+    products = float((program.w * state.s.dot(state.y)).sum()) + float((program.rows.v * state.t * state.u).sum())
+    return products / program.area
 
 
 def is_inside(state: ConeState) -> bool:
@@ -246,7 +237,7 @@ def is_inside(state: ConeState) -> bool:
     return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0 and is_in_rows)
 
 
-def find_first_state(program: Program, z: Array, first_gap: float = PATH.first_gap) -> ConeState:
+def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
     eps = np.zeros((len(program.fem.weight), program.N.shape[1]))
     s = program.slack(z, eps).lifted(LIFT * program.c)

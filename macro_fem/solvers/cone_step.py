@@ -9,11 +9,12 @@ import numpy as np
 from macro_fem.solvers import soc
 from macro_fem.solvers.cone_program import ConeState, Measure, Program, mean_product
 from macro_fem.solvers.cones import times_root
-from macro_fem.solvers.options import BOUNDARY
 from macro_fem.solvers.soc import Vectors
-from macro_fem.solvers.strains import Strains
 from macro_fem.solvers.walls import longest
 from rve.common.types import Array
+
+BOUNDARY = 0.98
+"""Part of the way to the boundary of the cones that a step may go. Closer to 1 the next steps become short."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,15 @@ class ConeStep:
     dual: float = 0.0
 
 
+def _solve(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[:, :, None]))[:, :, 0]
+
+
 class _Newton:
-    """Newton's matrix in the scaling of a state, factorised; directions for different aims share it."""
+    """Newton's matrix in the scaling of a state, factorised; directions for different aims share it.
+
+    Strains are eliminated point by point, by Cholesky's factor, for an inverse would lose the square of its digits.
+    """
 
     def __init__(self, program: Program, state: ConeState, now: Measure) -> None:
         self.program, self.state, self.now = program, state, now
@@ -45,8 +53,7 @@ class _Newton:
         inv2 = 1.0 / self.W.eta**2
         # W^-2 seen through `map` is eta^-2 (2 q q^T + |F L|^2): the squares of the two n cancel.
         q = times_root(w.tail[:, program.lead :].reshape(-1, d, 2), program.L)
-        if k:
-            q = np.column_stack([(w.tail[:, 0] - w.head)[:, None] * program.N, q])
+        q = np.column_stack([(w.tail[:, 0] - w.head)[:, None] * program.N, q]) if k else q
         H = cones.sum_of_squares(q, 2.0 * inv2)
         S = cones.stress(inv2)
         for a in range(k, k + 2 * d, 2):
@@ -54,10 +61,13 @@ class _Newton:
             H[:, a, a + 1] += S[:, 1]
             H[:, a + 1, a] += S[:, 1]
             H[:, a + 1, a + 1] += S[:, 2]
-        self.strains = Strains(H, k) if k else None
-        A = H if self.strains is None else self.strains.reduced
-        added = program.inertia.added(program.rows.added(state.u / state.t))
-        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), added)
+        if k:
+            H = np.ascontiguousarray(H)
+            H[:, range(k), range(k)] += 1.0
+        self.root: Array = np.asarray(np.linalg.cholesky(H[:, :k, :k]))
+        self.couple: Array = np.asarray(np.linalg.solve(self.root, H[:, :k, k:]))
+        A = H[:, k:, k:] - self.couple.swapaxes(1, 2) @ self.couple if k else H
+        self.solve = program.fem.factorize(A.reshape(-1, d, 2, d, 2), program.added(state.u / state.t))
 
     def direction(self, aim: Vectors, row_aim: Array, keep: float) -> tuple[ConeStep, Vectors, Vectors]:
         """The step to point o (W dy + W^-1 ds) = aim and u dt + t du = row_aim with residuals reduced to the part
@@ -68,13 +78,12 @@ class _Newton:
         both = soc.divide(self.point, aim)
         aimed = W.undo(both)
         force, strain = program.pull(aimed + W.undo_twice(r_s))
-        half = strain + (1.0 - keep) * now.r_e
-        if self.strains is not None:
-            half = self.strains.half(half)
-            force = force - self.strains.onto_gradient(half, force.shape)
+        half = _solve(self.root, strain + (1.0 - keep) * now.r_e)
+        force = force - np.einsum("nij,ni->nj", self.couple, half).reshape(force.shape)
         dz = self.solve((1.0 - keep) * now.r_x + program.fem.force(force) + rows.force((row_aim + u * r_t) / t))
         dF = program.fem.gradient_change(dz)
-        deps = half if self.strains is None else self.strains.whole(half, dF)
+        moved = np.einsum("nij,nj->ni", self.couple, dF.reshape(len(dF), -1))
+        deps = _solve(self.root.swapaxes(1, 2), half - moved)
         d_wanted = program.map(dF, deps)
         ds = d_wanted - r_s
         scaled = W.undo(ds)

@@ -14,14 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homogenize import Cut, HalfSpaces, MembraneLaw
-from rve.common.tensor import IDENTITY
+from rve.common.tensor import IDENTITY, trace
 from rve.common.types import Array
 
 LAW_CHUNK = 20_000
 """Points per call of `law.cut`: keeps its (points, half-spaces) table inside some 100 MB."""
-
-FLAT = 0.05
-"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class Cones:
     @property
     def size(self) -> Array:
         """c^2 / 2 = h + tr S / 2 (nc,): the slack at F = 0, the natural unit of a slack."""
-        return self.h + 0.5 * (self.S[:, 0] + self.S[:, 2])
+        return self.h + 0.5 * trace(self.S)
 
     def sum(self, values: Array) -> Array:
         """Sums over the half-spaces of each point: (nc, ...) to (nq, ...)."""
@@ -59,6 +56,11 @@ class Cones:
             for j in range(i + 1):
                 out[i, j] = out[j, i] = self.sum(scaled * v[:, j])
         return out.transpose(2, 0, 1)
+
+    def pick(self, old: np.ndarray, point: np.ndarray, n_points: int) -> Cones:
+        """The half-spaces `old` (n,) at `point` (n,), ascending, of `n_points` points that have one each at least."""
+        extra = None if self.extra is None else self.extra[old]
+        return Cones(point, self.S[old], self.h[old], np.searchsorted(point, np.arange(n_points)), extra)
 
     def stress(self, lam: Array) -> Array:
         """S_q = sum of lam_i S_i (nq, 3)."""
@@ -101,77 +103,34 @@ def first_cones(law: MembraneLaw, n_points: int) -> Cones:
 
 def same_cones(start: HalfSpaces, n_points: int) -> Cones:
     """The same half-spaces at each of `n_points` points."""
-    m = len(start.h)
-    return Cones(
-        np.repeat(np.arange(n_points), m),
-        np.tile(start.S, (n_points, 1)),
-        np.tile(start.h, n_points),
-        np.arange(n_points) * m,
-        None if start.extra is None else np.tile(start.extra, n_points),
-    )
+    one = Cones(np.zeros(len(start.h), int), start.S, start.h, np.zeros(1, int), start.extra)
+    return take_from(one, np.zeros(n_points, int))
 
 
-def with_cuts(
-    cones: Cones, point: np.ndarray, S: Array, h: Array, extra: Array | None = None
-) -> tuple[Cones, np.ndarray]:
-    """`cones` and the half-spaces S (k, 3), h (k,) at `point` (k,); and where the old and new ones (nc + k,) come from.
+def with_cuts(cones: Cones, point: np.ndarray, cut: Cut) -> tuple[Cones, np.ndarray]:
+    """`cones` and a half-space of `cut` at each `point` (k,); and where the old and new ones (nc + k,) come from.
 
     The second array orders per-half-space data of old ones followed by new ones.
     """
     n = len(cones)
     order = np.insert(np.arange(n), np.searchsorted(cones.point, point, side="right"), n + np.arange(len(point)))
-    added = np.bincount(point, minlength=len(cones.first))
-    return (
-        Cones(
-            np.concatenate([cones.point, point])[order],
-            np.concatenate([cones.S, S])[order],
-            np.concatenate([cones.h, h])[order],
-            cones.first + np.cumsum(added) - added,
-            None if cones.extra is None or extra is None else np.concatenate([cones.extra, extra])[order],
-        ),
-        order,
-    )
-
-
-def repeat_cones(cones: Cones, times: int) -> Cones:
-    """The half-spaces of n points for `times` copies of these points, one copy after the other."""
-    n, nc = len(cones.first), len(cones)
-    copies = np.arange(times)[:, None]
-    return Cones(
-        (cones.point + n * copies).ravel(),
-        np.tile(cones.S, (times, 1)),
-        np.tile(cones.h, times),
-        (cones.first + nc * copies).ravel(),
-        None if cones.extra is None else np.tile(cones.extra, times),
-    )
+    extra = None if cones.extra is None or cut.extra is None else np.concatenate([cones.extra, cut.extra])
+    S, h = np.concatenate([cones.S, cut.S]), np.concatenate([cones.h, cut.h])
+    both = Cones(np.concatenate([cones.point, point]), S, h, cones.first, extra)
+    return both.pick(order, both.point[order], len(cones.first)), order
 
 
 def take_from(cones: Cones, source: np.ndarray) -> Cones:
     """For each new point the half-spaces of point `source` (n,) of the old ones."""
     count = np.bincount(cones.point, minlength=len(cones.first))[source]
-    first = np.cumsum(count) - count
     point = np.repeat(np.arange(len(source)), count)
-    old = np.repeat(cones.first[source], count) + np.arange(len(point)) - first[point]
-    return Cones(point, cones.S[old], cones.h[old], first, None if cones.extra is None else cones.extra[old])
+    old = np.repeat(cones.first[source] - (np.cumsum(count) - count), count) + np.arange(len(point))
+    return cones.pick(old, point, len(source))
 
 
 def with_support(cones: Cones, law: MembraneLaw) -> Cones:
     """The half-spaces of `law` with the same S as those of `cones`."""
     return replace(cones, h=law.support(cones.S))
-
-
-def keep_steady(cones: Cones, keep: np.ndarray) -> np.ndarray:
-    """`keep` (nc,) and what Newton's matrix needs to stay definite: at every point one well-conditioned S, or all."""
-    det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
-    roundest = np.maximum.reduceat(det, cones.first)[cones.point]
-    return np.asarray(keep | (det >= roundest) | (roundest < FLAT))
-
-
-def only(cones: Cones, keep: np.ndarray) -> Cones:
-    """The half-spaces marked by `keep` (nc,); every point must retain one."""
-    point = cones.point[keep]
-    first = np.searchsorted(point, np.arange(len(cones.first)))
-    return Cones(point, cones.S[keep], cones.h[keep], first, None if cones.extra is None else cones.extra[keep])
 
 
 def all_cuts(law: MembraneLaw, E: Array) -> Cut:
@@ -182,13 +141,7 @@ def all_cuts(law: MembraneLaw, E: Array) -> Cut:
     return Cut(S, h, violation, np.concatenate(extra) if extra else None)
 
 
-def law_cut(law: MembraneLaw, E: Array) -> tuple[Array, Array, Array]:
-    """The half-space of the law nearest to (or most violated by) each E (n, 3): S (n, 3), h (n,), h - S:E (n,)."""
-    found = all_cuts(law, E)
-    return found.S, found.h, -found.violation
-
-
 def least_slack(law: MembraneLaw, E: Array) -> float:
     """The least slack of the law over all strains E (n, 3), over h + tr S / 2; negative where one is not admissible."""
-    S, h, slack = law_cut(law, E)
-    return float((slack / (h + 0.5 * (S[:, 0] + S[:, 2]))).min())
+    cut = all_cuts(law, E)
+    return float((-cut.violation / (cut.h + 0.5 * trace(cut.S))).min())

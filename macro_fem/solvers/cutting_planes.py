@@ -11,81 +11,85 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from homogenize import Cut
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import ConeState, Measure, Program, mean_product
-from macro_fem.solvers.cone_step import ConeStep
-from macro_fem.solvers.cones import all_cuts, keep_steady, only, with_cuts
-from macro_fem.solvers.options import BOUNDARY, IDLE, LIFT, NEAR, ROUNDED, SHARE, STRAY
+from macro_fem.solvers.cone_program import LIFT, ConeState, Measure, Program, mean_product
+from macro_fem.solvers.cone_step import BOUNDARY, ConeStep
+from macro_fem.solvers.cones import all_cuts, with_cuts
 from macro_fem.solvers.soc import Vectors
+from rve.common.tensor import trace
 from rve.common.types import Array
+
+NEAR = 0.9
+"""A missing half-space joins when it is nearer than this part of the distance to the nearest known one. Larger parts
+add more half-spaces, smaller ones add them late, so that steps are cut short."""
+SHARE = 0.3
+"""A violated half-space enters with at most this part of the load of its point. Larger shares unbalance more."""
+ROUNDED = 1e-13
+"""Least relative distance from the boundary that double precision can tell from none."""
+STRAY = 1e-2
+"""A point gets no half-spaces while a cone vector of its own is off by more than this part of its radius."""
+IDLE = 0.03
+"""A half-space is idle below this part of its point's load and above this relative distance. Larger values drop more,
+some of which have to join again."""
+FLAT = 0.05
+"""A unit-trace S with a determinant below this (1/4 is the roundest) does not hold a point on its own."""
 
 
 @dataclass(frozen=True)
-class NearestHalfSpaces:
-    """The law's nearest half-space S (nq, 3), h (nq,) at each point, by how much it is violated, and if it is missing.
+class Nearest:
+    """The law's nearest half-space at each point, by how much it is violated, and if it is missing.
 
-    violation (nq,) is (S:E - h) / (h + tr S / 2) for the locked strain E, negative inside; is_missing (nq,) marks
-    points where it is not among the program's and is violated or much nearer than those; extra (nq,) as in `Cones`.
+    violation (nq,) is (S:E - h) / (h + tr S / 2) for the locked strain E, negative inside; missing (k,) are the points
+    where it is not among the program's and is violated or much nearer than those.
     """
 
-    S: Array
-    h: Array
+    cut: Cut
     violation: Array
-    is_missing: np.ndarray
-    extra: Array | None = None
+    missing: np.ndarray
 
 
-def find_nearest(program: Program, E: Array, wanted: Vectors) -> NearestHalfSpaces:
-    """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`."""
-    nearest_one = all_cuts(program.law, E)
-    S, h, slack = nearest_one.S, nearest_one.h, -nearest_one.violation
-    trace = S[:, 0] + S[:, 2]
-    cones = program.cones
-    known = 0.5 * (soc.row_dot(wanted.tail, wanted.tail) - wanted.head**2) / (cones.S[:, 0] + cones.S[:, 2])
+def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> Nearest:
+    """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`.
+
+    Nothing is missing at points whose own cones are still far from their place: first those are to be met, or refuted.
+    """
+    cones, cut = program.cones, all_cuts(program.law, E)
+    size = trace(cut.S)
+    known = 0.5 * (soc.row_dot(wanted.tail, wanted.tail) - wanted.head**2) / trace(cones.S)
     nearest = np.maximum.reduceat(known, cones.first)
-    over = -slack / trace
-    is_unknown = over > nearest + 1e-12 * (1.0 + np.abs(nearest))
-    is_missing = is_unknown & ((over > 0.0) | (over > NEAR * nearest))
-    return NearestHalfSpaces(S, h, -slack / (h + 0.5 * trace), is_missing, nearest_one.extra)
-
-
-def drop_stray(program: Program, now: Measure, found: NearestHalfSpaces) -> NearestHalfSpaces:
-    """`found` without points whose own cones are still far from their place: first those are to be met, or refuted."""
-    if now.outside < STRAY:
-        return found
-    stray = np.sqrt(now.r_s.dot(now.r_s)) / program.c
-    is_at_rest = np.maximum.reduceat(stray, program.cones.first) < STRAY
-    return replace(found, is_missing=found.is_missing & is_at_rest)
+    over = cut.violation / size
+    is_missing = over > nearest + 1e-12 * (1.0 + np.abs(nearest))
+    is_missing &= (over > 0.0) | (over > NEAR * nearest)
+    if now.outside >= STRAY:
+        stray = np.sqrt(now.r_s.dot(now.r_s)) / program.c
+        is_missing &= np.maximum.reduceat(stray, cones.first) < STRAY
+    return Nearest(cut, cut.violation / (cut.h + 0.5 * size), np.flatnonzero(is_missing))
 
 
 @dataclass(frozen=True)
 class Joined:
-    """A program with half-spaces added and its state; order (nc + k,): where each cone was, k new ones at the end."""
+    """A program with half-spaces added and its state; order (nc + k,): where each cone was, k new ones at the end;
+    fresh (k,): places of these."""
 
     program: Program
     state: ConeState
     order: np.ndarray
-    old: int
-
-    @property
-    def fresh(self) -> np.ndarray:
-        """Places of the new cones (k,)."""
-        return np.flatnonzero(self.order >= self.old)
+    fresh: np.ndarray
 
 
-def join(program: Program, state: ConeState, found: NearestHalfSpaces) -> Joined:
+def join(program: Program, state: ConeState, found: Nearest) -> Joined:
     """The program with all missing half-spaces, at the same unknowns.
 
     Dual vectors are those of the central path for the distance at hand. Where that is small or negative the cone vector
     is lifted, so that the half-space does not take more than `SHARE` of what its point carries; all dual
     vectors of the point are then lowered together until it carries what it did, which unbalances forces least.
     """
-    new = np.flatnonzero(found.is_missing)
-    extra = None if found.extra is None else found.extra[new]
-    cones, order = with_cuts(program.cones, new, found.S[new], found.h[new], extra)
+    new, cut = found.missing, found.cut
+    extra = None if cut.extra is None else cut.extra[new]
+    cones, order = with_cuts(program.cones, new, Cut(cut.S[new], cut.h[new], cut.violation[new], extra))
     wider = replace(program, cones=cones)
-    old = len(program.c)
-    fresh = np.flatnonzero(order >= old)
+    fresh = np.flatnonzero(order >= len(program.c))
     mu = mean_product(program, state)
     load = program.cones.sum(program.carried(state.y) * program.c)[new]
     c = wider.c[fresh]
@@ -97,7 +101,7 @@ def join(program: Program, state: ConeState, found: NearestHalfSpaces) -> Joined
     factor = eased[cones.point]
     dual = _merged(state.y, y, order)
     dual = Vectors(dual.head * factor, dual.tail * factor[:, None])
-    return Joined(wider, replace(state, s=_merged(state.s, s, order), y=dual), order, old)
+    return Joined(wider, replace(state, s=_merged(state.s, s, order), y=dual), order, fresh)
 
 
 def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
@@ -108,34 +112,31 @@ def _merged(a: Vectors, b: Vectors, order: np.ndarray) -> Vectors:
 
 def widen(step: ConeStep, into: Joined) -> ConeStep:
     """The step for the wider program: the old changes, of the new cones the primal part alone, and lengths for both."""
-    fresh, program, state = into.fresh, into.program, into.state
+    fresh, order, program, state = into.fresh, into.order, into.program, into.state
     d_wanted = program.map(program.fem.gradient_change(step.dz), step.deps, fresh)
     s = _chosen(state.s, fresh)
     ds = d_wanted - (s - program.slack(state.z, state.eps, fresh)) * (1.0 - step.keep)
-    none = Vectors(np.zeros(len(fresh)), np.zeros_like(ds.tail))
-    dy = _merged(step.dy, none, into.order)
+    dy = _merged(step.dy, ds * 0.0, order)
     primal = min(step.primal, BOUNDARY * soc.largest_step(s, ds))
     dual = min(step.dual, BOUNDARY * soc.largest_step(state.y, dy))
     if program.lead:
         primal = dual = min(primal, dual)
-    return replace(
-        step,
-        ds=_merged(step.ds, ds, into.order),
-        dy=dy,
-        d_wanted=_merged(step.d_wanted, d_wanted, into.order),
-        primal=primal,
-        dual=dual,
-    )
+    ds, d_wanted = _merged(step.ds, ds, order), _merged(step.d_wanted, d_wanted, order)
+    return replace(step, ds=ds, dy=dy, d_wanted=d_wanted, primal=primal, dual=dual)
 
 
 def prune(program: Program, state: ConeState) -> tuple[Program, ConeState]:
-    """The program without half-spaces that are far away and carry next to nothing: the law tells if they are missed."""
-    distance = state.s.margin() / program.c
-    load = program.carried(state.y) * program.c
+    """The program without half-spaces that are far away and carry next to nothing: the law tells if they are missed.
+
+    Newton's matrix stays definite: every point keeps one well-conditioned S, or all.
+    """
     cones = program.cones
-    keep = keep_steady(cones, (load > IDLE * cones.sum(load)[cones.point]) | (distance < IDLE))
-    which = np.flatnonzero(keep)
-    few = replace(program, cones=only(cones, keep))
+    load = program.carried(state.y) * program.c
+    keep = (load > IDLE * cones.sum(load)[cones.point]) | (state.s.margin() / program.c < IDLE)
+    det = cones.S[:, 0] * cones.S[:, 2] - cones.S[:, 1] ** 2
+    roundest = np.maximum.reduceat(det, cones.first)[cones.point]
+    which = np.flatnonzero(keep | (det >= roundest) | (roundest < FLAT))
+    few = replace(program, cones=cones.pick(which, cones.point[which], len(cones.first)))
     return few, replace(state, s=_chosen(state.s, which), y=_chosen(state.y, which))
 
 

@@ -26,7 +26,7 @@ class Inertia:
     force_scale, N, and energy_scale, N mm: what residuals and gap are compared with besides the loads.
     """
 
-    fem: SupportedFem | None
+    fem: SupportedFem
     W: Array
     x_hat: Array
     force_scale: float = 0.0
@@ -34,59 +34,38 @@ class Inertia:
 
     def away(self, z: Array) -> Array:
         """x - x_hat (n_nodes, d), mm."""
-        assert self.fem is not None
         return self.fem.positions(z) - self.x_hat
 
-    def force(self, z: Array) -> Array | float:
+    def force(self, z: Array) -> Array:
         """T^T W (x_hat - x) (n,), N."""
-        return 0.0 if self.fem is None else -self.fem.gather(times(self.W, self.away(z)))
+        return -self.fem.gather(times(self.W, self.away(z)))
 
     def energy(self, z: Array) -> float:
         """(x - x_hat).W (x - x_hat) / 2, N mm."""
-        if self.fem is None:
-            return 0.0
         away = self.away(z)
         return 0.5 * float((away * times(self.W, away)).sum())
 
-    def deficit(self, r: Array) -> float | None:
-        """r.(T^T W T)^-1 r / 2 for forces r (n,), N mm: what they can gain; None without inertia."""
-        return None if self.fem is None else 0.5 * float(r @ self._solve(r))
-
-    def added(self, data: Array | None) -> Array | None:
-        """Data of the lower triangle of `fem.pattern`, with that of W; `data` itself without inertia."""
-        if self.fem is None:
-            return data
-        return self._data if data is None else data + self._data
+    def deficit(self, r: Array) -> float:
+        """r.(T^T W T)^-1 r / 2 for forces r (n,), N mm: what they can gain."""
+        return 0.5 * float(r @ self._solve(r))
 
     @cached_property
-    def _data(self) -> Array:
-        assert self.fem is not None
-        pattern, d = self.fem.pattern, self.W.shape[1]
-        number = np.full(self.fem.x_held.size, -1)
-        number[pattern.free] = np.arange(pattern.n)
-        out = np.zeros(pattern.nnz)
-        for a, b in np.ndindex(d, d):
-            i, j = number[a::d], number[b::d]
-            here = np.flatnonzero((j >= 0) & (i >= j))
-            np.add.at(out, pattern.place(i[here], j[here]), self.W[here, a, b])
-        return out
+    def data(self) -> Array:
+        """W as data of the lower triangle of `fem.pattern`."""
+        n, d = self.x_hat.shape
+        flat = np.arange(n * d).reshape(n, d)
+        place = self.fem.pattern.place(*np.broadcast_arrays(flat[:, :, None], flat[:, None, :]))
+        is_stored = place >= 0
+        data = np.bincount(place[is_stored], self.W[is_stored], minlength=self.fem.pattern.nnz)
+        return np.asarray(data, dtype=np.float64)
 
     @cached_property
     def _solve(self) -> Callable[[Array], Array]:
-        assert self.fem is not None
         n, d = self.x_hat.shape
         whole = sparse.bsr_matrix((self.W, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
-        if self.fem.tie is None:
-            free = np.flatnonzero(self.fem.free)
-            whole = whole.tocsr()[free][:, free]
-        else:
-            whole = self.fem.tie.T @ whole @ self.fem.tie
-        solve: Callable[[Array], Array] = sparse.linalg.splu(sparse.csc_matrix(whole)).solve
+        T = self.fem.T
+        solve: Callable[[Array], Array] = sparse.linalg.splu(sparse.csc_matrix(T.T @ whole @ T)).solve
         return solve
-
-
-NO_INERTIA = Inertia(None, np.zeros((0, 2, 2)), np.zeros((0, 2)))
-"""The static curtain."""
 
 
 def times(W: Array, v: Array) -> Array:

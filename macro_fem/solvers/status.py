@@ -60,11 +60,8 @@ class Accuracy:
 
     def is_met(self, evidence: Evidence, more: float = 0.0) -> bool:
         """Whether no number of an answer is larger than asked by more than `more`."""
-        return evidence.is_finite and (
-            abs(evidence.gap) <= self.gap + more
-            and evidence.unbalanced <= self.unbalanced + more
-            and evidence.violation <= self.violation + more
-        )
+        found, asked = vars(evidence) | {"gap": abs(evidence.gap)}, vars(self)
+        return evidence.is_finite and all(found[name] <= asked[name] + more for name in asked)
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import green_strain, least_slack
-from macro_fem.solvers.options import PathOptions
-from macro_fem.solvers.path_result import PathResult
+from macro_fem.solvers.path import PathOptions, PathResult
 from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
 from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
@@ -48,12 +47,7 @@ Solve = Callable[[SupportedFem, Array, PathOptions, Walls | None], PathResult]
 """A rigid solver of a discretisation from unknowns (n,), outside of half-spaces on nodes."""
 
 
-def reach_of(
-    fem: SupportedFem,
-    law: MembraneLaw,
-    start: Array,
-    size: float,
-) -> Reach:
+def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> Reach:
     """How much farther apart the supports could be; cheap where the unknowns `start` already are slack everywhere.
 
     `size` (mm) is the extent of the curtain.
@@ -97,9 +91,8 @@ def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
     apart = np.where(held, fem.x_held - centre, 0.0)
     if np.abs(apart).max() < 1e-12 * size:
         return None
-    tied = fem.tied()
     column = sparse.csc_matrix(apart.reshape(-1, 1) / size)
-    return replace(tied, x_held=np.zeros_like(apart), tie=sparse.hstack([tied.tie, column]).tocsc())
+    return replace(fem, x_held=np.zeros_like(apart), tie=sparse.hstack([fem.T, column]).tocsc())
 
 
 def solve_at_stretch_limit(

@@ -10,22 +10,23 @@ interior point and returns a certificate when there is no admissible state. P. J
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import count
 
 import clarabel
 import numpy as np
 from scipy import sparse
 
-from homogenize import MembraneLaw
+from homogenize import Cut, MembraneLaw
 from macro_fem.curtain import make_solution
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.problem import CurtainProblem, stabilising_tension, unit_tensors
 from macro_fem.solution import CurtainSolution
-from macro_fem.solvers.cone_program import REACH, Iteration
-from macro_fem.solvers.cones import Cones, first_cones, green_strain, law_cut, least_slack, with_cuts
-from macro_fem.solvers.path_result import PathResult
+from macro_fem.solvers.cone_program import REACH
+from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, least_slack, with_cuts
+from macro_fem.solvers.path import PathResult
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
-from macro_fem.solvers.walls import WallRows, Walls, all_forces, rows_of
+from macro_fem.solvers.walls import WallRows, Walls, rows_of
 from rve.common.progress import tell
 from rve.common.types import Array
 
@@ -58,27 +59,24 @@ def solve_clarabel(
     F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), rows_of(fem, walls, size)
     task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, wall_matrix(rows, fem.n))
     cones = first_cones(law, len(fem.weight))
-    history: list[Iteration] = []
     tell("clarabel, round 1")
     found = _solve(task, cones)
-    while True:
+    for number in count(1):
         if found.is_refuted:
             stop = "blocked" if task.A.shape[0] else "infeasible"
             break
-        S, h, g = law_cut(law, green_strain(fem.gradient(found.z)))
-        new = np.flatnonzero(g < -VIOLATION)
-        history.append(Iteration(found.gap, found.unbalanced, float(max(0.0, -g.min())), 1.0, 1.0, len(cones)))
+        cut = all_cuts(law, green_strain(fem.gradient(found.z)))
+        new = np.flatnonzero(cut.violation > VIOLATION)
         if not found.is_solved or not len(new):
             stop = "closed" if found.is_solved else "stalled"
             break
-        if len(history) == ROUNDS:
+        if number == ROUNDS:
             stop = "iterations"
             break
-        cones, _ = with_cuts(cones, new, S[new], h[new])
-        tell(f"clarabel, round {len(history) + 1}")
+        cones, _ = with_cuts(cones, new, Cut(cut.S[new], cut.h[new], cut.violation[new]))
+        tell(f"clarabel, round {number + 1}")
         found = _solve(task, cones)
-    record = _record(stop, law, task, cones, found, history)
-    return record if walls is None else replace(record, wall_forces=all_forces(walls, fem, rows, found.u))
+    return replace(_record(stop, law, task, cones, found, number), wall_forces=rows.reactions(found.u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,21 +131,16 @@ def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
             values.append(entry.data)
     shape = (n_points * d * 2, disc.n_nodes * d)
     full = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    if fem.tie is not None:
-        return (full @ fem.tie).tocsr()
-    return full[:, np.flatnonzero(fem.free)]
+    return (full @ fem.T).tocsr()
 
 
 def wall_matrix(rows: WallRows, n: int) -> sparse.csr_matrix:
     """A (m, n): free unknowns to the slacks of half-spaces on nodes."""
-    if rows.fem is None or rows.walls is None:
-        return sparse.csr_matrix((0, n))
-    fem, walls, d = rows.fem, rows.walls, rows.fem.d
-    row = np.repeat(np.arange(len(walls)), d * walls.node.shape[1])
-    column = (walls.node[:, :, None] * d + np.arange(d)).ravel()
-    entry = (walls.share[:, :, None] * walls.normal[:, None, :]).ravel() / rows.size
-    full = sparse.csr_matrix((entry, (row, column)), shape=(len(walls), fem.x_held.size))
-    return (full @ fem.tied().tie).tocsr()
+    fem, (column, entry) = rows.fem, rows.rows.entries()
+    row = np.repeat(np.arange(len(column)), column.shape[1])
+    shape = (len(column), fem.x_held.size)
+    full = sparse.csr_matrix((entry.ravel() / rows.size, (row, column.ravel())), shape=shape)
+    return (full @ fem.T).tocsr()
 
 
 def square_roots(S: Array) -> tuple[Array, np.ndarray]:
@@ -222,7 +215,7 @@ def _record(
     task: _Task,
     cones: Cones,
     found: _Found,
-    history: list[Iteration],
+    iterations: int,
 ) -> PathResult:
     fem = task.fem
     room = min(least_slack(law, green_strain(fem.gradient(found.z))), task.rows.slack(found.z).min(initial=np.inf))
@@ -237,6 +230,6 @@ def _record(
         P=found.P,
         primal=-float(task.load @ found.z),
         dual=found.dual,
-        history=tuple(history),
+        iterations=iterations,
         reach=Reach(0.0, 1.0) if found.is_refuted else FREE,
     )

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import macro_fem
 from macro_fem.bounds.adapt import levels
-from macro_fem.bounds.dual_problem import BoundOptions
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
+from macro_fem.solvers.path import PathOptions
 from rve import Cell
 from rve.common.errors import InputError
 from tests.test_macro_fem.test_space_hammock import Catenary
@@ -108,7 +108,7 @@ def test_edges_on_sloping_cables_have_the_bounds_of_upright_ones(ring_like, scen
     works, widths = [], []
     for turn in (np.eye(3), Rotation.from_euler("zxy", [20.0, 30.0, 40.0], degrees=True).as_matrix()):
         solution = solve_scene(read_scene(between_cables(scene_tables, turn)), ring_like)
-        bounds = bound(solution, options=BoundOptions(gap=1e-7, violation=1e-5))
+        bounds = bound(solution, path=PathOptions(1e-7, 1e-5, drawn=False))
         force, balance = solution.problem.force, solution.reactions.sum(axis=0) + solution.problem.force.sum(axis=0)
         scale = float(np.linalg.norm(force, axis=1).sum()) * 100.0
         assert (solution.problem.fem.tie is None) == (turn[0, 0] == 1.0)

@@ -11,8 +11,7 @@ from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.fem.discretization import discretize
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.options import PathOptions
-from macro_fem.solvers.path_result import Terms
+from macro_fem.solvers.path import PathOptions, Terms
 from tests.test_macro_fem.sheets import mesh_of, posed, supported
 
 ELASTIC = {"kind": "elastic"}

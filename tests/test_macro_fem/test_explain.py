@@ -9,7 +9,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import same_cones
-from macro_fem.solvers.options import PathOptions
+from macro_fem.solvers.path import PathOptions
 from tests.test_macro_fem.sheets import posed
 
 LAW = default_law()

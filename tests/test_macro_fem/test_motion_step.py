@@ -1,12 +1,14 @@
 """One implicit step of a curtain: momentum, the energy account, rest, free fall, and the matrix of loose bodies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
 
 from homogenize import default_law, elastic_law
 from macro_fem.fem.assembly import internal_force, load_vector
-from macro_fem.fem.discretization import discretize
+from macro_fem.fem.discretization import Points, discretize
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
 from macro_fem.motion.scheme import Moment, difference
@@ -15,7 +17,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
 from macro_fem.solvers.inertia import Inertia
-from macro_fem.solvers.walls import WallRows, Walls
+from macro_fem.solvers.walls import Walls, rows_of
 
 BALL = 0.5e-3
 """Mass in N s2/mm of the ball: 0.5 kg."""
@@ -69,7 +71,7 @@ def ball_tangents(n: int, radius: float):
         away = x[:n] - x[n]
         normal = away / np.linalg.norm(away, axis=1)[:, None]
         pairs = np.column_stack([np.arange(n), np.full(n, n)])
-        return Walls(pairs, normal, np.full(n, radius), share=np.tile([1.0, -1.0], (n, 1)))
+        return Walls(Points(pairs, np.tile([1.0, -1.0], (n, 1))), normal, np.full(n, radius), np.zeros(n, int))
 
     return tangents
 
@@ -161,17 +163,18 @@ def test_damping_takes_what_its_formula_says():
 def test_matrix_of_loose_nodes_is_that_of_dense_algebra(is_tied):
     rng = np.random.default_rng(3)
     moving, X = free_sheet(cells=2)
-    fem = moving.fem.tied() if is_tied else moving.fem
+    fem = replace(moving.fem, tie=moving.fem.T) if is_tied else moving.fem
     loose = with_loose_nodes(fem, 2)
     n, m = len(X), 5
     node = np.column_stack([rng.integers(0, n, m), n + rng.integers(0, 2, m)])
-    walls = Walls(node, rng.normal(size=(m, 3)), np.zeros(m), share=np.tile([1.0, -1.0], (m, 1)))
-    rows, W = WallRows(loose, walls, 1.0), rng.normal(size=(n + 2, 3, 3))
+    at = Points(node, np.tile([1.0, -1.0], (m, 1)))
+    walls = Walls(at, rng.normal(size=(m, 3)), np.zeros(m), np.zeros(m, int))
+    rows, W = rows_of(loose, walls, 1.0), rng.normal(size=(n + 2, 3, 3))
     W = W @ W.transpose(0, 2, 1)
     inertia = Inertia(loose, W, rng.normal(size=(n + 2, 3)))
     weight = rng.uniform(0.1, 1.0, m)
     tangent = np.tile(np.eye(6).reshape(3, 2, 3, 2), (len(loose.weight), 1, 1, 1, 1))
-    solve = loose.factorize(tangent, inertia.added(rows.added(weight)))
+    solve = loose.factorize(tangent, rows.added(weight) + inertia.data)
     A = np.stack([rows.change(e) for e in np.eye(loose.n)], axis=1)
     B = np.stack([loose.gradient_change(e).ravel() for e in np.eye(loose.n)], axis=1)
     K = B.T @ (np.repeat(loose.weight, 6)[:, None] * B) + A.T @ ((rows.v * weight)[:, None] * A)

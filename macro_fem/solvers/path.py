@@ -1,7 +1,8 @@
-"""What a path is solved with beside law and load, and what it ends in."""
+"""What a path is asked for, what a curtain has beside law and load, and what the path ends in."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,16 +10,49 @@ import numpy as np
 
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.cone_program import Iteration
 from macro_fem.solvers.cones import Cones, first_cones
-from macro_fem.solvers.inertia import NO_INERTIA, Inertia
-from macro_fem.solvers.options import PATH
+from macro_fem.solvers.inertia import Inertia
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged
 from macro_fem.solvers.walls import Walls
 from rve.common.types import Array
 
-RIGID = np.zeros((3, 3))
-"""The compliance of a rigid curtain."""
+COUNTED = 10.0
+"""The gap of the answer may be this many times `gap`: it counts unbalanced forces REACH times and the cost of drawing
+the answer inside."""
+
+
+@dataclass(frozen=True)
+class PathOptions:
+    """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
+
+    `violation` (relative to h + tr S/2) is what the last step may leave of the law. `cones` are half-spaces to begin
+    with instead of the law's own few, say those of a curtain on the same triangles. `drawn`: whether a rigid answer is
+    drawn back inside the law; without, only its dual value is a bound. `enough` ends the path as soon as it is true of
+    the unknowns z and the dual value.
+    """
+
+    gap: float = 1e-9
+    violation: float = 1e-8
+    max_iterations: int = 400
+    cones: Cones | None = None
+    drawn: bool = True
+    enough: Callable[[Array, float], bool] | None = None
+    first_gap: float = 10.0
+    """Gap of the first state in energy scales: 0.1 to 100 take about as many steps."""
+    least_gap: float = 0.1
+    """The path is followed to this part of the gap asked for, then residuals are removed. Smaller parts lose digits of
+    Newton's matrix to gaps far below the residuals; larger ones leave less of the gap for rounding."""
+    pruned_at: tuple[float, ...] = (1e-1, 1e-2, 1e-3)
+    """Relative gaps at which idle half-spaces are dropped, largest first; none keeps all. Small gaps risk circles."""
+
+    @property
+    def accuracy(self) -> Accuracy:
+        """What the numbers of the answer must not exceed."""
+        return Accuracy(COUNTED * self.gap, self.gap, self.violation)
+
+
+PATH = PathOptions()
+"""The defaults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +61,13 @@ class Terms:
 
     `compliance` (3, 3) is in mm/N and tensor components, such as `law.compliance`. `guide` (n,), N, are small forces
     that act until the gap is `RELEASED`: they give a shape to what the load leaves without one. `walls`: half-spaces on
-    nodes; then the discretisation is a `SupportedFem`. `inertia`: a quadratic term in the positions, for a step of
-    motion.
+    nodes. `inertia`: a quadratic term in the positions, for a step of motion.
     """
 
-    compliance: Array = field(default_factory=lambda: RIGID)
+    compliance: Array = field(default_factory=lambda: np.zeros((3, 3)))
     guide: Array | None = None
     walls: Walls | None = None
-    inertia: Inertia = NO_INERTIA
+    inertia: Inertia | None = None
 
 
 RIGID_TERMS = Terms()
@@ -62,7 +95,7 @@ class PathResult(Judged):
     P: Array
     primal: float
     dual: float
-    history: tuple[Iteration, ...] = field(repr=False)
+    iterations: int
     reach: Reach = FREE
     wall_forces: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
@@ -70,11 +103,6 @@ class PathResult(Judged):
     def S(self) -> Array:
         """The tensile second Piola-Kirchhoff line load sum of lam_i S_i (nq, 3), with P = F S at the exact answer."""
         return self.cones.stress(self.lam)
-
-    @property
-    def iterations(self) -> int:
-        """Steps of the path."""
-        return len(self.history)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -90,17 +118,6 @@ class PathResult(Judged):
 def unsolved(fem: SupportedFem, law: MembraneLaw, z: Array, stop: str = "infeasible") -> PathResult:
     """What stands for an answer where supports or obstacles leave none: unknowns z without stress."""
     cones = first_cones(law, len(fem.weight))
-    P = 0.0 * fem.gradient(z)
-    return PathResult(
-        stop=stop,
-        evidence=Evidence(np.inf, np.inf, np.inf),
-        asked=PATH.accuracy,
-        z=z,
-        lam=np.zeros(len(cones)),
-        y_tail=np.zeros((len(cones), 2 * P.shape[1])),
-        cones=cones,
-        P=P,
-        primal=np.nan,
-        dual=np.nan,
-        history=(),
-    )
+    P, none, y_tail = 0.0 * fem.gradient(z), np.zeros(len(cones)), np.zeros((len(cones), 2 * fem.d))
+    worst = Evidence(np.inf, np.inf, np.inf)
+    return PathResult(stop, worst, PATH.accuracy, z, none, y_tail, cones, P, np.nan, np.nan, 0)
