@@ -100,13 +100,13 @@ def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPat
     target, folder = Path(path), Path(os.path.realpath(path)).parent
     if not folder.is_dir():
         raise InputError(f"{option} = {target}: cannot be written: the folder {target.parent} does not exist")
-    if not all(os.access(one, os.W_OK) for one in (folder, target) if one.exists()):
+    if not all(os.access(one, os.W_OK) for one in (folder, target) if _exists(one, option)):
         raise InputError(f"{option} = {target}: cannot be written: it or its folder is write-protected")
     _check_replaceable(target, option, inputs)
 
 
 def _check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | None]) -> None:
-    if target.exists() and not target.is_file():
+    if _exists(target, option) and not target.is_file():
         raise InputError(f"{option} = {target}: is a folder, device, pipe or socket; give the name of a file")
     for one in inputs:
         read = [] if one is None else [Path(one), sidecar_path(one)]
@@ -116,10 +116,17 @@ def _check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | Non
             )
 
 
+def _exists(path: Path, option: str) -> bool:
+    try:
+        return path.exists()
+    except OSError as error:  # a name that no file can have
+        raise InputError(f"{option} = {path}: cannot be written: {error.strerror}") from error
+
+
 def check_out_folder(path: AnyPath, option: str = "--out") -> None:
     """InputError for a folder that cannot be made or written. Nothing is made."""
     folder = Path(path).absolute()
-    there = next(one for one in (folder, *folder.parents) if one.exists())
+    there = next(one for one in (folder, *folder.parents) if _exists(one, option))
     if not there.is_dir():
         raise InputError(f"{option} = {path}: cannot be written: {there} is a file, not a folder")
     if not os.access(there, os.W_OK | os.X_OK):

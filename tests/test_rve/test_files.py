@@ -106,6 +106,7 @@ def test_outputs_that_are_no_files_are_refused(tmp_path):
         (tmp_path / "folder", "is a folder"),
         (tmp_path / "no" / "x.csv", "does not exist"),
         (tmp_path / "file" / "x.csv", "does not exist"),
+        (tmp_path / ("n" * 300), "File name too long"),
     ):
         with pytest.raises(InputError, match=words):
             check_out_file(path)
