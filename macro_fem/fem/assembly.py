@@ -79,19 +79,21 @@ def stiffness(disc: Discretization, pattern: SparsityPattern, A: Array) -> Array
 
     A (n_points, d, 2, d, 2) is d2psi/dF2 with its major symmetry; only the blocks A[:, i, :, k, :], i >= k, are read.
     """
-    n_local = disc.cell_dofs.shape[1]
     shape = (disc.n_quad, disc.n_cells)
-    iJ, w = disc.inverse_jacobian, disc.weight.reshape(shape)
-    one, two = _pair_products(disc.shape_gradients)
-    packed = np.empty(pattern.slot.shape)
-    start = 0
-    for i, k in component_pairs(pattern.d):
-        block = [[A[:, i, j, k, l].reshape(shape) for l in range(2)] for j in range(2)]
-        pulled = _pull_back(block, iJ, w, is_symmetric=i == k)
-        products = one if i == k else two
-        stop = start + (n_local * (n_local + 1) // 2 if i == k else n_local**2)
-        np.matmul(products, pulled.reshape(-1, disc.n_cells), out=packed[start:stop])
-        start = stop
+    iJ, w, g = disc.inverse_jacobian, disc.weight.reshape(shape), disc.shape_gradients
+    products = np.einsum("qJa,qNb->abqJN", g, g).reshape(-1, 4 * disc.n_quad)
+    pulled = np.empty((disc.n_quad, 2, 2, disc.n_cells))
+    packed = np.empty(pattern.slot.shape).reshape(-1, len(products), disc.n_cells)
+    for (i, k), block in zip(component_pairs(pattern.d), packed, strict=True):
+        for J in range(2):
+            half = [
+                (iJ[J, 0] * A[:, i, 0, k, l].reshape(shape) + iJ[J, 1] * A[:, i, 1, k, l].reshape(shape)) * w
+                for l in range(2)
+            ]
+            for N in range(2):
+                np.multiply(half[0], iJ[N, 0], out=pulled[:, J, N])
+                pulled[:, J, N] += half[1] * iJ[N, 1]
+        np.matmul(products, pulled.reshape(-1, disc.n_cells), out=block)
     return pattern.scatter(packed)
 
 
@@ -99,28 +101,3 @@ def _sum_to_nodes(disc: Discretization, local: Array) -> Array:
     """Nodal sums (n_nodes, d) of cell vectors (d, n_local, n_cells)."""
     where = disc.cell_dofs.T.ravel()
     return np.stack([np.bincount(where, weights=f.ravel(), minlength=disc.n_nodes) for f in local], axis=-1)
-
-
-def _pair_products(g: Array) -> tuple[Array, Array]:
-    """Constant matrices that turn pulled-back tangents into packed entries.
-
-    Of g (n_quad, 2, n_local): for i = k (n_local (n_local + 1)/2, 3 n_quad) with the entries 11, 12, 22 of a symmetric
-    tangent, for i > k (n_local^2, 4 n_quad) with the entries 11, 12, 21, 22.
-    """
-    n_quad, _, n = g.shape
-    full = np.einsum("qJa,qNb->abqJN", g, g)
-    a, b = np.triu_indices(n)
-    up = full[a, b]
-    symmetric = np.stack([up[..., 0, 0], up[..., 0, 1] + up[..., 1, 0], up[..., 1, 1]], axis=-1)
-    return symmetric.reshape(len(a), 3 * n_quad), full.reshape(n * n, 4 * n_quad)
-
-
-def _pull_back(block: list[list[Array]], iJ: Array, w: Array, *, is_symmetric: bool) -> Array:
-    """w_p iJ_Jj A_jl iJ_Nl (n_quad, 3 or 4, n_cells) of one component block, see `_pair_products`."""
-    half = [[(iJ[J, 0] * block[0][l] + iJ[J, 1] * block[1][l]) * w for l in range(2)] for J in range(2)]
-    entries = ((0, 0), (0, 1), (1, 1)) if is_symmetric else ((0, 0), (0, 1), (1, 0), (1, 1))
-    out = np.empty((w.shape[0], len(entries), w.shape[1]))
-    for m, (J, N) in enumerate(entries):
-        np.multiply(half[J][0], iJ[N, 0], out=out[:, m])
-        out[:, m] += half[J][1] * iJ[N, 1]
-    return out

@@ -1,8 +1,8 @@
 """Where the entries of a stiffness matrix go, found once per mesh and set of unknowns.
 
 The matrix is symmetric; its lower triangle is stored by columns. The packed entries of a cell are the blocks (i, k),
-i >= k, of components in the order of `component_pairs`; a block with i = k holds the pairs of nodes a <= b, the others
-all pairs.
+i >= k, of components in the order of `component_pairs`, each with all pairs of nodes; of a block with i = k one half is
+left out.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class SparsityPattern:
 
     number (n_nodes * d,): the free unknown of each flat number, -1 where it is held; d: components per node.
     indptr (n + 1,), indices (nnz,): compressed columns of the lower triangle with its diagonal.
-    slot (n_entries, n_cells): place in the data of each packed entry of a cell, nnz for "not free".
+    slot (n_entries, n_cells): place in the data of each packed entry of a cell, nnz for "not free" and "left out".
     """
 
     number: Index
@@ -127,8 +127,8 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -
     is_first = nodes[:, None] < nodes[None, :]
     slots = []
     for k, l in component_pairs(d):
-        slot = np.where(is_first, place[pair_of, l, k], place[pair_of, k, l])
-        slots.append(slot[a, b] if k == l else slot.reshape(n_local**2, -1))
+        other = count if k == l else place[pair_of, l, k]
+        slots.append(np.where(is_first, other, place[pair_of, k, l]).reshape(n_local**2, -1))
     index = (lower.indptr.astype(np.int32), lower.indices.astype(np.int32))
     return SparsityPattern(np.where(free, number, -1), d, *index, np.concatenate(slots))
 
