@@ -15,7 +15,7 @@ from homogenize.laws.geometry import fibres
 from homogenize.laws.protocol import Cut, HalfSpaces, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common.errors import InputError
-from rve.common.tensor import eigenvalues
+from rve.common.tensor import disc, eigenvalues, from_disc
 from rve.common.types import Array
 
 FIRST_FIBRES = 8
@@ -48,12 +48,10 @@ class ClothLaw(StoredLaw, kind="cloth"):
     def cut(self, E: Array) -> Cut:
         """The fibre that each E (n, 3) stretches most: the eigenvector of the larger eigenvalue, which it violates."""
         check_finite(E)
-        half, shear = 0.5 * (E[:, 0] - E[:, 2]), E[:, 1]
-        radius = np.hypot(half, shear)
-        unit = np.stack([half, shear], axis=-1) / np.where(radius > 0.0, radius, 1.0)[:, None]
-        unit[radius == 0.0] = [1.0, 0.0]
-        S = np.stack([0.5 * (1.0 + unit[:, 0]), 0.5 * unit[:, 1], 0.5 * (1.0 - unit[:, 0])], axis=-1)
-        return Cut(S, np.zeros(len(E)), eigenvalues(E)[1])
+        away = disc(E)
+        radius = np.hypot(away[:, 0], away[:, 1])[:, None]
+        unit = np.where(radius > 0.0, away / np.where(radius > 0.0, radius, 1.0), [1.0, 0.0])
+        return Cut(from_disc(unit), np.zeros(len(E)), eigenvalues(E)[1])
 
     def response(self, E: Array) -> Response:
         """None: InputError, for an inextensible law has no energy beyond locking."""

@@ -17,7 +17,7 @@ from msgspec import Meta
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, Stiffness, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
-from rve.common.tensor import WEIGHT, double_dot, dyad, trace
+from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
 from rve.common.typed import Typed, read_typed
 from rve.common.types import Array
 
@@ -87,12 +87,10 @@ class NetLaw(StoredLaw, kind="net"):
         the eigenvalue of a pencil of 2 x 2 tensors is minimised in closed form. At an inner t the answer is a fibre.
         """
         check_finite(E)
-        E_ends = 0.5 * (self.collapsed() - np.array([1.0, 0.0, 1.0]))
+        E_ends = 0.5 * (self.collapsed() - IDENTITY)
         D = E_ends[1] - E_ends[0]
-        d = np.array([0.5 * (D[0] - D[2]), D[1]])
+        d, q = 0.5 * disc(D[None])[0], 0.5 * disc(E - E_ends[0])
         size = float(np.hypot(d[0], d[1]))
-        M = E - E_ends[0]
-        q = np.stack([0.5 * (M[:, 0] - M[:, 2]), M[:, 1]], axis=-1)
         along, across = q @ d / size, (q[:, 1] * d[0] - q[:, 0] * d[1]) / size
         slope = 0.5 * float(trace(D)) / size  # in (-1, 1), because D is indefinite
         t_free = (along + slope * np.abs(across) / math.sqrt(1.0 - slope**2)) / size
@@ -100,10 +98,9 @@ class NetLaw(StoredLaw, kind="net"):
         q = q - t[:, None] * d
         length = np.hypot(q[:, 0], q[:, 1])
         unit = q / np.where(length > 0.0, length, 1.0)[:, None]
-        S = np.stack([0.5 * (1.0 + unit[:, 0]), 0.5 * unit[:, 1], 0.5 * (1.0 - unit[:, 0])], axis=-1)
         fibres = dyad(self.directions)
         nearest = np.argmax(E @ (fibres * WEIGHT).T, axis=1)
-        S = np.where((t == t_free)[:, None], fibres[nearest], S)
+        S = np.where((t == t_free)[:, None], fibres[nearest], from_disc(unit))
         h = self.support(S)
         return Cut(S, h, double_dot(S, E) - h)
 

@@ -10,6 +10,7 @@ from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import MAKE_AGAIN, Strength
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, shade
 from rve.common.errors import InputError
+from rve.common.tensor import from_disc
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -97,11 +98,9 @@ def _plot_locking(law: MembraneLaw, ax: Any) -> None:
 def strength_loads(known: Strength, stress: float) -> tuple[Array, Array]:
     """Line loads (73, 25, 3) in N/mm of first yield and of collapse, over directions and shares of the smaller one."""
     share, angle = np.meshgrid(np.linspace(0.0, 1.0, 25), np.linspace(0.0, 2.0 * np.pi, 73))
-    c, s = 0.5 * share * np.cos(angle), 0.5 * share * np.sin(angle)
-    S = np.stack([0.5 + c, s, 0.5 - c], axis=-1)
-    flat = S.reshape(-1, 3)
-    loads = 1.0 / known.utilisation(flat, stress), 1.0 / known.collapse_utilisation(flat, stress)
-    first, last = (load.reshape(*share.shape, 1) * S for load in loads)
+    S = from_disc(np.stack([share * np.cos(angle), share * np.sin(angle)], axis=-1).reshape(-1, 2))
+    used = known.utilisation(S, stress), known.collapse_utilisation(S, stress)
+    first, last = ((S / one[:, None]).reshape(*share.shape, 3) for one in used)
     return first, last
 
 

@@ -50,7 +50,9 @@ class ErrorReport(Typed):
 
     def text(self) -> str:
         """The report in lines that a person reads."""
-        lines = [f"{self.kind} law: {self.normality}", *_left_out(self.dropped)]
+        lines, count = [f"{self.kind} law: {self.normality}"], len(self.dropped)
+        if count:
+            lines.append(f"left out: {'; '.join(self.dropped[:5])}{f'; and {count - 5} more' if count > 5 else ''}")
         if self.not_unique:
             lines.append(f"{self.not_unique} rows have no unique strain: theirs is one of many")
         lines.append(self.rows.text("error of h at the rows"))
@@ -68,19 +70,3 @@ class ErrorReport(Typed):
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers for a law file."""
         return asdict(self)
-
-
-def _left_out(dropped: tuple[str, ...]) -> list[str]:
-    """A line for each reason for which rows are left out, and the first of them.
-
-    >>> _left_out(("row 3: status stalled", "row 28: twice", "row 47: twice"))
-    ['left out, status stalled: row 3', 'left out, twice: rows 28, 47']
-    """
-    rows: dict[str, list[str]] = {}
-    for row, _, reason in (one.partition(": ") for one in dropped):
-        rows.setdefault(reason, []).append(row.removeprefix("row "))
-    return [
-        f"left out, {reason}: row{'s' * (len(names) > 1)} {', '.join(names[:5])}"
-        f"{f' and {len(names) - 5} more' if len(names) > 5 else ''}"
-        for reason, names in rows.items()
-    ]
