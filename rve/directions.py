@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.columns import number_column, read_columns
 from rve.common.errors import InputError, shown
 from rve.common.files import AnyPath
+from rve.common.reading import number_column, read_columns
 from rve.common.types import Array
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 

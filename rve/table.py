@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.columns import number_column, read_columns
 from rve.common.errors import InputError, require
 from rve.common.files import AnyPath, check_belongs, check_out_file, job, sidecar_path, write_text
-from rve.common.reading import read_json_object
+from rve.common.reading import number_column, read_columns, read_json_object
 from rve.common.records import Rows
 from rve.common.rings import check_rings
 from rve.common.texts import as_html, csv_text, json_text
