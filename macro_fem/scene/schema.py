@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,7 +12,7 @@ from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.mesh_files import read_outline
 from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
-from macro_fem.scene.shapes import Mesh, MeshFile, Shape
+from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
 from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Support, leaves_plane
 from rve.common.errors import InputError, shown
 from rve.common.materials import described
@@ -100,6 +100,25 @@ class Scene:
     def d(self) -> int:
         """Coordinates of a place: 2 in the plane, 3 in space."""
         return 3 if self.in_space else 2
+
+    @classmethod
+    def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:
+        """A rectangle of width by height mm under its own weight, not hung yet; more keys of [curtain] by name.
+
+        >>> Scene.rectangle(1000, 500).hung_by("corners", gather=0.9).loaded_by("bar", mass=12).items[1]
+        Bar(mass=12.0, edge='bottom', straight=True)
+        """
+        return cls(Rectangle(width, height, **curtain), mesh=Mesh(cells=cells))
+
+    def hung_by(self, kind: str, **keys: Any) -> Scene:
+        """The scene with one more support of a kind of [[support]], its keys by name; InputError as for a file."""
+        more = read_kinds({"kind": kind, **keys}, Support.kinds, "support", self.source)
+        return replace(self, items=(*self.items, *more))
+
+    def loaded_by(self, kind: str, **keys: Any) -> Scene:
+        """The scene with one more load, "bar", "point", "patch", "edge" or "wind", as in [[load.KIND]]."""
+        more = read_kinds({"kind": kind, **keys}, LiveLoad.kinds, "load", self.source)
+        return replace(self, items=(*self.items, *more))
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the records of the scene."""
