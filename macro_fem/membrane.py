@@ -16,6 +16,7 @@ from macro_fem.elastic_forces import with_forces
 from macro_fem.order import order
 from macro_fem.output.files import (
     bounds_summary,
+    curtain_mesh,
     features,
     interval_summary,
     summarize,
@@ -25,7 +26,7 @@ from macro_fem.output.files import (
 )
 from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
-from macro_fem.rings.curtain import curtain_of
+from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.localize import localize
 from macro_fem.scene.meshing.mesh_files import write_outline
 from macro_fem.scene.schema import Scene
@@ -138,7 +139,8 @@ class MembraneSolution(Solution):
 
         InputError where the law has no rings.
         """
-        return localize(curtain_of(self.loaded, self.summary), options)
+        told = read_told(self.summary, "the curtain's summary")
+        return localize(curtain_of(curtain_mesh(self.loaded), told, "a curtain in memory"), options)
 
     @property
     def _shown(self) -> list[CurtainSolution]:

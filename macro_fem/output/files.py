@@ -211,19 +211,13 @@ def corner_positions(solution: CurtainSolution) -> Array:
     return mean_at_corners(mesh.t.T, at_corners)
 
 
-def cell_fields(solution: CurtainSolution) -> dict[str, Array]:
-    """Strain, line load, largest principal line load and state of the cells, by their names in curtain.vtu."""
-    disc = solution.problem.disc
-    return {
-        STRAIN: disc.cell_mean(solution.E),
-        STRESS: disc.cell_mean(solution.S),
-        LINE_LOAD_1: solution.principal()[0][:, 0],
-        STATE: solution.state(),
-    }
-
-
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
-    """The curtain as VTU: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
+    """Write `curtain_mesh` as VTU, atomically."""
+    write_mesh_file(path, curtain_mesh(solution, extra))
+
+
+def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = None) -> Any:
+    """The curtain for meshio: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
     Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
     deformed state. `utilisation` is there where the strength of the rings is known. `extra` holds more cell
@@ -234,9 +228,13 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
     mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
     used = strength.utilisation(solution)
-    data = cell_fields(solution) | {
+    data = {
+        STRAIN: disc.cell_mean(solution.E),
+        STRESS: disc.cell_mean(solution.S),
+        LINE_LOAD_1: values[:, 0],
         LINE_LOAD_2: values[:, 1],
         DIRECTION_1: padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
+        STATE: solution.state(),
         **({} if used is None else {"utilisation": used}),
         **(extra or {}),
     }
@@ -248,7 +246,7 @@ def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | N
         point_data["obstacle_force_N"] = padded(corner_forces(solution.problem, solution.pushes))
     cells = [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))]
     each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}
-    write_mesh_file(path, meshio.Mesh(padded(mesh.p.T), cells, point_data, each))
+    return meshio.Mesh(padded(mesh.p.T), cells, point_data, each)
 
 
 def corner_forces(problem: CurtainProblem, forces: Array) -> Array:

@@ -13,9 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import as_triangles, counterclockwise, padded, recovered, triangle_areas
-from macro_fem.output.files import cell_fields, corner_positions
-from macro_fem.solution import CurtainSolution
+from macro_fem.fem.cells import as_triangles, padded, recovered, triangle_areas
 from rve import Cell, cell_of_sides
 from rve.common.errors import InputError
 from rve.common.files import check_belongs
@@ -99,28 +97,30 @@ class Curtain:
         return padded(self.x)
 
 
-def curtain_of_cells(
-    X: Array, x: Array, cells: NDArray[np.intp], data: dict[str, Array], told: Told, source: str
-) -> Curtain:
-    """The curtain of a mesh of triangles (c, 3) or quadrilaterals (c, 4) with corners X (p, 2), x (p, 2 or 3).
+def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:
+    """The curtain of a mesh of meshio with the fields of curtain.vtu (`macro_fem.output.files.curtain_mesh`).
 
-    data: fields of the cells by their names in curtain.vtu; S is averaged over neighbours. InputError for cells without
-    area.
+    Points are the reference state and `displacement_mm` leads to the deformed one; S is averaged over neighbours.
+    InputError in one sentence, which begins with `source`, for a mesh that is no such curtain.
     """
+    kinds = [block.type for block in mesh.cells]
+    if kinds not in (["triangle"], ["quad"]):
+        raise InputError(f"{source}: needs cells of one kind, triangle or quad, it has {kinds}")
+    cells = np.asarray(mesh.cells[0].data, dtype=np.intp)
+    found = {name: values[0] for name, values in mesh.cell_data.items()}
+    widths = {STRAIN: 3, STRESS: 3, LINE_LOAD_1: 1, STATE: 1}
+    E, S, line_load, state = (_field(source, found, name, (len(cells), width)) for name, width in widths.items())
+    X = _field(source, {"points": mesh.points}, "points", mesh.points.shape)
+    x = X + _field(source, mesh.point_data, DISPLACEMENT, X.shape)
+    if not _is_plane(X):
+        raise InputError(f"{source}: its reference state is not plane, z reaches {np.abs(X[:, 2]).max():g} mm")
+    X, x = X[:, :2], x[:, :2] if _is_plane(x) else x
     triangles, cell = as_triangles(cells)
     area = triangle_areas(X[triangles])
     if not area.min() > 1e-12 * area.max():
         raise InputError(f"{source}: cell {cell[int(np.argmin(area))]} has no area in the reference state")
-    S = recovered(cells, data[STRESS], np.asarray(np.bincount(cell, weights=area, minlength=len(cells)), dtype=float))
-    state = data[STATE].astype(int)
-    return Curtain(X, x, triangles, cell, data[STRAIN], S, data[LINE_LOAD_1], state, told, source)
-
-
-def curtain_of(solution: CurtainSolution, summary: dict[str, Any]) -> Curtain:
-    """The curtain of an answer in memory, without files: what curtain.vtu and summary.json hold."""
-    mesh, source = solution.problem.mesh.mesh, "a curtain in memory"
-    cells, told = counterclockwise(mesh.p.T, mesh.t.T), read_told(summary, "the curtain's summary")
-    return curtain_of_cells(mesh.p.T, corner_positions(solution), cells, cell_fields(solution), told, source)
+    S = recovered(cells, S, np.asarray(np.bincount(cell, weights=area, minlength=len(cells)), dtype=float))
+    return Curtain(X, x, triangles, cell, E, S, line_load, state.astype(int), told, source)
 
 
 def curtain_file(path: str | Path) -> Path:
@@ -131,40 +131,26 @@ def curtain_file(path: str | Path) -> Path:
 def read_curtain(path: str | Path) -> Curtain:
     """The curtain that `macro_fem run` wrote into a folder, or its VTU with summary.json beside it.
 
-    Points are the reference state and `displacement_mm` leads to the deformed one. InputError in one sentence for files
-    that are none, or not of the same run.
+    InputError in one sentence for files that are none, or not of the same run.
     """
     vtu = curtain_file(path)
-    mesh = read_mesh_file(vtu)
-    kinds = [block.type for block in mesh.cells]
-    if kinds not in (["triangle"], ["quad"]):
-        raise InputError(f"{vtu}: needs cells of one kind, triangle or quad, it has {kinds}")
-    cells = np.asarray(mesh.cells[0].data, dtype=np.intp)
-    found = {name: values[0] for name, values in mesh.cell_data.items()}
-    widths = {STRAIN: 3, STRESS: 3, LINE_LOAD_1: 1, STATE: 1}
-    data = {name: _field(vtu, found, name, (len(cells), width)) for name, width in widths.items()}
-    X = _field(vtu, {"points": mesh.points}, "points", mesh.points.shape)
-    x = X + _field(vtu, mesh.point_data, DISPLACEMENT, X.shape)
-    if not _is_plane(X):
-        raise InputError(f"{vtu}: its reference state is not plane, z reaches {np.abs(X[:, 2]).max():g} mm")
-    record = vtu.parent / "summary.json"
+    mesh, record = read_mesh_file(vtu), vtu.parent / "summary.json"
     known = read_json_object(record)
     check_belongs(vtu, record, known, "run macro_fem again, or put the two files of one run side by side")
-    x = x[:, :2] if _is_plane(x) else x
-    return curtain_of_cells(X[:, :2], x, cells, data, read_told(known, str(record)), str(vtu))
+    return curtain_of(mesh, read_told(known, str(record)), str(vtu))
 
 
 def _is_plane(points: Array) -> bool:
     return bool(np.abs(points[:, 2]).max(initial=0.0) <= 1e-9 * np.abs(points).max(initial=0.0))
 
 
-def _field(path: Path, data: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+def _field(source: str, data: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
     """A field of a file in this shape, without the width if that is 1."""
     if name not in data:
-        raise InputError(f"{path}: has no field {name}; is it the curtain.vtu of macro_fem run?")
+        raise InputError(f"{source}: has no field {name}; is it the curtain.vtu of macro_fem run?")
     found = np.asarray(data[name], dtype=float)
     if found.size != np.prod(shape):
-        raise InputError(f"{path}: field {name} has {found.size} numbers, not {' times '.join(map(str, shape))}")
+        raise InputError(f"{source}: field {name} has {found.size} numbers, not {' times '.join(map(str, shape))}")
     if not np.abs(found).max() <= MOST_NUMBER:
-        raise InputError(f"{path}: field {name} has numbers that are not finite, or larger than {MOST_NUMBER:g}")
+        raise InputError(f"{source}: field {name} has numbers that are not finite, or larger than {MOST_NUMBER:g}")
     return found.reshape(shape if shape[1] > 1 else shape[0])
