@@ -67,37 +67,33 @@ def with_forces(found: CurtainSolution) -> CurtainSolution:
         return found
     count = self_balanced(problem, found.x)
     if not count:
-        return _with_reason(found, False, "balance, or the distance of two points, decides the forces of the supports")
-    if not problem.law.compliance.any():
-        return _with_reason(
-            found, False, f"forces are one choice of many, as a law of kind {problem.law.name} has no stiffness"
-        )
-    solver = replace(problem.scene.solver, kind="elastic", bounds=False, adapt=0)
-    second = replace(problem, scene=replace(problem.scene, solver=solver), bodies=(), winds=())
-    try:
-        with part_of("forces by elastic rings", 0.0, 1.0):
-            elastic = solve_problem(second, found)
-            if elastic.status != "converged":  # from the slack start the path is longer, and its gap closes
-                elastic = solve_problem(second)
-    except InputError as error:
-        return _with_reason(found, False, f"forces are one choice of many: with elastic rings {error}")
-    if elastic.status != "converged":
-        return _with_reason(found, False, f"forces are one choice of many: with elastic rings {elastic.message}")
+        why = "balance, or the distance of two points, decides the forces of the supports"
+        return replace(found, second_step=(False, why))
+    elastic, why = None, f"as a law of kind {problem.law.name} has no stiffness"
+    if problem.law.compliance.any():
+        solver = replace(problem.scene.solver, kind="elastic", bounds=False, adapt=0)
+        second = replace(problem, scene=replace(problem.scene, solver=solver), bodies=(), winds=())
+        try:
+            with part_of("forces by elastic rings", 0.0, 1.0):
+                elastic = solve_problem(second, found)
+                if elastic.status != "converged":  # from the slack start the path is longer, and its gap closes
+                    elastic = solve_problem(second)
+                why = f"with elastic rings {elastic.message}"
+        except InputError as error:
+            why = f"with elastic rings {error}"
+    if elastic is None or elastic.status != "converged":
+        return replace(found, second_step=(False, f"forces are one choice of many: {why}"))
     why = (
         f"rigid rings leave {count} sets of support forces open: forces, line loads and the safety factor are those of "
         f"elastic rings, {elastic.iterations} more steps of the solver; shape and heights are those of rigid rings"
     )
-    told = _with_reason(found, True, why)
     return replace(
-        told,
+        found,
+        second_step=(True, why),
         inner=elastic.inner,
         asked=replace(found.asked, unbalanced=max(found.asked.unbalanced, elastic.asked.unbalanced)),
         wall_s=found.wall_s + elastic.wall_s,
     )
-
-
-def _with_reason(found: CurtainSolution, used: bool, why: str) -> CurtainSolution:
-    return replace(found, second_step=(used, why))
 
 
 def forces_by(found: CurtainSolution) -> str:
