@@ -84,17 +84,6 @@ def test_every_ring_of_the_curtain_is_there(answer, rings):
     assert rings.centre_mm[:, 1].mean() == pytest.approx(answer.summary["mean_height_mm"], abs=1.0)
 
 
-def test_localize_obeys_its_options(answer):
-    with pytest.raises(rve.InputError, match="max-rings = 3"):
-        answer.rings(macro_fem.LocalizeOptions(max_rings=3))
-    part = answer.rings(macro_fem.LocalizeOptions(window=(0.0, 100.0, 50.0, 150.0)))
-    assert 0 < len(part) < 60
-    scene = macro_fem.Scene(macro_fem.Rectangle(50, 50, areal_mass=3.0), [macro_fem.Top()])
-    bare = macro_fem.solve(scene, homogenize.diagonal_net())
-    with pytest.raises(rve.InputError, match="memory: does not tell r1_mm, r2_mm"):
-        bare.rings()
-
-
 @pytest.mark.slow
 def test_the_lines_of_the_readme_run():
     """In an interpreter of their own they print the mean height."""

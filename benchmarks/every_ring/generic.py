@@ -144,7 +144,7 @@ CASES = (("corners", False), ("corners", True), ("top", False))
 def measure(full: bool) -> Section:
     """The section; without CasADi, one that says so."""
     if importlib.util.find_spec("casadi") is None:
-        return Section(TITLE, "CasADi is not installed (`pip install casadi`): nothing was compared.")
+        return Section(TITLE, "CasADi is not installed (`pip install casadi`): nothing was compared.", ())
     rows = [compared(*case) for case in (CASES if full else CASES[:1])]
     text = (
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "

@@ -1,7 +1,7 @@
 """Curtain and chain sections: the reference lies between bounds, ladders end, and what is recommended holds."""
 
 from benchmarks.measure import ROOT
-from benchmarks.work_precision import chain, curtain
+from benchmarks.work_precision import curtain
 from examples.curtain import SETTINGS
 
 
@@ -10,16 +10,6 @@ def test_coarse_certified_interval_holds_the_extrapolated_height():
     (level, _), *_ = curtain.certified(curtain.corner_problem(), 8, 0)
     low, high = curtain.interval(level)
     assert low < reference - doubt < reference + doubt < high
-
-
-def test_a_looser_contact_lets_the_curtain_sink_and_a_finer_table_bounds_it_closer():
-    exact = chain.corner_height(chain.law_of(22.5), 4)
-    loose = chain.fit(
-        chain.table_of(22.5, chain.DirectOptions(tolerance=1e-3, mu_end=1e-3, branches="first")),
-        chain.FitOptions(normality=1e-2),
-    ).law
-    assert abs(chain.corner_height(loose, 4) - exact) > 0.2
-    assert chain.corner_height(chain.law_of(15.0), 4) < exact
 
 
 def test_recommended_settings_held_when_they_were_last_measured():

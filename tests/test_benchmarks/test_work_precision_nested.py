@@ -1,9 +1,8 @@
 """The nested scheme of the report: its answer is that of the rings on its mesh, between the laws of any table."""
 
 import numpy as np
-import pytest
 
-from benchmarks.work_precision.nested import HEIGHT, answered, curtain, nested, on_demand
+from benchmarks.work_precision.nested import answered
 from homogenize import read_law_interval
 from rve import Cell
 
@@ -16,16 +15,3 @@ def test_rows_are_joined_with_the_largest_work_that_is_known():
     known = read_law_interval()
     assert (both.h <= known.outer.support(both.S) + 1e-9).all()
     assert (both.h >= known.inner.support(both.S) - 2e-5).all()
-
-
-@pytest.mark.slow
-def test_nested_and_on_demand_give_one_answer_between_the_laws_of_a_table():
-    cell, cells = Cell(), 3
-    found = nested(cell, cells)
-    known = read_law_interval()
-    low, high = (curtain(law, cells).mean_height() for law in (known.outer, known.inner))
-    assert found.left < 1e-6
-    assert low - 1e-3 < found.height < high + 1e-3
-    height, solves, width = on_demand(cell, cells, 0.02)
-    assert solves < 0.1 * found.solves
-    assert abs(height - found.height) < width * HEIGHT

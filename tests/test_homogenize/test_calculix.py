@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import homogenize
-import macro_fem
 from homogenize.export.umat import umat_source
 from homogenize.laws.polyhedral import polyhedral_law
 from rve.common.types import Array
@@ -131,39 +130,3 @@ def test_the_deck_of_the_how_to_page(solver, law, tmp_path):
     E = 0.5 * (stretch**2 - 1.0)
     S = law.response(np.array([[E[0], 0.0, E[1]]])).S[0]
     assert np.allclose(f[1, :2], [500.0 * stretch[0] * S[0], -500.0 * stretch[1] * S[2]], rtol=1e-6)
-
-
-def test_a_strip_under_body_forces_is_ours(solver, law, tmp_path):
-    gravity, wide, high = np.array([5e4, -1e5]), 200.0, 300.0
-    edges = {"top": ("y", [0, 0]), "left": ("x", [0, 0]), "bottom": ("y", [0, -20.0]), "right": ("x", [40.0, 0])}
-    scene = macro_fem.read_scene(
-        {
-            "curtain": {"width": wide, "height": high},
-            "mesh": {"cells": 4},
-            "support": [{"kind": "edge", "edge": k, "held": h, "move": m} for k, (h, m) in edges.items()],
-            "load": {"gravity": gravity.tolist()},
-            "solver": {"kind": "elastic", "tolerance": 1e-12, "stabilising_tension": 0.0},
-        }
-    )
-    ours = macro_fem.solve(scene, law).steps[-1]
-    X, cells = ours.problem.disc.nodes, ours.problem.disc.cell_dofs
-    size = np.hypot(*gravity)
-    at = {
-        "top": X[:, 1] > high - 1e-6,
-        "left": X[:, 0] < 1e-6,
-        "bottom": X[:, 1] < 1e-6,
-        "right": X[:, 0] > wide - 1e-6,
-    }
-    held = "".join(
-        f"{i + 1}, {'xy'.index(h) + 1}, {'xy'.index(h) + 1}, {sum(m)}\n"
-        for name, (h, m) in edges.items()
-        for i in np.flatnonzero(at[name])
-    )
-    weight = f"*DLOAD\nSHEET, GRAV, {1e3 * size:.15g}, {gravity[0] / size:.15g}, {gravity[1] / size:.15g}, 0.\n"
-    density = law.cell.areal_mass_kg_per_m2 * 1e-9
-    deck = mesh(X, cells) + RINGS.format(slack=1e3, density=density)
-    deck += STEP + "*BOUNDARY\n" + held + weight + "*END STEP\n" + 5 * (STEP + "*END STEP\n") + STEP + PRINT
-    u, f = (one[:, :2] for one in run(solver, deck, tmp_path))
-    assert np.abs(u - (ours.x - X)).max() < 1e-6 * np.abs(u).max()
-    expected = internal_forces(law, X, cells, ours.x)
-    assert np.abs(f - expected).max() < 1e-6 * np.abs(expected).max()

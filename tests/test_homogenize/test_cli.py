@@ -9,6 +9,8 @@ from click.testing import CliRunner
 
 from homogenize.cli import main
 from homogenize.io import DEFAULT_LAW, default_law, load_law
+from homogenize.query.answers import support_answer
+from rve.common.errors import InputError
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
 
@@ -52,20 +54,6 @@ def test_strain_prints_one_object():
     assert mirrored["E12"] == pytest.approx(-answer["E12"], abs=1e-6)
 
 
-def test_a_law_without_rows_has_no_bounds_and_false_rows_are_refused(tmp_path):
-    record = json.loads(DEFAULT_LAW.read_text())
-    rows = record["provenance"].pop("table_rows")
-    law = tmp_path / "law.json"
-    law.write_text(json.dumps(record))
-    answer = json.loads(run("strain", law, "--alpha", "20", "--beta", "31").output)
-    assert answer["E11_min"] is None
-    assert answer["E22_max"] is None
-    assert answer["unique"] is True  # as far as the law can tell
-    record["provenance"]["table_rows"] = {**rows, "E": rows["E"][1:]}
-    law.write_text(json.dumps(record))
-    assert refused(run("strain", law, "--alpha", "20", "--beta", "31"), "law.json", "table_rows", "180")
-
-
 def test_loads_outside_the_sampled_cone_are_marked(tmp_path):
     lines = [line.rsplit(",", 11)[0] for line in TABLE.read_text().splitlines()]  # too few loads for a strength
     kept = [line for line in lines[1:] if 15.0 <= float(line.split(",")[1]) <= 75.0]
@@ -94,3 +82,22 @@ def test_a_law_file_that_is_not_understood_is_refused(change, words, tmp_path):
     assert refused(run("support", path, "--S", "1,0,0"), path, *words)
     path.write_text("{")
     assert refused(run("support", path, "--S", "1,0,0"), path, "not JSON")
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.2])
+def test_a_load_of_one_direction_is_tensile_and_one_that_pushes_by_a_little_is_not(size, angle):
+    """Rounding of the components is forgiven, whatever the units; a compression of 1e-10 of the load is not."""
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = np.array([c * c, c * s, s * s]), np.array([s * s, -c * s, c * c])
+    answer = support_answer(DEFAULT_LAW, size * along)
+    assert answer["h"] == pytest.approx(size * default_law().support(along[None])[0], rel=1e-12)
+    assert support_answer(DEFAULT_LAW, size * (along - 1e-14 * across))["h"] == pytest.approx(answer["h"], rel=1e-9)
+    with pytest.raises(InputError, match="not tensile"):
+        support_answer(DEFAULT_LAW, size * (along - 1e-10 * across))
+
+
+def test_no_load_is_not_tensile():
+    for S in (np.zeros(3), np.array([-1.0, 0.0, -1.0]), np.array([1.0, 0.0, -1.0])):
+        with pytest.raises(InputError, match="not tensile"):
+            support_answer(DEFAULT_LAW, S)

@@ -34,15 +34,6 @@ def test_the_law_of_a_file_lies_between_its_inner_and_outer_law():
     assert np.abs(found.width(rows.S)).max() < 2e-5
 
 
-def test_fewer_rows_make_a_wider_interval():
-    full = read_law_interval()
-    few = law_interval(full.rows.take(np.arange(0, len(full.rows), 7)))
-    S = directions()
-    assert (few.inner.support(S) <= full.inner.support(S) + 2e-5).all()
-    assert (few.outer.support(S) >= full.outer.support(S) - 1e-9).all()
-    assert few.width(S).sum() > 3.0 * full.width(S).sum()
-
-
 def test_rows_that_missed_the_largest_work_are_raised_to_what_others_do():
     rows = read_law_interval().rows
     i, j = 40, 41

@@ -139,9 +139,3 @@ def test_half_spaces_of_any_size_are_the_same_law(rows):
     assert np.allclose(other.response(E).S, law.response(E).S, atol=1e-7 * ANISOTROPIC.max())
     one = polyhedral_law(np.array([[4.0, 0.0, 0.0], [0.0, 0.0, 0.5]]), np.array([2.0, 0.1]))
     assert one.cut(np.array([[0.7, 0.0, 0.0]])).violation[0] == pytest.approx(0.2, abs=1e-12)  # 0.7 - 2/4
-
-
-def test_a_strain_that_is_no_number_is_refused(rows):
-    law = outer_law(rows)
-    with pytest.raises(InputError, match="row 1 of 2"):
-        law.response(np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]]))

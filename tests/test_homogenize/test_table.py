@@ -124,19 +124,6 @@ def test_every_kind_is_fitted_and_reports(table):
     assert worst["net"] > 0.01
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"kind": "smooth"}, "kind = 'smooth'"),
-        ({"normality": -1e-8}, "normality = -1e-08"),
-        ({"kind": "outer", "resolution": 1e-5}, "belongs to kind 'refined'"),
-    ],
-)
-def test_options_refuse_what_makes_no_sense(options, words):
-    with pytest.raises(InputError, match=words):
-        FitOptions(**options)
-
-
 @pytest.mark.slow
 def test_the_table_behind_the_shipped_law_is_what_rve_makes(table, tmp_path):
     command = [sys.executable, "-m", "rve", "table", "--out", str(tmp_path / "table.csv")]

@@ -9,7 +9,7 @@ interior point and returns a certificate when there is no admissible state. P. J
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 
 import clarabel
@@ -62,13 +62,13 @@ def solve_clarabel(
     tell("clarabel, round 1")
     found = _solve(task, cones)
     for number in count(1):
-        if found.is_refuted:
+        if "PrimalInfeasible" in found.status:
             stop = "blocked" if task.A.shape[0] else "infeasible"
             break
         cut = all_cuts(law, green_strain(fem.gradient(found.z)))
         new = np.flatnonzero(cut.violation > VIOLATION)
-        if not found.is_solved or not len(new):
-            stop = "closed" if found.is_solved else "stalled"
+        if not found.status.endswith("Solved") or not len(new):
+            stop = "closed" if found.status.endswith("Solved") else "stalled"
             break
         if number == ROUNDS:
             stop = "iterations"
@@ -76,7 +76,22 @@ def solve_clarabel(
         cones, _ = with_cuts(cones, new, Cut(cut.S[new], cut.h[new], cut.violation[new]))
         tell(f"clarabel, round {number + 1}")
         found = _solve(task, cones)
-    return replace(_record(stop, law, task, cones, found, number), wall_forces=rows.reactions(found.u))
+    room = min(least_slack(law, green_strain(fem.gradient(found.z))), rows.slack(found.z).min(initial=np.inf))
+    return PathResult(
+        stop=stop,
+        evidence=Evidence(found.gap, found.unbalanced, -float(room)),
+        asked=ATTAINED,
+        z=found.z,
+        lam=found.lam,
+        y_tail=np.zeros((len(found.lam), 2 * fem.d)),
+        cones=cones,
+        P=found.P,
+        primal=-float(load @ found.z),
+        dual=found.dual,
+        iterations=number,
+        reach=Reach(0.0, 1.0) if stop in ("blocked", "infeasible") else FREE,
+        wall_forces=rows.reactions(found.u),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +111,8 @@ class _Task:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Unknowns z (n,), multipliers lam (nc,) and u (m,) in N/mm and the stress P (nq, d, 2) of clarabel's last iterate.
-
-    Its bounds and unbalanced forces are computed from these, whatever clarabel says of them; `is_solved` and
-    `is_refuted` are what it says.
-    """
+    """clarabel's last iterate: z (n,), multipliers lam (nc,) and u (m,) in N/mm, stress P (nq, d, 2). Bounds and
+    unbalanced forces are computed from these; `status` is what clarabel says."""
 
     z: Array
     lam: Array
@@ -109,8 +121,7 @@ class _Found:
     dual: float
     gap: float
     unbalanced: float
-    is_solved: bool
-    is_refuted: bool
+    status: str
 
 
 def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
@@ -183,9 +194,8 @@ def _solve(task: _Task, cones: Cones) -> _Found:
     answer = clarabel.DefaultSolver(
         sparse.csc_matrix((fem.n, fem.n)), -task.load / task.total, A, b, kinds, settings
     ).solve()
-    is_refuted = str(answer.status) in ("PrimalInfeasible", "AlmostPrimalInfeasible")
     x, z = np.array(answer.x), np.array(answer.z)
-    if is_refuted or not (np.isfinite(x).all() and np.isfinite(z).all()):
+    if "PrimalInfeasible" in str(answer.status) or not (np.isfinite(x).all() and np.isfinite(z).all()):
         x, z = np.zeros(fem.n), np.zeros(len(b))
     y, push = np.split(task.total * size * z, [int(start[-1])])
     w_head, w_tail = y[start[:-1]], np.where(np.isin(np.arange(len(y)), start[:-1]), 0.0, y)
@@ -204,32 +214,5 @@ def _solve(task: _Task, cones: Cones) -> _Found:
         dual=dual,
         gap=(-float(task.load @ z) - dual) / (task.total * size),
         unbalanced=unbalanced,
-        is_solved=str(answer.status) in ("Solved", "AlmostSolved"),
-        is_refuted=is_refuted,
-    )
-
-
-def _record(
-    stop: str,
-    law: MembraneLaw,
-    task: _Task,
-    cones: Cones,
-    found: _Found,
-    iterations: int,
-) -> PathResult:
-    fem = task.fem
-    room = min(least_slack(law, green_strain(fem.gradient(found.z))), task.rows.slack(found.z).min(initial=np.inf))
-    return PathResult(
-        stop=stop,
-        evidence=Evidence(found.gap, found.unbalanced, -float(room)),
-        asked=ATTAINED,
-        z=found.z,
-        lam=found.lam,
-        y_tail=np.zeros((len(found.lam), 2 * fem.d)),
-        cones=cones,
-        P=found.P,
-        primal=-float(task.load @ found.z),
-        dual=found.dual,
-        iterations=iterations,
-        reach=Reach(0.0, 1.0) if found.is_refuted else FREE,
+        status=str(answer.status),
     )

@@ -30,7 +30,6 @@ from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
 from rve.common.cache import NO_CACHE, Cache
 from rve.common.errors import InputError, NotConverged
-from rve.common.materials import named_material
 from rve.common.tensor import WEIGHT, disc, from_disc
 
 KNOWN = read_law_interval()
@@ -357,21 +356,6 @@ def test_rings_tell_their_strength_at_the_loads_they_were_asked_for():
     for name in ("utilisation", "collapse_utilisation"):
         one, other = (getattr(x, name)(some.S[inside], 235.0) for x in (found, law))
         np.testing.assert_allclose(one, other, rtol=1e-5)
-
-
-def test_a_scene_may_say_what_the_rings_asked_on_demand_are_made_of():
-    """Weight, yield stress and record are those of `[material]`, over what the cell brings."""
-    some = law_interval(KNOWN.rows.take(np.arange(0, len(KNOWN.rows), 12)), cell=KNOWN.law.cell)
-    tables = {"curtain": {"width": 60.0, "height": 60.0}, "mesh": {"cells": 4}}
-    titanium = square(**tables, material={"material": "titanium grade 2", "yield": 300.0})
-    told = solve(titanium, OnDemand(Cell(material=named_material("steel 1.4404")), 0.5, some)).summary
-    assert told["material"]["density_kg_per_mm3"] == named_material("titanium grade 2").density_kg_per_mm3
-    assert told["ring_yield_N_per_mm2"] == 300.0
-    assert told["ring_material"] == "titanium grade 2, changed"
-    mass = KNOWN.law.cell.areal_mass_kg_per_m2 * 4.51 / 7.85
-    assert told["areal_mass_kg_per_m2"] == pytest.approx(mass, rel=1e-6)
-    with pytest.raises(InputError, match="known are steel"):
-        solve(square(**tables, material={"material": "mithril"}), OnDemand(Cell(), 0.5, some))
 
 
 SCENES = {

@@ -126,19 +126,6 @@ def test_iterations_do_not_grow_with_stiffness(scene_tables, stiffness):
     assert solution.iterations < 70
 
 
-@pytest.mark.slow
-def test_iterations_hardly_grow_with_the_mesh(scene_tables):
-    """Newton's method alone took 9, 90 and 611 on 224, 896 and 3584 cells."""
-    counts = []
-    for cells in (8, 30):
-        tables = scene_tables(width=1000.0, height=1000.0, support={"kind": "corners"}, solver=ELASTIC)
-        tables["mesh"] = {"cells": cells, "pattern": "crossed"}
-        solution = solve_scene(read_scene(tables), default_law())
-        assert solution.status == "converged"
-        counts.append(solution.iterations)
-    assert counts[1] < 2.0 * counts[0] < 140
-
-
 @pytest.mark.parametrize("support", [{"kind": "corners"}, {"kind": "top", "gather": 0.8}])
 def test_a_straight_bar_stays_straight(scene_tables, support):
     """As in the rigid curtain; it costs energy against a loose bar, and the supports carry it."""

@@ -183,18 +183,6 @@ def test_a_ring_taken_out_of_the_net_is_missed(states, table):
     assert fit_of(replace(rings, centre=near), CELL).gap_mm[inner] < -0.05
 
 
-def test_neighbouring_cells_meet_whatever_their_strains(states, table):
-    """Centres follow the deformation of the curtain, which is continuous, and not the strain of each cell."""
-    _, E, S, _ = table
-    flat = sheet(np.eye(2), np.zeros(3), S[0], np.eye(2))
-    bent = replace(flat, x=flat.X + 0.1 * np.abs(flat.X[:, :1]) * [0.0, 1.0])  # linear in every triangle
-    sites = find_sites(bent, CELL, states.sides, np.eye(2))
-    found = nearest_poses(E[:8], CELL, OPTIONS, states)
-    rings = place_rings(bent, sites, found, sites.cell, CELL, np.eye(2))
-    expected = sites.X + 0.1 * np.abs(sites.X[:, :1]) * [0.0, 1.0]
-    np.testing.assert_allclose(rings.centre[:, :2], expected, atol=1e-3)
-
-
 @pytest.mark.parametrize(("grain", "hang"), [("y", 0.0), ("x", 33.0)])
 def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, grain, hang):
     """Centres, normals and the frame of the worst cell follow a rotation of space; gaps and links stay."""

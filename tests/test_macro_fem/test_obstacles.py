@@ -212,16 +212,6 @@ def test_summary_tells_reaction_and_displacement_step_by_step(fitted_law, scene_
     assert used["third-coordinate"]
 
 
-@pytest.mark.slow
-def test_in_steps_or_at_once_the_sphere_is_met_alike(fitted_law, scene_tables):
-    tables = pushed(scene_tables, 45.0)
-    once = solve(read_scene(tables), fitted_law).solution
-    tables["load"] = {**tables["load"], "steps": 3}
-    steps = solve(read_scene(tables), fitted_law).solution
-    scale = np.abs(once.problem.force).sum() * once.problem.mesh.size
-    assert steps.primal / scale == pytest.approx(once.primal / scale, abs=1e-6)
-
-
 def test_mesh_over_the_edge_of_a_box_is_held_by_roof_and_front(fitted_law):
     tables = {
         "curtain": {"width": 250.0, "height": 1000.0, "areal_mass": 2.785},

@@ -9,6 +9,8 @@ import pytest
 import skfem
 from click.testing import CliRunner
 
+import macro_fem
+from homogenize import default_law
 from homogenize.laws.net import diagonal_net
 from homogenize.laws.protocol import CellInfo
 from macro_fem.cli import main
@@ -16,9 +18,10 @@ from macro_fem.curtain import solve_scene
 from macro_fem.fem.cells import signed_areas
 from macro_fem.output.files import summarize
 from macro_fem.problem import make_problem
+from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.loads import disk_areas
 from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.meshing.places import LEAST_SINE, with_nodes_at
+from macro_fem.scene.meshing.places import LEAST_SINE
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 from tests.test_macro_fem.sheets import least_angle
@@ -55,18 +58,6 @@ def test_hooks_every_200_mm_on_3_m(element):
     assert (summary["nodes_held"], summary["length_held_mm"]) == (16, 0.0)
     np.testing.assert_allclose(force.sum(axis=0), summary["support_forces"][0]["force_N"], atol=1e-9)
     np.testing.assert_allclose(force.sum(axis=0), [0.0, 1e-6 * 9.81 * 3000.0 * 300.0], rtol=1e-6, atol=1e-6)
-
-
-def test_hooks_slide_where_they_may():
-    """A hook that slides carries no force along the rail; one that does not carries much of the load's size."""
-    sideways = []
-    for sliding in (False, True):
-        hooks = {"kind": "hooks", "pitch": 50.0, "sliding": sliding}
-        solution = solve_scene(scene(hooks, mesh={"cells": 6}), LAW)
-        _, force = points_of(summarize(solution))
-        sideways.append(np.abs(force[:, 0]).max() / force[:, 1].sum())
-    assert sideways[0] > 0.05
-    assert sideways[1] < 1e-6
 
 
 @pytest.mark.parametrize("hang", ["y", 30.0])
@@ -120,16 +111,6 @@ def test_a_point_leaves_the_curtain_exact():
         )
         assert has_node(solution.problem.mesh, at)
         assert solution.mean_height() == pytest.approx(NET_MEAN_HEIGHT, abs=1e-5)
-
-
-def test_a_point_load_acts_where_it_is_asked_for():
-    """The supports' moment is that of the load at the material point (37, 11)."""
-    load = {"gravity": 0.0, "point": {"at": [37.0, 11.0], "force": [0.0, -1.0]}}
-    solution = solve_scene(scene({"kind": "top"}, load=load, mesh={"cells": 6}), LAW)
-    summary = summarize(solution)
-    at, force = points_of(summary)
-    x = {tuple(X): x for X, x in zip(solution.problem.disc.nodes.tolist(), solution.x[:, 0], strict=True)}
-    assert np.array([x[tuple(place)] for place in at.tolist()]) @ force[:, 1] == pytest.approx(x[37.0, 11.0], rel=1e-4)
 
 
 @pytest.mark.parametrize("element", ["Q1", "Q2"])
@@ -207,24 +188,6 @@ def run(folder, text):
     return folder / "out"
 
 
-MOVED = """
-curtain = {width = 100.0, height = 80.0, areal_mass = 1.0}
-mesh = {cells = 4}
-support = [{kind = "corners"}, {kind = "point", at = [47.0, 0.0], move = [3.0, 6.0]}]
-load = {steps = 3}
-"""
-
-
-def test_a_point_moves_by_its_share_in_every_step(tmp_path):
-    out = run(tmp_path, MOVED)
-    for number in (1, 2, 3):
-        data = meshio.read(out / f"curtain_{number:04d}.vtu")
-        node = np.argmin(np.linalg.norm(data.points[:, :2] - [47.0, 0.0], axis=1))
-        np.testing.assert_allclose(data.points[node], [47.0, 0.0, 0.0], atol=1e-9)
-        expected = np.array([3.0, 6.0, 0.0]) * number / 3
-        np.testing.assert_allclose(data.point_data["displacement_mm"][node], expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
 def test_csv_and_vtu_hold_the_forces_of_the_summary(tmp_path, element):
     """The VTU has the corners of cells only; what a node between them carries is shared by the two beside it."""
@@ -287,18 +250,6 @@ def test_inner_edges_follow_the_turned_weave(shape, hang):
             assert share_along(mesh, -hang + family) < 0.05
 
 
-def test_quadrilaterals_move_a_node_to_a_place():
-    grid = skfem.MeshQuad.init_tensor(np.linspace(0, 4, 5), np.linspace(0, 4, 5))
-    mesh, _, nodes = with_nodes_at(grid, {}, np.array([[1.2, 2.1], [0.0, 2.4]]), ["one", "two"])
-    assert mesh.p.shape == (2, 25)
-    assert signed_areas(mesh.p.T[mesh.t.T]).sum() == pytest.approx(16.0)
-    assert mesh.p[:, nodes].T.tolist() == [[1.2, 2.1], [0.0, 2.4]]
-    with pytest.raises(
-        InputError, match=r"middle: gets no node without a flat cell, the nearest one is 0.707107 mm away"
-    ):
-        with_nodes_at(grid, {}, np.array([[1.5, 1.5]]), ["middle"])
-
-
 def test_a_disk_shares_its_area_with_the_cells_it_touches():
     """A grid around it gets all of it; half-planes, quarters and a ring segment get what geometry says."""
     grid = skfem.MeshQuad.init_tensor(np.linspace(-3, 3, 8), np.linspace(-3, 3, 6))
@@ -323,3 +274,38 @@ def test_a_patch_acts_where_it_is_asked_for(radius, off):
         assert problem.force.sum(axis=0) == pytest.approx([0.0, -3.0])
         middle = problem.force[:, 1] @ problem.disc.nodes / -3.0
         assert np.linalg.norm(middle - at) < off
+
+
+@pytest.mark.parametrize(
+    ("keys", "count", "asked"), [("pitch = 129", 24, 129.0), ("count = 24", 24, None), ("pitch = 125", 25, 125.0)]
+)
+def test_the_pitch_that_fits_is_told(tmp_path, keys, count, asked):
+    """A pitch of 129 mm does not divide 3000 mm: 23 spaces of 130.4 mm."""
+    (tmp_path / "scene.toml").write_text(
+        f"[curtain]\nwidth = 3000\nheight = 500\n[mesh]\ncells = 24\n[support]\nkind = 'hooks'\n{keys}\n"
+    )
+    found = CliRunner().invoke(
+        main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--no-picture"]
+    )
+    assert found.exit_code == 0, found.output
+    (hooks,) = json.loads((tmp_path / "out" / "summary.json").read_text())["support_forces"]
+    assert hooks["pitch_mm"] == pytest.approx(3000.0 / (count - 1))
+    assert hooks["pitch_asked_mm"] == asked
+    x = [point["at_mm"][0] for point in hooks["points"]]
+    assert np.diff(x) == pytest.approx(hooks["pitch_mm"])
+    assert f"hooks: {count}, {hooks['pitch_mm']:g} mm apart" in found.output
+    assert ("does not divide" in found.output) == (asked == 129.0)
+    assert found.output.startswith("no --law: rings of r1 = 5 mm and r2 = 0.5 mm, 4-in-1, steel")
+
+
+def test_nearly_whole_cells_keep_the_rings_at_the_corners():
+    """75.9 mm are six cells of 12.646 mm: the corner rings must not go, nor the support move by 1.9 mm."""
+    exact, rounded = (
+        ring_scene(macro_fem.Scene(macro_fem.Rectangle(6 * RINGS.b_x_mm, height), [macro_fem.Corners()]), default_law())
+        for height in (6 * RINGS.b_y_mm, 75.9)
+    )
+    assert exact.notes == ()
+    assert "height = 75.9 mm is taken as 6 whole cells" in rounded.notes[0]
+    assert len(rounded.mesh.X) == len(exact.mesh.X)
+    for (_, one), (_, other) in zip(exact.groups, rounded.groups, strict=True):
+        assert rounded.mesh.X[other] == pytest.approx(exact.mesh.X[one])

@@ -1,13 +1,9 @@
 """What slides carries nothing: pins of every kind of sliding, obstacles at supports that slide, and noise."""
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from homogenize.io import default_law
-from macro_fem.cli import main
 from macro_fem.curtain import solve_problem
 from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
@@ -94,17 +90,3 @@ def test_noise_is_no_force(solver):
     assert pushed < found.noise
     assert found.noise < 1e-5 * total(found) or solver
     assert not found.reactions[:, 0].any()
-
-
-def test_forces_of_files_have_no_part_along_a_diagonal_line(tmp_path):
-    text = f"[curtain]\nwidth = {SIZE}\nheight = {SIZE}\n[mesh]\ncells = 4\n[support]\nkind = 'edge'\nedge = 'top'\n"
-    text += f"along = {DIAGONAL['along']}\nsliding = true\n[[obstacle]]\nkind = 'wall'\nfacing = [1, 0, 0]\n"
-    (tmp_path / "scene.toml").write_text(text + "point = [20, 0, 0]\n")
-    words = ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--no-picture"]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == 0, result.output
-    (line,) = json.loads((tmp_path / "out" / "summary.json").read_text())["support_forces"]
-    weight = line["force_N"][1]
-    forces = np.array([line["force_N"], *[point["force_N"] for point in line["points"]]])
-    assert weight > 0.1
-    assert np.abs(forces @ [0.8, 0.0, 0.6]).max() < 1e-9 * weight

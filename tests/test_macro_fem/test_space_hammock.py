@@ -45,20 +45,6 @@ class Catenary:
         self.low = (self.a if u < 0.0 < v else min(first, self.a * np.cosh(v))) - first
 
 
-def test_the_catenary_itself():
-    """Its mean and least height are those of a fine polygon."""
-    rope = Catenary(1000.0, 600.0, -200.0)
-    x = np.linspace(0.0, 600.0, 100_001)
-    lowest = 300.0 - rope.a * np.arctanh(-0.2)
-    y = rope.a * np.cosh((x - lowest) / rope.a)
-    ds = np.hypot(np.diff(x), np.diff(y))
-    assert ds.sum() == pytest.approx(1000.0, rel=1e-8)
-    assert (0.5 * (y[1:] + y[:-1]) * ds).sum() / ds.sum() - y[0] == pytest.approx(rope.mean, rel=1e-7)
-    assert y.min() - y[0] == pytest.approx(rope.low, rel=1e-7)
-    assert y[-1] - y[0] == pytest.approx(-200.0, rel=1e-9)
-    assert (-200.0 / 600.0 * x - (y - y[0])).max() == pytest.approx(rope.sag, rel=1e-7)
-
-
 def law_of(name):
     """The law of a case, the angle of its weave, and its locked stretch along y. Sideways it may shrink."""
     if name == "cloth":
@@ -135,15 +121,6 @@ def test_a_hammock_is_a_catenary(name):
 @pytest.mark.parametrize("name", CASES)
 def test_every_hammock_is_a_catenary(name):
     assert_meets_the_catenary(name, (2, 4, 8, 16))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["y-slanted", "x-level"])
-def test_a_square_hammock_with_the_default_mesh(name):
-    """32 cells of the aligned pattern."""
-    found = hammock(name, 32, LENGTH, "aligned")
-    assert found.status == "converged"
-    assert np.abs(errors(name, found)[0]).max() < 1e-3
 
 
 def test_clarabel_and_our_solver_agree_for_cloth():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
-from rve.directions import graded_grid, grid
+from rve.directions import grid
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -93,11 +93,3 @@ def test_the_locked_reference_is_the_longest_state():
         else:
             assert l_y / b_y == pytest.approx(1.057, abs=5e-4)
             assert l_x < 0.8 * b_x
-
-
-def test_a_chiral_weave_has_loads_on_both_sides():
-    for make in (lambda weave: grid(15.0, weave), graded_grid):
-        alpha, beta = make(SIX_IN_ONE)
-        half, _ = make(FOUR_IN_ONE)
-        assert set(alpha) == set(half) | {-a for a in half if 0.0 < a < 45.0}
-        assert len({(a % 180.0, b) for a, b in zip(alpha, beta, strict=True)}) == len(alpha)

@@ -47,11 +47,6 @@ def test_values_of_independent_solvers(paper_table, row):
         np.testing.assert_allclose(paper_table.x3_mm[i], x3, atol=tolerance)
 
 
-def test_reference_is_a_vertex(paper_table, row):
-    np.testing.assert_allclose(paper_table.E[row(0.0, 90.0)], 0.0, atol=1e-12)
-    np.testing.assert_allclose(paper_table.E[row(0.0, 85.0)], 0.0, atol=1e-12)
-
-
 def test_table_is_normal(paper_table):
     """S is the outward normal of a convex set at E: S_i : (E_i - E_j) >= 0 for all pairs (ideal locking)."""
     work = np.einsum("ik,ijk->ij", paper_table.S * [1, 2, 1], paper_table.E[:, None] - paper_table.E[None])

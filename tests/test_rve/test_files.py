@@ -95,16 +95,12 @@ def test_files_of_two_results_are_refused(tmp_path):
 
 def test_outputs_that_are_no_files_are_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("x")
-    link = tmp_path / "link"
-    link.symlink_to(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
     for path, words in (
         ("/dev/null", "device, pipe or socket"),
-        (tmp_path / "pipe", "device, pipe or socket"),
-        (link, "device, pipe or socket"),
-        (tmp_path / "folder", "is a folder"),
-        (tmp_path / "no" / "x.csv", "does not exist"),
+        (tmp_path / "link", "device, pipe or socket"),
+        (tmp_path, "is a folder"),
         (tmp_path / "file" / "x.csv", "does not exist"),
         (tmp_path / ("n" * 300), "File name too long"),
     ):
@@ -129,11 +125,6 @@ def test_outputs_that_are_inputs_by_any_name_are_refused(tmp_path):
     publish(tmp_path / "out", NEW)
     with pytest.raises(InputError, match="would overwrite"):
         check_out_job(tmp_path / "out", "summary.json", inputs=[tmp_path / "out" / "c.png"])
-    publish(tmp_path / "other", NEW, "other.json")
-    before = content(tmp_path / "other")
-    with pytest.raises(InputError, match="would overwrite"):
-        publish(tmp_path / "other", OLD, inputs=[tmp_path / "other" / "a.txt"])
-    assert content(tmp_path / "other") == before
 
 
 @pytest.fixture

@@ -54,12 +54,6 @@ def test_a_rectangle_of_whole_cells_has_rings_on_its_corners_and_the_weight_of_i
     assert len(mesh.linked) == 4 * 3 * 2
 
 
-def test_a_weave_across_swaps_the_sides():
-    along, across = FiniteMesh.rectangle(Cell(), 2, 1), FiniteMesh.rectangle(Cell(grain="x"), 1, 2)
-    assert np.ptp(across.X, axis=0) == pytest.approx(np.ptp(along.X, axis=0)[::-1])
-    assert len(across.linked) == len(along.linked)
-
-
 def test_any_outline_keeps_its_area_and_leaves_out_holes():
     outline = [(0.0, 0.0), (120.0, 10.0), (90.0, 100.0), (5.0, 80.0)]
     hole = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
@@ -219,18 +213,6 @@ def test_circles_that_cross_on_the_way_have_ways_as_long_as_their_distances():
             ratio.append((old.deepest[0] + new.deepest[0]) / ways(old, q)[0])
     assert max(ratio) <= 1.0
     assert max(ratio) > 0.5  # the bound is no mere multiple of the way
-
-
-def test_rings_that_turn_together_have_next_to_no_way():
-    mesh, placed, rng = disturbed(7)
-    con = find_touching(placed, mesh.linked, 0.1, 0.6)
-    about, middle = rng.standard_normal(3), placed.x.mean(axis=0)
-    about /= np.linalg.norm(about)
-    for angle, most in ((1e-2, 2e-3), (1e-3, 2e-5)):
-        e1, e2 = tangent_frame(placed.normal)
-        turn = angle * np.cross(about, placed.x - middle)
-        q = np.column_stack([turn, angle * e1 @ about, angle * e2 @ about])
-        assert ways(con, q).max() < most
 
 
 def test_what_blocks_lack_takes_their_negative_curvature_and_nothing_else():
@@ -474,15 +456,6 @@ def test_a_mesh_comes_to_lie_flat_on_a_floor_that_carries_all_of_it():
     assert np.abs(over(found, floor)).max() < 1e-6
 
 
-def test_a_floor_above_the_supports_is_out_of_reach():
-    mesh = FiniteMesh.rectangle(Cell(), 1, 1)
-    floor = HalfSpace((0.0, 1.0, 0.0), 40.0, "floor")
-    found = mesh.solve(*hung(mesh, top_of(mesh)), space=False, walls=(floor,))
-    assert found.status == "out-of-reach"
-    assert np.isnan(found.wall_force).all()
-    assert found.way_left_mm > 40.0 - mesh.X[:, 1].max()
-
-
 def test_contacts_that_are_followed_are_those_of_a_whole_search():
     mesh, placed, rng = disturbed(3, 0.03)
     con = find_touching(placed, mesh.linked, 0.1, 0.6)
@@ -599,14 +572,6 @@ def test_far_from_its_edges_a_mesh_has_the_strain_of_the_cell():
     found = np.linalg.lstsq(X, x - x.mean(axis=0), rcond=None)[0].T
     E = 0.5 * (found.T @ found - np.eye(2))
     assert np.abs(E - np.diag(0.5 * (F**2 - 1.0))).max() < 1e-3
-
-
-def test_hung_along_the_grain_the_inner_columns_keep_their_height():
-    mesh = FiniteMesh.rectangle(Cell(), 10, 2)
-    solution = mesh.solve(*hung(mesh, top_of(mesh)), space=False)
-    check(solution)
-    inner = np.abs(mesh.X[:, 0] - mesh.X[:, 0].mean()) < 1.1 * mesh.sides[0]
-    assert solution.centre[inner, 1] == pytest.approx(mesh.X[inner, 1], abs=2.5e-3)
 
 
 def test_the_right_hand_side_is_the_slope_of_the_barrier_function_with_a_guide_too():

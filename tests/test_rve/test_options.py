@@ -32,11 +32,6 @@ def test_options_are_refused_in_one_sentence(kind, given, words):
     assert "\n" not in str(error.value)
 
 
-def test_defaults_and_copies_are_sound():
-    for kind in (DirectOptions, StewartTrinkleOptions):
-        assert replace(kind()) == kind()
-
-
 def frozen(record):
     """The record, all of its arrays write-protected."""
     for value in vars(record).values():

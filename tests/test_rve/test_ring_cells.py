@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rve.common.errors import InputError
 from rve.common.materials import Material, named_material
 from rve.common.rings import Joint
 from rve.equilibrium.elastic_rings import elastic_forces, ring_states
@@ -194,16 +193,6 @@ def test_rows_without_a_locked_state_have_no_strength():
     assert np.isnan(table.compliance[1:]).all()
 
 
-def test_blocks_and_company_change_nothing(paper, monkeypatch):
-    found, s, _, states = paper
-    rows = np.array([3, 18, 60, 77, 189])
-    monkeypatch.setattr("rve.equilibrium.elastic_rings._BLOCK", 2)
-    again = ring_states(EQUATIONS, found.take(rows), s[rows], SIDES, POISSON)
-    assert again.elastic == pytest.approx(states.elastic[rows], rel=1e-9, abs=1e-9 * np.nanmax(states.elastic))
-    assert again.first_yield == pytest.approx(states.first_yield[rows], rel=1e-9)
-    assert again.collapse == pytest.approx(states.collapse[rows], rel=1e-4)
-
-
 def test_table_columns_follow_material_size_and_grain():
     loads = ([10.0, 80.0, 0.0, 15.0], [40.0, 50.0, 90.0, 0.0])
     steel, titanium = Material(), named_material("titanium grade 2")
@@ -279,10 +268,3 @@ def test_joints_are_where_they_are_said_to_be():
         push = np.take_along_axis(forces, contact, axis=1)[..., None] * direction
         highest.append(peak_stress(phi, push, RING, joint=ends.joints(0.0)[:, k]).stress[0])
     assert states.first_yield[0] == pytest.approx(max(highest), rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["glued", "welded:3", "butted:", "butted:nan", "butted:400", ""])
-def test_unknown_joints_are_one_sentence(name):
-    with pytest.raises(InputError, match="joint") as caught:
-        RingOptions(joint=name)
-    assert "\n" not in str(caught.value)

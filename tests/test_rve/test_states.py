@@ -9,9 +9,11 @@ from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
+from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.more_columns import with_rings
 from rve.solve import solve_table
+from rve.strained.forces import largest_forces
 from rve.table import read_table
 
 LOADS = np.array([20.0, 45.0, 10.0, 25.0]), np.array([30.0, 60.0, 95.0, 0.0])
@@ -67,3 +69,35 @@ def test_blocks_with_more_pairs_join_those_with_fewer(monkeypatch):
     rings = with_rings(solve_table(Cell(weave=forgetful), loads), Cell(weave=forgetful)).compliance
     assert rings == pytest.approx(with_rings(plain, Cell()).compliance, rel=1e-5, abs=1e-9)
     assert (np.einsum("nii->n", WEIGHT[:, None] * rings) > 0.0).all()
+
+
+ANGLES = np.array([0.0, 0.0, 20.0, 45.0, 70.0]), np.array([45.0, 20.0, 30.0, 10.0, 35.0])
+
+
+def test_a_table_in_blocks_is_that_of_its_rows(monkeypatch):
+    alone = [solve_table(Cell(), ([a], [b])) for a, b in zip(ANGLES[0], ANGLES[1], strict=True)]
+    seen = []
+    monkeypatch.setattr("rve.solve.BLOCK", 2)
+    table = solve_table(Cell(), (ANGLES[0], ANGLES[1]), progress=seen.append)
+    assert seen == [2, 2, 1]
+    assert len(table.E) == 5
+    np.testing.assert_allclose(table.E, np.vstack([one.E for one in alone]), atol=1e-9)
+    np.testing.assert_allclose(table.alpha_deg, ANGLES[0])
+    assert (table.status == "converged").all()
+
+
+def test_forces_in_blocks_are_those_of_each_load(monkeypatch):
+    """Loads twice as large give twice the force; what hangs slack carries none."""
+    cell = Cell()
+    size = np.array([1.0, 0.0, 0.3, 2.0, 5.0])
+    s = size[:, None] * cauchy_line_load(ANGLES[0], ANGLES[1])
+    alone = np.vstack([largest_forces(one[None], cell) for one in s])
+    monkeypatch.setattr("rve.solve.BLOCK", 2)
+    together = largest_forces(s, cell)
+    np.testing.assert_allclose(together, alone, rtol=1e-6)
+    assert (together[1] == 0.0).all()
+    assert (together[[0, 2, 3, 4]] > 0.0).all()
+    np.testing.assert_allclose(largest_forces(2.0 * s, cell), 2.0 * together, rtol=1e-6)
+    # rings twice as large carry the same line loads over twice the length
+    np.testing.assert_allclose(largest_forces(s, Cell(2.0 * cell.r1, 2.0 * cell.r2)), 2.0 * together, rtol=1e-6)
+    assert largest_forces(np.zeros((2, 3)), cell) == pytest.approx(np.zeros((2, cell.weave.classes)))

@@ -41,13 +41,6 @@ def test_one_command_writes_every_table_and_picture(tmp_path):
     assert found.history.rise.max() <= ROUND_OFF
 
 
-def test_side_contacts_are_timed():
-    found = study.solve_study(np.array([0.0, 20.0]), np.array([90.0, 45.0]))
-    first, last = found.side_contact_times(0)  # side neighbours touch in the reference state
-    assert 0.0 < first <= last < found.rest.time[0]
-    assert all(np.isnan(found.side_contact_times(1)))
-
-
 @pytest.mark.slow
 def test_the_paper_s_figures():
     found = study.solve_study(*grid())

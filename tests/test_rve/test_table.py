@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rve.common.errors import InputError
 from rve.common.files import sidecar_path
@@ -85,16 +83,6 @@ def test_missing_and_truncated_files(small, tmp_path):
     sidecar_path(path).write_text('{"r1_mm": ')
     with pytest.raises(InputError, match="is not JSON"):
         read_table(path)
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.integers(-90, 90), st.integers(1, 40), st.sampled_from([0.25, 0.5, 1.0, 2.5, 5.0]))
-def test_ranges_hold_both_ends(first, count, step):
-    last = first + (count - 1) * step
-    values = parse_angles(f"{first}:{last}:{step}", "--alpha")
-    assert len(values) == count
-    assert values[0] == first
-    assert values[-1] == pytest.approx(last)
 
 
 def test_ranges_that_are_none():
