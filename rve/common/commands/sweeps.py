@@ -96,39 +96,43 @@ def sweep(
     (name, count), *_ = Counter(item.name for item in items).most_common(1)
     if count > 1:
         raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
-    cache, ended = open_cache(out / MARKS, "--out"), {}
-    for number, item in enumerate(items):
+    cache, ended = open_cache(out / MARKS, "--out"), dict[str, Ended]()
+
+    def end(item: SweepItem, how: Ended) -> None:
+        ended[item.name] = how
+        tell(f"sweep, {len(ended)} of {len(items)} done", len(ended) / len(items))
+        done(item.name)
+
+    for item in items:
         if (found := cache.get(item.question)) is not None:
-            ended[number] = Ended(found["code"], "")
-            done(item.name)
-    left = {number: item for number, item in enumerate(items) if number not in ended}
+            end(item, Ended(found["code"], ""))
+    left = [item for item in items if item.name not in ended]
     run = _on_cluster(left, cluster) if cluster is not None else _here(left, jobs)
     kept = f"what is finished is kept in {out}, and the same command goes on from there"
     try:
         with noted_if_stopped(kept), closing(run):
-            for number, how in run:
-                ended[number] = how
+            for item, how in run:
                 if not how.message:
-                    cache.put(items[number].question, {"code": how.code}, how.files)
-                done(items[number].name)
+                    cache.put(item.question, {"code": how.code}, how.files)
+                end(item, how)
     except BrokenProcessPool as error:
         lost = "a worker process was ended from outside, perhaps for lack of memory; take fewer --jobs"
         raise NotConverged(f"{lost}; {kept}") from error
     except ConnectionError as error:
         raise NotConverged(f"{error}; {kept}") from error
-    return [ended[number] for number in range(len(items))]
+    return [ended[item.name] for item in items]
 
 
-def _here(items: dict[int, SweepItem], jobs: int) -> Generator[tuple[int, Ended]]:
+def _here(items: Sequence[SweepItem], jobs: int) -> Generator[tuple[SweepItem, Ended]]:
     """Items in this process, or in others that end when the generator is closed, and when this process ends."""
     if jobs == 1:
-        for number, item in items.items():
-            yield number, run_item(item)
+        for item in items:
+            yield item, run_item(item)
         return
     before = active_children()
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
-        futures = {pool.submit(run_item, item): number for number, item in items.items()}
+        futures = {pool.submit(run_item, item): item for item in items}
         for future in as_completed(futures):
             yield futures[future], future.result()
     except (Exception, KeyboardInterrupt, GeneratorExit):
@@ -153,7 +157,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def _on_cluster(items: dict[int, SweepItem], address: str) -> Generator[tuple[int, Ended]]:
+def _on_cluster(items: Sequence[SweepItem], address: str) -> Generator[tuple[SweepItem, Ended]]:
     """ConnectionError with a sentence if the scheduler is lost."""
     from distributed import Client
     from distributed import as_completed as as_finished
@@ -163,14 +167,14 @@ def _on_cluster(items: dict[int, SweepItem], address: str) -> Generator[tuple[in
     except (OSError, ValueError) as error:
         raise InputError(f"--cluster = {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        futures = client.map(run_item, list(items.values()), pure=False, retries=RETRIES)
-        numbers = dict(zip((future.key for future in futures), items, strict=True))
+        futures = client.map(run_item, items, pure=False, retries=RETRIES)
+        asked = dict(zip((future.key for future in futures), items, strict=True))
         for future in as_finished(futures):
             if future.status in ("cancelled", "lost"):
                 raise ConnectionError(f"--cluster = {address}: the Dask scheduler was lost")
             raised = future.exception()
             lost = f"its workers were lost: {' '.join(str(raised).split())}"
-            yield numbers[future.key], future.result() if raised is None else Ended(1, lost)
+            yield asked[future.key], future.result() if raised is None else Ended(1, lost)
 
 
 def absolute(words: Sequence[str]) -> list[str]:
@@ -207,14 +211,8 @@ def run_sweep(
     for item in items:
         command = import_module(f"{item.package}.cli").main.commands[item.arguments[0]]
         command.make_context(f"{item.package} {item.arguments[0]}", list(item.arguments[1:]))
-    finished: list[str] = []
-
-    def done(name: str) -> None:
-        finished.append(name)
-        tell(f"sweep, {len(finished)} of {len(items)} done", len(finished) / len(items))
-
     rows = []
-    for item, ended in zip(items, sweep(items, out, jobs=jobs, cluster=cluster, done=done), strict=True):
+    for item, ended in zip(items, sweep(items, out, jobs=jobs, cluster=cluster), strict=True):
         record = read_json_object(item.record) if not ended.message and item.record.exists() else {}
         rows.append({"name": item.name, "exit_code": ended.code, **columns(record), "message": ended.message})
     names = list(dict.fromkeys(key for row in rows for key in row))
