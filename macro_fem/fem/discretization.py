@@ -25,14 +25,13 @@ Index = NDArray[np.int64]
 
 # Element and order of its quadrature. P1 and CR have constant gradients; the others take the fewest points that
 # integrate the stiffness of an undistorted cell without spurious modes.
-_ELEMENTS: dict[str, tuple[Any, Any, int]] = {
+ELEMENTS: dict[str, tuple[Any, Any, int]] = {
     "P1": (skfem.MeshTri1, skfem.ElementTriP1, 0),
     "CR": (skfem.MeshTri1, skfem.ElementTriCR, 0),
     "P2": (skfem.MeshTri1, skfem.ElementTriP2, 2),
     "Q1": (skfem.MeshQuad1, skfem.ElementQuad1, 3),
     "Q2": (skfem.MeshQuad1, skfem.ElementQuad2, 5),
 }
-ELEMENTS = tuple(_ELEMENTS)
 
 
 MEETS = ([0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 3.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 1.0 / 3.0])
@@ -142,7 +141,7 @@ class Discretization:
             return self.at_nodes
         if self.element == "CR":
             return self.points_at(np.array(MEETS)[:, :3])
-        X = _ELEMENTS[self.element][1]().doflocs.T
+        X = ELEMENTS[self.element][1]().doflocs.T
         control = np.asarray(np.linalg.inv(_bernstein(X, is_triangle=self.element == "P2")), dtype=np.float64)
         return self._points_of(control)
 
@@ -171,7 +170,7 @@ class Discretization:
 
     def shapes_at(self, X: Array) -> Array:
         """Shape functions (n, n_local) at the places X (2, n) of the reference element."""
-        return reference_shapes(_ELEMENTS[self.element][1](), X, self.cell_dofs.shape[1])[0]
+        return reference_shapes(ELEMENTS[self.element][1](), X, self.cell_dofs.shape[1])[0]
 
     def _points_of(self, shape: Array) -> Points:
         """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""
@@ -221,9 +220,9 @@ def discretize(mesh: Any, element: str, order: int | None = None) -> Discretizat
     `order` is the polynomial degree integrated exactly in an undistorted cell; None takes the element's own.
     Raises ValueError for an unknown element, one that does not fit the cells, or a cell without area.
     """
-    if element not in _ELEMENTS:
+    if element not in ELEMENTS:
         raise ValueError(f"element = {element!r} is not one of {', '.join(ELEMENTS)}")
-    mesh_type, element_type, own_order = _ELEMENTS[element]
+    mesh_type, element_type, own_order = ELEMENTS[element]
     if not isinstance(mesh, mesh_type):
         raise ValueError(f"element {element} needs a {mesh_type.__name__}, not a {type(mesh).__name__}")
     degree = own_order if order is None else order

@@ -28,9 +28,9 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from macro_fem.fem.assembly import stiffness
+from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.fem.sparsity import sparsity
 from macro_fem.motion.masses import mesh_masses, nodal_masses
-from macro_fem.scene.loads import FACET_ELEMENTS
 from macro_fem.solution import CurtainSolution
 from rve.common.errors import InputError, NotConverged
 from rve.common.types import Array
@@ -145,7 +145,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     A = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)[:, None, :, None, :]
     pattern = sparsity(disc, 1, np.ones(disc.n_nodes, bool))
     lumped, mesh = sparse.diags(nodal_masses(problem)), sparse.diags(mesh_masses(problem))
-    unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, FACET_ELEMENTS[disc.element]()))
+    unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][1]()))
     per_area = mesh_masses(problem).sum() / disc.cell_area.sum()
     return pattern.full(stiffness(disc, pattern, A)), lumped - mesh + per_area * unit, lumped
 

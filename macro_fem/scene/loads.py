@@ -8,7 +8,7 @@ import skfem
 from homogenize import CellInfo
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import cross
-from macro_fem.fem.discretization import Discretization
+from macro_fem.fem.discretization import ELEMENTS, Discretization
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
@@ -20,14 +20,6 @@ from rve.common.types import Array
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""
-
-FACET_ELEMENTS = {
-    "P1": skfem.ElementTriP1,
-    "P2": skfem.ElementTriP2,
-    "CR": skfem.ElementTriCR,
-    "Q1": skfem.ElementQuad1,
-    "Q2": skfem.ElementQuad2,
-}
 
 
 def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
@@ -87,7 +79,7 @@ def components(v: Vector, scene: Scene) -> Array:
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
     """Integral of every shape function over a named edge (n_nodes,), mm."""
     facets = mesh.edge(name, where)
-    basis = skfem.FacetBasis(mesh.mesh, FACET_ELEMENTS[disc.element](), facets=facets, intorder=2)
+    basis = skfem.FacetBasis(mesh.mesh, ELEMENTS[disc.element][1](), facets=facets, intorder=2)
     return skfem.LinearForm(lambda v, w: v).assemble(basis)
 
 
