@@ -85,8 +85,11 @@ def solve_convex(
     if start is not None and is_alike(problem.fem, start.problem.fem):
         problem = replace(problem, fem=start.problem.fem.moved(problem.fem.x_held))
     reach, relaxation = _known_reach(problem, start) or supports_reach(problem), None
-    if is_elastic(problem.scene) and reach.is_out and reach.excess < _elastic_stretch(problem):
-        reach = replace(reach, upper=1.0)
+    if is_elastic(problem.scene) and reach.is_out:
+        # More than the loads stretch its rings would be the elasticity of rings beyond what the law was made for.
+        line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
+        if reach.excess < line_load * float(np.trace(problem.law.compliance)) / 3.0:
+            reach = replace(reach, upper=1.0)
     if reach.is_out:
         result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)))
     elif problem.walls is not None and problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
@@ -145,16 +148,6 @@ def supports_reach(problem: CurtainProblem) -> Reach:
     """How much farther apart the supports could be."""
     fem = problem.fem
     return reach_of(fem, problem.law, fem.unknowns(gathered_start(problem)), problem.mesh.size)
-
-
-def _elastic_stretch(problem: CurtainProblem) -> float:
-    """About how far the loads of a scene stretch its rings: load times size over area, times the mean compliance.
-
-    Supports out of reach by more end as "infeasible": an answer would be the elasticity of rings drawn beyond what the
-    law was made for.
-    """
-    line_load = float(np.abs(problem.force).sum()) * problem.mesh.size / float(problem.disc.weight.sum())
-    return line_load * float(np.trace(problem.law.compliance)) / 3.0
 
 
 def _solve_within_reach(

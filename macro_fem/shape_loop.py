@@ -84,7 +84,8 @@ def solve_shape(
     shape = first.x
     mixer = Mixer(loaded(problem).weight, MEMORY, part, 0.5 if is_steep else 1.0)
     if start is None and any(wind.speed is None for wind in problem.winds):
-        shape = _flat(problem)
+        X = problem.disc.nodes  # the sheet before anything pulls it out of its plane
+        shape = X @ problem.frame.T if scene.start is None else scene.start.places(X)
     wind = wind_density(problem, shape, sense)
     watch = _Watch(problem, 0.0 if start is None or start.settling is None else start.settling.crossed)
     normals, found = _approach(problem, first, wind, start, solve, watch)
@@ -222,12 +223,6 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
                 "anything moves; lay the sheet beside it by [start], or let it come by move"
             )
     return found
-
-
-def _flat(problem: CurtainProblem) -> Array:
-    """The nodes (n_nodes, 3) of the sheet before anything pulls it out of its plane."""
-    start, nodes = problem.scene.start, problem.disc.nodes
-    return nodes @ problem.frame.T if start is None else start.places(nodes)
 
 
 def _push_out(problem: CurtainProblem, x: Array, before: float, after: float, watch: _Watch) -> Array:
