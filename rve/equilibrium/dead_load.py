@@ -56,12 +56,8 @@ class DeadLoad:
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
         """See CellLoad."""
         b1, b2 = self.sides
-        K = np.zeros((len(s), 4, 4))
-        for x in range(2):
-            K[:, x, x] = s[:, 0] * b2 / b1
-            K[:, x, 2 + x] = K[:, 2 + x, x] = s[:, 1]
-            K[:, 2 + x, 2 + x] = s[:, 2] * b1 / b2
-        return on_coordinates(K, pose, T)
+        A = np.stack([s[:, 0] * b2 / b1, s[:, 1], s[:, 1], s[:, 2] * b1 / b2], axis=1).reshape(-1, 2, 2)
+        return on_coordinates(np.asarray(np.kron(A, np.eye(2)), dtype=float), pose, T)
 
 
 @dataclass(frozen=True)

@@ -110,10 +110,8 @@ class _Cells:
         states, energy = self._states_at(first)
         for angle in rest:
             other, more = self._states_at(angle)
-            stress, load = (
-                np.maximum(states.first_yield, other.first_yield),
-                np.maximum(states.collapse, other.collapse),
-            )
+            stress = np.maximum(states.first_yield, other.first_yield)
+            load = np.maximum(states.collapse, other.collapse)
             softer = np.flatnonzero(more > energy)
             states = states.put(softer, other.take(softer))
             states, energy = replace(states, first_yield=stress, collapse=load), np.maximum(energy, more)

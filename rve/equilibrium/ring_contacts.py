@@ -65,7 +65,9 @@ def contact_ends(equations: Equations, found: Equilibrium, near: float = TOUCHIN
     parts = []
     for k, (rho, push) in enumerate(((m.rho_a, -m.normal), (m.rho_b, m.normal))):
         normal = found.pose.normals[np.arange(n)[:, None], rings[..., k]].reshape(-1, 3)
-        phi, local = _in_ring(rho, push, normal)
+        e1, e2 = tangent_frame(normal)
+        phi, radial = np.arctan2(dot(rho, e2), dot(rho, e1)), rho / np.sqrt(dot(rho, rho))[:, None]
+        local = np.stack([dot(push, radial), dot(push, cross(normal, radial)), dot(push, normal)], axis=1)
         parts.append((phi.reshape(n, count), np.where(present[..., None], local.reshape(n, count, 3), 0.0)))
     phi, direction = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     e1, e2 = tangent_frame(found.pose.normals)
@@ -73,25 +75,14 @@ def contact_ends(equations: Equations, found: Equilibrium, near: float = TOUCHIN
     return Ends(slot, present, np.concatenate([rings[..., 0], rings[..., 1]], axis=1), phi, direction, grain, sense)
 
 
-def _in_ring(rho: Array, push: Array, normal: Array) -> tuple[Array, Array]:
-    """Angle (k,) of points rho on rings with these normals, and pushes (k, 3) in the local axes r, t, z there."""
-    e1, e2 = tangent_frame(normal)
-    radial = rho / np.sqrt(dot(rho, rho))[:, None]
-    local = np.stack([dot(push, radial), dot(push, cross(normal, radial)), dot(push, normal)], axis=1)
-    return np.arctan2(dot(rho, e2), dot(rho, e1)), local
-
-
 def contact_flexibility(ends: Ends, ring: Ring, joint: Array | None = None) -> Array:
     """The flexibility C (n, c, c) between the contacts of each cell, by its rings of curved wire.
 
     joint (n, k): angles at which butted rings are open, None for welded ones.
     """
-    if joint is None:
-        full = flexibility(ends.phi, ends.direction, ring.curved())
-        full = full * (ends.ring[:, :, None] == ends.ring[:, None, :])
-    else:
-        mine = [ends.direction * (ends.ring == k)[..., None] for k in range(joint.shape[1])]
-        parts = [flexibility(ends.phi, d, ring.curved(), joint[:, k]) for k, d in enumerate(mine)]
-        full = np.sum(parts, axis=0)
+    mine = [ends.direction * (ends.ring == k)[..., None] for k in range(ends.grain.shape[1])]
+    open_at = [None] * len(mine) if joint is None else list(joint.T)
+    parts = [flexibility(ends.phi, d, ring.curved(), x) for d, x in zip(mine, open_at, strict=True)]
+    full = np.sum(parts, axis=0)
     c = ends.slot.shape[1]
     return np.asarray(full[:, :c, :c] + full[:, :c, c:] + full[:, c:, :c] + full[:, c:, c:])

@@ -53,13 +53,7 @@ class Symmetry:
 
 
 def symmetry_of(weave: Weave) -> Symmetry | None:
-    """The symmetry of a weave of two classes, None if it has none or its start pose is not symmetric.
-
-    >>> from rve.geometry.weave import FOUR_IN_ONE
-    >>> found = symmetry_of(FOUR_IN_ONE)
-    >>> found.middle, len(found.kept), len(found.source)
-    ((1, 1), 14, 28)
-    """
+    """The symmetry of a weave of two classes, None if it has none or its start pose is not symmetric."""
     if weave.classes != 2 or weave.centres == "space":
         return None
     pose = start_pose(weave, 1)
@@ -103,13 +97,6 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
 
     One attempt is made there; cases that do not converge or are not confirmed are solved with all coordinates. Their
     iterations count both, and their attempts one more.
-
-    >>> from rve.geometry.kinematics import cauchy_line_load
-    >>> from rve.geometry.weave import FOUR_IN_ONE
-    >>> load = cauchy_line_load([0.0], [45.0])
-    >>> found = solve_equilibrium_symmetric(load, Equations.of(FOUR_IN_ONE, 0.1), DirectOptions())
-    >>> (5 * found.pose.lattice[0, :2]).round(6)
-    array([13.116305, 11.230164])
     """
     symmetry = symmetry_of(equations.weave)
     if symmetry is None:

@@ -111,13 +111,11 @@ def mass_matrix(weave: Weave, wire: float) -> Array:
     M = np.zeros((turns + 3 * k, turns + 3 * k))
     inertia = 0.5 + 0.625 * wire**2  # of a torus about a diameter; the axial one weighs no coordinate
     for ring, i, j in weave.rings:
-        for x in range(dims):
-            v = np.zeros(len(M))
-            if x < 2:
-                v[x], v[2 + x] = i, j
-            if ring > 0:
-                v[4 + dims * (ring - 1) + x] = 1.0
-            M += np.outer(v, v)
+        way = np.zeros((dims, len(M)))
+        way[:2, :2], way[:2, 2:4] = i * np.eye(2), j * np.eye(2)
+        if ring > 0:
+            way[:, 4 + dims * (ring - 1) : 4 + dims * ring] += np.eye(dims)
+        M += way.T @ way
         rows = slice(turns + 3 * ring, turns + 3 * ring + 3)
         M[rows, rows] += inertia * np.eye(3)
     return M

@@ -62,8 +62,7 @@ class FiniteMesh:
         """A rectangle of `columns` by `rows` reference cells, its lower left corner at the origin."""
         if columns < 1 or rows < 1:
             raise InputError(f"{columns} x {rows} cells: a rectangle has one cell or more along each side")
-        width, height = reference_sides(cell, DirectOptions())
-        W, H = columns * width, rows * height
+        W, H = np.array([columns, rows]) * reference_sides(cell, DirectOptions())
         return cls.inside(cell, [(0.0, 0.0), (W, 0.0), (W, H), (0.0, H)])
 
     @classmethod

@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix, csr_matrix, eye
 from scipy.sparse.csgraph import connected_components
 
 from rve.common.errors import InputError
-from rve.common.records import Flags, Index
+from rve.common.records import Flags
 from rve.common.types import Array
 from rve.finite.layout import FiniteMesh
 from rve.finite.task import FiniteOptions, Task
@@ -59,19 +59,17 @@ class Problem:
         graph = coo_matrix((np.ones(len(mesh.linked)), mesh.linked.T), shape=(n, n))
         count, label = connected_components(graph, directed=False)
         for piece in range(count):
-            self._check_piece(np.flatnonzero(label == piece))
-
-    def _check_piece(self, rings: Index) -> None:
-        for axis in range(3):
-            push = float(self.force[rings, axis].sum())
-            is_kept = self.held[rings, axis].any() or (axis == 2 and not self.is_space)
-            is_kept |= any(wall.unit[axis] * push < 0.0 for wall in self.walls)
-            if abs(push) > _TINY * np.abs(self.force).sum() and not is_kept:
-                x, y = self.mesh.X[rings].mean(axis=0)
-                raise InputError(
-                    f"nothing carries the force of {push:.6g} N along {'xyz'[axis]} on the piece around "
-                    f"({x:g}, {y:g}) mm, it would move for ever; hold one of its rings"
-                )
+            rings = np.flatnonzero(label == piece)
+            for axis in range(3):
+                push = float(force[rings, axis].sum())
+                is_kept = self.held[rings, axis].any() or (axis == 2 and not self.is_space)
+                is_kept |= any(wall.unit[axis] * push < 0.0 for wall in self.walls)
+                if abs(push) > _TINY * np.abs(force).sum() and not is_kept:
+                    x, y = mesh.X[rings].mean(axis=0)
+                    raise InputError(
+                        f"nothing carries the force of {push:.6g} N along {'xyz'[axis]} on the piece around "
+                        f"({x:g}, {y:g}) mm, it would move for ever; hold one of its rings"
+                    )
 
     def _tie(self, free: Flags) -> csr_matrix | None:
         """Free coordinates (k,) of the u that bars leave: x = (1 - s) x_first + s x_last for the rings between."""

@@ -18,15 +18,6 @@ def distance_gradient(m: Minima) -> Array:
     return np.concatenate([m.normal, -cross(m.rho_a, m.normal), cross(m.rho_b, m.normal)], axis=1)
 
 
-def _minus_cross_matrix(a: Array) -> Array:
-    """Matrix of theta -> theta x a, (m, 3, 3)."""
-    out = np.zeros((*a.shape, 3))
-    out[:, 0, 1], out[:, 0, 2] = a[:, 2], -a[:, 1]
-    out[:, 1, 0], out[:, 1, 2] = -a[:, 2], a[:, 0]
-    out[:, 2, 0], out[:, 2, 1] = a[:, 1], -a[:, 0]
-    return out
-
-
 def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags | None = None) -> Array:
     """Second derivative of the distance with respect to (d, theta_a, theta_b), (m, 9, 9), exponential coordinates.
 
@@ -37,9 +28,9 @@ def distance_hessian(m: Minima, n_a: Array, n_b: Array, r1: float, fixed: Flags 
     """
     u, ra, rb, dist = m.normal, m.rho_a, m.rho_b, m.distance
     eye = np.eye(3)
-    W = np.concatenate(
-        [np.broadcast_to(eye, (len(dist), 3, 3)), -_minus_cross_matrix(ra), _minus_cross_matrix(rb)], axis=2
-    )
+    into = np.broadcast_to(eye, (len(dist), 3, 3))
+    turns = (cross(eye, rho[:, None]).transpose(0, 2, 1) for rho in (-ra, rb))  # matrices of theta -> theta x rho
+    W = np.concatenate([into, *turns], axis=2)
     uW = np.matmul(u[:, None, :], W)
     D_qq = (np.matmul(W.transpose(0, 2, 1), W) - uW.transpose(0, 2, 1) * uW) / dist[:, None, None]
     for block, rho, sign in ((slice(3, 6), ra, -1.0), (slice(6, 9), rb, 1.0)):

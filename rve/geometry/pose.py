@@ -41,12 +41,8 @@ class Pose(Rows):
 
 def start_pose(weave: Weave, count: int) -> Pose:
     """The slack pose of largest clearance, `count` times."""
-    return Pose(
-        *(
-            np.tile(part, (count, *[1] * part.ndim))
-            for part in (weave.start_lattice, weave.start_centres, weave.start_normals)
-        )
-    )
+    parts = weave.start_lattice, weave.start_centres, weave.start_normals
+    return Pose(*(np.repeat(part[None], count, axis=0) for part in parts))
 
 
 def moved(pose: Pose, v: Array) -> Pose:
@@ -101,8 +97,7 @@ def reduction(pose: Pose) -> Array:
     x2, y3, t = pose.lattice.T
     T[:, 0, 0], T[:, 1, 0], T[:, 1, 2] = 1.0, t, x2
     T[:, 3, 1], T[:, 2, 1], T[:, 2, 2] = 1.0, t, y3
-    for i in range(places):
-        T[:, 4 + i, 3 + i] = 1.0
+    T[:, 4 : 4 + places, 3 : 3 + places] = np.eye(places)
     e1, e2 = tangent_frame(pose.normals)
     for i in range(k):
         rows = slice(4 + places + 3 * i, 7 + places + 3 * i)
@@ -116,17 +111,13 @@ def pair_maps(weave: Weave) -> Array:
     k, dims = weave.start_centres.shape
     turns = 4 + dims * (k - 1)
     L = np.zeros((len(weave.pairs), 9, turns + 3 * k))
+    eye = np.eye(3)
     for p, (a, b, i, j) in enumerate(weave.pairs):
-        for x in range(2):
-            L[p, x, x], L[p, x, 2 + x] = i, j
-        for x in range(dims):
-            if a > 0:
-                L[p, x, 4 + dims * (a - 1) + x] -= 1.0
-            if b > 0:
-                L[p, x, 4 + dims * (b - 1) + x] += 1.0
-        for x in range(3):
-            L[p, 3 + x, turns + 3 * a + x] = 1.0
-            L[p, 6 + x, turns + 3 * b + x] = 1.0
+        L[p, :2, :2], L[p, :2, 2:4] = i * eye[:2, :2], j * eye[:2, :2]
+        for ring, sign, rows in ((a, -1.0, slice(3, 6)), (b, 1.0, slice(6, 9))):
+            if ring > 0:
+                L[p, :dims, 4 + dims * (ring - 1) : 4 + dims * ring] += sign * eye[:dims, :dims]
+            L[p, rows, turns + 3 * ring : turns + 3 * ring + 3] = eye
     return L
 
 

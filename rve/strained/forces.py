@@ -13,6 +13,7 @@ from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
+from rve.geometry.pose import pair_geometry
 from rve.solve import locked_block, locked_states
 
 
@@ -58,30 +59,24 @@ def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> C
     `status` is "converged" or the name of a failure; there are no contacts then.
     """
     alpha, beta, size = directions(s[None])
-    found = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions()).found
-    status = str(found.status[0])
-    load = size[0] * cauchy_line_load(alpha, beta)[0]
-    con, pose, pairs = found.contacts, found.pose, cell.weave.pairs
-    lam = found.lam[0][con.present[0]]
-    pair = con.minima.pair
-    works = (lam > 1e-9) & (status == "converged")
-    a, b, i, j = pairs[pair[works]].T
+    states = locked_block(alpha, beta, replace(cell, grain="y"), options or DirectOptions())
+    pose, con, weave, status = states.pose, states.contacts, states.cell.weave, str(states.found.status[0])
+    force = states.lam[con.present]
+    works = (force > 1e-9) & (status == "converged")
+    minima = con.minima.take(works)
+    a, b, i, j = weave.pairs[minima.pair].T
     zero = np.zeros_like(a)
-    start = pose.centres[0, a]
-    branch = pose.centres[0, b] + i[:, None] * pose.a1[0] + j[:, None] * pose.a2[0] - start
-    rho = 0.5 * (con.minima.rho_a + con.minima.rho_b)[works]
-    flat = np.column_stack([branch, np.zeros(len(branch))])
-    point = cell.r1 * (np.column_stack([start, np.zeros(len(start))]) + rho + 0.5 * flat)
+    start, branch = np.pad(pose.centres[0, a], ((0, 0), (0, 1))), pair_geometry(pose, weave)[0][0, minima.pair]
     a1, a2 = pose.a1[0], pose.a2[0]
     return CellForces(
         np.stack([a, zero, zero], axis=1),
         np.stack([b, i, j], axis=1),
-        point,
-        con.minima.normal[works],
-        lam[works] * size[0] * cell.r1,
-        cell.r1 * flat,
+        cell.r1 * (start + 0.5 * (minima.rho_a + minima.rho_b) + 0.5 * branch),
+        minima.normal,
+        force[works] * size[0] * cell.r1,
+        cell.r1 * branch,
         cell.r1**2 * float(a1[0] * a2[1] - a1[1] * a2[0]),
-        load,
+        size[0] * cauchy_line_load(alpha, beta)[0],
         status,
         float(alpha[0]),
         float(beta[0]),

@@ -11,7 +11,7 @@ from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.geometry.cell import Cell
 from rve.geometry.circles import are_linked, dot, local_minima
-from rve.geometry.pose import Pose
+from rve.geometry.pose import Pose, start_pose
 from rve.geometry.weave import Weave
 
 _CHUNK = 100_000
@@ -37,9 +37,7 @@ def shares(pose: Pose) -> Array:
 
 def reference_shares(cell: Cell) -> Array:
     """Shares (K, 2) of the sides of the reference cell in the centres of its rings."""
-    weave = cell.weave
-    pose = Pose(weave.start_lattice[None], weave.start_centres[None], weave.start_normals[None])
-    return np.concatenate([np.zeros((1, 2)), shares(pose)[0]])
+    return np.concatenate([np.zeros((1, 2)), shares(start_pose(cell.weave, 1))[0]])
 
 
 def offsets(pose: Pose, cell: Cell) -> Array:
