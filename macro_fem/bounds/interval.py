@@ -178,8 +178,6 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     interpolation, whose moment is length^2 (|r_a| / 6 + |r_b| / 3).
     """
     tethers, mesh = dual.tethers, dual.dual
-    if not len(tethers.facet):
-        return 0.0, np.zeros(0)
     balance = internal_force(mesh.disc, result.P) - dual.force
     facet, near = tethers.facet, tethers.near
     node = np.stack([2 * facet + near, 2 * facet + 1 - near])
@@ -195,11 +193,11 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
 
 def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
     """Pushes of walls on every triangle times the distance (n_cells,) of its middle in the P1 curtain x, N mm."""
-    error = np.zeros(dual.dual.disc.n_cells)
-    if dual.walls is not None:
-        gap = dual.walls.gap(at_dual_nodes(x, dual.dual))
-        error += (result.wall_forces * gap).reshape(-1, len(error)).sum(axis=0)
-    return error
+    n_cells = dual.dual.disc.n_cells
+    if dual.walls is None:
+        return np.zeros(n_cells)
+    work = result.wall_forces * dual.walls.gap(at_dual_nodes(x, dual.dual))
+    return np.asarray(work.reshape(-1, n_cells).sum(axis=0))
 
 
 def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:

@@ -15,8 +15,7 @@ from rve import Cell, cauchy_of, solve_table, with_rings
 from rve.common.cache import Cache
 from rve.common.errors import InputError
 from rve.common.progress import tell
-from rve.common.tensor import disc, eigenvalues, mirror, trace
-from rve.common.types import Array
+from rve.common.tensor import disc, eigenvalues, trace
 
 LOOKS = 4
 """How often the rings are asked at the load that comes nearest to yield: the place may move with every answer."""
@@ -38,10 +37,14 @@ def with_strength(found: Demand, cell: Cell, cache: Cache) -> Demand:
             load = critical_load(told.level.solution)
         except InputError:  # too few loads, or on one side
             return found
-        if load is None or _distance(rows, load) < NEAR:
+        if load is None:
+            break
+        x, known = disc(load[None] / trace(load)), disc(rows.S)
+        images = known * [1.0, -1.0] if rows.is_mirrored else known
+        if np.hypot(*(np.vstack([known, images]) - x).T).min() < NEAR:
             break
         asked = Rings(cell, cache)
-        asked.ask(disc(load[None] / trace(load)))
+        asked.ask(x)
         found.rings.solves += asked.solves
         found.rings.hits += asked.hits
         if asked.rows is None:
@@ -69,10 +72,3 @@ def _with_strength(found: Demand, strength: Strength) -> Demand:
     own = replace(solution.problem.law.own, strength=strength)  # type: ignore[type-var]
     problem = replace(solution.problem, law=replace(solution.problem.law, own=own))
     return replace(found, law=law, level=replace(found.level, solution=replace(solution, problem=problem)))
-
-
-def _distance(rows: LockedRows, load: Array) -> float:
-    """How far a load (3,) is from the nearest direction of the rows, in the unit disc."""
-    S = np.vstack([rows.S, mirror(rows.S)]) if rows.is_mirrored else rows.S
-    x = disc(load[None] / trace(load))
-    return float(np.hypot(*(disc(S) - x).T).min())
