@@ -34,7 +34,7 @@ NEAR = 2.0
 """The largest line load belongs to a held or loaded point that is within this many sides of a cell."""
 
 
-class Peak(NamedTuple):
+class Extreme(NamedTuple):
     """The largest `value` of something, where it is (2,) in the reference state, mm, the line load that it is of, and
     the force that this follows from, if any."""
 
@@ -60,7 +60,7 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
     }
 
 
-def warning(solution: CurtainSolution, peak: Peak, mean: Peak | None, area: float | None) -> str | None:
+def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area: float | None) -> str | None:
     """A sentence where the largest line load depends on the mesh, as it does at points that are held or loaded."""
     side = float(np.sqrt(triangle_areas(on_triangles(solution, solution.problem.disc.cell_area)[0]).max()))
     points = [one.at for one in point_forces(solution) if one.rings]
@@ -80,15 +80,15 @@ def warning(solution: CurtainSolution, peak: Peak, mean: Peak | None, area: floa
     return text
 
 
-def largest(solution: CurtainSolution) -> Peak:
+def largest(solution: CurtainSolution) -> Extreme:
     """The largest principal line load of any cell, and the middle of that cell."""
     values, _ = solution.principal()
     cell = int(values[:, 0].argmax())
     mesh = solution.problem.mesh.mesh
-    return Peak(float(values[cell, 0]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
+    return Extreme(float(values[cell, 0]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
 
 
-def largest_mean(solution: CurtainSolution, area: float) -> Peak:
+def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
     """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh.
 
     A mean is at most the largest value of the cells it is taken over.
@@ -98,19 +98,19 @@ def largest_mean(solution: CurtainSolution, area: float) -> Peak:
     return largest_average(near, X, near.bound(X), lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
 
 
-def largest_average(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> Peak:
+def largest_average(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> Extreme:
     """The largest value (n,) of averages (n, ...) at X (n, 2), of which `bound` (n,) are upper bounds.
 
     Places are visited in the order of this bound, until it is no more than the largest value found.
     """
     order = np.argsort(-bound, kind="stable")
-    best = Peak(0.0, X[order[0]])
+    best = Extreme(0.0, X[order[0]])
     for i in order:
         if bound[i] <= best.value:
             break
         mean = near.mean(X[i])
         found = float(value(mean[None])[0])
-        best = Peak(found, X[i], mean) if found > best.value else best
+        best = Extreme(found, X[i], mean) if found > best.value else best
     return best
 
 

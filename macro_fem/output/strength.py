@@ -35,7 +35,7 @@ import numpy as np
 from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
 from macro_fem.output.forces import PointForce, point_forces
-from macro_fem.output.line_load import FINE, Nearby, Peak, largest_average, on_triangles
+from macro_fem.output.line_load import FINE, Extreme, Nearby, largest_average, on_triangles
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
@@ -139,8 +139,8 @@ def _loads(solution: CurtainSolution) -> Array:
     return solution.recovered(solution.problem.disc.cell_mean(solution.S))
 
 
-def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Peak, Peak]]:
-    """Peak utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
+def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Extreme, Extreme]]:
+    """Extreme utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
     yield and at collapse."""
     own = _loads(solution)
     corners, S = on_triangles(solution, solution.problem.law.in_weave(own))
@@ -152,7 +152,7 @@ def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -
     # the utilisation, whose values are weighted means of those strengths.
     trace = near.bound(X)
 
-    def asked(value: Callable[[Array], Array], strengths: Array) -> tuple[Peak, Peak]:
+    def asked(value: Callable[[Array], Array], strengths: Array) -> tuple[Extreme, Extreme]:
         most = float(strengths.max()) / known.yield_stress()
         return largest_average(near, X, trace * most, value), largest_borne(solution, near, own, value, most)
 
@@ -175,7 +175,7 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
     return min(places, key=lambda name: float(np.linalg.norm(places[name] - at, axis=1).min()))
 
 
-def hook_rings(solution: CurtainSolution, known: Strength) -> list[Peak]:
+def hook_rings(solution: CurtainSolution, known: Strength) -> list[Extreme]:
     """The ring that bears most of all at hooks, corners, runners, held and loaded points: its utilisations at first
     yield and at collapse; [] without any.
 
@@ -189,18 +189,18 @@ def hook_rings(solution: CurtainSolution, known: Strength) -> list[Peak]:
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
     most = max(points, key=lambda one: one.force / one.rings)
     limits = ring.first_yield_N, ring.collapse_N
-    return [Peak(most.force / most.rings / limit, most.at, force=most) for limit in limits]
+    return [Extreme(most.force / most.rings / limit, most.at, force=most) for limit in limits]
 
 
 def largest_borne(
     solution: CurtainSolution, near: Nearby, S: Array, value: Callable[[Array], Array], most: float
-) -> Peak:
+) -> Extreme:
     """The largest value that any force at a point asks for, where the mesh is too coarse to tell; 0 without any.
 
     `near`: averages of the line loads S (n_cells, 3) of the curtain in its own frame; `value` (n,) of line loads (n, 3)
     in the frame of the weave, at most `most` times their trace.
     """
-    law, best = solution.problem.law, Peak(0.0, np.full(2, np.nan))
+    law, best = solution.problem.law, Extreme(0.0, np.full(2, np.nan))
     longest = 2.0 * np.sqrt(2.0 * near.area / SHARPEST)
     for one in sorted(point_forces(solution), key=lambda one: -one.force):
         if one.force * longest / near.area * most <= best.value:
@@ -215,7 +215,7 @@ def largest_borne(
         width = max(near.area / _chord(near, one.at, m), one.spread)
         load = law.in_weave(one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None]))
         found = float(value(load)[0])
-        best = Peak(found, one.at, load[0], one) if found > best.value else best
+        best = Extreme(found, one.at, load[0], one) if found > best.value else best
     return best
 
 
