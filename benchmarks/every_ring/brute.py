@@ -1,5 +1,7 @@
 """Distances and links of circles by brute force, without `rve`: samples, golden section, linking integrals."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,28 +25,36 @@ def to_circle(point: Array, centre: Array, normal: Array, r1: float) -> Array:
     return np.asarray(np.hypot(flat - r1, height))
 
 
-def minima(centre: Array, normal: Array, pairs: NDArray[np.intp], r1: float, samples: int = 360) -> list[Array]:
-    """All local minima of the distance of each pair of circles: rows (angle on the first circle, distance)."""
-    e1, e2 = frames(normal)
+def minima(
+    d: Array, n_a: Array, n_b: Array, samples: int = 360, rounds: int = 45
+) -> tuple[NDArray[np.intp], Array, Array]:
+    """All local minima of the distance of points on unit circles A to unit circles B, (n, 3) each: pair, angle on A,
+    distance. `samples` by golden section; a flat pair, as near everywhere, has one.
+    """
+    e1, e2 = frames(n_a)
+
+    def distance(rows: Any, angle: Array) -> Array:
+        point = np.cos(angle)[..., None] * e1[rows][:, None] + np.sin(angle)[..., None] * e2[rows][:, None]
+        return to_circle(point, d[rows][:, None], n_b[rows][:, None], 1.0)
+
     t = 2.0 * np.pi / samples * np.arange(samples)
-    out = []
-    for a, b in pairs:
+    f = distance(slice(None), np.tile(t, (len(d), 1)))
+    row, column = np.nonzero((f < np.roll(f, 1, axis=1)) & (f <= np.roll(f, -1, axis=1)))
+    flat = np.setdiff1d(np.arange(len(f)), row)
+    row, column = np.concatenate([row, flat]), np.concatenate([column, np.zeros(len(flat), np.intp)])
+    low, high = t[column, None] - t[1] * (rounds > 0), t[column, None] + t[1] * (rounds > 0)
+    for _ in range(rounds):
+        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        falls = distance(row, left) > distance(row, right)
+        low, high = np.where(falls, left, low), np.where(falls, high, right)
+    angle = 0.5 * (low + high)
+    return row, angle[:, 0], distance(row, angle)[:, 0]
 
-        def distance(s: Array, a: int = a, b: int = b) -> Array:
-            point = centre[a] + r1 * (np.cos(s)[:, None] * e1[a] + np.sin(s)[:, None] * e2[a])
-            return to_circle(point, centre[b], normal[b], r1)
 
-        f = distance(t)
-        at = np.flatnonzero((f <= np.roll(f, 1)) & (f < np.roll(f, -1)))
-        low, high = t[at] - t[1], t[at] + t[1]
-        for _ in range(45):
-            span = GOLDEN * (high - low)
-            left, right = high - span, low + span
-            falls = distance(left) < distance(right)
-            low, high = np.where(falls, low, left), np.where(falls, right, high)
-        angle = 0.5 * (low + high)
-        out.append(np.column_stack([angle, distance(angle)]))
-    return out
+def minima_of(centre: Array, normal: Array, pairs: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
+    """`minima` of pairs (m, 2) of placed circles, lengths in their radius."""
+    a, b = pairs.T
+    return minima(centre[b] - centre[a], normal[a], normal[b])
 
 
 def near_pairs(centre: Array, limit: float) -> NDArray[np.intp]:
@@ -55,8 +65,8 @@ def near_pairs(centre: Array, limit: float) -> NDArray[np.intp]:
 
 def least_gap(centre: Array, normal: Array, r1: float, r2: float) -> float:
     """The smallest gap of all rings."""
-    found = minima(centre, normal, near_pairs(centre, 2.0 * r1 + 4.0 * r2), r1)
-    return min(float(rows[:, 1].min()) for rows in found if len(rows)) - 2.0 * r2
+    found = minima_of(centre / r1, normal, near_pairs(centre, 2.0 * r1 + 4.0 * r2))
+    return r1 * float(found[2].min()) - 2.0 * r2
 
 
 def linked_pairs(centre: Array, normal: Array, r1: float, samples: int = 200) -> set[tuple[int, int]]:

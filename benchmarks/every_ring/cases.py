@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from homogenize import default_law
 from macro_fem import read_scene
@@ -82,68 +83,46 @@ class Case:
 
 @cache
 def rings_case(sheet: Sheet, k: int, space: bool) -> Case:
-    """Every ring of a sheet. Arrays: X, centre, normal, load, reaction, area, P (n, 2, 2) of each ring."""
+    """Every ring of a sheet. Arrays: X, area, P (n, 3, 2) of each ring."""
     rings = ring_scene(sheet.scene(k, 8))
     solution = rings.solve(space=space)
     mesh = rings.mesh
     numbers = {
         "status": solution.status,
         "rings": len(mesh.X),
-        "links": len(mesh.linked),
         "links_intact": solution.contacts.links_intact,
         "min_gap_mm": solution.contacts.min_gap_mm,
         "kkt_residual": solution.kkt_residual,
         "mean_height_mm": solution.mean_height,
         "potential_N_mm": solution.potential,
         "lowest_mm": float(solution.centre[:, 1].min()),
-        "depth_mm": float(np.ptp(solution.centre[:, 2])),
-        "iterations": solution.iterations,
         "wall_s": solution.wall_s,
     }
-    arrays = {
-        "X": mesh.X,
-        "area": mesh.area,
-        "centre": solution.centre,
-        "normal": solution.normal,
-        "load": solution.load,
-        "reaction": solution.reaction,
-        "P": _line_load(solution),
-    }
-    return Case(numbers, arrays)
+    return Case(numbers, {"X": mesh.X, "area": mesh.area, "P": _line_load(solution)})
 
 
 def _line_load(solution: FiniteSolution) -> Array:
     """P (n, 3, 2) in N/mm around each ring: virial of the contacts of all rings in a square of `ACROSS` cells."""
     mesh = solution.mesh
     own = solution.line_load(np.arange(len(mesh.X)), mesh.area) * mesh.area[:, None, None]
-    near = neighbours(mesh.X, 0.5 * ACROSS * float(np.mean(mesh.sides)))
+    half = 0.5 * ACROSS * float(np.mean(mesh.sides)) * (1.0 + 1e-9)
+    near = cKDTree(mesh.X).query_ball_point(mesh.X, half, p=np.inf)
     return np.array([own[rows].sum(axis=0) / mesh.area[rows].sum() for rows in near])
-
-
-def neighbours(X: Array, half: float) -> list[list[int]]:
-    """The points in the square of this half side around each point, itself among them."""
-    from scipy.spatial import cKDTree
-
-    found: list[list[int]] = cKDTree(X).query_ball_point(X, half * (1.0 + 1e-9), p=np.inf).tolist()
-    return found
 
 
 @cache
 def disk_case(sheet: Sheet, cells: int) -> Case:
-    """The disk of a sheet with k = 1, with bounds. Arrays: X, x (n, 2) of nodes; middle, P, area of triangles."""
+    """The disk of a sheet with k = 1, with bounds. Arrays: middle, P, area of triangles."""
     result = solve(sheet.scene(1, cells, bounds=True))
     solution = result.solution
     disc, summary = solution.problem.disc, result.summary["bounds"]
     count = len(solution.problem.mesh.mesh.t.T)
     P = disc.cell_mean(solution.P).reshape(count, -1)[:, :4].reshape(count, 2, 2)
     numbers = {
-        "status": solution.status,
-        "cells": count,
         "mean_height_mm": solution.mean_height(),
         "potential_N_mm": [summary["lower_N_mm"], summary["upper_N_mm"]],
         "lowest_mm": float(solution.x[:, 1].min()),
-        "wall_s": summary["wall_s"],
     }
     middle = solution.problem.mesh.mesh.p[:, solution.problem.mesh.mesh.t].mean(axis=1).T
     area = disc.weight.reshape(disc.n_quad, -1).sum(axis=0)
-    return Case(numbers, {"X": disc.nodes, "x": solution.x[:, :2], "middle": middle, "P": P, "area": area})
+    return Case(numbers, {"middle": middle, "P": P, "area": area})

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, disk_case, rings_case
 from benchmarks.frame import Curve, Diagram, Section, Table, table
@@ -86,28 +87,17 @@ def interval(sheet: Sheet, disk: Case) -> tuple[float, float]:
 
 def line_loads(sheet: Sheet, rings: Case, disk: Case, k: int) -> tuple[Array, Array]:
     """P (n, 2, 2) around each ring, of the rings and of the disk, averaged over the same squares, by weight / width."""
-    from scipy.spatial import cKDTree
-
     scale = sheet.weight(k) / sheet.sides(k)[0]
-    side = 0.5 * ACROSS * _cell_side(sheet) * (1.0 + 1e-9)
+    W, H = sheet.sides(1)
+    side = 0.25 * ACROSS * (W / sheet.columns + H / sheet.rows) * (1.0 + 1e-9)
     tree = cKDTree(k * disk.arrays["middle"])
     area, P = disk.arrays["area"], disk.arrays["P"]
     theirs = np.zeros((len(rings.arrays["X"]), 2, 2))
-    for ring, rows in enumerate(
-        tree.query_ball_point(rings.arrays["X"], max(side, 0.75 * _disk_side(sheet, k)), p=np.inf)
-    ):
+    half = max(side, 0.75 * k * sheet.sides(1)[0] / CELLS)
+    for ring, rows in enumerate(tree.query_ball_point(rings.arrays["X"], half, p=np.inf)):
         theirs[ring] = np.average(P[rows], axis=0, weights=area[rows]) if rows else np.nan
     ours = rings.arrays["P"][:, :2] / scale
     return ours, theirs * sheet.sides(1)[0] / sheet.weight(1)
-
-
-def _cell_side(sheet: Sheet) -> float:
-    W, H = sheet.sides(1)
-    return 0.5 * (W / sheet.columns + H / sheet.rows)
-
-
-def _disk_side(sheet: Sheet, k: int) -> float:
-    return k * sheet.sides(1)[0] / CELLS
 
 
 def line_load_distance(sheet: Sheet, rings: Case, disk: Case, k: int) -> float:

@@ -5,6 +5,7 @@ are polygons, so it first comes to rest under damping; then the damping is taken
 """
 
 import importlib.util
+import itertools
 import math
 import time
 from dataclasses import dataclass
@@ -12,9 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.every_ring.brute import Array, least_gap
-from benchmarks.work_precision.peers import MujocoOptions, ring_shape
 from macro_fem.rings.motion import RingRun
-from rve import Cell
 
 CAPSULES = 24
 STEPS = (1e-3, 5e-4)
@@ -73,7 +72,7 @@ def fall(run: RingRun, duration: float, dt: float) -> Fallen:
 
 def _xml(centre: Array, normal: Array, wire: float, kept: Array, released: Array, dt: float) -> str:
     """Free rings, those that only tilt, and those tied to their places until they are let go."""
-    shape, bodies, ties = ring_shape(Cell(1.0, wire), MujocoOptions(CAPSULES)), [], []
+    shape, bodies, ties = _ring(wire), [], []
     for n, (x, m) in enumerate(zip(centre, normal, strict=True)):
         turned = np.array([1.0 + m[2], -m[1], m[0], 0.0])
         turned /= np.linalg.norm(turned)
@@ -90,6 +89,17 @@ def _xml(centre: Array, normal: Array, wire: float, kept: Array, released: Array
         f'tolerance="1e-10" jacobian="sparse"/><size memory="512M"/>'
         f'<default><geom condim="1" {rigid}/><equality {rigid}/></default><worldbody>{"".join(bodies)}</worldbody>'
         f"<equality>{''.join(ties)}</equality></mujoco>"
+    )
+
+
+def _ring(wire: float) -> str:
+    """A polygon of capsules that lies as far inside the centre circle as outside."""
+    corner = 2.0 / (1.0 + math.cos(math.pi / CAPSULES))
+    turn = 2.0 * np.pi * (np.arange(CAPSULES + 1) - 0.5) / CAPSULES
+    points = [f"{corner * math.cos(t):.12f} {corner * math.sin(t):.12f} 0" for t in turn]
+    return "".join(
+        f'<geom type="capsule" size="{wire}" mass="{1.0 / CAPSULES}" fromto="{a} {b}"/>'
+        for a, b in itertools.pairwise(points)
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, minima, near_pairs, to_circle
+from benchmarks.every_ring.brute import Array, frames, least_gap, linked_pairs, minima_of, near_pairs, to_circle
 from benchmarks.every_ring.cases import GRAVITY
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
@@ -98,10 +98,10 @@ def _minima_cuts(centre: Array, normal: Array, wire: float) -> _Cuts:
     cuts = _Cuts()
     e1, e2 = frames(normal)
     pairs = near_pairs(centre, 2.0 + 2.0 * wire + 4.0 * BOX)
-    for (a, b), rows in zip(pairs, minima(centre, normal, pairs, 1.0), strict=True):
-        for s, distance in rows:
-            if distance < 2.0 * wire + 4.0 * BOX:
-                cuts.add((a, b), np.cos(s) * e1[a] + np.sin(s) * e2[a])
+    for row, s, distance in zip(*minima_of(centre, normal, pairs), strict=True):
+        if distance < 2.0 * wire + 4.0 * BOX:
+            a = pairs[row, 0]
+            cuts.add(pairs[row], np.cos(s) * e1[a] + np.sin(s) * e2[a])
     return cuts
 
 

@@ -12,16 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.every_ring.brute import Array, frames, minima
 from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, count_of, decade, ladder
 from benchmarks.work_precision.projection import alternating_projection
-from rve.geometry.circles import are_linked, local_minima, tangent_frame
+from rve.geometry.circles import are_linked, local_minima
 
-Array = NDArray[np.float64]
 REACH = 1.0
 SAME = 0.1
 """A minimum of the reference counts as found if a point on ring A lies closer to it than this."""
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 ERROR, BATCH = "largest error of the gap / r1", "us per pair in a batch of 1000"
 
 
@@ -69,8 +68,8 @@ def random_pairs(count: int, seed: int = 7) -> Pairs:
     n_a, n_b = rng.normal(size=(2, 8 * count, 3))
     n_a, n_b = (n / np.linalg.norm(n, axis=1)[:, None] for n in (n_a, n_b))
     linked = Pairs(d, n_a, n_b).take(np.flatnonzero(are_linked(d, n_a, n_b, 1.0)))
-    lowest = circle_distance(linked, np.tile(np.linspace(0.0, 2.0 * np.pi, 256), (len(linked.d), 1)))[0].min(axis=1)
-    apart = np.flatnonzero(lowest > 0.1)
+    pair, _, distance = minima(linked.d, linked.n_a, linked.n_b)
+    apart = np.setdiff1d(np.arange(len(linked.d)), pair[distance <= 0.1])
     if len(apart) < count:
         raise ValueError(f"only {len(apart)} of {count} pairs are apart: draw more")
     return linked.take(apart[:count])
@@ -103,39 +102,16 @@ def degenerate_pairs() -> dict[str, tuple[Pairs, int]]:
     }
 
 
-def circle_distance(pairs: Pairs, angle: Array) -> tuple[Array, Array]:
-    """Distance (n, k) of the points of ring A at `angle` (n, k) to circle B, and the points (n, k, 3)."""
-    e1, e2 = (e[:, None] for e in tangent_frame(pairs.n_a))
-    point = np.cos(angle)[..., None] * e1 + np.sin(angle)[..., None] * e2
-    seen = point - pairs.d[:, None]
-    height = (seen * pairs.n_b[:, None]).sum(axis=2)
-    flat = np.linalg.norm(seen - height[..., None] * pairs.n_b[:, None], axis=2)
-    return np.hypot(height, flat - 1.0), point
+def brute_force(pairs: Pairs, samples: int, rounds: int = 0) -> Found:
+    """The lowest of `samples` points of ring A in every valley."""
+    pair, angle, distance = minima(pairs.d, pairs.n_a, pairs.n_b, samples, rounds)
+    e1, e2 = (e[pair] for e in frames(pairs.n_a))
+    return _near(pair, np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2, distance)
 
 
-def brute_force(pairs: Pairs, samples: int) -> Found:
-    """The lowest of `samples` points of ring A in every valley, without refinement."""
-    angle = np.tile(2.0 * np.pi * np.arange(samples) / samples, (len(pairs.d), 1))
-    f, point = circle_distance(pairs, angle)
-    row, column = np.nonzero((f < np.roll(f, 1, axis=1)) & (f <= np.roll(f, -1, axis=1)))
-    flat = np.setdiff1d(np.arange(len(f)), row)  # every point as near as any other
-    row, column = np.concatenate([row, flat]), np.concatenate([column, np.zeros(len(flat), np.intp)])
-    return _near(row, point[row, column], f[row, column])
-
-
-def golden_section(pairs: Pairs, samples: int = 4096, rounds: int = 45) -> Found:
-    """The valleys of `brute_force`, narrowed by golden sections: no derivatives, no code of `rve.geometry.circles`."""
-    e1, e2 = tangent_frame(pairs.n_a)
-    start = brute_force(pairs, samples)
-    at = pairs.take(start.pair)
-    angle = np.arctan2((start.point * e2[start.pair]).sum(axis=1), (start.point * e1[start.pair]).sum(axis=1))[:, None]
-    low, high = angle - 2.0 * np.pi / samples, angle + 2.0 * np.pi / samples
-    for _ in range(rounds):
-        left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        falls = circle_distance(at, left)[0] > circle_distance(at, right)[0]
-        low, high = np.where(falls, left, low), np.where(falls, high, right)
-    distance, point = circle_distance(at, 0.5 * (low + high))
-    return _near(start.pair, point[:, 0], distance[:, 0])
+def golden_section(pairs: Pairs, samples: int = 4096) -> Found:
+    """The valleys of `brute_force`, narrowed by golden sections: no derivatives, no code of `rve`."""
+    return brute_force(pairs, samples, 45)
 
 
 def newton(pairs: Pairs, samples: int = 48) -> Found:

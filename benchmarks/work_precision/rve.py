@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from benchmarks.frame import Curve, Diagram, Section, Table, curves, table
 from benchmarks.measure import Row, decade, ladder
 from benchmarks.problems import loads as paper_loads
-from benchmarks.work_precision import peers
 from benchmarks.work_precision.generic import SOLVERS, Programme
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.limits import strain_is_unique
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load, green_lagrange, second_pk
+from rve.geometry.kinematics import cauchy_line_load, second_pk
 from rve.geometry.pose import Pose, deformation, strain_of
 from rve.paper import stewart_trinkle as st
 from rve.solve import reference_sides
@@ -27,7 +26,6 @@ from rve.solve import reference_sides
 Array = NDArray[np.float64]
 
 CASES = ((0.0, 90.0), (0.0, 45.0), (20.0, 30.0), (30.0, 60.0), (45.0, 0.0), (45.0, 90.0))
-PEER_CASE = (0.0, 45.0)
 FOUND = 0.1
 """A strain farther from the reference belongs to another state: the case does not count as solved."""
 REFERENCE = DirectOptions(tolerance=1e-12, mu_end=1e-15)
@@ -173,29 +171,6 @@ def generic_runs(given: Problem, full: bool) -> list[Row]:
     return rows
 
 
-def peer_runs(given: Problem, full: bool) -> list[Row]:
-    """MuJoCo under `PEER_CASE`. `given` holds that load alone."""
-    load = float(given.s[0, 0]), float(given.s[0, 2])
-
-    def judge(answer: peers.PeerAnswer, _: float) -> Row:
-        F = np.diag(np.array([answer.x2_mm, answer.y3_mm]) / (np.array(given.sides) * given.cell.r1))[None]
-        errors = np.abs(green_lagrange(F) - given.E).max(axis=1)
-        unit = "steps" if answer.status == "converged" else f"steps ({answer.status})"
-        return cells(errors, np.array([True]), answer.seconds, answer.steps, unit)
-
-    capsules = {f"{n} capsules": peers.MujocoOptions(n, 20_000) for n in (24, 48, 96, 192) + (384,) * full}
-    steps = ((0.05, 1000), (0.02, 2000), (0.01, 4000)) + ((0.005, 16_000),) * full
-    torus = {f"step {dt} s, {n} steps": peers.MujocoOptions(0, n, dt) for dt, n in steps}
-    if not peers.has_mujoco():
-        none = cells(np.full(1, np.nan), np.zeros(1, bool), np.nan, 0, "-") | {"solved": "-", "work per case": None}
-        return [{"method": "MuJoCo", "setting": "not installed (`pip install mujoco`)"} | none]
-    rows: list[Row] = []
-    for name, settings in (("MuJoCo, capsules", capsules), ("MuJoCo, torus", torus)):
-        calls = {setting: partial(peers.run_mujoco, given.cell, load, options) for setting, options in settings.items()}
-        rows += ladder(name, calls, judge, long=0.0)
-    return rows
-
-
 def reference_table(given: Problem, other: Row) -> Table:
     """Reference strains, and their difference from an independent method."""
     names = ("E11", "E12", "E22")
@@ -244,12 +219,12 @@ def scheme_runs(given: Problem, full: bool) -> list[Row]:
 
 
 def measure(full: bool) -> Section:
-    """The section: reference, ladders of every method on six loads, the 190-case table, generic solvers, peers."""
+    """The section: reference, ladders of every method on six loads, the 190-case table, generic solvers."""
     given, paper = problem(), problem(zip(*paper_loads(), strict=True))
     mus = {f"mu {mu:.0e}": mu for mu in (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13)}
     alone = runs(given, "direct, one case alone", "iterations", direct_alone, mus, long=5.0)
     damped = scheme_runs(given, full)
-    others, strange = generic_runs(given, full), peer_runs(problem([PEER_CASE]), full)
+    others = generic_runs(given, full)
     fine_mus = dict([*mus.items()][1:])
     batch = runs(paper, "direct, batch of 190", "iterations", direct, fine_mus, repeats=2, long=5.0)
     longest = {"h_max 100 s": replace(PUBLISHED, h_max=100.0)} if full else {}
@@ -259,12 +234,11 @@ def measure(full: bool) -> Section:
         run_table("Six loads: direct, and the scheme of the paper", [*alone, *damped]),
         run_table("190 loads in one batch", [*batch, *moved], NOT_UNIQUE),
         run_table("Six loads: solvers of nonlinear programmes", others),
-        run_table(f"The load {PEER_CASE}: rings in MuJoCo", strange),
     )
-    every = curves_of([*alone, *batch, *moved, *damped, *others, *strange])
+    every = curves_of([*alone, *batch, *moved, *damped, *others])
     title = "Locked strain: error against time, one load case"
     diagram = Diagram("rve", title, "largest error of a strain component", "processor time per case [s]", every)
-    follows = [about_scheme(alone[-1], batch, damped, moved[-1]), *about_others(alone[-1], others, strange)]
+    follows = [about_scheme(alone[-1], batch, damped, moved[-1]), about_others(others)]
     return Section("Locked strains", TEXT, tables, (diagram,), "\n\n".join(follows))
 
 
@@ -278,10 +252,7 @@ of the reference; of the generic solvers only the error counts.
 * **scheme**: the paper's damped motion, cases in a batch, to R < 1e-9, over time step, damping and contact stiffness k.
   At finite k contacts are compliant: the error is of order 1/k, and two stiffnesses extrapolate to rigid contact.
 * **SLSQP, trust-constr**: maximise S:E with all gaps >= 0, with exact first derivatives and the load S of the
-  answer. They start from the slack pose, or from the answer moved by up to 0.02 in each coordinate.
-* **MuJoCo** (the ten rings of the paper tied to two lattice joints; its own torus, or capsules) starts from our slack
-  pose under the load {PEER_CASE}. The strain of the cell's sides at rest is compared. Its time is the solver's
-  processor time without start-up."""
+  answer. They start from the slack pose, or from the answer moved by up to 0.02 in each coordinate."""
 
 
 def about_scheme(alone: Row, batch: Sequence[Row], damped: Sequence[Row], published: Row) -> str:
@@ -302,18 +273,8 @@ def about_scheme(alone: Row, batch: Sequence[Row], damped: Sequence[Row], publis
     )
 
 
-def about_others(alone: Row, others: Sequence[Row], strange: Sequence[Row]) -> list[str]:
-    """What follows for generic solvers and peers, as far as they are installed."""
-    here = [row for row in others if row["solved"] != "-"]
-    most = {row["method"]: row["solved"] for row in sorted(here, key=lambda row: row["_share"])}
-    counts = ", ".join(f"{most[name]} ({name})" for name in dict.fromkeys(row["method"] for row in here))
-    lines = [f"Generic solvers solve {counts}: their steps pass through the wire into inadmissible states."]
-    best = {row["method"]: row for row in sorted(strange, key=lambda row: -row[ERROR]) if row["_share"]}
-    if best:
-        errors = ", ".join(
-            f"{name} {decade(row[ERROR])} at {row['_s'] / alone['_s']:.0f} times the time" for name, row in best.items()
-        )
-        lines.append(
-            f"Best error of the peers: {errors} of the direct solver alone, which is at {decade(alone[ERROR])}."
-        )
-    return lines
+def about_others(others: Sequence[Row]) -> str:
+    """What follows for generic solvers."""
+    most = {row["method"]: row["solved"] for row in sorted(others, key=lambda row: row["_share"])}
+    counts = ", ".join(f"{most[name]} ({name})" for name in dict.fromkeys(row["method"] for row in others))
+    return f"Generic solvers solve {counts}: their steps pass through the wire into inadmissible states."

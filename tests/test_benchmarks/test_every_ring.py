@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.every_ring.brute import least_gap, linked_pairs, minima
+from benchmarks.every_ring.brute import least_gap, linked_pairs, minima_of
 from benchmarks.every_ring.cases import SHEETS
 from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.starts import random_start
@@ -14,9 +14,9 @@ from rve import Cell, FiniteMesh
 def test_brute_force_knows_two_circles():
     centre = np.array([[0.0, 0.0, 0.0], [1.8, 0.0, 0.0], [4.2, 0.0, 0.0]])
     normal = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
-    first, far = minima(centre, normal, np.array([[0, 1], [1, 2]]), 1.0)
-    assert first[:, 1].min() == pytest.approx(0.2)
-    assert far[:, 1].min() == pytest.approx(0.4)
+    pair, _, distance = minima_of(centre, normal, np.array([[0, 1], [1, 2]]))
+    assert distance[pair == 0].min() == pytest.approx(0.2)
+    assert distance[pair == 1].min() == pytest.approx(0.4)
     assert linked_pairs(centre, normal, 1.0) == {(0, 1)}
     assert least_gap(centre, normal, 1.0, 0.05) == pytest.approx(0.1)
 
