@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from macro_fem.fem.cells import padded
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain
-from macro_fem.rings.places import Placed
+from macro_fem.rings.places import RingPlaces
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.space import check_render, save_picture
@@ -68,7 +68,7 @@ class RingField:
 
     curtain: Curtain
     cell: Cell
-    rings: Placed
+    rings: RingPlaces
     states: NearestPoses
     row: NDArray[np.intp]
     fit: Fit

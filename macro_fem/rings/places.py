@@ -39,7 +39,7 @@ class Sites(Records):
 
 
 @dataclass(frozen=True)
-class Placed:
+class RingPlaces:
     """Rings in space: centre (n, 3) in mm and unit normal (n, 3), in the axes of the curtain."""
 
     sites: Sites
@@ -93,13 +93,13 @@ def _barycentric(corners: Array, point: Array) -> Array:
 
 def place_rings(
     curtain: Curtain, sites: Sites, states: NearestPoses, row: Index, cell: Cell, axes: Array
-) -> Placed:
+) -> RingPlaces:
     """The rings of the sites; row (n,) is the pose of each in `states`, in weave axes."""
     turn, ring = turns(curtain, sites.triangle, states.E[row], axes), sites.index[:, 0]
     corners = curtain.triangles[sites.triangle]
     centre = np.einsum("nk,nkx->nx", _barycentric(curtain.X[corners], sites.X), curtain.x_in_space[corners])
     centre = centre + np.einsum("nxy,ny->nx", turn[:, :, :2], offsets(states.pose, cell)[row, ring])
-    return Placed(sites, centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring]))
+    return RingPlaces(sites, centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring]))
 
 
 def turns(curtain: Curtain, triangle: Index, E: Array, axes: Array) -> Array:
