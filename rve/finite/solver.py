@@ -90,7 +90,9 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
         if has_arrived and is_last and merit < least:
             least, finest = merit, state
         pace = pace.after(merit, history[-1].decrement if history else -1.0)
-        is_calm = not is_last and _is_calm(history, state)
+        # Calm: the last step of Newton's method at this mu could have gained next to nothing.
+        gain = history[-1].decrement if history and history[-1].mu == state.mu else -1.0
+        is_calm = not is_last and 0.0 <= gain < _CALM * state.mu * len(task.force)
         if has_arrived and is_calm and part < parts:
             part += 1
             task = replace(task, at=start.x + (whole - start.x) * part / parts)
@@ -164,13 +166,6 @@ def kkt(state: State, G: Array, task: Task) -> tuple[float, float]:
     own = out[task.free]
     unbalanced = np.abs(own if task.tie is None else task.tie.T @ own).sum()
     return float(unbalanced / task.load), float((state.force * con.gap).sum() / len(task.linked))
-
-
-def _is_calm(history: list[Record], state: State) -> bool:
-    """Whether the last step of Newton's method at this mu could have gained next to nothing."""
-    if not history or history[-1].mu != state.mu:
-        return False
-    return 0.0 <= history[-1].decrement < _CALM * state.mu * len(state.touching.placed.x)
 
 
 def _advance(state: State, task: Task, G: Array, factorize: Factorizer) -> tuple[State, Record, bool]:

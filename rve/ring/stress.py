@@ -21,7 +21,7 @@ _BEFORE = 1e-9
 
 
 @dataclass(frozen=True)
-class Peak:
+class PeakStress:
     """The largest stress of each ring (...): stress in N/mm2, its section `angle` and `fibre` in radians."""
 
     stress: Array
@@ -29,7 +29,7 @@ class Peak:
     fibre: Array
 
 
-def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = None) -> Peak:
+def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = None) -> PeakStress:
     """The largest von Mises stress over all sections and fibres of rings under forces (..., m, 3) at phi (..., m).
 
     joint (...): the angle at which a butted ring is open, None for a welded one. Exact but for a search whose first
@@ -55,4 +55,4 @@ def peak_stress(phi: Array, forces: Array, ring: Ring, joint: Array | None = Non
         skin = np.take_along_axis(fibre, top % fibre.shape[-1], -1)
         at = angle + 2.0 * np.pi / SECTIONS / _FINER**zoom * steps
         fibre = skin + 2.0 * np.pi / FIBRES / _FINER**zoom * steps
-    return Peak(np.take_along_axis(flat, top, -1)[..., 0], angle[..., 0], skin[..., 0])
+    return PeakStress(np.take_along_axis(flat, top, -1)[..., 0], angle[..., 0], skin[..., 0])
