@@ -51,12 +51,8 @@ def placed(word, folder):
 def out(tmp_path_factory):
     """A folder with one of every file."""
     folder = tmp_path_factory.mktemp("files")
-    for name, text in (
-        ("plane", PLANE),
-        ("barred", PLANE + "[load.bar]\nmass = 0.1\n"),
-        ("space", SPACE),
-        ("body", BODY),
-    ):
+    barred = PLANE + "[load.bar]\nmass = 0.1\n"
+    for name, text in {"plane": PLANE, "barred": barred, "space": SPACE, "body": BODY}.items():
         (folder / f"{name}.toml").write_text(text)
     (folder / "loads.csv").write_text("alpha_deg,beta_deg\n0,90\n20,30\n45,45\n0,0\n0,45\n45,90\n20,80\n")
     for package, command in (

@@ -35,8 +35,6 @@ WORDS += ["true", "null", "[]", "{}", '"', "=", "<"]
 WORDS += ["1" * 5000, "[" * 3000, '{"a":' * 3000, "a." * 300, "\x00", "\U0001f642"]
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 CELL = default_law().cell
-
-
 OUTLINE = """
 [curtain]
 shape = "outline"

@@ -17,7 +17,7 @@ from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
 from rve.common.commands.sweeps import sweep
-from rve.sweep import table_columns, table_items
+from rve.sweep import table_items
 from tests.squares import write_square
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -160,4 +160,3 @@ def test_a_cluster_that_loses_a_worker_half_way_gives_the_same_tables(tmp_path, 
     assert [how.code for how in ended] == [0] * len(items)
     for name, content in single.items():
         assert (tmp_path / name).read_bytes() == content
-    assert table_columns({"rows": {"converged": 3, "stalled": 1}})["rows_other"] == 1

@@ -48,17 +48,8 @@ COMMANDS = {
     "macro_fem compare": ("scene.toml", "--out", "both.json"),
 }
 """Arguments with which every command runs for a few seconds at most, in the folder of `folder`."""
-ANSWERS = {
-    "rve case",
-    "rve support",
-    "homogenize strain",
-    "homogenize support",
-    "homogenize strength",
-    "homogenize report",
-    "macro_fem compare",
-    "macro_fem modes",
-    "macro_fem size",
-}
+ANSWERS = {"rve case", "rve support", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
+ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength", "report")}
 """Commands that are asked for what they print: they print it with --quiet too."""
 
 

@@ -24,13 +24,7 @@ STARTS = ("slack", "disk")
 def measure(full: bool) -> Section:
     """The section."""
     rows = [_alone(k, space, start) for start, space, k in product(STARTS, (False, True), FULL if full else QUICK)]
-    forms = {
-        "potential, N mm": ".4f",
-        "KKT residual": "at_most",
-        "s": ".1f",
-        "s of wall time": ".1f",
-        "MB": ".0f",
-    }
+    forms = {"potential, N mm": ".4f", "KKT residual": "at_most", "s": ".1f", "s of wall time": ".1f", "MB": ".0f"}
     text = (
         "Squares hung by two corners at their full distance, from the slack weave and guided by the disk, each in a "
         "process of its own with one thread; the largest one is the square metre of `examples/corner_hung.toml`. "

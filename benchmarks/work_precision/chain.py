@@ -156,11 +156,7 @@ def measure(full: bool) -> Section:
     # The reference: the limit of the base law's meshes, plus the change by the finer table on the base mesh.
     reference = mesh_reference + base_height(law_of(FINE_SPACING)) - base_height(law_of(BASE_SPACING))
     settings = recommendation(reference, [row for row in rows if row["method"] == "table"])
-    forms = {
-        "error of table and law": f"decade {LEAST}",
-        "error of the answer": f"decade {LEAST}",
-        SECONDS: ".1f",
-    }
+    forms = {"error of table and law": f"decade {LEAST}", "error of the answer": f"decade {LEAST}", SECONDS: ".1f"}
     note = f"Reference: {reference:.2f} mm, with the law of 2.5 degrees."
     recommended = table("Recommended: `examples/curtain.py --accuracy`", settings, forms, note)
     drawn = [replace(curve, joined=curve.label != "kind of law") for curve in curves(rows, "_name", "_size", "s")]

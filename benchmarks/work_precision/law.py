@@ -101,11 +101,7 @@ def spacing_rows(tables: Sequence[tuple[str, StrainTable, float, float]], unseen
             }
             | errors_of(law, unseen)
             | {"outer less inner bound": (bounds.upper(S) - bounds.lower(S)).max()}
-            | {
-                "s for the table": seconds,
-                "s for the fit": seconds_fit,
-                "_group": group,
-            }
+            | {"s for the table": seconds, "s for the fit": seconds_fit, "_group": group}
         )
     return rows
 

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from homogenize.fitting.bounds import bounds_of
-from homogenize.fitting.refine import (
-    FINEST,
-    Nodes,
-    on_arcs,
-    refined_half_spaces,
-)
+from homogenize.fitting.refine import FINEST, Nodes, on_arcs, refined_half_spaces
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import rows_from_table
 from homogenize.io import default_law

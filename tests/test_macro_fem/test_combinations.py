@@ -26,10 +26,7 @@ SHAPES = {
     "outline": {"shape": "outline", "outline": [[0, 0], [100, 0], [100, 40], [50, 40], [50, 80], [0, 80]]},
     "file": {"shape": "file", "file": "mesh.vtu"},
 }
-BOTH = {
-    "element": dict.fromkeys(("P1", "P2", "CR", "Q1", "Q2")),
-    "weave": {"y": "y", "x": "x", "turned": 30.0},
-}
+BOTH = {"element": dict.fromkeys(("P1", "P2", "CR", "Q1", "Q2")), "weave": {"y": "y", "x": "x", "turned": 30.0}}
 PLANE = {
     "curtain": SHAPES,
     "support": {

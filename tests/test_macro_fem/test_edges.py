@@ -110,10 +110,7 @@ OUTLINES = {
         [[0, 40], [100, 0], [100, 80], [0, 80]],
         {"top": 100.0, "bottom": np.hypot(100, 40), "left": 40, "right": 80},
     ),
-    "wavy side": (
-        [[0, 0], *WAVE, [0, 80]],
-        {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)},
-    ),
+    "wavy side": ([[0, 0], *WAVE, [0, 80]], {"top": WAVE[-1, 0], "bottom": 100.0, "left": 80.0, "right": arc(WAVE)}),
 }
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -120,9 +121,7 @@ def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_p
     assert (tmp_path / "o" / "size.png").exists()
     with (tmp_path / "o" / "size.csv").open() as file:
         assert [float(row["value"]) for row in csv.DictReader(file)] == list(curve)
-    pitch = macro_fem.read_scene({"curtain": {"width": 330.0, "height": 252.9}, "mesh": {"cells": 6},
-                                  "support": {"kind": "hooks", "pitch": found["value"]},
-                                  "load": {"bar": {"mass": 2.0}}})  # fmt: skip
+    pitch = replace(hung(), items=(Hooks(pitch=found["value"]), Bar(mass=2.0)))
     assert solve(pitch).safety_factor == pytest.approx(found["safety_factor"], rel=1e-9)
 
 

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from rve.common.errors import InputError
-from rve.ring.kernels import (
-    flexibility,
-    internal_forces,
-    section_matrix,
-    self_stress,
-)
+from rve.ring.kernels import flexibility, internal_forces, section_matrix, self_stress
 from rve.ring.section import Ring, Section, out_of_plane_inertia, shear_factor
 
 from .frame import balanced, frame_flexibility, local_axes
