@@ -78,8 +78,7 @@ def test_rings_of_an_answer_are_those_of_its_files(answer, rings, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_lines_of_the_readme_run():
-    """In an interpreter of their own they print the mean height."""
+def test_the_lines_of_the_readme_run_in_an_interpreter_of_their_own():
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, check=True)
     assert float(done.stdout) == pytest.approx(420.26, abs=0.05)  # 3,584 cells: docs/reports/numbers.md
