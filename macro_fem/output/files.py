@@ -20,7 +20,6 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
-from rve.common.factor import linear_solver
 from rve.common.files import versions, write_text
 from rve.common.meshes import (
     DIRECTION_1,
@@ -32,6 +31,7 @@ from rve.common.meshes import (
     STRESS,
     write_mesh_file,
 )
+from rve.common.numeric.factor import linear_solver
 from rve.common.texts import json_text
 from rve.common.types import Array
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from rve.common.factor import Solve
+from rve.common.numeric.factor import Solve
 from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.finite.task import BLOCK

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rve.common.errors import InputError
-from rve.common.polygons import distance_to_polygon, inside, polygon_area
+from rve.common.numeric.polygons import distance_to_polygon, inside, polygon_area
 from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import nnls
 
-from rve.common.factor import Factorizer, Solve
+from rve.common.numeric.factor import Factorizer, Solve
 from rve.common.records import Index
 from rve.common.types import Array
 from rve.finite.equations import METRIC, PAIR, Pattern, blocks, lacking, pair_vectors, spread, times

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common.factor import Factorizer
+from rve.common.numeric.factor import Factorizer
 from rve.common.progress import tell, way
 from rve.common.types import Array
 from rve.finite.equations import gradients, spread

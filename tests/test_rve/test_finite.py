@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from rve import Cell, FiniteMesh, FiniteOptions, HalfSpace, InputError, cell_of_sides, solve_table
-from rve.common.factor import Factorizer
+from rve.common.numeric.factor import Factorizer
 from rve.drawn import ALONG
 from rve.finite.equations import Pattern, blocks, gradients, lacking, pair_vectors, spread, times
 from rve.finite.newton import Factored, Iteration, forces_that_stop

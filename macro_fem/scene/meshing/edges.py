@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
 from rve.common.errors import InputError
-from rve.common.polygons import distance_to_polygon
+from rve.common.numeric.polygons import distance_to_polygon
 from rve.common.types import Array
 
 CORNER = math.radians(40.0)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from macro_fem.fem.cells import counterclockwise, cross, signed_areas, triangle_areas
-from rve.common.polygons import distance_to_polygon, inside
+from rve.common.numeric.polygons import distance_to_polygon, inside
 from rve.common.types import Array
 
 MAX_LATTICE = 8_000_000

@@ -1,0 +1,1 @@
+"""Factorised matrices, and points in polygons."""
