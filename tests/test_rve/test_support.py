@@ -196,9 +196,9 @@ def assert_admissible(pose, cell):
     home = [name.index((k, 0, 0)) for k in range(2)]
     far = np.linalg.norm(centre[home][:, None] - centre[None], axis=2)
     pairs = np.array([(home[k], b) for k, b in np.argwhere((far > 0.0) & (far < 2.0 + 2.0 * cell.wire))])
-    distances = [rows[:, 1].min() for rows in brute.minima(centre, normal, pairs, 1.0) if len(rows)]
-    assert len(distances) > 12
-    assert min(distances) > 2.0 * cell.wire - 1e-9
+    pair, _, distance = brute.minima_of(centre, normal, pairs)
+    assert len(np.unique(pair)) > 12
+    assert distance.min() > 2.0 * cell.wire - 1e-9
     woven = {(0, 1, i, j) for a, b, i, j in cell.weave.pairs[cell.weave.linked].tolist()}
     near = np.unique(pairs)
     linked = brute.linked_pairs(centre[near], normal[near], 1.0, 100)
