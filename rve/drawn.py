@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rve.common.drawing.plane import new_axes
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.drawing.space import THREE_QUARTERS, add, balls, lines, look, new_plotter, surface
+from rve.common.drawing.space import THREE_QUARTERS, add, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
 from rve.common.types import Array
 from rve.geometry.circles import tangent_frame
@@ -145,18 +145,20 @@ class DrawnRings:
         thick = max(self.r2, 0.6e-3 * float(np.ptp(centre, axis=0).max()))
         along, around = (24, 6) if len(centre) < 6000 else (int(np.clip(MOST_DRAWN // (3 * len(centre)), 8, 14)), 3)
         add(plotter, "all rings", replace(self, r2=thick).tori(along, around, **{scale.label: force}), scale)
-        add(plotter, "close-up at the largest line load", balls(middle, half), WINDOW, opacity=0.3)
+        window = replace(self, centre=middle[None], normal=sheet_normal[None], r1=half, force=None)
+        add(plotter, "close-up at the largest line load", lines(window.closed_circles(ALONG)), WINDOW, line_width=6)
         is_plane = np.abs(centre[:, 2]).max() <= 1e-9 * np.abs(centre).max()
         look(plotter, (0.0, 0.0, -1.0) if is_plane else THREE_QUARTERS)
         plotter.subplot(0, 1)
-        near = np.linalg.norm(centre - middle, axis=1) < 1.5 * half
+        near = np.linalg.norm(centre - middle, axis=1) < 1.3 * half
         close = replace(self, centre=centre[near], normal=self.normal[near])
         add(plotter, "rings near by", close.tori(36, 12, **{scale.label: force[near]}), scale)
         front = sheet_normal if sheet_normal[2] >= 0.0 else -sheet_normal
         up = np.array([0.0, 1.0, 0.0] if abs(front[1]) < 0.9 else [0.0, 0.0, -1.0])
         side = np.cross(up, front)
         from_below = 2.2 * up - 0.6 * side - 4.2 * front  # and from the side: one sees how the rings lie
-        look(plotter, from_below, up, middle + 0.6 * half * np.array([[-1.0] * 3, [1.0] * 3]))
+        seen = close.centre  # the ring that bears most is often in a corner of the mesh
+        look(plotter, from_below, up, 0.85 * np.stack([seen.min(axis=0), seen.max(axis=0)]) + 0.15 * seen.mean(axis=0))
         return plotter
 
 

@@ -42,7 +42,7 @@ rve sweep --out tables --r1 5 --r2 0.5 --cluster tcp://127.0.0.1:9 -> no Dask sc
 rve sweep --out tables --r1 5 --r2 0.5 --cluster x --jobs 2 -> two ways to run a sweep
 homogenize strain law.json --alpha nan --beta 3 -> --alpha nan
 homogenize strain law.json --alpha 10 --beta -5 -> push
-homogenize strain cloth.json --alpha 10 --beta 45 -> kind = cloth: the law is inextensible, its strain is 0
+homogenize strain cloth.json --alpha 10 --beta 45 -> kind = cloth: the law has no stiffness when locked
 homogenize support law.json --S 1,x,0 -> 1,x,0
 homogenize support nowhere.json --S 1,0,0 -> nowhere.json: cannot be read
 homogenize strength law.json --S 1,2,1 -> not tensile

@@ -89,7 +89,7 @@ def locked_strain(law: MembraneLaw, alpha_deg: Array, beta_deg: Array, rows: Loc
     Starts where the load on the undeformed cell would lock; loads that fail are approached from beta = 45 degrees.
     """
     if not law.compliance.any():
-        raise InputError(f"kind = {law.name}: the law is inextensible, its strain is 0 under every tensile load")
+        raise InputError(f"kind = {law.name}: the law has no stiffness when locked, so no strain tells a load")
     alpha, beta = np.broadcast_arrays(np.atleast_1d(np.asarray(alpha_deg, float)), np.atleast_1d(beta_deg))
     beta = np.asarray(beta, float)
     scale = OFFSET / float(np.abs(law.compliance @ [0.5, 0.0, 0.5]).max())  # trace of S in X = E + A S, N/mm
