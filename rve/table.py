@@ -16,7 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rve.common.errors import InputError, require
-from rve.common.files import AnyPath, check_belongs, check_out_file, job, sidecar_path, write_text
+from rve.common.files import (
+    TABLE_FORMAT,
+    AnyPath,
+    check_belongs,
+    check_out_file,
+    check_writable,
+    is_sidecar,
+    job,
+    sidecar_path,
+    write_text,
+)
 from rve.common.reading import number_column, read_columns, read_json_object
 from rve.common.records import Rows
 from rve.common.rings import check_rings
@@ -29,8 +39,6 @@ if TYPE_CHECKING:
 
     from rve.equilibrium.locked_states import LockedStates
 
-TABLE_FORMAT = "ring-mesh strain-load table"
-"""The entry `format` of a table's sidecar."""
 COLUMNS = ["alpha_deg", "beta_deg", "E11", "E12", "E22", "S11", "S12", "S22"]
 COLUMNS += ["x2_x_mm", "x2_y_mm", "x3_x_mm", "x3_y_mm"]
 COLUMNS += ["R", "min_gap_mm", "contacts", "unique", "status", "iterations"]
@@ -148,9 +156,10 @@ def check_out_table(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPa
     target, sidecar = Path(path), sidecar_path(path)
     if sidecar == target:
         raise InputError(f"{option} = {target}: is the name of the table's sidecar file; choose a name such as *.csv")
-    for file in (target, sidecar):
-        check_out_file(file, option, inputs)
-    if sidecar.exists() and read_json_object(sidecar).get("format") != TABLE_FORMAT:
+    inputs = list(inputs)
+    check_out_file(target, option, inputs)
+    check_writable(sidecar, option, inputs)
+    if sidecar.exists() and not is_sidecar(sidecar):
         raise InputError(
             f"{option} = {target}: its sidecar file would overwrite {sidecar}, which is not the sidecar of a table; "
             "choose another name"

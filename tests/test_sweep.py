@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import meshio
@@ -16,7 +18,7 @@ from click.testing import CliRunner
 from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
-from rve.common.commands.sweeps import sweep
+from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
 from rve.sweep import table_items
 from tests.squares import write_square
 
@@ -122,7 +124,8 @@ def test_what_was_read_has_changed_and_is_run_again(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("jobs", "number", "code"), [(1, signal.SIGINT, 130), pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.slow)]
+    ("jobs", "number", "code"),
+    [(1, signal.SIGINT, 130), (1, signal.SIGHUP, 129), pytest.param(2, signal.SIGTERM, 143, marks=pytest.mark.slow)],
 )
 def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code, jobs):
     words = ["sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5,0.6,0.7,0.8,0.9,1", "--jobs", jobs]
@@ -138,6 +141,28 @@ def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code,
     assert errors.count("\n") == 1
     assert 0 < len(list(tmp_path.glob("*.csv"))) < 6
     assert not list(tmp_path.glob(".part-*"))
+
+
+def test_an_idle_worker_that_is_told_to_end_says_nothing(capfd):
+    """A command has run in it before, which listens to the same signal."""
+    before = active_children()
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+        item = SweepItem("worker", "rve", ("support", "--S", "1,0"), Path("none"))
+        assert pool.submit(run_item, item).result().code == 2
+        (worker,) = set(active_children()) - set(before)
+        worker.terminate()
+        worker.join(20.0)
+    assert worker.exitcode == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_what_a_worker_has_written_elsewhere_has_failed(tmp_path, monkeypatch):
+    """One whose disk is not ours: its record is not there for us, and the item not finished."""
+    monkeypatch.setattr("rve.common.commands.sweeps.run_item", lambda item: Ended(0, ""))
+    found = run(rve, "sweep", "--out", tmp_path, "--r1", "5", "--r2", "0.5", *GRID)
+    assert found.exit_code == 1
+    assert "workers must see" in rows_of(tmp_path)[0]["message"]
+    assert not list(tmp_path.glob(".sweep/*.json"))
 
 
 @pytest.mark.slow

@@ -27,6 +27,8 @@ from rve.common.errors import InputError
 
 AnyPath = str | os.PathLike[str]
 
+TABLE_FORMAT = "ring-mesh strain-load table"
+"""The entry `format` of a table's sidecar."""
 HIDDEN = ".part-"
 """Begins the names of temporary files and folders; what a killed process leaves of them may be removed."""
 
@@ -92,11 +94,25 @@ def beside(path: AnyPath, ending: str) -> Path:
     return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
 
 
-def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
-    """InputError for a file that cannot be written, or that is read: one of `inputs` or its sidecar, by any name.
+def is_sidecar(path: AnyPath) -> bool:
+    """Whether a file is there and is the sidecar of a table."""
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(found, dict) and found.get("format") == TABLE_FORMAT
 
-    Nothing is written or made.
-    """
+
+def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
+    """InputError for a file that cannot be written, is the sidecar of any table, or is read: one of `inputs` or its
+    sidecar, by any name. Nothing is written or made."""
+    check_writable(path, option, inputs)
+    if Path(path).suffix == ".json" and is_sidecar(path):
+        raise InputError(f"{option} = {path}: is the sidecar file of a table; choose another name")
+
+
+def check_writable(path: AnyPath, option: str, inputs: Iterable[AnyPath | None] = ()) -> None:
+    """`check_out_file` for whoever may replace the sidecar of a table."""
     target, folder = Path(path), Path(os.path.realpath(path)).parent
     if not folder.is_dir():
         raise InputError(f"{option} = {target}: cannot be written: the folder {target.parent} does not exist")
@@ -161,7 +177,11 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
     out, inputs = Path(folder), list(inputs)
     check_out_folder(out)
     made = [one for one in (out, *out.parents) if not one.exists()]
-    staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=make_folder(out)))
+    make_folder(out)
+    try:
+        staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=out))
+    except OSError as error:
+        raise InputError(f"--out = {out}: cannot be written: {error.strerror}") from error
     try:
         yield staged
         _publish(staged, out, record, inputs, clears=clears)

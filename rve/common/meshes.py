@@ -29,11 +29,11 @@ def read_mesh_file(path: Path) -> Any:
 
     Physical groups of a Gmsh file are `cell_sets` by name (version 4.1) or cell data "gmsh:physical" (version 2.2).
     """
+    read_bytes(path, MOST_MESH_BYTES)  # a name that is no file is told first
     kind = path.suffix.lower()
     if kind not in FORMATS:
         listed = ", ".join(f"{ending} ({what})" for ending, what in FORMATS.items())
         raise InputError(f"{path}: is not read, only {listed} are; meshio convert makes one from most others")
-    read_bytes(path, MOST_MESH_BYTES)
     import meshio
 
     read = meshio.vtu.read if kind == ".vtu" else meshio.gmsh.read

@@ -1,10 +1,10 @@
 """What all commands share: how they end, what they print, and --quiet, --json and --traceback.
 
 A command ends with code 0; 1 where it has not converged or something unforeseen happened; 2 for bad input; 130 for
-SIGINT (Ctrl-C), 143 for SIGTERM. Each failure is one sentence on standard error; with `--traceback` the place in the
-code is printed before it. What takes long is shown live in a terminal. A command prints sentences by `say`, the last
-one by `say_next`, and its record by `answer`: `--quiet` leaves out the sentences, `--json` prints the record in their
-place.
+SIGINT (Ctrl-C), 143 for SIGTERM, 129 for a closed terminal (SIGHUP). Each failure is one sentence on standard error;
+with `--traceback` the place in the code is printed before it. What takes long is shown live in a terminal. A command
+prints sentences by `say`, the last one by `say_next`, and its record by `answer`: `--quiet` leaves out the sentences,
+`--json` prints the record in their place.
 
     @click.group(cls=Group)
     def main() -> None: ...
@@ -15,9 +15,10 @@ from __future__ import annotations
 import errno
 import shlex
 import signal
+import threading
 import traceback
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -58,10 +59,8 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; whatever it raises becomes a sentence and an exit code."""
-        with suppress(ValueError):  # only the main thread has signals
-            signal.signal(signal.SIGTERM, _stop)
         try:
-            with nullcontext() if _asked("--quiet") else shown():
+            with _stops_raised(), nullcontext() if _asked("--quiet") else shown():
                 return super().invoke(ctx)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
@@ -82,6 +81,22 @@ class Group(click.Group):
         kwargs.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
         super().__init__(*args, **kwargs)
         click.version_option(package_name="ring-mesh")(self)
+
+
+@contextmanager
+def _stops_raised() -> Iterator[None]:
+    """What ends a process is raised in the block, so that it keeps what is finished: SIGTERM, and a closed terminal."""
+    names = ("SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    known = [(number, signal.getsignal(number)) for number in numbers]
+    known = [(number, before) for number, before in known if before != signal.SIG_IGN]  # nohup ignores SIGHUP
+    for number, _ in known:
+        signal.signal(number, _stop)
+    try:
+        yield
+    finally:
+        for number, before in known:
+            signal.signal(number, before)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
@@ -112,6 +113,9 @@ def sweep(
     try:
         with noted_if_stopped(kept), closing(run):
             for item, how in run:
+                if not how.message and not item.record.exists():  # written to another machine's disk
+                    where = f"{item.record} is not there"
+                    how = Ended(1, f"{where}; workers must see {item.record.parent} under the same name")
                 if not how.message:
                     cache.put(item.question, {"code": how.code}, how.files)
                 end(item, how)
@@ -145,8 +149,14 @@ def _here(items: Sequence[SweepItem], jobs: int) -> Generator[tuple[SweepItem, E
 
 
 def _end_with_parent() -> None:
-    """Let this worker end at once when its parent does; Ctrl-C is handled by the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Let this worker end at once when its parent does; Ctrl-C and a closed terminal are handled by the parent.
+
+    An idle worker that is told to end leaves the queue in order: one killed there would keep the others waiting.
+    """
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     parent = parent_process()
 
     def wait() -> None:
