@@ -98,7 +98,7 @@ def read_columns(path: AnyPath, required: tuple[str, ...]) -> dict[str, list[str
         rows = [row for row in csv.reader(text) if row]
     except csv.Error as error:
         raise InputError(f"{path}: is not a CSV text file: {error}") from error
-    header = [name.strip() for name in rows[0]] if rows else []
+    header = [" ".join(name.split()) for name in rows[0]] if rows else []
     for name in (*required, *header):
         if header.count(name) != 1:
             wrong = "is missing" if name not in header else "occurs twice"
