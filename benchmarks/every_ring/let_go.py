@@ -117,6 +117,7 @@ def measure(full: bool) -> Section:
 def _compared(found: Row) -> tuple[list[Row], Row]:
     """Rows over time of one scene and size, and one of its end."""
     (t, rings, disk), share = found["places"], found["share"]
+    disk = disk[: len(rings)]  # a run of rings may have ended before its time
     away, way = np.linalg.norm(rings - disk, axis=1), np.linalg.norm(disk - disk[0], axis=1)
     allowed = away[0] + TRAVEL * way
     rows = [
@@ -134,6 +135,7 @@ def _compared(found: Row) -> tuple[list[Row], Row]:
     end = {
         "scene": found["scene"],
         "rings": found["rings"],
+        "until, s": t[-1],
         "beyond, %": share * float((away - allowed).max()),
         "lost, rings, %": found["lost"][0],
         "lost, disk, %": found["lost"][1],
