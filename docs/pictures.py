@@ -1,5 +1,7 @@
 """Pictures of curtains and rings in the documentation: python docs/pictures.py"""
 
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -26,10 +28,10 @@ def main() -> None:
     """Solve both scenes and their rings, and put the pictures beside the pages."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        answer = macro_fem.solve(macro_fem.Scene.rectangle(1000.0, 1000.0, cells=48).hung_by("corners"))
-        answer.save(folder / "curtain")
+        example = [sys.executable, HERE.parent / "examples" / "curtain.py", "--out", folder]  # README's first command
+        subprocess.run(example, check=True)
         put(folder / "curtain" / "curtain.png", "curtain.png")
-        answer.rings().save(folder / "rings")
+        macro_fem.localize(folder / "curtain").save(folder / "rings")
         put(folder / "rings" / "rings.png", "rings.png")
         macro_fem.solve(ON_A_TRACK).rings().save(folder / "space")
         put(folder / "space" / "rings.png", "rings_space.png")

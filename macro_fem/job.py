@@ -100,7 +100,7 @@ def solve_every_ring(scene: Scene, who: EveryRing) -> EveryRingSolution:
             raise InputError('start = "disk": needs the law that guides the rings: EveryRing(law, start="disk")')
         disk = solve_membrane(scene, who.rings).solution
     found = rings.solve(space=who.space, disk=disk, options=FiniteOptions(by_motion=who.start == "motion"))
-    return EveryRingSolution(rings, found, who.start)
+    return EveryRingSolution(rings, found, who.start, disk)
 
 
 def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
@@ -201,4 +201,5 @@ def compare(scene: Scene, law: MembraneLaw | None = None, *, space: bool = True,
     InputError for scenes that one of both cannot be.
     """
     rings = solve_every_ring(scene, EveryRing(law, space, start))
-    return Comparison(solve_membrane(scene, default_law() if law is None else law).solution, rings)
+    disk = rings.disk or solve_membrane(scene, default_law() if law is None else law).solution
+    return Comparison(disk, rings)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 A4 = (8.27, 11.69)
 WIDTH = 105
 """Characters of a line."""
+SPAN = {"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
+"""The arrow of a dimension."""
 MOST_ROWS = 22
 """Most points in the table of forces: those with the largest ones."""
 LIMITS = (
@@ -60,8 +62,8 @@ def write_report(
     height = f"mean height {summary['mean_height_mm']:.1f} mm"
     _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
     second, y = _page(name, 2), 0.93
-    for title, lines in _sections(summary, [one for one in inputs if one is not None]):
-        y = _section(second, y, title, lines, is_table="place in the flat sheet" in title)
+    for title, lines, is_table in _sections(summary, [one for one in inputs if one is not None]):
+        y = _section(second, y, title, lines, is_table=is_table)
     told = {"Title": f"Curtain of ring mesh: {name}", "Creator": "macro_fem", "CreationDate": None}
     with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
         file.savefig(first)
@@ -90,17 +92,18 @@ def _section(
     return y - 0.0128 * len(text) - 0.01
 
 
-def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str, Iterable[str]]]:
-    """Titles and lines of the second page."""
+def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
+    """Titles and lines of the second page, and whether the lines are a table."""
     stress = summary["ring_yield_N_per_mm2"]
     told = "not known" if stress is None else f"{stress:g} N/mm2"
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
     yield (
         "What gives first",
         [*(f"{one.name}: {one.factor:.3g} times the load" for one in sorted(links(summary))), material],
+        False,
     )
     if "combinations" in summary:
-        yield "Load combinations", combination_lines(summary)
+        yield "Load combinations", combination_lines(summary), False
     points = [
         (np.linalg.norm(point["force_N"]), one["support"], *point["at_mm"], point["force_N"])
         for one in summary["support_forces"]
@@ -115,11 +118,11 @@ def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str
     half = (len(rows) + 1) // 2
     columns = [f"{left:<54}{right}".rstrip() for left, right in zip(rows[:half], [*rows[half:], ""], strict=False)]
     head = "Forces of supports" + ("" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}")
-    yield f"{head} (N; place in the flat sheet, mm)", columns
+    yield f"{head} (N; place in the flat sheet, mm)", columns, True
     notes = [summary["support_forces_note"], summary["line_load_warning"]]
-    yield "Assumptions and limits", [*LIMITS, *filter(None, notes)]
+    yield "Assumptions and limits", [*LIMITS, *filter(None, notes)], False
     versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
-    yield "Versions and files", [versions, *(f"{one.name}: SHA-256 {checksum(one)}" for one in inputs)]
+    yield "Versions and files", [versions, *(f"{one.name}: SHA-256 {checksum(one)}" for one in inputs)], False
 
 
 def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
@@ -138,12 +141,12 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
         ((x1 + off, y0), (x1 + off, y1), f"{y1 - y0:g} mm", 90),
     )
     for start, end, told, turn in spans:
-        ax.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
+        ax.annotate("", start, end, arrowprops=SPAN)
         x, y = 0.5 * np.add(start, end)
         ax.text(x, y, told, ha="center", va="center", rotation=turn, size=8, backgroundcolor="white")
     for row in solution.problem.mesh.hooks.values():
         first, (x, y) = np.add(mesh.p[:, row.nodes[:2]].T, [0.0, 0.6 * off])
-        ax.annotate("", first, (x, y), arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
+        ax.annotate("", first, (x, y), arrowprops=SPAN)
         ax.text(x + 0.2 * off, y, f"{len(row.nodes)} points, {row.pitch:g} mm apart", va="center", size=8)
     forces: tuple[PointLoad | PatchLoad, ...] = (*scene.of(PointLoad), *scene.of(PatchLoad))
     for one in forces:

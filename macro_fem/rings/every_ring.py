@@ -16,6 +16,7 @@ from macro_fem.output.files import rings as rings_of
 from macro_fem.output.files import write_summary
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
+from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteSolution
 from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.errors import InputError
@@ -48,11 +49,12 @@ def or_none(value: float | Array) -> Any:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EveryRingSolution(Solution):
-    """A scene solved ring by ring; start: "slack", "disk" or "motion", see `EveryRing`."""
+    """A scene solved ring by ring; start: "slack", "disk" or "motion", see `EveryRing`; disk: what guided the rings."""
 
     scene: RingScene
     found: FiniteSolution
     start: str = "slack"
+    disk: CurtainSolution | None = None
 
     @cached_property
     def summary(self) -> dict[str, Any]:
