@@ -124,7 +124,7 @@ def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> 
         for _ in range(HALVINGS):
             middle = finer.mesh.p[:, finer.mesh.t].mean(axis=1)
             where = np.flatnonzero(high[which(*middle)] & (_sides(finer) > side))
-            finer = refine(finer, where, scene) if len(where) else finer
+            finer = refine(finer, where) if len(where) else finer
         if finer is mesh:
             return found
         mesh = finer

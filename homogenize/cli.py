@@ -109,20 +109,16 @@ def strength(law: Path, load: str | None, plot: Path | None, yield_stress: float
 @click.argument("law", type=click.Path(path_type=Path))
 @click.option("--table", required=True, type=click.Path(path_type=Path), help="Table to show beside the law, CSV.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write into.")
-@click.option("--html", is_flag=True, help="Also write law.html, which turns in a browser (needs plotly).")
-def plot(law: Path, table: Path, out: Path, html: bool) -> None:
+def plot(law: Path, table: Path, out: Path) -> None:
     """Draw the locking surface, the strains over the load angles, the errors and sections of LAW."""
     from homogenize.io import load_law
     from homogenize.plots import RECORD, write_pictures
     from rve import read_table
-    from rve.common.drawing.page import check_page
     from rve.common.files import check_out_job
 
     require("matplotlib", "plots", "homogenize plot")
-    if html:
-        check_page("--html", "leave it out")
     check_out_job(out, RECORD, inputs=[law, table])
-    pictures = write_pictures(load_law(law), read_table(table), out, [law, table], html=html)
+    pictures = write_pictures(load_law(law), read_table(table), out, [law, table])
     say(*(f"picture written to {path}" for path in pictures))
     answer({"pictures": [str(path) for path in pictures]})
     say_next("homogenize", "report", law, "--table", table, why="the error of the law at the rows of a table")

@@ -1,5 +1,4 @@
-"""Pictures of a law beside its table: locking surface, strains over the load angles, errors, sections; and a page of
-the locking surface and the strength that turns in a browser."""
+"""Pictures of a law beside its table: locking surface, strains over the load angles, errors, sections."""
 
 from __future__ import annotations
 
@@ -13,14 +12,12 @@ from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.report import random_loads
 from homogenize.fitting.rows import LockedRows, rows_from_table, with_mirror
 from homogenize.laws import pictures
-from homogenize.laws.pictures import locking_surface, solid_axes, strength_loads
+from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
-from rve.common.drawing.page import write_page
-from rve.common.drawing.plane import VERMILION, new_axes, new_figure, save_figure, shade
+from rve.common.drawing.plane import new_axes, new_figure, save_figure, shade
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.drawing.space import add, balls, lines, look, new_plotter, surface
 from rve.common.files import job, write_text
 from rve.common.progress import tell
 from rve.common.tensor import trace
@@ -29,28 +26,21 @@ from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from pyvista import Plotter
 
     from rve import StrainTable
 
-PAGE = "law.html"
 RECORD = "pictures.json"
 """The file that stands for the pictures in their folder; it lists them by their checksums (`rve.common.files`)."""
-POINTS, EVERY = 81, 8
-"""Points of the locking surface along each side, and how many lie between drawn lines."""
+POINTS = 81
+"""Points of the locking surface along each side."""
 DECADES = 3.0
 """The scale of gaps goes over this many powers of ten."""
-FROM_OUTSIDE = (1.0, -0.9, -1.3)
-"""Onto the side of the surfaces that loads press against."""
 
 
-def write_pictures(
-    law: StoredLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = (), *, html: bool = False
-) -> list[Path]:
+def write_pictures(law: StoredLaw, table: StrainTable, folder: str | Path, inputs: Sequence[Path] = ()) -> list[Path]:
     """Writes surface.png, strains.png, errors.png, sections.png and pictures.json into `folder`, all at once.
 
-    html: also law.html, the surface and the strength, which turn in a browser. The folder is made if need be. Returns
-    the paths of the pictures; InputError if one would overwrite one of `inputs`.
+    The folder is made if need be. Returns the paths of the pictures; InputError if one would overwrite one of `inputs`.
     """
     folder = Path(folder)
     rows = rows_from_table(table)
@@ -65,10 +55,8 @@ def write_pictures(
         for number, (name, figure) in enumerate(figures.items()):
             tell(f"drawing, {name}", number / len(figures))
             save_figure(staged / name, figure)
-        if html:
-            write_law_page(law, rows, staged / PAGE)
         write_text(staged / RECORD, json_text({"law": law.name, "rows": len(rows)}))
-    return [folder / name for name in (*figures, *([PAGE] if html else []))]
+    return [folder / name for name in figures]
 
 
 def plot_surface(law: MembraneLaw, rows: LockedRows) -> Any:
@@ -143,61 +131,3 @@ def surface_with_gap(law: MembraneLaw, rows: LockedRows) -> tuple[Array, Array, 
     largest = float(np.nanmax(gap, initial=0.0))
     top = rounded_up(largest)
     return found, gap, Scale("outer - inner bound of h (S of unit trace)", top * 10.0**-DECADES, top, largest, "log")
-
-
-def write_law_page(law: StoredLaw, rows: LockedRows, path: str | Path) -> None:
-    """Write the locking surface, and the strength beside it where it is known with a yield stress, as one HTML file.
-
-    InputError without plotly.
-    """
-    known = law.strength
-    stress = None if known is None else known.material.yield_N_per_mm2
-    told = [f"Locking surface of the {law.name} law, {len(rows)} rows\nstrains that the mesh can reach lie behind it"]
-    plotter = new_plotter(1 if stress is None else 2)
-    _draw_locking(law, rows, plotter)
-    if known is not None and stress is not None:
-        told.append(f"Strength: {known.joint} rings of {known.material.name}\nyield stress {stress:g} N/mm2")
-        plotter.subplot(0, 1)
-        _draw_strength(*strength_loads(known, stress), plotter)
-    elif known is not None:
-        told[0] += f"\n{known.material.name} has no yield stress, so no strength is drawn"
-    write_page(path, plotter, *told, axes=(("E12", "E22", "E11"), ("S12, N/mm", "S22, N/mm", "S11, N/mm")))
-
-
-def _draw_locking(law: MembraneLaw, rows: LockedRows, plotter: Plotter) -> None:
-    """The locking surface, coloured by the gap of the bounds, and the rows with their mirror images on it."""
-    E, gap, scale = surface_with_gap(law, rows)
-    at, points = _in_space(with_mirror(rows).E), _in_space(E)
-    _add_grid(plotter, "locking surface", points, scale, gap)
-    nets = points[::EVERY], points[:, ::EVERY].swapaxes(0, 1)
-    pieces = np.concatenate([np.stack([net[:, :-1], net[:, 1:]], axis=-2).reshape(-1, 2, 3) for net in nets])
-    pieces = pieces[np.isfinite(pieces).all(axis=(1, 2))]
-    add(plotter, "lines of even E12 and E11 - E22", lines(pieces), "#3f4650", line_width=1.5)
-    add(plotter, "rows of the table", balls(at, 0.005 * float(np.linalg.norm(np.ptp(at, axis=0)))), "#000000")
-    look(plotter, FROM_OUTSIDE)
-
-
-def _draw_strength(first: Array, last: Array, plotter: Plotter) -> None:
-    """First yield as a surface, coloured by S11 + S22, and collapse as a net, over all tensile line loads, N/mm."""
-    size, net = trace(first), _in_space(last)
-    scale = Scale("S11 + S22, N/mm", float(size.min()), rounded_up(float(size.max())), float(size.max()))
-    _add_grid(plotter, "first yield", _in_space(first), scale, size)
-    add(plotter, "plastic collapse", lines(net[::6]), VERMILION, line_width=2)
-    add(plotter, "_plastic collapse", lines(net[:, ::4].swapaxes(0, 1)), VERMILION, line_width=2)
-    look(plotter, FROM_OUTSIDE)
-
-
-def _in_space(values: Array) -> Array:
-    """Components 11, 12, 22 as coordinates: 22 points up, 11 towards the viewer."""
-    return values[..., [1, 2, 0]]
-
-
-def _add_grid(plotter: Plotter, name: str, points: Array, scale: Scale, values: Array) -> None:
-    """The surface through a grid of points (n, m, 3), coloured by values (n, m), with gaps where points are nan."""
-    number = np.arange(values.size).reshape(values.shape)
-    quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
-    flat = points.reshape(-1, 3)
-    used, place = np.unique(quads[np.isfinite(flat[quads]).all(axis=(1, 2))], return_inverse=True)
-    mesh = surface(flat[used], place.reshape(-1, 4))
-    mesh[scale.label] = values.ravel()[used]
-    add(plotter, name, mesh, scale)

@@ -25,7 +25,7 @@ from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
-from macro_fem.scene.wind import dynamic_pressure, layer_solidity, layered_drag, layered_solidity, wind_pressure
+from macro_fem.scene.wind import dynamic_pressure, layered_drag, layered_solidity, ring_solidity, wind_pressure
 from macro_fem.solution import CurtainSolution
 from rve.common.errors import InputError
 from rve.common.types import Array
@@ -72,7 +72,7 @@ def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
     along = unit(wind.direction)
     v = a @ along
     layers = layers_of(problem, wind, x, a)
-    push = dynamic_pressure(wind) * layered_drag(wind, problem.law.cell, layers) / layers
+    push = dynamic_pressure(wind) * layered_drag(problem.law.cell, layers) / layers
     if not wind.follows:
         return np.asarray(push[:, None] * along)
     size = np.maximum(np.linalg.norm(a, axis=1), LEAST_FRONT)
@@ -105,28 +105,17 @@ def _shade(problem: CurtainProblem, x: Array, along: Array, layers: Array) -> Ar
     """
     disc, t = problem.disc, problem.mesh.mesh.t.T
     _, _, Vt = np.linalg.svd(along[None])
-    corners = _corners(disc, x) @ Vt[1:].T
+    corners = x[disc.cell_dofs[:, :3]] @ Vt[1:].T
     middle = corners.mean(axis=1)
-    k = corners.shape[1]
-    cell = np.tile(np.arange(disc.n_cells), k - 2)
-    parts = np.concatenate([corners[:, [0, i, i + 1]] for i in range(1, k - 1)])
-    centre = parts.mean(axis=1)
-    reach = 1.2 * float(np.linalg.norm(parts - centre[:, None], axis=2).max())
-    near = cKDTree(middle).sparse_distance_matrix(cKDTree(centre), reach, output_type="coo_matrix")
-    point, part = near.row, near.col
-    touch = sparse.csr_matrix((np.ones(t.size), (np.repeat(np.arange(len(t)), t.shape[1]), t.ravel())))
-    is_far = np.asarray((touch[point].multiply(touch[cell[part]])).sum(axis=1)).ravel() == 0.0
-    point, part = point[is_far], part[is_far]
-    share = np.clip((_inside(middle[point], parts[part]) + EDGE) / (2.0 * EDGE), 0.0, 1.0)
-    shade = np.bincount(point, share * layers[cell[part]], minlength=disc.n_cells)
+    reach = 1.2 * float(np.linalg.norm(corners - middle[:, None], axis=2).max())
+    tree = cKDTree(middle)
+    near = tree.sparse_distance_matrix(tree, reach, output_type="coo_matrix")
+    touch = sparse.csr_matrix((np.ones(t.size), (np.repeat(np.arange(len(t)), 3), t.ravel())))
+    is_far = np.asarray((touch[near.row].multiply(touch[near.col])).sum(axis=1)).ravel() == 0.0
+    point, cell = near.row[is_far], near.col[is_far]
+    share = np.clip((_inside(middle[point], corners[cell]) + EDGE) / (2.0 * EDGE), 0.0, 1.0)
+    shade = np.bincount(point, share * layers[cell], minlength=disc.n_cells)
     return np.asarray(shade, dtype=float)
-
-
-def _corners(disc: Discretization, x: Array) -> Array:
-    """Places (n_cells, k, 3) of the corners of all cells, in their order around them."""
-    X = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
-    X = X if disc.element.startswith("Q") else np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    return np.einsum("ka,caj->ckj", disc.shapes_at(X), x[disc.cell_dofs])
 
 
 def _inside(p: Array, corners: Array) -> Array:
@@ -170,11 +159,12 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
 def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
     problem = solution.problem
     cell = problem.law.cell
-    alone = layer_solidity(wind, cell)
+    assert cell is not None  # see `macro_fem.scene.wind.check_drag`
+    alone = ring_solidity(cell)
     told = {
         "speed_m_per_s": float(wind.speed or 0.0),
         "solidity": alone,
-        "drag_coefficient": float(layered_drag(wind, cell, np.ones(1))[0]),
+        "drag_coefficient": float(layered_drag(cell, np.ones(1))[0]),
         "pressure_N_per_m2": wind_pressure(wind, cell) / PER_MM2,
     }
     if problem.fem.d == 2:

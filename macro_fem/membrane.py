@@ -13,7 +13,6 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.adapt import Level
-from macro_fem.bounds.interval import CurtainBounds
 from macro_fem.combinations import envelope, envelope_table
 from macro_fem.elastic_forces import with_forces
 from macro_fem.output.files import (
@@ -39,7 +38,6 @@ from rve.common.errors import InputError, require
 from rve.common.files import check_out_file, write_text
 from rve.common.progress import tell
 from rve.common.texts import csv_text
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,12 +88,13 @@ class MembraneSolution(Solution):
 
     def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
         summary = self._summary(picture=wanted.picture)
-        density = error_density(self.solution, self.levels[-1].bounds) if self.levels else None
-        write_vtu(staged / "curtain.vtu", self.loaded, {} if density is None else {"error_N_mm_per_mm2": density})
+        area = self.solution.problem.disc.cell_area
+        error = {"error_N_mm_per_mm2": self.levels[-1].bounds.error / area} if self.levels else {}
+        write_vtu(staged / "curtain.vtu", self.loaded, error)
         if len(self.steps) > 1:
             write_series(staged, self._shown)
         tell("files and pictures")
-        write_pictures(staged, self._shown, wanted, density)
+        write_pictures(staged, self._shown, wanted)
         write_summary(staged, summary)
         write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
         if self.combinations:
@@ -181,11 +180,6 @@ def _step_line(solution: CurtainSolution, step: int, steps: int) -> dict[str, An
         "lowest_point_mm": float(solution.x[:, 1].min()),
         "potential_primal_N_mm": solution.primal,
     }
-
-
-def error_density(solution: CurtainSolution, bounds: CurtainBounds) -> Array:
-    """Error per reference area of every triangle (n_cells,), N mm / mm2."""
-    return bounds.error / solution.problem.disc.cell_area
 
 
 def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from rve.common.commands.command_line import (
 )
 from rve.common.commands.sweeps import run_sweep, sweep_options
 from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import check_out_file, sidecar_path
+from rve.common.files import sidecar_path
 from rve.common.progress import tell
 from rve.common.reading import read_json_object
 
@@ -190,31 +190,17 @@ def _say_of_table(found: Any, out: Path, method: str) -> None:
 @click.option("--alpha", type=float, required=True, help="Principal angle in degrees.")
 @click.option("--beta", type=float, required=True, help="Ratio angle in degrees.")
 @click.option("--plot", type=FILE, help="Picture to write, PNG, SVG or PDF.")
-@click.option("--html", type=FILE, help="Page to write that turns in a browser.")
-@click.option("--animation", type=FILE, help="GIF to write: the cell locking.")
 @explain_option
 @cell_options
-def case(
-    alpha: float, beta: float, plot: Path | None, html: Path | None, animation: Path | None, explain: bool, **cell: Any
-) -> None:
+def case(alpha: float, beta: float, plot: Path | None, explain: bool, **cell: Any) -> None:
     """Solve one load direction and print its locked state as JSON."""
-    from rve.common.drawing.page import check_page
     from rve.common.drawing.plane import save_figure
-    from rve.common.drawing.space import check_render
-    from rve.plots import draw_case, locked_row, write_case_page, write_locking
+    from rve.plots import draw_case, locked_row
     from rve.solve import solve_table
     from rve.table import COLUMNS
 
     if plot is not None:
         check_plot(plot)
-    if html is not None:
-        check_page("--html", "leave it out")
-        check_out_file(html, "--html")
-    if animation is not None:
-        if animation.suffix != ".gif":
-            raise InputError(f"--animation = {animation}: is written as GIF; give a name that ends in .gif")
-        check_render("--animation", "leave it out")
-        check_out_file(animation, "--animation")
     found = solve_table(asked_cell(**cell), ([alpha], [beta]))
     if explain:
         _explain(found)
@@ -224,10 +210,6 @@ def case(
     if plot is not None:
         tell(f"drawing {plot}")
         save_figure(plot, draw_case(found).figure)
-    if html is not None:
-        write_case_page(found, html)
-    if animation is not None:
-        write_locking(found, animation)
 
 
 @main.command(name="support", epilog="Example: rve support --S 0.5,-0.1,0.5")

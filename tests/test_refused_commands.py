@@ -34,7 +34,6 @@ rve table --out new.csv --rings --joint glued -> --joint = 'glued'
 rve table --out new.csv --joint butted -> --joint: belongs to --rings
 rve table --out table.json -> sidecar
 rve case --alpha 0 --beta 45 --plot case.xyz -> xyz
-rve case --alpha 0 --beta 45 --animation cell.mp4 -> ends in .gif
 rve support --S 1,0 -> --S
 rve support --S 1,0,-1 -> has the eigenvalue -1
 rve support --S 1,0,0 --branches none -> 'none' is not one of

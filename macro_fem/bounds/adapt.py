@@ -24,7 +24,6 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cones import take_from, with_support
-from rve.common.errors import InputError
 from rve.common.progress import part_of
 from rve.common.types import Array
 
@@ -73,16 +72,14 @@ def levels(
         if level.bounds.status != "converged":
             return
         if number < scene.solver.adapt:
-            mesh = refine(mesh, mark(level.bounds.error), scene)
+            mesh = refine(mesh, mark(level.bounds.error))
 
 
 def admissible_problem(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0) -> CurtainProblem:
-    """The P2 problem of a scene with the law at the corners of the triangles; InputError for quadrilaterals.
+    """The P2 problem of a scene with the law at the corners of the triangles.
 
     With walls the P1 problem: a P1 curtain is inside a plane where its nodes are, a P2 curtain need not be.
     """
-    if not isinstance(mesh.mesh, skfem.MeshTri1):
-        raise InputError("bounds need a mesh of triangles, this one has quadrilaterals")
     quadratic = replace(scene, mesh=replace(scene.mesh, element="P2"))
     problem = make_problem(quadratic, law, mesh, factor)
     if problem.walls is not None:

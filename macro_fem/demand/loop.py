@@ -171,7 +171,7 @@ def solve_on_demand(
             ended = status, SENTENCES[status].format(**why)
             break
         share = FALL * max(level.bounds.gap - part, 0.0) / scale
-        mesh = refine(mesh, mark(level.bounds.error), scene)
+        mesh = refine(mesh, mark(level.bounds.error))
     if level is None:
         raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
     return Demand(level, law, rings, tuple(turns), options.accuracy, *ended)

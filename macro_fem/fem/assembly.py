@@ -12,7 +12,7 @@ Example:
     >>> import skfem
     >>> from macro_fem.fem.discretization import discretize
     >>> from macro_fem.fem.sparsity import sparsity
-    >>> disc = discretize(skfem.MeshQuad.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "Q1")
+    >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P1")
     >>> u = disc.nodes @ np.array([[0.1, 0.0], [0.0, 0.0]])
     >>> bool(np.allclose(deformation_gradient(disc, u), [[1.1, 0.0], [0.0, 1.0]]))
     True

@@ -1,5 +1,5 @@
-"""Triangles and quadrilaterals of a plane mesh: cutting in two, areas, sense, averages at corners; plane vectors in
-space, where x points to the right, y up, z towards the viewer."""
+"""Cells of a plane mesh: areas, sense, averages at corners; plane vectors in space, where x points to the right, y up,
+z towards the viewer."""
 
 from __future__ import annotations
 
@@ -9,18 +9,6 @@ from numpy.typing import NDArray
 from rve.common.types import Array
 
 Index = NDArray[np.int64]
-
-
-def as_triangles(cells: Index) -> tuple[Index, Index]:
-    """Triangles (n, 3) of corner numbers and the cell (n,) of each: quadrilaterals (c, 4) are cut in two.
-
-    >>> as_triangles(np.array([[0, 1, 2, 3]]))[0].tolist()
-    [[0, 1, 2], [0, 2, 3]]
-    """
-    cell = np.arange(len(cells))
-    if cells.shape[1] == 3:
-        return cells, cell
-    return np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]]), np.tile(cell, 2)
 
 
 def cross(u: Array, v: Array) -> Array:

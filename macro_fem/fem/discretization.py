@@ -1,11 +1,11 @@
-"""A mesh and an element as arrays: nodes, cells, quadrature points, shape functions and areas.
+"""A mesh of triangles and an element as arrays: nodes, cells, quadrature points, shape functions and areas.
 
 Shapes: the point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d).
 
 Example:
-    >>> disc = discretize(skfem.MeshQuad.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "Q1")
-    >>> disc.n_cells, disc.n_points, float(disc.weight.sum())
-    (8, 32, 2.0)
+    >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P2")
+    >>> disc.n_cells, disc.n_points, round(float(disc.weight.sum()), 12)
+    (16, 48, 2.0)
 """
 
 from __future__ import annotations
@@ -23,18 +23,10 @@ from rve.common.types import Array
 
 Index = NDArray[np.int64]
 
-# Element and order of its quadrature. P1 and CR have constant gradients; the others take the fewest points that
-# integrate the stiffness of an undistorted cell without spurious modes.
-ELEMENTS: dict[str, tuple[Any, Any, int]] = {
-    "P1": (skfem.MeshTri1, skfem.ElementTriP1, 0),
-    "CR": (skfem.MeshTri1, skfem.ElementTriCR, 0),
-    "P2": (skfem.MeshTri1, skfem.ElementTriP2, 2),
-    "Q1": (skfem.MeshQuad1, skfem.ElementQuad1, 3),
-    "Q2": (skfem.MeshQuad1, skfem.ElementQuad2, 5),
-}
+ELEMENTS: dict[str, tuple[Any, int]] = {"P1": (skfem.ElementTriP1, 0), "P2": (skfem.ElementTriP2, 2)}
+"""Element and order of its quadrature, the fewest points that integrate the stiffness without spurious modes."""
 
-
-MEETS = ([0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 3.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 1.0 / 3.0])
+MEETS = np.array([[0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 3.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.5, 1.0 / 3.0]])
 """Corners, middles of sides and middle of the reference triangle, where a cell meets bodies."""
 FINE = 4
 """Parts of a side of the points at which a cell is looked at between those."""
@@ -69,10 +61,10 @@ class Points(Rows):
 class Discretization:
     """A mesh and an element as arrays; points are ordered as the module header says.
 
-    nodes (n_nodes, 2): positions of the unknowns in the reference state, mm (CR: midpoints of edges).
+    nodes (n_nodes, 2): positions of the unknowns in the reference state, mm.
     cell_dofs (n_cells, n_local): node numbers of each cell.
     shape_values (n_quad, n_local) and shape_gradients (n_quad, 2, n_local): in the reference element.
-    inverse_jacobian (2, 2, n_quad, n_cells): dX_J/dx_j, or with n_quad replaced by 1 where it is constant in the cell.
+    inverse_jacobian (2, 2, 1, n_cells): dX_J/dx_j, constant in each cell.
     weight (n_points,): quadrature weight times area, mm2.
     """
 
@@ -119,7 +111,6 @@ class Discretization:
     @cached_property
     def points(self) -> Array:
         """Positions of the points in the reference state, (n_points, 2), mm."""
-        # Every element here reproduces the reference position, CR's edge midpoints included.
         return self.interpolate(self.nodes)
 
     @cached_property
@@ -134,25 +125,17 @@ class Discretization:
 
     @cached_property
     def hull(self) -> Points:
-        """Points whose convex hull holds all cells: nodes of linear elements, control points of quadratic ones (their
-        coefficients of Bernstein polynomials), and corners of CR, which may gape there.
+        """Points whose convex hull holds all cells: nodes of P1, control points of P2, its coefficients of Bernstein
+        polynomials.
         """
-        if self.element in ("P1", "Q1"):
+        if self.element == "P1":
             return self.at_nodes
-        if self.element == "CR":
-            return self.points_at(np.array(MEETS)[:, :3])
-        X = ELEMENTS[self.element][1]().doflocs.T
-        control = np.asarray(np.linalg.inv(_bernstein(X, is_triangle=self.element == "P2")), dtype=np.float64)
-        return self._points_of(control)
+        return self._points_of(np.asarray(np.linalg.inv(_bernstein(skfem.ElementTriP2().doflocs.T))))
 
     @cached_property
     def meeting(self) -> Points:
-        """Where the mesh meets bodies: corners, middles of sides and middles of cells; CR has none at corners."""
-        if self.element.startswith("Q"):
-            side = np.array([0.0, 0.5, 1.0])
-            return self.points_at(np.stack(np.meshgrid(side, side)).reshape(2, -1))
-        X = np.array(MEETS)
-        return self.points_at(X[:, 3:] if self.element == "CR" else X)
+        """Where the mesh meets bodies: corners, middles of sides and middles of cells."""
+        return self.points_at(MEETS)
 
     @cached_property
     def lattice(self) -> Points:
@@ -162,7 +145,7 @@ class Discretization:
     def lattice_of(self, fine: int) -> Points:
         """Points in all cells that cut every side into `fine` parts."""
         X = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, fine + 1)] * 2)).reshape(2, -1)
-        return self.points_at(X if self.element.startswith("Q") else X[:, X.sum(axis=0) < 1.0 + 1e-9])
+        return self.points_at(X[:, X.sum(axis=0) < 1.0 + 1e-9])
 
     def points_at(self, X: Array) -> Points:
         """The points of all cells at the places X (2, n) of the reference element, those that cells share once."""
@@ -170,7 +153,7 @@ class Discretization:
 
     def shapes_at(self, X: Array) -> Array:
         """Shape functions (n, n_local) at the places X (2, n) of the reference element."""
-        return reference_shapes(ELEMENTS[self.element][1](), X, self.cell_dofs.shape[1])[0]
+        return reference_shapes(ELEMENTS[self.element][0](), X, self.cell_dofs.shape[1])[0]
 
     def _points_of(self, shape: Array) -> Points:
         """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""
@@ -196,14 +179,10 @@ class Discretization:
         return mean.reshape((self.n_cells, *values.shape[1:]))
 
 
-def _bernstein(X: Array, is_triangle: bool) -> Array:
-    """Quadratic Bernstein polynomials (n, k) at places X (2, n) of the reference triangle or square."""
-    x, y = X
-    if is_triangle:
-        a, b, c = 1.0 - x - y, x, y
-        return np.stack([a * a, b * b, c * c, 2.0 * a * b, 2.0 * b * c, 2.0 * c * a], axis=-1)
-    along, up = (np.stack([(1.0 - s) ** 2, 2.0 * s * (1.0 - s), s * s], axis=-1) for s in (x, y))
-    return np.asarray((along[:, :, None] * up[:, None, :]).reshape(len(x), 9))
+def _bernstein(X: Array) -> Array:
+    """Quadratic Bernstein polynomials (n, 6) at places X (2, n) of the reference triangle."""
+    a, b, c = 1.0 - X[0] - X[1], X[0], X[1]
+    return np.stack([a * a, b * b, c * c, 2.0 * a * b, 2.0 * b * c, 2.0 * c * a], axis=-1)
 
 
 def reference_shapes(element: Any, X: Array, n_local: int) -> tuple[Array, Array]:
@@ -215,29 +194,23 @@ def reference_shapes(element: Any, X: Array, n_local: int) -> tuple[Array, Array
 
 
 def discretize(mesh: Any, element: str, order: int | None = None) -> Discretization:
-    """The arrays of a scikit-fem mesh (`MeshTri`, `MeshQuad`) with an element of `ELEMENTS`.
+    """The arrays of a scikit-fem mesh of triangles (`MeshTri`) with an element of `ELEMENTS`.
 
-    `order` is the polynomial degree integrated exactly in an undistorted cell; None takes the element's own.
-    Raises ValueError for an unknown element, one that does not fit the cells, or a cell without area.
+    `order` is the polynomial degree integrated exactly; None takes the element's own. ValueError for a cell without
+    area.
     """
-    if element not in ELEMENTS:
-        raise ValueError(f"element = {element!r} is not one of {', '.join(ELEMENTS)}")
-    mesh_type, element_type, own_order = ELEMENTS[element]
-    if not isinstance(mesh, mesh_type):
-        raise ValueError(f"element {element} needs a {mesh_type.__name__}, not a {type(mesh).__name__}")
+    element_type, own_order = ELEMENTS[element]
     degree = own_order if order is None else order
     # scikit-fem starts at three points on a triangle; a constant gradient needs one.
-    rule = (np.full((2, 1), 1 / 3), np.array([0.5])) if degree <= 1 and mesh_type is skfem.MeshTri1 else None
+    rule = (np.full((2, 1), 1 / 3), np.array([0.5])) if degree <= 1 else None
     basis = skfem.CellBasis(mesh, element_type(), intorder=degree, quadrature=rule)
     shape_values, shape_gradients = reference_shapes(element_type(), basis.X, basis.element_dofs.shape[0])
     # A transposed copy, because the cell is the fast axis of every product below.
-    inverse = np.ascontiguousarray(np.moveaxis(basis.mapping.invDF(basis.X), -1, 2))
+    inverse = np.ascontiguousarray(np.moveaxis(basis.mapping.invDF(basis.X), -1, 2)[:, :, :1])
     weight = np.ascontiguousarray(basis.dx.T).ravel()
     if not (np.all(np.isfinite(weight)) and np.all(weight > 0.0)):
         bad = int(np.flatnonzero(~(weight > 0.0))[0]) % mesh.nelements
         raise ValueError(f"cell {bad} of the mesh has no area")
-    if mesh_type is skfem.MeshTri1:
-        inverse = np.ascontiguousarray(inverse[:, :, :1])
     return Discretization(
         element=element,
         nodes=np.ascontiguousarray(basis.doflocs.T),

@@ -13,12 +13,10 @@ from rve.common.types import Array
 
 TONNE = 1e-3
 """N s2/mm per kg: with lengths in mm and forces in N."""
-LUMPED = ("P1", "Q1", "CR")
-"""Elements whose lumped masses are positive at all nodes."""
 
 
 def nodal_masses(problem: CurtainProblem) -> Array:
-    """Masses (n_nodes,) of the mesh and of the bars in its edges, N s2/mm; InputError for elements without them."""
+    """Masses (n_nodes,) of the mesh and of the bars in its edges, N s2/mm; InputError for P2."""
     scene, disc, mesh, mass = problem.scene, problem.disc, problem.mesh, mesh_masses(problem)
     for bar in scene.of(Bar):
         shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
@@ -29,7 +27,7 @@ def nodal_masses(problem: CurtainProblem) -> Array:
 def mesh_masses(problem: CurtainProblem) -> Array:
     """Masses (n_nodes,) of the mesh alone, N s2/mm; InputError as for `nodal_masses`."""
     scene, disc = problem.scene, problem.disc
-    if disc.element not in LUMPED:
-        raise InputError(f"{scene.source}: [mesh] element = {disc.element!r}: motion needs one of {', '.join(LUMPED)}")
+    if disc.element != "P1":
+        raise InputError(f"{scene.source}: [mesh] element = {disc.element!r}: motion needs P1")
     per_area = areal_mass(scene, problem.law.cell)[0] * PER_MM2 * TONNE
     return np.asarray(per_area * load_vector(disc, np.array([1.0]))[:, 0])

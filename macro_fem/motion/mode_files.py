@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,16 @@ import numpy as np
 from homogenize import default_law, load_law
 from macro_fem.curtain import solve_scene
 from macro_fem.elastic_forces import forces_by, with_forces
-from macro_fem.fem.cells import as_triangles, counterclockwise, padded
+from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.motion.modes import Modes, find_modes
 from macro_fem.motion.stage import scene_at
-from macro_fem.output.files import VTU_CELLS, corner_positions
+from macro_fem.output.files import corner_positions
 from macro_fem.scene.schema import load_scene
 from rve.common.drawing.scale import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
 from rve.common.files import check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
 from rve.common.texts import json_text
-from rve.common.types import Array
 
 RECORD = "modes.json"
 SHOWN = 0.15
@@ -59,27 +57,17 @@ def write_shapes(folder: Path, modes: Modes, *, picture: bool) -> None:
 
     problem, rest = modes.solution.problem, padded(corner_positions(modes.solution))
     cells = counterclockwise(problem.mesh.mesh.p.T, problem.mesh.mesh.t.T)
-    shapes = [at_corners(modes, shape) for shape in modes.shapes]
+    shapes = [shape[: len(rest)] for shape in modes.shapes]
     names = [f"shape_{k}_{one:.5g}_Hz" for k, one in enumerate(modes.frequencies_Hz, 1)]
-    blocks = [(VTU_CELLS[problem.disc.element], cells)]
-    write_mesh_file(folder / "modes.vtu", meshio.Mesh(rest, blocks, point_data=dict(zip(names, shapes, strict=True))))
+    fields = dict(zip(names, shapes, strict=True))
+    write_mesh_file(folder / "modes.vtu", meshio.Mesh(rest, [("triangle", cells)], point_data=fields))
     if not picture:
         return
     plotter, scale = new_plotter(len(shapes)), Scale("displacement over the largest", 0.0, 1.0, 1.0)
     for panel, shape in enumerate(shapes):
         plotter.subplot(0, panel)
-        drawn = surface(rest + SHOWN * problem.mesh.size * shape, as_triangles(cells)[0])
+        drawn = surface(rest + SHOWN * problem.mesh.size * shape, cells)
         drawn[scale.label] = np.linalg.norm(shape, axis=1)
         add(plotter, f"shape {panel + 1}", drawn, scale)
         look(plotter, THREE_QUARTERS)
     save_picture(folder / "modes.png", plotter, ", ".join(f"{one:.3g}" for one in modes.frequencies_Hz) + " Hz")
-
-
-def at_corners(modes: Modes, shape: Array) -> Array:
-    """The displacements (n_corners, 3) of a shape (n_nodes, 3) at the corners of the mesh."""
-    found, columns = modes.solution, []
-    for component in shape.T:  # each as if it were along x, of which nothing but the mesh knows
-        x = found.x.copy()
-        x[:, 0] += component
-        columns.append((corner_positions(replace(found, x=x)) - corner_positions(found))[:, 0])
-    return np.stack(columns, axis=1)

@@ -145,7 +145,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     A = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)[:, None, :, None, :]
     pattern = sparsity(disc, 1, np.ones(disc.n_nodes, bool))
     lumped, mesh = sparse.diags(nodal_masses(problem)), sparse.diags(mesh_masses(problem))
-    unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][1]()))
+    unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][0]()))
     per_area = mesh_masses(problem).sum() / disc.cell_area.sum()
     return pattern.full(stiffness(disc, pattern, A)), lumped - mesh + per_area * unit, lumped
 

@@ -12,7 +12,7 @@ import numpy as np
 from homogenize import CellInfo
 from macro_fem.drag import wind_summary
 from macro_fem.elastic_forces import forces_by, forces_note
-from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
+from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
 from macro_fem.output.forces import held_length, support_forces, support_table
 from macro_fem.output.weakest import weakest
@@ -37,8 +37,6 @@ from rve.common.types import Array
 
 if TYPE_CHECKING:
     from macro_fem.bounds.adapt import Level
-
-VTU_CELLS = {"P1": "triangle", "CR": "triangle", "P2": "triangle", "Q1": "quad", "Q2": "quad"}
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
@@ -200,15 +198,8 @@ def collection(entries: Sequence[tuple[float, int, str]]) -> str:
 
 
 def corner_positions(solution: CurtainSolution) -> Array:
-    """Deformed corners of the mesh (n_corners, d): nodal values, or for CR the mean over the cells at a corner."""
-    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
-    if disc.element != "CR":
-        return solution.x[: mesh.p.shape[1]]
-    middle = solution.x[disc.cell_dofs].mean(axis=1)
-    X = mesh.p.T[mesh.t.T]
-    F = disc.cell_mean(solution.F)
-    at_corners = middle[:, None] + np.einsum("cij,ckj->cki", F, X - X.mean(axis=1, keepdims=True))
-    return mean_at_corners(mesh.t.T, at_corners)
+    """Deformed corners of the mesh (n_corners, d), the first nodes of every element."""
+    return solution.x[: solution.problem.mesh.mesh.p.shape[1]]
 
 
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
@@ -244,7 +235,7 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
     }
     if solution.problem.walls is not None:
         point_data["obstacle_force_N"] = padded(corner_forces(solution.problem, solution.pushes))
-    cells = [(VTU_CELLS[disc.element], counterclockwise(mesh.p.T, mesh.t.T))]
+    cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
     each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}
     return meshio.Mesh(padded(mesh.p.T), cells, point_data, each)
 
@@ -252,15 +243,11 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
 def corner_forces(problem: CurtainProblem, forces: Array) -> Array:
     """Nodal forces (n_nodes, d) at the corners of the mesh (n_corners, d), with the same sum and moment.
 
-    A force at the middle of a side or cell is shared equally between its corners.
+    A force at the middle of a side is shared equally between its ends.
     """
-    mesh, first = problem.mesh.mesh, 0
-    result = np.zeros((mesh.p.shape[1], forces.shape[1]))
-    corners = np.arange(mesh.p.shape[1])[None]
-    kinds = {"CR": (mesh.facets,), "P2": (corners, mesh.facets), "Q2": (corners, mesh.facets, mesh.t)}
-    for groups in kinds.get(problem.disc.element, (corners,)):  # in the order of the nodes; each (corners, number)
-        own = forces[first : first + groups.shape[1]] / len(groups)
-        for numbers in groups:
-            np.add.at(result, numbers, own)
-        first += groups.shape[1]
+    mesh = problem.mesh.mesh
+    result = forces[: mesh.p.shape[1]].copy()
+    if problem.disc.element == "P2":  # whose further nodes are the middles of facets
+        for ends in mesh.facets:
+            np.add.at(result, ends, 0.5 * forces[mesh.p.shape[1] :])
     return result

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from macro_fem.fem.cells import as_triangles, triangle_areas
+from macro_fem.fem.cells import triangle_areas
 from macro_fem.output.forces import PointForce, point_forces
 from macro_fem.solution import CurtainSolution
 from rve.common.types import Array
@@ -62,7 +62,7 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
 
 def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area: float | None) -> str | None:
     """A sentence where the largest line load depends on the mesh, as it does at points that are held or loaded."""
-    side = float(np.sqrt(triangle_areas(on_triangles(solution, solution.problem.disc.cell_area)[0]).max()))
+    side = float(np.sqrt(solution.problem.disc.cell_area.max()))
     points = [one.at for one in point_forces(solution) if one.rings]
     is_near_one = any(np.linalg.norm(at - peak.at) < NEAR * side for at in points)
     if not is_near_one and (mean is None or peak.value <= LOCAL * mean.value):
@@ -94,7 +94,7 @@ def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
     A mean is at most the largest value of the cells it is taken over.
     """
     mesh, P = solution.problem.mesh.mesh, solution.recovered(solution.problem.disc.cell_mean(solution.P))
-    near, X = Nearby(*on_triangles(solution, P), area), mesh.p.T[np.unique(mesh.t)]
+    near, X = Nearby(mesh.p.T[mesh.t.T], P, area), mesh.p.T[np.unique(mesh.t)]
     return largest_average(near, X, near.bound(X), lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
 
 
@@ -161,13 +161,6 @@ class Nearby:
             if len(cells) == len(self.P) or (len(part) and part[-1] == 0.0 and reach <= radius):
                 return cells[cell[order]], part, reach
             radius *= 1.4
-
-
-def on_triangles(solution: CurtainSolution, values: Array) -> tuple[Array, Array]:
-    """Corners (n, 3, 2) of triangles, two for a quadrilateral, and the `values` (n_cells, ...) of their cells."""
-    mesh = solution.problem.mesh.mesh
-    triangles, cell = as_triangles(mesh.t.T)
-    return mesh.p.T[triangles], values[cell]
 
 
 def _pieces(corners: Array, side: float) -> tuple[Array, Array, np.ndarray]:

@@ -23,7 +23,6 @@ from rve.common.drawing.space import (
 )
 from rve.common.errors import InputError, require
 from rve.common.files import check_out_file
-from rve.common.types import Array
 
 NO_GIF = "leave out --animation"
 
@@ -69,10 +68,8 @@ class Pictures:
                 raise InputError(f"{option} = {path}: give a name that ends in {ending}")
 
 
-def write_pictures(
-    folder: Path, steps: Sequence[CurtainSolution], wanted: Pictures, error: Array | None = None
-) -> None:
-    """Write the wanted pictures into `folder`; `error`: density of the error of a plane curtain (n_cells,)."""
+def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictures) -> None:
+    """Write the wanted pictures of the load steps into `folder`."""
     last = steps[-1]
     picture = folder / f"{wanted.stem}.png"
     if wanted.html:
@@ -84,7 +81,7 @@ def write_pictures(
             draw_curtain(last, plotter, direction=direction)
         save_picture(picture, plotter, title(last))
     elif wanted.picture:
-        save_figure(picture, plots.panels(last, error))
+        save_figure(picture, plots.panels(last))
     if wanted.animation:
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{title(step)}" for step in steps]
         write_animation(folder / f"{wanted.stem}.gif", list(zip(shares, steps, strict=True)))

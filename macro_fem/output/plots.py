@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from macro_fem.fem.cells import as_triangles
 from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
 from macro_fem.output.space_view import Titled, line_load_scale, title
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.plane import new_axes, new_figure
-from rve.common.drawing.scale import Scale, rounded_up
+from rve.common.drawing.scale import Scale
 from rve.common.errors import InputError
 from rve.common.types import Array
 
@@ -56,24 +55,17 @@ def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def panels(solution: CurtainSolution, error: Array | None = None) -> Figure:
-    """Line loads with directions, the states (slack, drawn in one direction where it would wrinkle, taut in both), and
-    the density (n_cells,) of the gap between the bounds if there is one, over four decades."""
+def panels(solution: CurtainSolution) -> Figure:
+    """Line loads with directions, and the states: slack, drawn in one direction (it would wrinkle), taut in both."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
-    count = 2 if error is None else 3
-    figure = new_figure(5.2 * count, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
-    axes = figure.subplots(1, count)
+    figure = new_figure(10.4, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
+    axes = figure.subplots(1, 2)
     plot_line_loads(solution, axes[0])
     _colour(solution, solution.state(), axes[1], cmap=ListedColormap(STATE_COLOURS), vmin=0.0, vmax=2.0)
     _legend(axes[1], [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)])
-    if error is not None:
-        largest = float(error.max(initial=0.0))
-        top = rounded_up(largest)
-        scale = Scale("gap between the bounds, N mm per mm2", 1e-4 * top, top, largest, "log")
-        _plot_field(solution, error, scale, axes[2]).set_title("where the bounds differ", fontsize=11)
     return figure
 
 
@@ -116,8 +108,7 @@ def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) ->
     from matplotlib.collections import LineCollection
 
     mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, corner_positions(solution)[:, :2]
-    triangles, cell = as_triangles(mesh.t.T)
-    ax.tripcolor(corners[:, 0], corners[:, 1], triangles, facecolors=values[cell], **style)
+    ax.tripcolor(corners[:, 0], corners[:, 1], mesh.t.T, facecolors=values, **style)
     outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
     dashes: Any = (0, (4, 3))
     ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=dashes, label="before deformation"))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from macro_fem.fem.cells import as_triangles, counterclockwise, mean_at_corners, padded
+from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
 from macro_fem.scene.support_kinds import Hooks
@@ -120,7 +120,7 @@ def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     mesh = solution.problem.mesh.mesh
     cells, values = counterclockwise(mesh.p.T, mesh.t.T), solution.principal()[0][:, 0]
     each = np.repeat(values[:, None], cells.shape[1], axis=1)
-    shown = surface(padded(corner_positions(solution)), as_triangles(cells)[0])
+    shown = surface(padded(corner_positions(solution)), cells)
     shown[scale.label] = mean_at_corners(cells, each, solution.problem.disc.cell_area)
     return shown
 

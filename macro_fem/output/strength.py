@@ -35,7 +35,7 @@ import numpy as np
 from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
 from macro_fem.output.forces import PointForce, point_forces
-from macro_fem.output.line_load import FINE, Extreme, Nearby, largest_average, on_triangles
+from macro_fem.output.line_load import FINE, Extreme, Nearby, largest_average
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
@@ -143,10 +143,10 @@ def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -
     """Extreme utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
     yield and at collapse."""
     own = _loads(solution)
-    corners, S = on_triangles(solution, solution.problem.law.in_weave(own))
+    mesh, S = solution.problem.mesh.mesh, solution.problem.law.in_weave(own)
     low, high = eigenvalues(S)
-    near = Nearby(corners, S, cell.b_x_mm * cell.b_y_mm, np.maximum(low, 0.0) + np.maximum(high, 0.0))
-    mesh = solution.problem.mesh.mesh
+    tensile = np.maximum(low, 0.0) + np.maximum(high, 0.0)
+    near = Nearby(mesh.p.T[mesh.t.T], S, cell.b_x_mm * cell.b_y_mm, tensile)
     X = mesh.p.T[np.unique(mesh.t)]
     # The tensile trace is convex, so that of an average is at most the largest; times the largest strength it bounds
     # the utilisation, whose values are weighted means of those strengths.

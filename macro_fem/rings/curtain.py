@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import as_triangles, padded, recovered, triangle_areas
+from macro_fem.fem.cells import padded, recovered, triangle_areas
 from rve import Cell, cell_of_sides
 from rve.common.errors import InputError
 from rve.common.files import check_belongs
@@ -75,15 +75,13 @@ class Curtain:
     """A solved curtain in its own axes, with what its summary tells; source: where it comes from.
 
     X (p, 2), x (p, d): corners before and after, mm, d = 2 in the plane and 3 in space; triangles (t, 3) of corner
-    numbers; cell (t,): cell of each triangle (quadrilaterals are cut in two); per cell the strain E (c, 3), the line
-    load S (c, 3) in N/mm averaged over neighbours, the largest principal line load (c,) and the state (c,): 0 slack,
-    1 drawn in one direction, 2 taut.
+    numbers; per triangle the strain E (t, 3), the line load S (t, 3) in N/mm averaged over neighbours, the largest
+    principal line load (t,) and the state (t,): 0 slack, 1 drawn in one direction, 2 taut.
     """
 
     X: Array
     x: Array
     triangles: NDArray[np.intp]
-    cell: NDArray[np.intp]
     E: Array
     S: Array
     line_load: Array
@@ -104,23 +102,21 @@ def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:
     InputError in one sentence, which begins with `source`, for a mesh that is no such curtain.
     """
     kinds = [block.type for block in mesh.cells]
-    if kinds not in (["triangle"], ["quad"]):
-        raise InputError(f"{source}: needs cells of one kind, triangle or quad, it has {kinds}")
-    cells = np.asarray(mesh.cells[0].data, dtype=np.intp)
+    if kinds != ["triangle"]:
+        raise InputError(f"{source}: needs triangles alone, it has {kinds}")
+    triangles = np.asarray(mesh.cells[0].data, dtype=np.intp)
     found = {name: values[0] for name, values in mesh.cell_data.items()}
     widths = {STRAIN: 3, STRESS: 3, LINE_LOAD_1: 1, STATE: 1}
-    E, S, line_load, state = (_field(source, found, name, (len(cells), width)) for name, width in widths.items())
+    E, S, line_load, state = (_field(source, found, name, (len(triangles), width)) for name, width in widths.items())
     X = _field(source, {"points": mesh.points}, "points", mesh.points.shape)
     x = X + _field(source, mesh.point_data, DISPLACEMENT, X.shape)
     if not _is_plane(X):
         raise InputError(f"{source}: its reference state is not plane, z reaches {np.abs(X[:, 2]).max():g} mm")
     X, x = X[:, :2], x[:, :2] if _is_plane(x) else x
-    triangles, cell = as_triangles(cells)
     area = triangle_areas(X[triangles])
     if not area.min() > 1e-12 * area.max():
-        raise InputError(f"{source}: cell {cell[int(np.argmin(area))]} has no area in the reference state")
-    S = recovered(cells, S, np.asarray(np.bincount(cell, weights=area, minlength=len(cells)), dtype=float))
-    return Curtain(X, x, triangles, cell, E, S, line_load, state.astype(int), told, source)
+        raise InputError(f"{source}: cell {int(np.argmin(area))} has no area in the reference state")
+    return Curtain(X, x, triangles, E, recovered(triangles, S, area), line_load, state.astype(int), told, source)
 
 
 def curtain_file(path: str | Path) -> Path:

@@ -100,7 +100,7 @@ class RingField:
         cell, curtain, states, fit, worst = self.cell, self.curtain, self.states, self.fit, self.worst
         told, forces, status, gap = curtain.told, worst.forces, self.status, self.data["drawn_gap_mm"]
         names, counts = np.unique(states.status, return_counts=True)
-        reference = curtain.X[curtain.triangles[curtain.cell == worst.number][0]].mean(axis=0)
+        reference = curtain.X[curtain.triangles[worst.number]].mean(axis=0)
         return {
             "curtain": curtain.source,
             "curtain_status": told.status,
@@ -158,8 +158,8 @@ class RingField:
         return {
             "ring": np.arange(len(row)),
             "class_i_j": sites.index,
-            "macro_cell": sites.cell,
-            "state_0_slack_1_wrinkled_2_taut": self.curtain.state[sites.cell],
+            "macro_cell": sites.triangle,
+            "state_0_slack_1_wrinkled_2_taut": self.curtain.state[sites.triangle],
             f"pose_{'_'.join(f'{i}_{name}' for i, name in enumerate(names))}": code[row],
             "strain_short": states.short[row],
             "strain_fold": states.fold[row],

@@ -95,7 +95,7 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
         states = nearest_poses(in_weave(curtain.E[cells], axes), cell, how, locked)
         return states, cauchy_of(in_weave(curtain.S[cells], axes), states.E)
 
-    used, row = np.unique(sites.cell, return_inverse=True)
+    used, row = np.unique(sites.triangle, return_inverse=True)
     states, loads = solved(used)
     tell(f"{len(sites.X)} rings in their places")
     rings = place_rings(curtain, sites, states, row, cell, axes)
@@ -103,7 +103,7 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     force = largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
     number = int(np.argmax(curtain.line_load))
     pose, load = solved(np.array([number]))
-    turn = turns(curtain, np.flatnonzero(curtain.cell == number)[:1], pose.E, axes)[0]
+    turn = turns(curtain, np.array([number]), pose.E, axes)[0]
     worst = WorstCell(number, str(pose.status[0]), cell_forces(load[0], cell, how.direct), turn)
     fit = fit_rings(sites.index, rings.centre, rings.normal, cell)
     return RingField(curtain, cell, rings, states, row, fit, force, worst, round(time.perf_counter() - began, 3))

@@ -30,12 +30,11 @@ NARROW = 1e-3
 
 @dataclass(frozen=True)
 class Sites(Records):
-    """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,), cell (n,) around them."""
+    """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,) around them."""
 
     index: Index
     X: Array
     triangle: Index
-    cell: Index
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def find_sites(
     for ring, share in enumerate(reference_shares(cell)):
         triangle, ij = _inside(corners - share)
         index, X = np.column_stack([np.full(len(ij), ring), ij]), ((ij + share) * step) @ axes.T + middle
-        parts.append(Sites(index, X, triangle, curtain.cell[triangle]))
+        parts.append(Sites(index, X, triangle))
     sites = parts[0].join(parts[1:])
     if window is None:
         return sites

@@ -51,8 +51,6 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     changes = any(any(getattr(item, "move", ())) or getattr(item, "grows", False) for item in scene.items)
     if steps > 1 and not changes:
         yield f"[load] steps = {steps}: has no effect without live loads and moves"
-    if scene.mesh.element in ("Q1", "Q2") and (not isinstance(shape, Rectangle | MeshFile) or shape.holes):
-        yield f"[mesh] element = {scene.mesh.element!r}: needs a rectangle without holes or a mesh file"
     if scene.solver.is_bounded:
         check_bounds(scene, "[solver] bounds and adapt:")
 

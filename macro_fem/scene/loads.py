@@ -62,7 +62,7 @@ def nodal_forces(
         shares = edge_shares(mesh, disc, edge.edge, f"{scene.source}: [load.edge] edge")
         live += shares[:, None] * components(edge.force, scene)
     for point in scene.of(PointLoad):
-        live[point_node(point.at, disc, f"{scene.source}: [load.point]")] += components(point.force, scene)
+        live[point_node(point.at, disc)] += components(point.force, scene)
     for patch in scene.of(PatchLoad):
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.of(Wind):
@@ -79,7 +79,7 @@ def components(v: Vector, scene: Scene) -> Array:
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
     """Integral of every shape function over a named edge (n_nodes,), mm."""
     facets = mesh.edge(name, where)
-    basis = skfem.FacetBasis(mesh.mesh, ELEMENTS[disc.element][1](), facets=facets, intorder=2)
+    basis = skfem.FacetBasis(mesh.mesh, ELEMENTS[disc.element][0](), facets=facets, intorder=2)
     return skfem.LinearForm(lambda v, w: v).assemble(basis)
 
 

@@ -103,5 +103,5 @@ class Mesh(Typed):
     """`cells` along the width. `pattern`: "aligned" has edges along both diagonal families of the weave."""
 
     cells: Annotated[int, Meta(ge=1, le=20_000)] = 32
-    element: Literal["P1", "P2", "CR", "Q1", "Q2"] = "P1"
+    element: Literal["P1", "P2"] = "P1"
     pattern: Literal["aligned", "crossed", "diagonal"] = "aligned"

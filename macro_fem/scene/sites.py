@@ -103,9 +103,7 @@ class Site:
         return edge_nodes(self.mesh, self.disc, name, where), self.mesh.edge(name, where)
 
     def hooks(self) -> np.ndarray:
-        """The nodes (k,) at hooks: corners of the mesh are the first nodes of every element but CR."""
-        if self.disc.element == "CR":
-            raise InputError(f"{self.where}: element 'CR' has no nodes at hooks, use 'P1'")
+        """The nodes (k,) at hooks: corners of the mesh are the first nodes of every element."""
         self.mesh.edge("top", f"{self.where} needs edge")
         return self.mesh.hooks[self.number].nodes
 
@@ -140,16 +138,14 @@ def held_axes(held: str, d: int) -> tuple[bool, ...]:
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
     """Node numbers on the named edge, ordered along it for straight ones; InputError if there is no such edge."""
     facets = mesh.edge(name, where)
-    nodes = facets if disc.element == "CR" else np.unique(mesh.mesh.facets[:, facets])
-    if disc.element in ("P2", "Q2"):  # corners come first, then the middles of facets
+    nodes = np.unique(mesh.mesh.facets[:, facets])
+    if disc.element == "P2":  # corners come first, then the middles of facets
         nodes = np.concatenate([nodes, mesh.mesh.p.shape[1] + facets])
     return nodes[np.lexsort((disc.nodes[nodes, 1], disc.nodes[nodes, 0]))]
 
 
-def point_node(at: tuple[float, float], disc: Discretization, where: str) -> np.ndarray:
-    """The number (1,) of the node at a point; InputError for an element without any."""
-    if disc.element == "CR":
-        raise InputError(f"{where} at = {list(at)}: element 'CR' has no nodes at points, use 'P1'")
+def point_node(at: tuple[float, float], disc: Discretization) -> np.ndarray:
+    """The number (1,) of the node at a point."""
     return np.array([np.argmin(np.linalg.norm(disc.nodes - np.array(at), axis=1))])
 
 

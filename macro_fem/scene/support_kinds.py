@@ -24,7 +24,6 @@ from macro_fem.scene.tables import (
     in_3d,
     leaves_plane,
 )
-from rve.common.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,6 @@ class Corners(Support, kind="corners"):
 
     def hold(self, site: Site, factor: float) -> Held:
         """The first and the last node of the top edge."""
-        if site.disc.element == "CR":
-            raise InputError(f"{site.where}: element 'CR' has no nodes at corners, use 'P1'")
         nodes = site.edge("top")[0][[0, -1]]
         return site.held("corners", nodes, site.gathered(nodes, self.gather), factor)
 
@@ -175,6 +172,6 @@ class Point(Support, kind="point"):
 
     def hold(self, site: Site, factor: float) -> Held:
         """The node at the place."""
-        nodes = point_node(self.at, site.disc, site.where)
+        nodes = point_node(self.at, site.disc)
         name = f"point ({self.at[0]:g}, {self.at[1]:g})"
         return site.held(name, nodes, site.disc.nodes[nodes], factor, self.held)

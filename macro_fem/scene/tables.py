@@ -199,17 +199,16 @@ class Bar(LiveLoad, kind="bar"):
 class Wind(LiveLoad, kind="wind"):
     """A load of `pressure` N/m2 of reference area along `direction`, whose length does not matter.
 
-    Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default) and `drag_coefficient` of one
-    flat layer (by default that of the law's rings, see `macro_fem.scene.wind`); its drag is that of the layers on the
-    present front. With `follows` a pressure is per present area, normal to the present surface, on the side where it
-    first blows, and that of a speed is from the component of the speed along the normal.
+    Instead of the pressure: `speed` in m/s, with `air_density` in kg/m3 (1.25 by default); its drag is that of the
+    layers of the law's rings on the present front (`macro_fem.scene.wind`). With `follows` a pressure is per present
+    area, normal to the present surface, on the side where it first blows, and that of a speed is from the component of
+    the speed along the normal.
     """
 
     direction: Way
     pressure: Annotated[float, Meta(ge=-1e9, le=1e9)] | None = None
     speed: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
     air_density: Annotated[float, Meta(gt=0.0, le=1e4)] | None = None
-    drag_coefficient: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
     follows: bool = False
 
     def check(self) -> None:
@@ -218,7 +217,7 @@ class Wind(LiveLoad, kind="wind"):
             self.refuse(f"direction = {list(self.direction)}: has no direction: one component must not be 0")
         if self.pressure is None and self.speed is None:
             self.refuse("pressure: is missing; give it in N/m2, or speed in m/s")
-        for key in ("speed", "air_density", "drag_coefficient") if self.pressure is not None else ():
+        for key in ("speed", "air_density") if self.pressure is not None else ():
             if getattr(self, key) is not None:
                 self.refuse(f"{key} = {getattr(self, key):g}: is not used together with pressure")
 

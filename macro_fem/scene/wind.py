@@ -9,8 +9,8 @@ the speed u of the air in the plane of the plate over that of the wind, both of
     C_D = 4/3 (1 - u)(2 + u)/(2 - u),        C_D = k u^2 - 4/3 (1 - u)^3/(2 - u)^2
 
 hold. It is 4/3 of a solid plate, and was compared with measurements down to beta = 0.23; k is that of sharp-edged
-holes, which round wires stay below. Where the mesh closes an opening, the air cannot flow around it: give
-`drag_coefficient`.
+holes, which round wires stay below. Where the mesh closes an opening, the air cannot flow around it: give its
+pressure.
 
 Layers behind each other shade each other: n layers of solidity s are one screen of solidity 1 - (1 - s)^n on the front
 that they share. `macro_fem.drag` counts them on the present shape.
@@ -48,23 +48,13 @@ def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:
     if wind.speed is None:
         assert wind.pressure is not None
         return 1e-6 * wind.pressure
-    return dynamic_pressure(wind) * float(layered_drag(wind, cell, np.ones(1))[0])
-
-
-def layer_solidity(wind: Wind, cell: CellInfo | None) -> float:
-    """Solidity of one layer: that of the rings, or that whose drag is the given one, 1 from that of a plate on."""
-    if wind.drag_coefficient is not None:
-        return solidity_of_drag(wind.drag_coefficient)
-    assert cell is not None  # see `check_drag`
-    return ring_solidity(cell)
+    return dynamic_pressure(wind) * float(layered_drag(cell, np.ones(1))[0])
 
 
 def check_drag(wind: Wind, cell: CellInfo | None, where: str) -> None:
     """InputError, which begins with `where`, if the law has no rings to tell the drag of a speed."""
-    if wind.speed is not None and wind.drag_coefficient is None and cell is None:
-        raise InputError(
-            f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give drag_coefficient"
-        )
+    if wind.speed is not None and cell is None:
+        raise InputError(f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure")
 
 
 def layered_solidity(solidity: float, layers: Array) -> Array:
@@ -72,13 +62,10 @@ def layered_solidity(solidity: float, layers: Array) -> Array:
     return np.asarray(1.0 - (1.0 - solidity) ** layers)
 
 
-def layered_drag(wind: Wind, cell: CellInfo | None, layers: Array) -> Array:
-    """C_D (k,) per area of a front of `layers` (k,).
-
-    A given `drag_coefficient` above that of a plate, say of an opening that the mesh closes, holds for any layers.
-    """
-    most = max(SOLID, wind.drag_coefficient or 0.0) / SOLID
-    return most * drag_coefficient(layered_solidity(layer_solidity(wind, cell), layers))
+def layered_drag(cell: CellInfo | None, layers: Array) -> Array:
+    """C_D (k,) per area of a front of `layers` (k,) of the rings of a law."""
+    assert cell is not None  # see `check_drag`
+    return drag_coefficient(layered_solidity(ring_solidity(cell), layers))
 
 
 @lru_cache(maxsize=8)
@@ -101,17 +88,3 @@ def drag_coefficient(solidity: Array | float) -> Array:
         is_left = open_2 * SOLID * (1.0 - u) * (5.0 - 2.0 * u) > (1.0 - open_2) * (u * (2.0 - u)) ** 2
         low, high = np.where(is_left, u, low), np.where(is_left, high, u)
     return np.where(open_2 < 1.0, SOLID * (1.0 - u) * (2.0 + u) / (2.0 - u), 0.0)
-
-
-def solidity_of_drag(drag: float) -> float:
-    """The solidity of a free-standing screen with this C_D, 1 from 4/3 on.
-
-    >>> round(solidity_of_drag(float(drag_coefficient(0.36))), 12)
-    0.36
-    """
-    if drag >= SOLID:
-        return 1.0
-    b = 0.5 * (1.0 - drag / SOLID)
-    u = np.sqrt(b * b + 4.0 * b) - b
-    resistance = SOLID * (1.0 - u) * (5.0 - 2.0 * u) / (u * (2.0 - u)) ** 2
-    return float(1.0 - 1.0 / np.sqrt(1.0 + resistance))

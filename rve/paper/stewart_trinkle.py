@@ -13,7 +13,6 @@ Options, units and matrices are in `rve.paper.dynamics`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -236,12 +235,11 @@ def solve(
     options: StewartTrinkleOptions | None = None,
     *,
     history: bool = False,
-    watch: Callable[[CellMotion], None] = lambda motion: None,
 ) -> Settled:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
 
     Starts at rest from the slack pose of the weave. Nothing is raised for a case that does not converge; its status is
-    "step-limit" or "time-step" and its pose the last one. `watch` is given the start and the motion after every step.
+    "step-limit" or "time-step" and its pose the last one.
 
     >>> from rve.geometry.kinematics import cauchy_line_load
     >>> from rve.geometry.weave import FOUR_IN_ONE
@@ -253,13 +251,11 @@ def solve(
     dynamics, motion = Dynamics.of(equations, options), begin(s, equations, options)
     ended: list[CellMotion] = []
     log: list[tuple[Any, ...]] = []
-    watch(motion)
     while len(motion.row):
         # The residual falls by powers of ten on the way to rest, and the slowest case counts.
         here = way(1.0, float(motion.R.max()), options.tolerance) or 0.0
         tell(f"motion of {len(s)} cells, {len(motion.row)} under way", 1.0 - (1.0 - here) * len(motion.row) / len(s))
         motion, h, rise = advanced(motion, equations, options, dynamics)
-        watch(motion)
         if history:
             kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
             side = (motion.lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))

@@ -1,4 +1,4 @@
-"""Pictures of the study: Figs. 9 to 17 of the paper for our implementation."""
+"""Pictures of the study: Figs. 10 to 13 and 15 to 17 of the paper for our implementation."""
 
 from __future__ import annotations
 
@@ -19,31 +19,6 @@ if TYPE_CHECKING:
 
 NAMES = ("E11", "E12", "E22")
 COLOURS = (BLUE, VERMILION, GREEN)
-
-
-def load_cases(study: Study) -> Figure:
-    """Fig. 9: angles of the cases, and their line loads in space."""
-    fig = new_figure(9.5, 4.5)
-    plane, space = fig.add_subplot(1, 2, 1), fig.add_subplot(1, 2, 2, projection="3d")
-    plane.plot(study.table.beta_deg, study.table.alpha_deg, "o", ms=4, color=BLUE)
-    plane.set(xlabel="ratio angle beta, degrees", ylabel="principal angle alpha, degrees")
-    _draw_loads(space, study)
-    fig.suptitle(f"{len(study.s)} load cases")
-    return fig
-
-
-def _draw_loads(ax: Any, study: Study) -> None:
-    marks = ax.scatter(*study.s.T, c=study.table.beta_deg, cmap=viridis(), s=14, depthshade=False)
-    _name_axes(ax, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat"))
-    ax.figure.colorbar(marks, ax=ax, shrink=0.6, pad=0.12, label="beta, degrees")
-
-
-def _name_axes(ax: Any, names: tuple[str, str, str]) -> None:
-    """Names of axes in space that do not run into their numbers."""
-    ax.set(**dict(zip(("xlabel", "ylabel", "zlabel"), names, strict=True)))
-    ax.set_box_aspect(None, zoom=0.82)
-    ax.locator_params(nbins=5)
-    ax.xaxis.labelpad = ax.yaxis.labelpad = ax.zaxis.labelpad = 8.0
 
 
 def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Any:
@@ -68,22 +43,6 @@ def strains(study: Study) -> Figure:
     axes[-1].legend(title="alpha,\ndegrees", fontsize=10, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     told = "lines: direct solver; circles: paper's scheme; crosses: strain not unique (limit from inside)"
     fig.suptitle(told, fontsize=11)
-    return fig
-
-
-def surface(study: Study) -> Figure:
-    """Fig. 14: line loads, and the convex surface of locked strains."""
-    fig, E = new_figure(10.5, 5.0), study.table.E
-    left, right = (fig.add_subplot(1, 2, k, projection="3d") for k in (1, 2))
-    _draw_loads(left, study)
-    alphas, betas = np.unique(study.table.alpha_deg), np.unique(study.table.beta_deg)
-    if len(E) == len(alphas) * len(betas) and len(alphas) > 1 and len(betas) > 1:
-        sheet = E.reshape(len(alphas), len(betas), 3)
-        for sign in (1.0, -1.0):  # the weave is symmetric: alpha -> -alpha mirrors the shear
-            right.plot_surface(sheet[..., 0], sign * sheet[..., 1], sheet[..., 2], color=BLUE, alpha=0.35, lw=0.3)
-    right.scatter(*study.E.T, c=study.table.beta_deg, cmap=viridis(), s=10, depthshade=False)
-    _name_axes(right, NAMES)
-    fig.suptitle("line loads and locked strains; the mirrored half (-alpha) is drawn as a surface only", fontsize=11)
     return fig
 
 
@@ -140,12 +99,10 @@ def progress_of_two(study: Study) -> Figure | None:
 def draw_all(study: Study, folder: Path) -> None:
     """Draw every picture of the study into a folder."""
     pictures: dict[str, Callable[[], Figure | None]] = {
-        "fig_09": lambda: load_cases(study),
         "fig_10": lambda: locked_cell(study, 0.0, 90.0),
         "fig_11": lambda: locked_cell(study, 0.0, 0.0),
         "fig_12": lambda: locked_cell(study, 45.0, 0.0),
         "fig_13": lambda: strains(study),
-        "fig_14": lambda: surface(study),
         "fig_15": lambda: steps(study),
         "fig_16": lambda: clock(study),
         "fig_17": lambda: progress_of_two(study),

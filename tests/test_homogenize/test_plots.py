@@ -21,11 +21,11 @@ def test_rows_lie_on_the_drawn_surface():
 
 
 def test_pictures_are_written(tmp_path):
-    words = ["plot", str(DEFAULT_LAW), "--table", str(TABLE), "--out", str(tmp_path / "out"), "--html"]
+    words = ["plot", str(DEFAULT_LAW), "--table", str(TABLE), "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(main, words)
     assert run.exit_code == 0, run.output
     files = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert files == ["errors.png", "law.html", "pictures.json", "sections.png", "strains.png", "surface.png"]
+    assert files == ["errors.png", "pictures.json", "sections.png", "strains.png", "surface.png"]
     pictures = [name for name in files if name.endswith(".png")]
     assert all((tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
     law = tmp_path / "out" / "surface.png"  # a law of this name is not overwritten by the picture

@@ -10,10 +10,9 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 
 
-def mesh_of(element, width, height, nx, ny):
-    """A mesh of nx by ny cells of a rectangle, of quadrilaterals or triangles as the element needs."""
-    mesh_type = skfem.MeshQuad if element[0] == "Q" else skfem.MeshTri
-    return mesh_type.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))
+def mesh_of(width, height, nx, ny):
+    """A mesh of nx by ny rectangles, each cut in two."""
+    return skfem.MeshTri.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))
 
 
 def least_angle(p, t):

@@ -174,7 +174,7 @@ def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
     support = {"kind": "hooks", "pitch": 11.0}
     scene = scene_of(ROUND, tmp_path, {"hem": near(0, 0, 100, 0)}, support, HOLES[:1])
     mesh = build_mesh(scene, None)
-    finer = refine(mesh, np.arange(0, mesh.mesh.t.shape[1], 3), scene)
+    finer = refine(mesh, np.arange(0, mesh.mesh.t.shape[1], 3))
     assert finer.mesh.t.shape[1] > 1.3 * mesh.mesh.t.shape[1]
     assert lengths(finer) == pytest.approx(lengths(mesh))
     places = mesh.mesh.p[:, mesh.hooks[0].nodes]

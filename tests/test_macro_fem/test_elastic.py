@@ -38,9 +38,7 @@ def hanging_strip(locked, stiffness, height, per_mm2):
 
 
 @pytest.mark.parametrize(("hang", "kind"), [("y", "top"), ("y", "rail"), ("x", "rail")])
-@pytest.mark.parametrize(
-    ("element", "order", "stiffness"), [("P1", 2, 1.0), ("P2", 4, 1.0), ("Q2", 4, 1.0), ("P1", 2, 1e3)]
-)
+@pytest.mark.parametrize(("element", "order", "stiffness"), [("P1", 2, 1.0), ("P2", 4, 1.0), ("P1", 2, 1e3)])
 def test_hanging_strips_have_their_closed_form(scene_tables, hang, kind, element, order, stiffness):
     """Stretch = locked + compliance times load. The potential comes from above, at twice the element's order."""
     law = rings(stiffness)
@@ -170,7 +168,7 @@ def test_the_dual_stress_is_that_of_the_law(scene_tables, stiffness):
 
 
 @pytest.mark.parametrize("S", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.0, 0.5], [0.6, 0.3, 0.4], [0.9, -0.25, 0.1]])
-@pytest.mark.parametrize("element", ["P1", "P2", "Q2"])
+@pytest.mark.parametrize("element", ["P1", "P2"])
 def test_patch_in_every_locked_state_of_the_rings(S, element):
     """An edge moved to E* + D S all around: the whole sheet stores what one point does."""
     law = rings(10.0)
@@ -184,7 +182,7 @@ def test_patch_in_every_locked_state_of_the_rings(S, element):
     C = np.array([[1.0 + 2.0 * E[0], 2.0 * E[1]], [2.0 * E[1], 1.0 + 2.0 * E[2]]])
     values, vectors = np.linalg.eigh(C)
     F = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    disc = discretize(mesh_of(element, 1.0, 1.0, 3, 3), element)
+    disc = discretize(mesh_of(1.0, 1.0, 3, 3), element)
     edge = np.any((disc.nodes == 0.0) | (disc.nodes == 1.0), axis=1)
     u = disc.nodes @ (F - np.eye(2)).T
     fixed = np.repeat(edge[:, None], 2, axis=1)

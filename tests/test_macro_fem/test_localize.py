@@ -120,7 +120,7 @@ def sheet(F, E, S, turn, count=2):
     triangles = np.concatenate([np.stack([a, a + 1, a + count + 2], 1), np.stack([a, a + count + 2, a + count + 1], 1)])
     n = len(triangles)
     rest = np.tile(E, (n, 1)), np.tile(S, (n, 1)), np.ones(n), np.full(n, 2, dtype=int)
-    return Curtain(X @ turn.T, X @ F.T @ turn.T, triangles, np.arange(n), *rest)
+    return Curtain(X @ turn.T, X @ F.T @ turn.T, triangles, *rest)
 
 
 @pytest.mark.parametrize("hang", [0.0, 90.0, 33.0])
@@ -195,12 +195,12 @@ def test_a_plane_curtain_turned_in_space_has_the_turned_rings(states, table, gra
     Q = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     Q *= np.linalg.det(Q)
     turned = replace(flat, x=flat.x_in_space @ Q.T + [3.0, 50.0, -70.0])
-    rings = place_rings(flat, sites, found, sites.cell, cell, axes)
-    moved = place_rings(turned, sites, found, sites.cell, cell, axes)
+    rings = place_rings(flat, sites, found, sites.triangle, cell, axes)
+    moved = place_rings(turned, sites, found, sites.triangle, cell, axes)
     np.testing.assert_allclose(moved.centre, rings.centre @ Q.T + [3.0, 50.0, -70.0], atol=1e-10)
     np.testing.assert_allclose(moved.normal, rings.normal @ Q.T, atol=1e-12)
-    here = turns(flat, sites.triangle, found.E[sites.cell], axes)
-    np.testing.assert_allclose(turns(turned, sites.triangle, found.E[sites.cell], axes), Q @ here, atol=1e-12)
+    here = turns(flat, sites.triangle, found.E[sites.triangle], axes)
+    np.testing.assert_allclose(turns(turned, sites.triangle, found.E[sites.triangle], axes), Q @ here, atol=1e-12)
     np.testing.assert_allclose(fit_of(moved, cell).gap_mm, fit_of(rings, cell).gap_mm, atol=1e-9)
 
 
@@ -230,7 +230,7 @@ def test_a_cell_drawn_to_a_line_takes_the_normal_of_its_neighbours():
     triangles = np.array([[0, 2, 1], [2, 3, 1], [2, 4, 3], [4, 5, 3], [4, 6, 5], [6, 7, 5]])
     x = np.column_stack([np.minimum(X[:, 0], 5.0), X[:, 1], -np.maximum(X[:, 0] - 6.0, 0.0)])
     n = len(triangles)
-    curtain = Curtain(X, x, triangles, np.arange(n), np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.ones(n, int))
+    curtain = Curtain(X, x, triangles, np.zeros((n, 3)), np.zeros((n, 3)), np.ones(n), np.ones(n, int))
     normal = turns(curtain, np.arange(n), np.zeros((n, 3)), np.eye(2))[:, :, 2]
     np.testing.assert_allclose(normal[:2], [[0.0, 0.0, 1.0]] * 2, atol=1e-12)
     np.testing.assert_allclose(normal[4:], [[1.0, 0.0, 0.0]] * 2, atol=1e-12)

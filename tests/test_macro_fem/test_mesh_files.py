@@ -14,8 +14,8 @@ from tests.squares import MSH, mesh_of, write_square
 def test_every_offered_format_gives_the_same_square(name, kind, how, tmp_path):
     write_square(tmp_path / name, kind, **how)
     mesh = mesh_of(tmp_path).mesh
-    assert (mesh.p.shape[1], mesh.p.max()) == (16, 3.0)
-    assert mesh.t.shape[1] == (9 if kind == "quad" else 18)
+    assert (mesh.p.shape[1], mesh.p.max()) == (16 if kind == "triangle" else 25, 3.0)
+    assert mesh.t.shape[1] == (18 if kind == "triangle" else 36)  # quadrilaterals are cut in four
 
 
 def test_lines_keep_their_physical_group(tmp_path):

@@ -113,11 +113,10 @@ def test_bounds_of_the_potential_contain_that_of_the_sheet_on_the_floor(fitted_l
 R, LENGTH = 200.0, 2000.0
 
 
-@pytest.mark.parametrize("element", ["P2", "CR", "Q1", "Q2"])
-def test_no_element_dips_below_a_floor_between_its_nodes(fitted_law, scene_tables, element):
-    """With half-spaces on nodes alone P2 is 1.3 mm below it here, Q2 1.0 mm, and corners of CR 13 mm."""
+def test_quadratic_cells_do_not_dip_below_a_floor_between_their_nodes(fitted_law, scene_tables):
+    """With half-spaces on nodes alone P2 is 1.3 mm below it here."""
     rod = {"kind": "edge", "edge": "top", "along": [[0.0, 100.0, 0.0], [80.0, 125.0, 10.0]]}
-    tables = on_floor(scene_tables, 3, 40.0, support=rod) | {"mesh": {"cells": 3, "element": element}}
+    tables = on_floor(scene_tables, 3, 40.0, support=rod) | {"mesh": {"cells": 3, "element": "P2"}}
     solution = answer(tables, fitted_law)
     assert solution.status == "converged", solution.message
     assert_balanced(solution)
@@ -270,7 +269,7 @@ def test_tangent_half_spaces_touch_the_obstacle_and_leave_it_out(kind):
     assert slope[gap > 1e-3] == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1", "Q2"])
+@pytest.mark.parametrize("element", ["P1", "P2"])
 def test_points_between_nodes_are_where_the_element_puts_them(scene_tables, fitted_law, element):
     """Each place of the mesh once; a straight state is straight there, and nodes are among them."""
     disc = posed(scene_tables(mesh={"cells": 2, "element": element}), fitted_law).disc
@@ -278,8 +277,7 @@ def test_points_between_nodes_are_where_the_element_puts_them(scene_tables, fitt
         X = points.places(disc.nodes)
         x = points.places(disc.nodes @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0])
         assert x == pytest.approx(X @ [[1.0, 0.5], [0.0, 2.0]] + [3.0, 4.0], abs=1e-9)
-        if element != "CR":  # whose cells part at their corners
-            assert len(np.unique(np.rint(1e6 * X), axis=0)) == len(X)
+        assert len(np.unique(np.rint(1e6 * X), axis=0)) == len(X)
     to_node = np.linalg.norm(disc.meeting.places(disc.nodes)[:, None] - disc.nodes, axis=-1).min(axis=0)
     assert to_node.max() < 1e-9
 

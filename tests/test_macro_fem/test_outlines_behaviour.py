@@ -1,16 +1,9 @@
-"""Which outlines are meshed, with which area, and where corners of a deformed curtain are."""
-
-from dataclasses import replace
+"""Which outlines are meshed, with which area."""
 
 import numpy as np
 import pytest
 
-from macro_fem.curtain import solve_scene
-from macro_fem.output.files import corner_positions
-from macro_fem.problem import make_problem
-from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
-from macro_fem.scene.schema import read_scene
 
 
 def area(points, triangles):
@@ -53,14 +46,3 @@ def test_every_second_corner_of_the_same_outlines_makes_sides_that_cross(seed):
     outline = star(np.random.default_rng(seed).uniform(50.0, 100.0, 11))
     with pytest.raises(ValueError, match="crosses itself"):
         mesh_outline(outline[2 * np.arange(11) % 11], [], 40, 1.15, 0.3)
-
-
-@pytest.mark.parametrize("element", ["P1", "P2", "CR", "Q1"])
-def test_corners_of_an_affine_curtain_are_where_the_map_puts_them(ring_like, scene_tables, element):
-    """CR elements have no nodes at corners: theirs are extrapolated from the cells around, which is exact here."""
-    scene = read_scene(scene_tables(mesh={"cells": 3, "element": element}, width=70.0))
-    mesh = build_mesh(scene, ring_like.cell)
-    problem = make_problem(scene, ring_like, mesh)
-    A, b = np.array([[0.9, 0.2], [-0.3, 1.1]]), np.array([5.0, -7.0])
-    solution = replace(solve_scene(scene, ring_like), x=problem.disc.nodes @ A.T + b)
-    assert corner_positions(solution) == pytest.approx(mesh.mesh.p.T @ A.T + b, abs=1e-10)

@@ -54,9 +54,7 @@ def hang(rng):
 
 
 def mesh(shape, rng):
-    element = str(rng.choice(["P1", "P1", "P1", "P2", "Q1"]))
-    if element == "Q1" and shape != "rectangle":
-        element = "P1"
+    element = str(rng.choice(["P1", "P1", "P1", "P2"]))
     return {"cells": int(rng.integers(3, 4 if element == "P2" else 7)), "element": element}
 
 

@@ -28,10 +28,7 @@ def gathered_net_height(element, n):
     [
         ("P1", 8, 23664.7),
         ("P1", 16, 23453.0),
-        ("Q1", 8, 24268.2),
         ("P2", 4, 23005.0),
-        ("CR", 8, 21919.0),
-        ("CR", 16, 22246.0),
     ],
 )
 def test_gathered_net_on_every_element(element, n, mean_potential):
@@ -39,11 +36,8 @@ def test_gathered_net_on_every_element(element, n, mean_potential):
     assert 1600.0 * gathered_net_height(element, n) == pytest.approx(mean_potential, abs=0.06)
 
 
-def test_gathered_net_brackets_the_exact_height():
-    """Conforming elements hang too high, Crouzeix-Raviart too low, and both come closer."""
+def test_gathered_net_comes_down_to_the_exact_height():
     exact = 14.187635
     above = [gathered_net_height(e, n) - exact for e, n in (("P1", 8), ("P1", 16), ("P2", 4), ("P2", 8))]
-    below = [gathered_net_height("CR", n) - exact for n in (8, 16)]
     assert above[0] > above[1] > above[3] > 0.0
     assert above[2] > above[3]
-    assert below[0] < below[1] < 0.0

@@ -58,8 +58,6 @@ combination = [{name = "a", weigth = 1}] -> did you mean weight?
 load.wind = {direction = [0, 0, 1]} -> [load.wind] pressure: is missing; give it in N/m2, or speed in m/s
 load.wind = {direction = [0, 0, 0], pressure = 1} -> direction = [0.0, 0.0, 0.0]: has no direction
 load.wind = {direction = [0, 0, 1], pressure = 5, speed = 3} -> speed = 3: is not used together with pressure
-load.wind = {direction = [0, 0, 1], pressure = 5, drag_coefficient = 1.2}
-  -> drag_coefficient = 1.2: is not used together
 support = {kind = "edge", edge = "top", held = "y"}; load.wind = {pressure = 6, direction = [0, 0, -2]}
   -> N along z, in which
 support = {kind = "edge", edge = "top", held = "xy"}; load.point = {at = [0, 0], force = [0, 0, 1]} -> 1 N along z
@@ -101,7 +99,7 @@ motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50
   -> inside it at the start
 motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history
-motion.duration = 1.0; mesh.element = "P2" -> motion needs one of
+motion.duration = 1.0; mesh.element = "P2" -> motion needs P1
 support = {kind = "top", release = 0.1} -> has no effect without [motion]
 """
 """Lines of a scene, and what is said of it; a line that begins with blanks goes on with the one before."""

@@ -42,7 +42,7 @@ def assert_certified(solution, law, size=100.0):
     assert -1e-12 < gap < 2e-8 + 6.0 * spread
 
 
-@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+@pytest.mark.parametrize("element", ["P1", "P2"])
 def test_hung_along_x_from_a_rail_reaches_the_uniaxial_state(ring_like, scene_tables, element):
     tables = scene_tables(hang="x", mesh={"cells": 4, "element": element}, support={"kind": "rail"})
     solution = solve(tables, ring_like)
@@ -152,7 +152,7 @@ def test_a_little_less_is_solved_and_a_little_more_refuted(scene_tables, gather,
 
 
 @pytest.mark.parametrize("state", [0, 1, 2])
-@pytest.mark.parametrize("element", ["P1", "P2", "Q1"])
+@pytest.mark.parametrize("element", ["P1", "P2"])
 def test_patch_in_every_locked_state(ring_like, state, element):
     """Tractions of a uniform stress inside the normal cone of a vertex hold every point there, however turned."""
     values = (ring_like.S * np.array([1.0, 2.0, 1.0])) @ ring_like.vertices.T

@@ -165,14 +165,14 @@ def test_ten_times_larger_rings_in_a_ten_times_larger_curtain_of_the_same_mass_b
 
 def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     """The search stops early; here every corner is visited."""
-    from macro_fem.output.line_load import Nearby, on_triangles
+    from macro_fem.output.line_load import Nearby
 
     tables = {"curtain": {"width": 60.0, "height": 60.0}, "support": {"kind": "corners"}, "mesh": {"cells": 8}}
     solution = solve_scene(read_scene(tables), default_law())
     law = solution.problem.law.own
-    corners, S = on_triangles(solution, solution.recovered(solution.problem.disc.cell_mean(solution.S)))
-    near = Nearby(corners, S, law.cell.b_x_mm * law.cell.b_y_mm, np.ones(len(S)))
-    means = np.array([near.mean(x) for x in solution.problem.mesh.mesh.p.T])
+    mesh, S = solution.problem.mesh.mesh, solution.recovered(solution.problem.disc.cell_mean(solution.S))
+    near = Nearby(mesh.p.T[mesh.t.T], S, law.cell.b_x_mm * law.cell.b_y_mm, np.ones(len(S)))
+    means = np.array([near.mean(x) for x in mesh.p.T])
     told = summary(solution)
     assert told["utilisation_of_averages_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
 

@@ -110,7 +110,6 @@ import {package}.cli
         ("matplotlib", "plots", ("homogenize", "plot", DEFAULT_LAW, "--table", TABLE, "--out", "out")),
         ("pyvista", "three-d", ("macro_fem", "run", "space.toml", "--out", "out")),
         ("plotly", "pages", ("macro_fem", "run", "scene.toml", "--out", "out", "--html")),
-        ("pyvista", "three-d", ("rve", "case", "--alpha", "0", "--beta", "45", "--animation", "out.gif")),
     ],
 )
 def test_what_a_command_needs_is_checked_first(tmp_path, module, extra, arguments):

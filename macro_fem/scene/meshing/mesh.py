@@ -17,9 +17,9 @@ from scipy.sparse.csgraph import connected_components
 
 from homogenize import CellInfo
 from macro_fem.scene.meshing.edges import inherited_edges, named_edges
-from macro_fem.scene.meshing.mesh_files import read_mesh
+from macro_fem.scene.meshing.mesh_files import cut_in_four, read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
-from macro_fem.scene.meshing.places import hook_places, through, with_nodes_at
+from macro_fem.scene.meshing.places import hook_places, with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.tables import PatchLoad, Vector
@@ -164,7 +164,7 @@ def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
 
     The rectangles of "aligned" have the sides of the weave's cell, so that their diagonals follow both families; what
     is left of the height makes one lower row at the bottom. Off the axes of the weave no such rectangle exists and
-    "aligned" becomes "crossed". Quadrilaterals cannot be cut, so that their grid lines pass through all points.
+    "aligned" becomes "crossed".
     """
     curtain, spec = scene.curtain, scene.mesh
     assert isinstance(curtain, Rectangle)
@@ -178,16 +178,8 @@ def rectangle(scene: Scene, aspect: float) -> CurtainMesh:
     else:
         y = np.linspace(0.0, H, max(1, round(n * H / W)) + 1)
     x = np.linspace(0.0, W, n + 1)
-    if spec.element in ("Q1", "Q2"):
-        points = [at for item in scene.items for at in item.points]
-        x, y = (through(lines, np.array([at[k] for at in points])) for k, lines in enumerate((x, y)))
-    quads = skfem.MeshQuad.init_tensor(x, y)
-    if spec.element in ("Q1", "Q2"):
-        mesh: Any = quads
-    elif pattern == "diagonal":
-        mesh = skfem.MeshTri.init_tensor(x, y)
-    else:
-        mesh = cut_in_four(quads)
+    is_diagonal = pattern == "diagonal"
+    mesh = skfem.MeshTri.init_tensor(x, y) if is_diagonal else cut_in_four(skfem.MeshQuad.init_tensor(x, y))
     return CurtainMesh(mesh, pattern, named_edges(mesh, [], {}))
 
 
@@ -201,19 +193,9 @@ def _rows(height: float, row: float) -> Array:
     return np.concatenate([lower, height - row * np.arange(n, -1, -1.0)])
 
 
-def cut_in_four(quads: skfem.MeshQuad) -> skfem.MeshTri:
-    """Each quadrilateral cut along both diagonals."""
-    centre = quads.p[:, quads.t].mean(axis=1)
-    new = quads.p.shape[1] + np.arange(quads.t.shape[1])
-    cells = [np.vstack([quads.t[i], quads.t[(i + 1) % 4], new]) for i in range(4)]
-    return skfem.MeshTri(np.hstack([quads.p, centre]), np.hstack(cells))
-
-
-def refine(mesh: CurtainMesh, cells: np.ndarray, scene: Scene) -> CurtainMesh:
+def refine(mesh: CurtainMesh, cells: np.ndarray) -> CurtainMesh:
     """The mesh with the given triangles cut in four and their neighbours as needed to fit (red, green, blue)."""
     finer = mesh.mesh.refined(np.asarray(cells))
-    if not isinstance(finer, skfem.MeshTri1):
-        raise InputError(f"{scene.source}: [solver] adapt: needs triangles")
     return replace(mesh, mesh=finer, edges=inherited_edges(mesh.mesh, finer, mesh.edges))
 
 

@@ -23,7 +23,8 @@ from rve.common.types import Array
 def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray]]:
     """The plane mesh of scikit-fem in a file, and its named edges: facet numbers per name.
 
-    A curtain.vtu is its reference state. InputError for cells that are inverted, doubled, flat or not plane.
+    Quadrilaterals are cut in four. A curtain.vtu is its reference state. InputError for cells that are inverted,
+    doubled, flat or not plane.
     """
     try:
         data = read_mesh_file(source.parent / curtain.file)
@@ -38,9 +39,18 @@ def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarra
         _check_cells(points, cells)
         mesh = (skfem.MeshTri if kinds[0] == "triangle" else skfem.MeshQuad)(points.T.copy(), cells.T.copy())
         _check_sides(mesh)
+        mesh = mesh if kinds[0] == "triangle" else cut_in_four(mesh)
         return mesh, named_edges(mesh, [], physical_lines(data, mesh, used))
     except InputError as error:
         raise InputError(f"{source}: [curtain] file = {shown(curtain.file)}: {error}") from error
+
+
+def cut_in_four(quads: skfem.MeshQuad) -> skfem.MeshTri:
+    """Each quadrilateral cut along both diagonals; the numbers of its corners stay."""
+    centre = quads.p[:, quads.t].mean(axis=1)
+    new = quads.p.shape[1] + np.arange(quads.t.shape[1])
+    cells = [np.vstack([quads.t[i], quads.t[(i + 1) % 4], new]) for i in range(4)]
+    return skfem.MeshTri(np.hstack([quads.p, centre]), np.hstack(cells))
 
 
 def physical_lines(data: Any, mesh: Any, used: np.ndarray) -> dict[str, np.ndarray]:

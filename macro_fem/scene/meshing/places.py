@@ -34,7 +34,7 @@ NEAR_BEND = 0.25
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """Points (n, 2), cells (m, 3 or 4) counterclockwise, boundary facets `rim` (k, 2), and named `lines` of facets."""
+    """Points (n, 2), cells (m, 3) counterclockwise, boundary facets `rim` (k, 2), and named `lines` of facets."""
 
     points: Array
     cells: np.ndarray
@@ -44,7 +44,7 @@ class _Sheet:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """A node at `place` (a new one, or an old one moved) with cells `removed` (k,) and `added` (j, 3 or 4) for it.
+    """A node at `place` (a new one, or an old one moved) with cells `removed` (k,) and `added` (j, 3) for it.
 
     `edge`: the side that is cut. `turns`: whether old sides get another direction, as a side does that is bent and all
     sides at a node that moves. `sine`: the least one of the corners of the added cells.
@@ -113,28 +113,6 @@ def with_nodes_at(
     return cut, {name: facets_between(cut, pairs) for name, pairs in sheet.lines.items()}, node
 
 
-def through(lines: Array, places: Array) -> Array:
-    """Ascending grid `lines` (n,) with the inner line nearest to each place moved to it, or a new line if it is taken.
-
-    >>> through(np.array([0.0, 10.0, 20.0, 30.0]), np.array([12.0, 13.0, 30.0])).tolist()
-    [0.0, 12.0, 13.0, 20.0, 30.0]
-    """
-    tiny = SAME * float(lines[-1] - lines[0])
-    wanted = [x for x in np.unique(places) if lines[0] < x < lines[-1] and np.abs(lines - x).min() > tiny]
-    taken = np.isin(np.arange(len(lines)), [0, len(lines) - 1])
-    for x in places:
-        taken |= np.abs(lines - x) <= tiny
-    for x in wanted:
-        nearest = int(np.argmin(np.abs(lines - x)))
-        if taken[nearest]:
-            after = int(np.searchsorted(lines, x))
-            lines, taken = np.insert(lines, after, x), np.insert(taken, after, True)
-        else:
-            lines, taken = lines.copy(), taken.copy()
-            lines[nearest], taken[nearest] = x, True
-    return lines
-
-
 def _ends_of_lines(sheet: _Sheet) -> set[int]:
     """Nodes of named lines that must not move: their ends, and all that lie inside the mesh."""
     rim = np.unique(sheet.rim)
@@ -149,7 +127,7 @@ def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: 
     """The change that gives the place a node with the best cells; InputError if there is none.
 
     On the boundary: a cut of the facet, and moves of its ends along it. Inside: moves of the cell's corners, a cut of
-    the cell, and cuts of its sides, bent where the place is not quite on them. Quadrilaterals cannot be cut.
+    the cell, and cuts of its sides, bent where the place is not quite on them.
     """
     facet, is_on = _nearest_facet(sheet, place)
     cell = -1 if is_on else _cell_around(sheet, place, tiny)
@@ -160,28 +138,26 @@ def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: 
     if is_on:
         ends = sheet.rim[facet].tolist()
         length = np.linalg.norm(np.diff(sheet.points[ends], axis=0))
-        cut = [] if sheet.cells.shape[1] == 4 else [_cut_side(sheet, place, ends, False)]
         moves = [end for end in ends if end not in kept and _may_move(sheet, end, place, length)]
-        changes = cut + [_moved(sheet, place, end) for end in moves]
+        changes = [_cut_side(sheet, place, ends, False), *(_moved(sheet, place, end) for end in moves)]
     elif cell >= 0:
         corners, new = sheet.cells[cell].tolist(), len(sheet.points)
         on_rim = set(np.unique(sheet.rim).tolist())
         changes = [_moved(sheet, place, corner) for corner in corners if corner not in kept | on_rim]
-        if len(corners) == 3:
-            sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
-            changes.append(_change(sheet, place, new, np.array([cell]), np.array([[*side, new] for side in sides])))
-            in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
-            for a, b in (side for side in sides if frozenset(side) not in in_lines):
-                along = sheet.points[b] - sheet.points[a]
-                off = abs(cross(along, place - sheet.points[a])) / np.linalg.norm(along)
-                changes.append(_cut_side(sheet, place, [a, b], bool(off > tiny)))
+        sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
+        changes.append(_change(sheet, place, new, np.array([cell]), np.array([[*side, new] for side in sides])))
+        in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
+        for a, b in (side for side in sides if frozenset(side) not in in_lines):
+            along = sheet.points[b] - sheet.points[a]
+            off = abs(cross(along, place - sheet.points[a])) / np.linalg.norm(along)
+            changes.append(_cut_side(sheet, place, [a, b], bool(off > tiny)))
     else:
         raise InputError(f"{where}is {away:g} mm away from the curtain, whose nearest node is at ({x:g}, {y:g})")
     sound = [change for change in changes if change.sine >= LEAST_SINE]
     if not sound:
         raise InputError(
             f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at ({x:g}, {y:g}); ask for "
-            f"that place, or use another number of cells or triangles"
+            f"that place, or use another number of cells"
         )
     return max(sound, key=lambda change: (not change.turns, change.sine))
 
