@@ -1,4 +1,4 @@
-"""The command line: fit, strain, support, strength, report, plot, export."""
+"""The command line: fit, strain, support, strength, plot, export."""
 
 from __future__ import annotations
 
@@ -121,20 +121,7 @@ def plot(law: Path, table: Path, out: Path) -> None:
     pictures = write_pictures(load_law(law), read_table(table), out, [law, table])
     say(*(f"picture written to {path}" for path in pictures))
     answer({"pictures": [str(path) for path in pictures]})
-    say_next("homogenize", "report", law, "--table", table, why="the error of the law at the rows of a table")
-
-
-@main.command(epilog="Example: homogenize report law.json --table loads.csv")
-@click.argument("law", type=click.Path(path_type=Path))
-@click.option(
-    "--table", required=True, type=click.Path(path_type=Path), help="Table of rows that the law has not seen, CSV."
-)
-def report(law: Path, table: Path) -> None:
-    """Print the error of LAW at the rows of a table, for instance one made by `rve table --loads`."""
-    from homogenize.query.answers import error_at_rows, error_text
-
-    found = error_at_rows(law, table)
-    answer(found, error_text(found))
+    say_next("homogenize", "strain", law, "--alpha", 20, "--beta", 30, why="what the law says of one load")
 
 
 @main.command(epilog="Example: homogenize export law.json --out law.f")

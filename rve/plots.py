@@ -23,10 +23,10 @@ CLASS_COLOURS = ("#5d6672", "#a9b0b9", "#8a7a66")
 """Rings are grey, so that forces stand out."""
 
 
-def drawn_rings(states: LockedStates, k: int, shifts: Array | None = None) -> DrawnRings:
-    """The rings of class k of the first state, by default those that the weave draws, at lattice shifts (m, 2)."""
+def drawn_rings(states: LockedStates, k: int) -> DrawnRings:
+    """The rings of class k of the first state that the weave draws."""
     cell, pose = states.cell, states.pose
-    at = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:] if shifts is None else shifts
+    at = cell.weave.rings[cell.weave.rings[:, 0] == k, 1:]
     flat = pose.centres[0, k] + at @ np.stack([pose.a1[0], pose.a2[0]])
     centre = swapped(cell.r1 * np.column_stack([flat, np.zeros(len(flat))]), cell)
     normal = np.tile(swapped(pose.normals[0, k], cell), (len(flat), 1))

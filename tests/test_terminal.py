@@ -38,7 +38,6 @@ COMMANDS = {
     "homogenize support": ("law.json", "--S", "0.5,-0.1,0.5"),
     "homogenize strength": ("law.json", "--S", "0,0,1", "--yield", "275"),
     "homogenize plot": ("law.json", "--table", "table.csv", "--out", "pictures"),
-    "homogenize report": ("law.json", "--table", "table.csv"),
     "homogenize export": ("law.json", "--out", "law.f"),
     "macro_fem run": ("scene.toml", "--out", "curtain", "--no-picture"),
     "macro_fem modes": ("scene.toml", "--number", "2", "--out", "modes", "--no-picture"),
@@ -49,7 +48,7 @@ COMMANDS = {
 }
 """Arguments with which every command runs for a few seconds at most, in the folder of `folder`."""
 ANSWERS = {"rve case", "rve support", *(f"macro_fem {name}" for name in ("compare", "modes", "size"))}
-ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength", "report")}
+ANSWERS |= {f"homogenize {name}" for name in ("strain", "support", "strength")}
 """Commands that are asked for what they print: they print it with --quiet too."""
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from homogenize.fitting.report import is_sampled, misfit_of
-from homogenize.fitting.rows import rows_from_provenance, rows_from_table
+from homogenize.fitting.report import is_sampled
+from homogenize.fitting.rows import rows_from_provenance
 from homogenize.io import load_law
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
@@ -100,46 +100,6 @@ def check_tensile(S: Array) -> float:
     if not size > 0.0 or float(eigenvalues(S)[0]) < -ROUNDING * size:
         raise InputError(f"--S {S[0]},{S[1]},{S[2]}: not tensile; a principal line load is negative or all are zero")
     return size
-
-
-def error_at_rows(path: str | Path, table_path: str | Path) -> dict[str, Any]:
-    """Errors of the law in `path` at the converged rows of a table it need not have seen; h at unit trace of S."""
-    from rve import read_table
-
-    law, table = load_law(path), read_table(table_path)
-    try:
-        rows = rows_from_table(table)
-    except InputError as error:
-        raise InputError(f"{table_path}: {error}") from error
-    for key in ("r1_mm", "r2_mm"):
-        theirs = table.provenance.get(key)
-        mine = None if law.cell is None else getattr(law.cell, key)
-        if theirs is not None and mine is not None and abs(theirs - mine) > 1e-9 * mine:
-            raise InputError(f"{table_path}: {key} = {theirs} is not that of the law, {mine}")
-    found = locked_strain(law, table.alpha_deg[rows.source], table.beta_deg[rows.source])
-    good = (found.status == "converged") & rows.unique & found.unique
-    miss = np.abs(found.E - rows.E).max(axis=1)[good]
-    support = misfit_of(rows.S, law.support(rows.S) - rows.h)
-    strain = {"max": float(miss.max(initial=0.0)), "mean": float(miss.sum() / max(len(miss), 1)), "loads": len(miss)}
-    return {
-        "h_error": {"max": support.maximum, "mean": support.mean, "loads": support.count},
-        "strain_error": strain | {"above_5e-3": int((miss > 5e-3).sum())},
-        "not_compared": int((~good).sum()),
-        "extrapolated": sum(extrapolates(law, S) for S in rows.S),
-    }
-
-
-def error_text(found: dict[str, Any]) -> str:
-    """What `error_at_rows` has found, in lines to read."""
-    h, strain = found["h_error"], found["strain_error"]
-    lines = [
-        f"h at unit trace of S: max error {h['max']:.2e}, mean {h['mean']:.2e}, {h['loads']} loads",
-        f"strain component: max error {strain['max']:.2e}, mean {strain['mean']:.2e}, "
-        f"{strain['above_5e-3']} of {strain['loads']} loads above 5e-3",
-        f"not compared: {found['not_compared']} loads without a unique strain or without an answer of the law",
-        f"extrapolated: {found['extrapolated']} loads outside those of the law's table",
-    ]
-    return "\n".join(lines)
 
 
 def extrapolates(law: StoredLaw, S: Array) -> bool:

@@ -36,7 +36,7 @@ def wave(panels=2, flat=1.0):
 def test_a_picture_is_made_and_is_not_empty(tmp_path):
     from PIL import Image
 
-    save_picture(tmp_path / "wave.png", wave(), "a wave", "a note")
+    save_picture(tmp_path / "wave.png", wave(), "a wave")
     assert [file.name for file in tmp_path.iterdir()] == ["wave.png"]
     image = np.asarray(Image.open(tmp_path / "wave.png").convert("RGB")).astype(int)
     for panel in np.array_split(image[:700], 2, axis=1):

@@ -95,13 +95,11 @@ def lines(points: Array) -> PolyData:
     return pyvista.PolyData(points.reshape(-1, 3), lines=cells.ravel())
 
 
-def balls(points: Array, radius: float, **arrays: Array) -> PolyData:
-    """Balls around points (n, 3), with numbers (n,) by their names."""
+def balls(points: Array, radius: float) -> PolyData:
+    """Balls around points (n, 3)."""
     import pyvista
 
     middles = pyvista.PolyData(np.array(points, float).reshape(-1, 3))
-    for name, values in arrays.items():
-        middles[name] = values
     ball = pyvista.Sphere(radius=radius, theta_resolution=16, phi_resolution=16)
     return middles.glyph(geom=ball, scale=False, orient=False) if len(points) else middles
 
@@ -145,7 +143,7 @@ def parts(plotter: Plotter, panel: int = 0) -> dict[str, tuple[PolyData, Any, Sc
     return {name: (one.mapper.dataset, one, getattr(one, "colour_scale", None)) for name, one in found}
 
 
-def compose(plotter: Plotter, title: str, note: str = "") -> Figure:
+def compose(plotter: Plotter, title: str) -> Figure:
     """The panels of a plotter beneath a title, above a bar of colours and a legend, as a matplotlib figure."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
@@ -163,18 +161,16 @@ def compose(plotter: Plotter, title: str, note: str = "") -> Figure:
         scale.add_bar(ax, location="bottom", shrink=0.5 if panels > 1 else 0.8, aspect=40, pad=0.01)
     plain = {name: one for name, (_, one, scale) in shown.items() if scale is None and not name.startswith("_")}
     marks = [Patch(color=one.prop.color.float_rgb, label=name) for name, one in plain.items()]
-    if marks or note:
+    if marks:
         columns = 4 if panels > 1 else 2
-        figure.legend(
-            handles=marks, loc="outside lower center", ncols=columns, frameon=False, title=note or None, fontsize=11
-        )
+        figure.legend(handles=marks, loc="outside lower center", ncols=columns, frameon=False, fontsize=11)
     return figure
 
 
-def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str, note: str = "") -> None:
+def save_picture(path: str | os.PathLike[str], plotter: Plotter, title: str) -> None:
     """Write the composed picture of a plotter as PNG, atomically."""
     tell(f"drawing {Path(path).name}")
-    figure = compose(plotter, title, note)
+    figure = compose(plotter, title)
     plotter.close()
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
