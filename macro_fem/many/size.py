@@ -16,6 +16,7 @@ from macro_fem.job import solve
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
+from rve.common.drawing.plane import new_axes, save_figure
 from rve.common.errors import InputError, shown
 from rve.common.files import job, write_text
 from rve.common.progress import part_of
@@ -200,11 +201,8 @@ def _changed(scene: Scene, vary: str, value: float) -> Scene:
 
 def _draw(path: Path, size: Size) -> None:
     """The factor over the value."""
-    from matplotlib.figure import Figure
-
     known = [row for row in size.curve if row.factor is not None]
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    ax = figure.subplots()
+    ax = new_axes(6.4, 4.0)
     ax.plot([row.value for row in known], [row.factor or 0.0 for row in known], "o-", color="#1f3a5f", ms=4)
     ax.axhline(size.factor_asked, color="#bd1f01", lw=1.0, label=f"factor {size.factor_asked:g}")
     ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g}")
@@ -212,4 +210,4 @@ def _draw(path: Path, size: Size) -> None:
     ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives", ylim=(0.0, None))
     ax.legend(frameon=False)
     ax.grid(alpha=0.3)
-    figure.savefig(path, dpi=150)
+    save_figure(path, ax.figure)
