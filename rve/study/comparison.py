@@ -174,7 +174,7 @@ def run(
     options: StewartTrinkleOptions | None = None,
 ) -> Study:
     """Solve the study and write it into `out_dir`, which is made if need be: cases.csv, history_*.csv, comparison.md,
-    study.json and the pictures fig_10.png to fig_17.png. Returns what was solved.
+    study.json and the pictures fig_09.png to fig_17.png. Returns what was solved.
 
     Without angles these are the paper's 190 cases: about two minutes on one core.
     All files appear together, and what they replace is gone (`rve.common.files`). InputError when matplotlib is

@@ -1,4 +1,4 @@
-"""Pictures of the study: Figs. 10 to 13 and 15 to 17 of the paper for our implementation."""
+"""Pictures of the study: Figs. 9 to 17 of the paper for our implementation."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, shade, viridis
 from rve.common.progress import tell
+from rve.common.types import Array
 from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.study.comparison import KINKED, Study
@@ -19,6 +20,22 @@ if TYPE_CHECKING:
 
 NAMES = ("E11", "E12", "E22")
 COLOURS = (BLUE, VERMILION, GREEN)
+
+
+def in_space(study: Study, values: Array, names: tuple[str, ...], sheet: Array | None = None) -> Figure:
+    """Figs. 9 and 14: line loads, or locked strains, (n, 3) in space; `sheet` (n, 3): the surface through a grid of
+    cases, and its mirror image, since the weave is symmetric: alpha -> -alpha mirrors the shear."""
+    fig, alphas, betas = new_figure(6.4, 5.0), np.unique(study.table.alpha_deg), np.unique(study.table.beta_deg)
+    ax = fig.add_subplot(projection="3d")
+    if sheet is not None and len(sheet) == len(alphas) * len(betas):
+        E11, E12, E22 = np.moveaxis(sheet.reshape(len(alphas), len(betas), 3), 2, 0)
+        for sign in (1.0, -1.0):
+            ax.plot_surface(E11, sign * E12, E22, color=BLUE, alpha=0.35, lw=0.3)
+    marks = ax.scatter(*values.T, c=study.table.beta_deg, cmap=viridis(), s=12, depthshade=False)
+    ax.set(**dict(zip(("xlabel", "ylabel", "zlabel"), names, strict=True)))
+    ax.set_box_aspect(None, zoom=0.82)
+    fig.colorbar(marks, ax=ax, shrink=0.6, pad=0.12, label="beta, degrees")
+    return fig
 
 
 def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Any:
@@ -99,10 +116,12 @@ def progress_of_two(study: Study) -> Figure | None:
 def draw_all(study: Study, folder: Path) -> None:
     """Draw every picture of the study into a folder."""
     pictures: dict[str, Callable[[], Figure | None]] = {
+        "fig_09": lambda: in_space(study, study.s, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat")),
         "fig_10": lambda: locked_cell(study, 0.0, 90.0),
         "fig_11": lambda: locked_cell(study, 0.0, 0.0),
         "fig_12": lambda: locked_cell(study, 45.0, 0.0),
         "fig_13": lambda: strains(study),
+        "fig_14": lambda: in_space(study, study.E, NAMES, study.table.E),
         "fig_15": lambda: steps(study),
         "fig_16": lambda: clock(study),
         "fig_17": lambda: progress_of_two(study),

@@ -11,7 +11,7 @@ from rve.directions import grid
 from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
 from rve.study import comparison as study
 
-PICTURES = [f"fig_{n:02d}.png" for n in (10, 11, 12, 13, 15, 16, 17)]
+PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
 
 
 def test_one_command_writes_every_table_and_picture(tmp_path):
