@@ -34,6 +34,8 @@ def in_space(study: Study, values: Array, names: tuple[str, ...], sheet: Array |
     marks = ax.scatter(*values.T, c=study.table.beta_deg, cmap=viridis(), s=12, depthshade=False)
     ax.set(**dict(zip(("xlabel", "ylabel", "zlabel"), names, strict=True)))
     ax.set_box_aspect(None, zoom=0.82)
+    ax.locator_params(nbins=5)
+    ax.xaxis.labelpad = ax.yaxis.labelpad = ax.zaxis.labelpad = 8.0
     fig.colorbar(marks, ax=ax, shrink=0.6, pad=0.12, label="beta, degrees")
     return fig
 
