@@ -116,25 +116,28 @@ def are_linked(d: Array, n_a: Array, n_b: Array, r1: float) -> Flags:
     return crosses & (first != second)
 
 
-def _slope_and_curvature(
-    angle: Array, d: Array, n_a: Array, e1: Array, e2: Array, n_b: Array, r1: float
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Value, first and second derivative of f(angle) = distance of the point of A to circle B, and both points."""
-    rho_a = r1 * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
-    tau_a = cross(n_a, rho_a)
-    rho_b = foot_on_circle(rho_a - d, n_b, r1)
-    tau_b = cross(n_b, rho_b)
-    w = d + rho_b - rho_a
+def _lines(d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
+    """Height z over B's plane and half the square h of rho_a - d, linear in the cosine and sine of the angle of rho_a:
+    constant, cosine's and sine's part of z, then of h, (6, n)."""
+    e1, e2 = tangent_frame(n_a)
+    h0, h1, h2 = 0.5 * (r1**2 + dot(d, d)), -r1 * dot(e1, d), -r1 * dot(e2, d)
+    return np.stack([-dot(d, n_b), r1 * dot(e1, n_b), r1 * dot(e2, n_b), h0, h1, h2])
+
+
+def _slope_and_curvature(angle: Array, lines: Array, r1: float) -> tuple[Array, Array]:
+    """First and second derivative of D(angle), the distance of the point of A to circle B: D^2 = 2 h + r1^2 - 2 r1 q,
+    where q^2 = 2 h - z^2 is the distance from B's axis. Numbers only, so that no vector is formed."""
+    z0, z1, z2, h0, h1, h2 = lines
+    c, s = np.cos(angle), np.sin(angle)
+    zc, hc = z1 * c + z2 * s, h1 * c + h2 * s
+    z, dz, dh = z0 + zc, z2 * c - z1 * s, h2 * c - h1 * s
+    q = np.sqrt(np.maximum(2.0 * (h0 + hc) - z * z, 1e-28 * r1**2))
+    dq = (dh - z * dz) / q
+    bend = (z * zc - hc - dz * dz - dq * dq) / q
     # Centre circles that cross have no normal; the floor keeps the numbers finite, the gap is -2 r2 all the same.
-    distance = np.maximum(np.sqrt(dot(w, w)), 1e-12 * r1)
-    u = w / distance[:, None]
-    slope = -dot(u, tau_a)
-    f_aa = (r1**2 - slope**2) / distance + dot(u, rho_a)
-    f_bb = r1**2 / distance - dot(u, rho_b)
-    f_ab = -dot(tau_a, tau_b) / distance
-    with np.errstate(divide="ignore", invalid="ignore"):
-        curvature = f_aa - np.where(f_bb > 0.0, f_ab**2 / f_bb, 0.0)
-    return distance, slope, curvature, rho_a, rho_b
+    distance = np.maximum(np.sqrt(z * z + (q - r1) ** 2), 1e-12 * r1)
+    slope = (dh - r1 * dq) / distance
+    return slope, (-hc - r1 * bend - slope * slope) / distance
 
 
 def _polish(
@@ -149,13 +152,12 @@ def _polish(
 
     circles: d, n_a, n_b (n, 3) of all pairs."""
     d, n_a, n_b = (of[pair] for of in circles)
-    e1, e2 = tangent_frame(n_a)
-    angle, low, high = angle + shift, angle - width, angle + width
+    lines, angle, low, high = _lines(d, n_a, n_b, r1), angle + shift, angle - width, angle + width
     # Converged rows are dropped, so results do not depend on the batch; most need five rounds, a few thirty.
     go = np.arange(len(angle))
     for _ in range(40):
         at = angle[go]
-        _, slope, curvature, _, _ = _slope_and_curvature(at, d[go], n_a[go], e1[go], e2[go], n_b[go], r1)
+        slope, curvature = _slope_and_curvature(at, lines[:, go], r1)
         left = low[go] = np.where(slope < 0.0, at, low[go])
         right = high[go] = np.where(slope > 0.0, at, high[go])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -168,18 +170,18 @@ def _polish(
         go = go[np.abs(step) > 1e-9]
         if not len(go):
             break
-    distance, slope, curvature, rho_a, rho_b = _slope_and_curvature(angle, d, n_a, e1, e2, n_b, r1)
-    normal = (d + rho_b - rho_a) / distance[:, None]
-    return angle, Minima(pair, normal, rho_a, rho_b, distance, curvature * distance / r1**2)
+    e1, e2 = tangent_frame(n_a)
+    rho_a = r1 * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
+    rho_b = foot_on_circle(rho_a - d, n_b, r1)
+    w = d + rho_b - rho_a
+    distance = np.maximum(np.sqrt(dot(w, w)), 1e-12 * r1)
+    curvature = _slope_and_curvature(angle, lines, r1)[1] * distance / r1**2
+    return angle, Minima(pair, w / distance[:, None], rho_a, rho_b, distance, curvature)
 
 
 def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: float) -> Array:
-    """Squared distance less r1^2, (n, k), between circle B and the points of A at angles start (n,) + offset (k,).
-
-    Squared distance = z^2 + (|q| - r1)^2 with p = rho_a - d, height z = p.n_b and in-plane part q; both p.p and z are
-    linear in (cos, sin), so that no vector is formed.
-    """
-    e1, e2 = tangent_frame(n_a)
+    """D^2 - r1^2 (n, k) at the angles start (n,) + offset (k,), see `_slope_and_curvature`."""
+    lines = _lines(d, n_a, n_b, r1)
     c, s = np.cos(start), np.sin(start)
     cos, sin = np.cos(offset), np.sin(offset)
 
@@ -190,8 +192,8 @@ def _samples(start: Array, offset: Array, d: Array, n_a: Array, n_b: Array, r1: 
         out += constant[:, None]
         return out
 
-    z = over_samples(r1 * dot(e1, n_b), r1 * dot(e2, n_b), -dot(d, n_b))
-    pp = over_samples(-2.0 * r1 * dot(e1, d), -2.0 * r1 * dot(e2, d), r1**2 + dot(d, d))
+    z = over_samples(lines[1], lines[2], lines[0])
+    pp = over_samples(*(2.0 * lines[[4, 5, 3]]))
     np.multiply(z, z, out=z)
     np.subtract(pp, z, out=z)
     np.sqrt(np.maximum(z, 0.0, out=z), out=z)
