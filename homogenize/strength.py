@@ -39,13 +39,16 @@ Strengths = tuple[Annotated[float, Meta(ge=1e-12, le=1e12)], ...]
 
 @dataclass(frozen=True)
 class OffGrid(Typed):
-    """Relative errors at `rows` rows left out in turn: largest and mean of the first yield and of the collapse."""
+    """Relative errors at `rows` rows left out in turn: largest and mean of first yield, collapse and compliance; those
+    of the compliance are None where some row has none."""
 
     rows: Annotated[int, Meta(ge=1, le=1_000_000)]
     first_yield_max: Share
     first_yield_mean: Share
     collapse_max: Share
     collapse_mean: Share
+    compliance_max: Share | None = None
+    compliance_mean: Share | None = None
 
 
 @dataclass(frozen=True)
@@ -75,10 +78,10 @@ class StrengthEntries(Typed):
 
 @dataclass(frozen=True, eq=False)
 class Strength(Rows):
-    """Strength of n load directions, linear between them on the triangles of their disc.
+    """Strength of n load directions, linear between them on the triangles of their disc, as is the root of S:D S.
 
     S (n, 3) of unit trace; cauchy (n, 3): the Cauchy loads of these rows, of unit trace; first_yield, collapse (n,):
-    yield stress over S11 + S22, 1/mm; compliance (n,): S:D S in mm/N, nan where a load has no unique strain; the
+    yield stress over S11 + S22, 1/mm; compliance (n,): S:D S in mm/N, nan where it is not known; the
     material of the table; the error between the loads; the joint of the rings; whether the weave is its own mirror
     image, so that every load stands for two.
     """
@@ -105,9 +108,12 @@ class Strength(Rows):
         return self._needed_yield(S, self.collapse) / self.yield_stress(yield_N_per_mm2)
 
     def compliance_along(self, S: Array) -> Array:
-        """S:D S in mm/N at unit trace, (n,), of the directions of S (n, 3): strain beyond locking along S per N/mm."""
+        """S:D S in mm/N at unit trace, (n,), of the directions of S (n, 3): strain beyond locking along S per N/mm.
+
+        Its root is of degree one in S, as strengths are, and linear between the loads.
+        """
         rows, weights = self.stretched._loads.at(S / trace(S)[:, None])
-        return np.asarray((weights * self.stretched.compliance[rows]).sum(axis=1))
+        return np.asarray((weights * np.sqrt(self.stretched.compliance[rows])).sum(axis=1) ** 2)
 
     def yield_stress(self, asked: float | None = None) -> float:
         """The yield stress in N/mm2: what is asked for, or the material's; InputError if there is none."""
@@ -141,10 +147,9 @@ class Strength(Rows):
         e = self.error
         if e is None:
             return f"{head}; too few to tell its error between them"
-        return (
-            f"{head}; relative error at {e.rows} rows left out: first yield max {e.first_yield_max:.2g}, mean "
-            f"{e.first_yield_mean:.2g}; collapse max {e.collapse_max:.2g}, mean {e.collapse_mean:.2g}"
-        )
+        known = {name.replace("_", " "): value for name, value in vars(e).items() if name != "rows"}
+        errors = ", ".join(f"{name} {value:.2g}" for name, value in known.items() if value is not None)
+        return f"{head}; relative error at {e.rows} rows left out: {errors}"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: rings, error between the loads, and the numbers of the material."""
@@ -188,17 +193,20 @@ def strength_of_table(table: StrainTable) -> Strength | None:
 
 def off_grid(strength: Strength) -> OffGrid | None:
     """Relative errors at rows inside the hull, each left out once with its neighbours kept; None with too few rows."""
-    values = np.stack([strength.first_yield, strength.collapse])
+    degree = np.array([[1.0], [1.0], [2.0]])
+    values = np.stack([strength.first_yield, strength.collapse, np.sqrt(strength.compliance)])
     errors = []
     for out, keep in folds_of(strength.S, strength.is_mirrored):
         others = Directions.of(strength.S[keep], strength.cauchy[keep], strength.is_mirrored)
         rows, weights = others.at(strength.S[out])
         guess = (weights * values[:, keep][:, rows]).sum(axis=2)
-        errors.append(np.abs(guess / values[:, out] - 1.0))
+        errors.append(np.abs((guess / values[:, out]) ** degree - 1.0))
     if not errors:
         return None
-    first, last = np.concatenate(errors, axis=1)
-    return OffGrid(len(first), float(first.max()), float(first.mean()), float(last.max()), float(last.mean()))
+    most = np.concatenate(errors, axis=1)
+    (first, first_mean), (last, last_mean), (along, along_mean) = ((float(x.max()), float(x.mean())) for x in most)
+    found = OffGrid(most.shape[1], first, first_mean, last, last_mean)
+    return found if np.isnan(along) else replace(found, compliance_max=along, compliance_mean=along_mean)
 
 
 def read_strength(table: Any, where: str) -> Strength:

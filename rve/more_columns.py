@@ -36,9 +36,10 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     """The table with compliance and strength of its rings, by default welded ones, of the cell's material.
 
     compliance: dE/dS in mm/N for a line load of 1 N/mm, to first order: the bend of the locking surface and what the
-    rings give; at s N/mm the bend is to be divided by s. nan where the strain is not unique. strength: see
-    `StrainTable`. Rows that have not converged have nan in both, and so have those of a table that was read from a file
-    whose state is not that from the slack pose. InputError for a cell other than the table's. Docs: theory.md, 7.
+    rings give; at s N/mm the bend is to be divided by s; where the strain is not unique, with its free part held.
+    strength: see `StrainTable`. Rows that have not converged have nan in both, and so have those of a table that was
+    read from a file whose state is not that from the slack pose. InputError for a cell other than the table's. Docs:
+    theory.md, 7.
 
     >>> from rve.solve import solve_table
     >>> found = with_rings(solve_table(Cell(), ([0.0], [90.0])), Cell())
@@ -58,7 +59,6 @@ def with_rings(table: StrainTable, cell: Cell, options: RingOptions = RingOption
     equations = Equations.of(states.cell.weave, cell.wire)
     rings = ring_states(equations, found, states.s, weave_sides(states.cell, sides), material.poisson, joint)
     D = rings.locking + rings.elastic / (material.young_N_per_mm2 * cell.r1)
-    D = np.where(states.unique[:, None, None], D, np.nan)
     if cell.grain == "x":
         D = D[:, ::-1, ::-1]
     asked = np.stack([rings.first_yield, rings.collapse], axis=1) / cell.r1

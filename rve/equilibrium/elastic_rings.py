@@ -44,11 +44,11 @@ WELDED = Joint.of("welded")
 class RingStates(Rows):
     """Elastic locked states of n cases.
 
-    lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of
-    dE_i = D_ij dS_j under a unit line load: the bend of the locking surface, and what rings with E r1 = 1 give; nan
-    where the strain is not unique. first_yield, collapse (n,): the yield stress, times r1, at which the unit load is
-    that of first yield and of plastic collapse, nan if that is not found. angle_deg (n,): where the butted rings are
-    open that forces and compliance are for, nan for welded ones.
+    lam (n, p, SLOTS): contact forces in s r1, zero for idle contacts. locking, elastic (n, 3, 3): the parts of dE_i =
+    D_ij dS_j under a unit line load: the bend of the locking surface, and what rings with E r1 = 1 give; where the
+    strain is not unique, with its free part held. first_yield, collapse (n,): the yield stress, times r1, at which the
+    unit load is that of first yield and of plastic collapse, nan if that is not found. angle_deg (n,): where the butted
+    rings are open that forces and compliance are for, nan for welded ones.
     """
 
     lam: Array
@@ -214,10 +214,11 @@ def elastic_forces(G: Array, f: Array, C: Array, start: Array) -> Array:
 
 
 def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Array, Array]:
-    """Both parts of D (3, 3) of one cell, nan where a free motion moves the lattice.
+    """Both parts of D (3, 3) of one cell.
 
     Motions Z keep all loaded contacts closed. Under dS they move by Z (Z^T H Z)^-1 Z^T f' with f' = A_ref B^T W dS: the
-    bend of the locking surface. The contact forces change by Lam dS, and the rings give Lam^T C Lam / A_ref.
+    bend of the locking surface. The contact forces change by Lam dS, and the rings give Lam^T C Lam / A_ref. Motions
+    without stiffness are held: the load does no work in them, so S:D S does not depend on them.
     """
     U, sizes, Vt, N = _split(G)
     W = U - N @ np.linalg.solve(_positive(N.T @ C @ N), N.T @ C @ U) if N.shape[1] else U
@@ -225,11 +226,8 @@ def _compliance(G: Array, C: Array, H: Array, B: Array, area: float) -> tuple[Ar
     load = np.zeros((len(H), 3))
     load[:3] = area * B.T * WEIGHT
     stiffness, motions = np.linalg.eigh(0.5 * Z.T @ (H + H.T) @ Z)
-    V = Z @ motions
-    soft = stiffness < _SOFT
-    if np.any(np.abs(V[:3, soft]) > 1e-6):
-        return np.full((3, 3), np.nan), np.full((3, 3), np.nan)
-    V, stiffness = V[:, ~soft], stiffness[~soft]
+    stiff = stiffness >= _SOFT
+    V, stiffness = Z @ motions[:, stiff], stiffness[stiff]
     dq = (V / stiffness) @ (V.T @ load)
     Lam = W @ ((Vt[: len(sizes)] @ (H @ dq - load)) / sizes[:, None])
     return B @ dq[:3], (Lam.T @ C @ Lam) / area / WEIGHT[:, None]

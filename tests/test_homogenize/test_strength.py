@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from homogenize import load_law
 from homogenize.cli import main
 from homogenize.fitting.fit import FitOptions, fit
+from homogenize.laws.giving import work_along
 from homogenize.strength import Strength, off_grid, read_strength, strength_of_table, tensile_part
 from rve import Material
 from rve.common.errors import InputError
@@ -160,10 +161,17 @@ def test_loads_off_the_grid_are_as_wrong_as_the_law_reports():
 
     cell, rng = Cell(), np.random.default_rng(8)
     found = strength_of_table(with_rings(solve_table(cell, grid(5.0)), cell))
-    off = with_rings(solve_table(cell, (rng.uniform(0.0, 45.0, 30), rng.uniform(0.0, 90.0, 30))), cell)
+    beta = np.concatenate([rng.uniform(0.0, 90.0, 30), rng.uniform(0.0, 8.0, 30)])  # below lie loads without one strain
+    off = with_rings(solve_table(cell, (rng.uniform(0.0, 45.0, 60), beta)), cell)
     good = off.converged
     asked = found.utilisation(off.S[good], 1.0) / trace(off.S[good])
     error = np.abs(asked / off.strength[good, 0] - 1.0)
     assert found.error.first_yield_max < 0.15
     assert error.max() < 1.5 * found.error.first_yield_max
     assert error.mean() < 2.0 * found.error.first_yield_mean
+    along = work_along(off.S[good], off.compliance[good]) / trace(off.S[good]) ** 2
+    error = np.abs(found.compliance_along(off.S[good]) / along - 1.0)
+    assert found.error.compliance_max < 0.1
+    assert error.max() < 0.2
+    assert (error < found.error.compliance_max).mean() > 0.95
+    assert error.mean() < 2.0 * found.error.compliance_mean
