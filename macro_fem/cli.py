@@ -30,6 +30,12 @@ def main() -> None:
     """Curtains of ring mesh: shape, line loads, bounds, pictures."""
 
 
+AT_REST = "--continue: is for a scene with [motion]"
+_goes_on = click.option(
+    "--continue", "goes_on", is_flag=True, help="With [motion]: go on from the end of the run in --out."
+)
+
+
 @main.command(epilog="Example: macro_fem run scene.toml --law law.json --out curtain")
 @_scene_and_law
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
@@ -50,7 +56,7 @@ def main() -> None:
 @click.option("--report", type=click.Path(path_type=Path), help="Write a report of two pages, PDF.")
 @click.option("--dxf", type=click.Path(path_type=Path), help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
-@click.option("--continue", "goes_on", is_flag=True, help="With [motion]: go on from the end of the run in --out.")
+@_goes_on
 def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: bool, **more: Any) -> None:
     """Solve SCENE and write summary.json, curtain.vtu and curtain.png; motion.csv, motion.pvd, motion.png if it moves.
 
@@ -67,7 +73,7 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     asked = begin_with(ring_options(**more), law_path, table)
     if load_scene(scene).motion is None:
         if goes_on:
-            raise InputError("--continue: is for a scene with [motion]")
+            raise InputError(AT_REST)
         law = law_path if asked is None else None
         summary = run_scene(scene, law, out, on_demand=asked, report=report, dxf=dxf, **drawn)
         say(*([] if asked else default_law_lines(law_path)), *curtain_lines(summary, out, explain=explain))
@@ -81,14 +87,19 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
         say(*default_law_lines(law_path))
         summary = run_motion(scene, law_path, out, goes_on=goes_on, **drawn)
         say(*motion_lines(summary, out))
-    answer(summary)
-    if summary["status"] == "stopped":
-        law_words = () if law_path is None else ("--law", law_path)
-        say_next("macro_fem", "run", scene, *law_words, "--out", out, "--continue", why="go on from there")
-        raise click.exceptions.Exit(130)
-    _fail_unless(summary["status"] == "converged")
+    _answer_or_go_on(summary, "run", scene, law_path, "--out", out)
     if "order" in summary:
         _say_next_of_curtain(out, summary)
+
+
+def _answer_or_go_on(summary: dict[str, Any], command: str, scene: Path, law_path: Path | None, *more: Any) -> None:
+    """Print the summary; exit unless it has converged, of a run that was stopped with the command that goes on."""
+    answer(summary)
+    if summary["status"] == "stopped":
+        law = () if law_path is None else ("--law", law_path)
+        say_next("macro_fem", command, scene, *law, *more, "--continue", why="go on from there")
+        raise click.exceptions.Exit(130)
+    _fail_unless(summary["status"] == "converged")
 
 
 def _fail_unless(converged: bool) -> None:
@@ -193,7 +204,8 @@ _ring_options = options(
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
-def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path, picture: bool, html: bool) -> None:
+@_goes_on
+def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, **how: Any) -> None:
     """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png, or motion.csv, motion.pvd, motion.png.
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
@@ -204,19 +216,19 @@ def rings(scene: Path, law_path: Path | None, space: bool, start: str, out: Path
     from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
     say(*default_law_lines(law_path))
-    solve = run_rings if load_scene(scene).motion is None else run_ring_motion
-    summary = solve(scene, law_path, out, space=space, start=start, picture=picture, html=html)
-    say(*(every_ring_lines if solve is run_rings else motion_lines)(summary, out))
-    answer(summary)
-    if summary["status"] == "stopped":
-        raise click.exceptions.Exit(130)
-    _fail_unless(summary["status"] == "converged")
-    if solve is run_ring_motion:
+    plane = () if how["space"] else ("--plane",)
+    if load_scene(scene).motion is not None:
+        summary = run_ring_motion(scene, law_path, out, goes_on=goes_on, **how)
+        say(*motion_lines(summary, out))
+        _answer_or_go_on(summary, "rings", scene, law_path, *plane, "--out", out)
         return
+    if goes_on:
+        raise InputError(AT_REST)
+    summary = run_rings(scene, law_path, out, **how)
+    say(*every_ring_lines(summary, out))
+    _answer_or_go_on(summary, "rings", scene, law_path)
     law = () if law_path is None else ("--law", law_path)
-    say_next(
-        "macro_fem", "compare", scene, *law, *(() if space else ("--plane",)), why="beside the membrane of the law"
-    )
+    say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")
 
 
 @main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")

@@ -12,12 +12,15 @@ from .equilibrium.interior_point import DirectOptions as DirectOptions
 from .finite.layout import FiniteMesh as FiniteMesh
 from .finite.layout import cell_of_sides as cell_of_sides
 from .finite.solution import FiniteSolution as FiniteSolution
+from .finite.solution import RingContacts as RingContacts
 from .finite.step import RingStep as RingStep
 from .finite.step import ring_places as ring_places
 from .finite.step import slack_rings as slack_rings
 from .finite.step import step_rings as step_rings
+from .finite.step import with_bodies as with_bodies
 from .finite.task import FiniteOptions as FiniteOptions
 from .finite.walls import HalfSpace as HalfSpace
+from .finite.walls import RoundBody as RoundBody
 from .geometry.cell import Cell as Cell
 from .geometry.kinematics import cauchy_line_load as cauchy_line_load
 from .geometry.kinematics import cauchy_of as cauchy_of

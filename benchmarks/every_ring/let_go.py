@@ -12,8 +12,9 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import Mesh, Motion, Point, Rectangle, Scene, Top, Wind
-from macro_fem.motion.files import COLUMNS, account_error, row
+from macro_fem.motion.files import row
 from macro_fem.motion.run import solve_motion
+from macro_fem.motion.series import COLUMNS, account_error
 from macro_fem.rings.motion import solve_ring_motion
 from macro_fem.rings.motion_files import ring_row
 

@@ -92,7 +92,7 @@ def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, dam
         for wind in problem.winds:
             one = replace(problem, winds=(wind,))
             pressed = with_wind(still, wind_density(one, now.x[:n], senses(one))).force - still.force
-            own, block = _relative(wind, pressed, now.v[:n])
+            own, block = relative_wind(wind, pressed, now.v[:n])
             live[:n] += own
             drag[:n] += block
     else:
@@ -100,7 +100,7 @@ def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, dam
     return Forces(dead, live, drag, damping)
 
 
-def _relative(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
+def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
     """The force (n, 3) of a wind on still nodes, and the blocks C (n, 3, 3) of -C v that the velocity relative to the
     wind adds: (U - v.w) |U - v_n.w| / U^2 of the force, with the speed U along w and the last velocities v_n.
 

@@ -1,6 +1,7 @@
 """Every ring in motion: steps by `rve.step_rings`, with the differences, account and pace of `macro_fem.motion`.
 
-Places x (2 n, 3) of a moment are those of `rve.ring_places`: n centres, and n points of the same masses on the axes.
+Places x (2 n + b, 3) of a moment are those of `rve.ring_places`: n centres, n points of the same masses on the axes, b
+centres of balls.
 """
 
 from __future__ import annotations
@@ -10,18 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from macro_fem.motion.account import Account, Worked, next_account
+from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account
 from macro_fem.motion.masses import TONNE
 from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
 from macro_fem.motion.scheme import Moment, difference
-from macro_fem.motion.stage import let_go, scene_at
+from macro_fem.motion.stage import let_go, relative_wind, scene_at
 from macro_fem.motion.step import Forces
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
-from macro_fem.scene.moving import Thrown
+from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import Timed, Wind
-from rve import FiniteOptions, FiniteSolution, ring_places, slack_rings, step_rings
+from macro_fem.scene.tables import Timed
+from rve import FiniteOptions, FiniteSolution, RoundBody, ring_places, slack_rings, step_rings, with_bodies
 from rve.common.errors import InputError, NotConverged
 from rve.common.types import Array
 
@@ -35,8 +36,8 @@ NEAR = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class RingFrame:
-    """The rings at a moment: places and velocities (2 n, 3), the rings with their contacts, the energy account, and how
-    many iterations the step took."""
+    """The rings at a moment: places and velocities (2 n + b, 3), the rings with their contacts, the energy account,
+    and how many iterations the step took."""
 
     moment: Moment
     rings: FiniteSolution
@@ -54,10 +55,15 @@ RingRun = Run[RingFrame]
 
 
 class RingStage:
-    """The loads, supports and walls of the rings at the times of a run."""
+    """The loads, supports and walls of the rings at the times of a run, and the balls at its start."""
 
     def __init__(self, scene: Scene, first: RingScene) -> None:
         self.scene, self.first, self.last = scene, first, first
+        self.balls = scene.of(Ball)
+        g = np.array(first.scene.load.acceleration)
+        weights = [tuple((ball.mass * g).tolist()) for ball in self.balls]
+        pairs = zip(self.balls, weights, strict=True)
+        self.bodies = tuple(RoundBody(ball.at, ball.radius, weight, ball.name) for ball, weight in pairs)
         self.released: frozenset[int] | None = None
         self.changes = any(isinstance(item, Timed) and item.history for item in scene.items)
 
@@ -70,35 +76,41 @@ class RingStage:
             self.released = released
         return self.last
 
+    def masses(self, asked: RingScene) -> Array:
+        """Masses (n + b,) of rings, with bars, and balls, N s2/mm."""
+        return TONNE * np.append(asked.mass, [ball.mass for ball in self.balls])
 
-def solve_ring_motion(scene: Scene, who: EveryRing | None = None) -> RingRun:
-    """Every ring of the scene over the duration of [motion], from rest.
+    def weights(self, asked: RingScene) -> Array:
+        """Weights (2 n + b, 3) of what `ring_places` are the places of, N."""
+        own = asked.mass[:, None] * np.array(asked.scene.load.acceleration)
+        return np.concatenate([own, np.zeros_like(own), np.array([one.load for one in self.bodies]).reshape(-1, 3)])
+
+
+def solve_ring_motion(scene: Scene, who: EveryRing | None = None, start: RingFrame | None = None) -> RingRun:
+    """Every ring of the scene over the duration of [motion], from rest or from a frame of a run before.
 
     start = "hung": the rings in equilibrium under loads and moves at t = 0; "reference": the slack weave. InputError
     for what cannot begin, NotConverged where there is no such equilibrium. A step that fails ends the run with a
     status; the frames so far are kept, as they are when Ctrl-C stops it.
     """
-    return collected(scene, ring_frames(scene, who or EveryRing()))
+    return collected(scene, ring_frames(scene, who or EveryRing(), start))
 
 
-def ring_frames(scene: Scene, who: EveryRing) -> Iterator[RingFrame]:
+def ring_frames(scene: Scene, who: EveryRing, start: RingFrame | None = None) -> Iterator[RingFrame]:
     """The frames of `solve_ring_motion`, each as soon as it is known; the first one is that at the start."""
     motion = motion_of(scene)
-    if scene.of(Thrown):
-        raise InputError(f"{scene.source}: [[body]]: every ring in motion meets floors and walls only, no bodies")
-    if any(wind.speed is not None for wind in scene.of(Wind)):
-        raise InputError(f"{scene.source}: [load.wind] speed: every ring in motion takes a pressure, no speed")
     first = ring_scene(scene_at(scene, 0.0), who.rings)
     stage = RingStage(scene, first)
-    after = JUST_AFTER * motion.duration  # supports that let go at t = 0 hold nothing then
-    rings = _hung(first, who) if motion.start == "hung" else _slack(stage.at(after), who.space)
 
     def advance(frame: RingFrame, before: Moment | None, h: float) -> RingFrame:
         return next_ring_frame(stage, motion.damping, frame, before, h)
 
-    start = first_ring_frame(stage.at(0.0), rings).paced(Pace(first_step(motion)))
+    if start is None:
+        after = JUST_AFTER * motion.duration  # supports that let go at t = 0 hold nothing then
+        rings = _hung(first, who) if motion.start == "hung" else _slack(stage.at(after), who.space)
+        start = first_ring_frame(stage, rings).paced(Pace(first_step(motion)))
     size = float(np.hypot(*np.ptp(first.mesh.X, axis=0)))
-    yield from stepped(motion, start, advance, size, f"{len(rings.centre)} rings")
+    yield from stepped(motion, start, advance, size, f"{len(start.rings.centre)} rings")
 
 
 def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
@@ -130,16 +142,17 @@ def _slack(asked: RingScene, space: bool) -> FiniteSolution:
     return rings
 
 
-def first_ring_frame(asked: RingScene, rings: FiniteSolution) -> RingFrame:
-    """Rings at rest at t = 0."""
-    places = ring_places(rings)
-    potential = -float((_weights(asked) * rings.centre).sum())
-    return RingFrame(Moment(0.0, places, np.zeros_like(places)), rings, Account(potential=potential), asked)
-
-
-def _weights(asked: RingScene) -> Array:
-    """Weights (n, 3) of rings and bars, N."""
-    return np.asarray(asked.mass[:, None] * np.array(asked.scene.load.acceleration))
+def first_ring_frame(stage: RingStage, rings: FiniteSolution) -> RingFrame:
+    """Rings at rest at t = 0, and the balls as they are thrown; InputError for a ball that a ring is inside of."""
+    asked, gap = stage.at(0.0), rings.contacts.min_gap_mm
+    rings = with_bodies(rings, stage.bodies)
+    if rings.contacts.min_gap_mm < min(gap, 0.0):
+        raise InputError(f"{stage.scene.source}: [[body]]: rings are inside a body at the start; put it farther away")
+    places, n = ring_places(rings), 2 * len(asked.mass)
+    v = np.concatenate([np.zeros((n, 3)), np.array([ball.velocity for ball in stage.balls]).reshape(-1, 3)])
+    potential = -float((stage.weights(asked) * places).sum())
+    kinetic = kinetic_energy(stage.masses(asked)[n // 2 :], v[n:])
+    return RingFrame(Moment(0.0, places, v), rings, Account(kinetic, potential), asked)
 
 
 def next_ring_frame(
@@ -148,11 +161,15 @@ def next_ring_frame(
     """The frame after a step h, or after its two halves where it is not solved; Failed where these are not either."""
     now, asked = frame.moment, stage.at(frame.moment.t + h)
     change = difference(now, before, h)
-    mass, damped = TONNE * asked.mass, damping * change.beta_h
+    mass, damped, n = stage.masses(asked), damping * change.beta_h, len(asked.mass)
     weight = mass * (1.0 + damped) / change.beta_h**2
     aim = (change.x_hat + damped * change.X) / (1.0 + damped)
-    end = step_rings(frame.rings, weight, aim, asked.force, asked.held, asked.at, walls=asked.walls)
-    rings, n = end.rings, len(mass)
+    force = asked.force.copy()
+    for wind, blown in asked.winds:
+        own, block = relative_wind(wind, blown, now.v[:n])
+        force += own - (block @ now.v[:n, :, None])[:, :, 0] - blown
+    end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *stage.bodies))
+    rings = end.rings
     if rings.status != "converged":
         if not halvings:
             raise Failed(
@@ -162,12 +179,12 @@ def next_ring_frame(
             )
         half = next_ring_frame(stage, damping, frame, before, 0.5 * h, halvings - 1)
         return next_ring_frame(stage, damping, half, now, 0.5 * h, halvings - 1)
-    none = np.zeros((n, 3))
-    dead = np.concatenate([_weights(asked), none])
-    forces = Forces(dead, np.concatenate([asked.force, none]) - dead, None, damping)
+    none, dead = np.zeros((len(mass), 3)), stage.weights(asked)
+    live = np.concatenate([force - dead[:n], none])
+    forces = Forces(dead, live, None, damping)
     way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
-    moved = sum(float(push @ wall.unit) * d for push, wall, d in zip(rings.wall_force, asked.walls, way, strict=True))
+    moved = sum(float(push @ wall.unit) * d for push, wall, d in zip(rings.wall_force, asked.walls, way, strict=False))
     worked = Worked(np.concatenate([rings.reaction, none]), end.pushes, moved=moved, touched=end.touched)
     x = ring_places(rings)
-    account = next_account(frame.account, np.tile(mass, 2), change, now, forces, x, worked)
+    account = next_account(frame.account, np.append(mass[:n], mass), change, now, forces, x, worked)
     return RingFrame(Moment(now.t + h, x, change.velocity(x)), rings, account, asked, rings.iterations)

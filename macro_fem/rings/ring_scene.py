@@ -18,7 +18,7 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.discretization import discretize
 from macro_fem.scene.checks import check_sizes
-from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area
+from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
@@ -46,8 +46,9 @@ class RingScene:
 
     groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
     mass (n,): in kg, with that of bars. walls: half-spaces that the rings stay out of. pins: rings held along
-    directions in which the supports let the mesh slide, so that it does not; they carry no force. notes: what of the
-    scene was changed to fit the rings. info: radii and reference cell of the rings.
+    directions in which the supports let the mesh slide, so that it does not; they carry no force. winds: those with a
+    speed, and their forces (n, 3) in N, part of `force`. notes: what of the scene was changed to fit the rings. info:
+    radii and reference cell of the rings.
     """
 
     scene: Scene
@@ -59,6 +60,7 @@ class RingScene:
     pins: Sliding
     mass: Array
     walls: tuple[HalfSpace, ...] = ()
+    winds: tuple[tuple[Wind, Array], ...] = ()
     notes: tuple[str, ...] = ()
     info: CellInfo | None = None
 
@@ -189,6 +191,11 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     force = np.zeros((n, 3))
     force[:, : scene.d] = mesh.area[:, None] * weight
     np.add.at(force[:, : scene.d], ring, everything - load_vector(disc, weight))
+    winds = []
+    for wind in (one for one in scene.of(Wind) if one.speed is not None):
+        blown = np.zeros((n, 3))
+        np.add.at(blown, ring, load_vector(disc, wind_per_area(wind, scene, info)))
+        winds.append((wind, blown))
     held, at = np.zeros((n, 3), bool), padded(mesh.X)
     for axis in range(scene.d):
         nodes = np.flatnonzero(supports.fixed[:, axis])
@@ -216,4 +223,4 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         walls.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
     pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     mesh = replace(mesh, bars=tuple(bars))
-    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), info=info)
+    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), tuple(winds), info=info)

@@ -40,10 +40,11 @@ def gradients(con: Touching) -> Array:
 
 
 def _of_walls(con: Touching, rows: Index) -> tuple[Array, Array]:
-    """First and second derivative of the gaps of contacts `rows`, which are with half-spaces."""
+    """First and second derivative of the gaps of contacts `rows`, which are with half-spaces or balls."""
     pair, x, normal = con.minima.pair[rows], con.placed.x, con.placed.normal
     ring, wall = con.a[pair], con.b[pair]
-    return wall_derivatives(x[ring], normal[ring], x[wall], normal[wall])
+    radius = con.placed.radius[wall - con.placed.rings]
+    return wall_derivatives(x[ring], normal[ring], x[wall], normal[wall], radius)
 
 
 def spread(con: Touching, G: Array, force: Array) -> Array:

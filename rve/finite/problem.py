@@ -14,7 +14,7 @@ from rve.common.types import Array
 from rve.finite.layout import FiniteMesh
 from rve.finite.task import FiniteOptions, Task
 from rve.finite.touching import Placed, find_touching
-from rve.finite.walls import HalfSpace
+from rve.finite.walls import HalfSpace, Obstacle, RoundBody
 
 _TINY = 1e-9
 _MOST = 0.25
@@ -34,7 +34,7 @@ class Problem:
     held: Flags
     at: Array
     is_space: bool
-    walls: tuple[HalfSpace, ...] = ()
+    walls: tuple[Obstacle, ...] = ()
     guide: Array | None = None
 
     def check(self) -> None:
@@ -63,7 +63,7 @@ class Problem:
             for axis in range(3):
                 push = float(force[rings, axis].sum())
                 is_kept = self.held[rings, axis].any() or (axis == 2 and not self.is_space)
-                is_kept |= any(wall.unit[axis] * push < 0.0 for wall in self.walls)
+                is_kept |= any(isinstance(w, HalfSpace) and w.unit[axis] * push < 0.0 for w in self.walls)
                 if abs(push) > _TINY * np.abs(force).sum() and not is_kept:
                     x, y = mesh.X[rings].mean(axis=0)
                     raise InputError(
@@ -112,27 +112,28 @@ class Problem:
         return placed
 
     def placed(self, centre: Array, normal: Array) -> Placed:
-        """Rings with centres (n, 3) in mm and normals (n, 3), and points of planes r2 off the half-spaces."""
-        units, cell = np.array([wall.unit for wall in self.walls]).reshape(-1, 3), self.mesh.cell
-        off = np.array([wall.offset + cell.r2 for wall in self.walls])
-        x = np.concatenate([centre, off[:, None] * units]) / cell.r1
-        return Placed(x, np.concatenate([normal, units]), len(self.walls))
+        """Rings with centres (n, 3) in mm and normals (n, 3), and the rows of half-spaces and balls."""
+        cell, rows = self.mesh.cell, [wall.row(self.mesh.cell.r2) for wall in self.walls]
+        place, unit = (np.array([row[k] for row in rows]).reshape(-1, 3) for k in (0, 1))
+        radius = np.array([row[2] for row in rows]) / cell.r1
+        return Placed(np.concatenate([centre, place]) / cell.r1, np.concatenate([normal, unit]), radius)
 
     def task(self, load: float | None = None) -> tuple[Task, float]:
-        """The equations without units, half-spaces as held rows after the rings; the unit of force in N.
+        """The equations without units, rows of half-spaces, held, and of balls after the rings; the unit of force in N.
 
         load: what residuals and mu are measured by, N; the sum of the dead loads if None.
         """
         mesh, r1, n, k = self.mesh, self.mesh.cell.r1, len(self.mesh.X), len(self.walls)
         load = float(np.abs(self.force).sum()) if load is None else load
         unit = load * float(np.hypot(*np.ptp(mesh.X, axis=0))) / (len(mesh.linked) * r1)
+        loose = np.array([[isinstance(wall, RoundBody)] * 3 for wall in self.walls], dtype=bool).reshape(k, 3)
         free = np.zeros((n + k, 5), dtype=bool)
-        free[:n] = True
+        free[:n], free[n:, :3] = True, loose
         kept = self.held | np.array([False, False, not self.is_space])
         free[:n, :3] = ~kept
         at = self.at if self.is_space else self.at * [1.0, 1.0, 0.0]
-        force = np.concatenate([self.force / unit, np.zeros((k, 3))])
-        held = np.concatenate([kept, np.ones((k, 3), dtype=bool)])
+        force = np.concatenate([self.force, np.array([wall.load for wall in self.walls]).reshape(k, 3)]) / unit
+        held = np.concatenate([kept, ~loose])
         guide = None if self.guide is None else np.concatenate([self.guide / r1, np.full((k, 3), np.nan)])
         at = self.placed(at, at).x
         tie = self._tie(free)

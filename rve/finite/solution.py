@@ -21,7 +21,7 @@ from rve.finite.problem import Problem
 from rve.finite.solver import solve_rings
 from rve.finite.task import SENTENCES, FiniteOptions, Found, Record, Task
 from rve.finite.touching import find_touching, links_intact
-from rve.finite.walls import HalfSpace
+from rve.finite.walls import Obstacle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +64,7 @@ class FiniteSolution:
     load: Array
     reaction: Array
     contacts: RingContacts
-    walls: tuple[HalfSpace, ...]
+    walls: tuple[Obstacle, ...]
     wall_force: Array
     status: str
     is_space: bool
@@ -213,8 +213,8 @@ def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s:
     r1, n, pair, ring = mesh.cell.r1, len(mesh.X), con.minima.pair, ~con.at_wall
     check = find_touching(con.placed, task.linked, task.wire, 0.1)
     lowest = r1 * float(check.deepest.min(initial=np.inf))
-    total = spread(con, gradients(con), found.force)[:, :3] + task.force
-    total += task.springs(con.placed, 0.0)[1][:, :3]
+    pushes = spread(con, gradients(con), found.force)[:, :3]
+    total = pushes + task.force + task.springs(con.placed, 0.0)[1][:, :3]
     reaction = np.where(task.held, -unit * total, 0.0)
     if not problem.is_space:  # the plane, not a support, keeps the rings in it
         reaction[:n, 2] = 0.0
@@ -235,8 +235,8 @@ def as_solution(problem: Problem, task: Task, found: Found, unit: float, wall_s:
             lowest,
             links_intact(check, task.keys),
         ),
-        walls=problem.walls,
-        wall_force=reaction[n:],
+        walls=tuple(wall.moved(r1 * place) for wall, place in zip(problem.walls, con.placed.x[n:], strict=True)),
+        wall_force=-unit * pushes[n:],
         status=found.status,
         is_space=problem.is_space,
         way_left_mm=r1 * float(np.linalg.norm(task.way_left(con.placed), axis=1).max()),

@@ -3,9 +3,9 @@
     minimise  |y - y_hat|^2_W / 2 - f.y   subject to gap >= 0
 
 A ring that does not spin about its axis moves like two points of its mass: its centre, and one on its axis whose
-distance from the centre is the radius of gyration about a diameter. So places y (2 n, 3) are those of the centres and
-then of these points, less the centres, and any difference in time serves for both. Iterations are those of `solver`:
-no gap is closed, no wire passes through another, and links stay as they are.
+distance from the centre is the radius of gyration about a diameter. So places y (2 n + b, 3) are those of the centres,
+then of these points, less the centres, then of the centres of b balls, and any difference in time serves for all.
+Iterations are those of `solver`: no gap is closed, no wire passes through another, and links stay as they are.
 
 Rest by motion: the rings move by steps of Euler's, heavily damped, until the equilibrium near them is found. Where the
 kinetic energy falls, the rings have passed an equilibrium and are stopped: dynamic relaxation with kinetic damping.
@@ -30,19 +30,22 @@ from rve.finite.solution import FiniteSolution, as_solution
 from rve.finite.solver import solve_near
 from rve.finite.task import FiniteOptions, Found, Record, RingInertia
 from rve.finite.touching import Touching, find_touching, nearest, of_pairs
-from rve.finite.walls import HalfSpace
+from rve.finite.walls import HalfSpace, Obstacle, RoundBody, flat
 from rve.geometry.cell import Cell
 from rve.geometry.circles import cross, rotation
 
-STEP = FiniteOptions(tolerance=1e-10, first=1e-8, last=1e-8, retries=0, max_iterations=60)
-"""Options of a step. Smaller values of mu leave smaller gaps at contacts."""
-OTHER_MU = (1e-9, 1e-7, 1e-6)
-"""Tried in this order. Where a minimum of a distance is about to split in two, which halves the force of each and so
-doubles its gap, there may be no equilibrium at one mu: neither with two minima nor with one."""
+STEP = FiniteOptions(tolerance=1e-10, retries=0, max_iterations=100)
+"""Options of a step."""
+PATHS = ((1e-8, 1e-8), (1e-5, 1e-9), (1e-4, 1e-10), (1e-4, 1e-8))
+"""First and last mu, tried in this order. Most steps need no path. Where many contacts open and close, the way at a
+small mu is in short parts, and at a larger one minima of distances split and merge without end: a minimum about to
+split has one force or two beside each other, and there may be no equilibrium with either. The curvature below which
+this is so falls with the root of the gap, so few are left at the end of a path, and others at another end."""
 REST_MU, REST_RETRIES, REST_ITERATIONS = 1e-3, 8, 300
 """First mu, lifts of mu and iterations with which the equilibrium near a motion is found, or the motion goes on."""
-ROUGH = FiniteOptions(tolerance=1e-4, first=1e-4, last=1e-4, retries=0, max_iterations=40)
-"""Options of a step on the way to rest."""
+ROUGH = FiniteOptions(tolerance=1e-4, retries=0, max_iterations=40)
+ROUGH_PATHS = ((1e-4, 1e-4),)
+"""Those of a step on the way to rest."""
 LONGEST = 0.4
 """Way in r1 of the fastest ring without contacts in one step, and of a held ring or a half-space."""
 SHORTER, LONGER = 0.5, 1.3
@@ -59,7 +62,7 @@ _STILL = 1e-9
 class RingStep:
     """The end of a time step.
 
-    rings: places, contacts, forces of supports and walls, status. pushes (2 n, 3): forces in N of contacts on
+    rings: places, contacts, forces of supports and walls, status. pushes (2 n + b, 3): forces in N of contacts on
     `ring_places`, and of the axes, which keep their length. touched: forces of contacts times how far they have closed,
     N mm.
     """
@@ -79,8 +82,10 @@ def gyration_radius(cell: Cell) -> float:
 
 
 def ring_places(rings: FiniteSolution) -> Array:
-    """Places (2 n, 3) in mm: the centres, and points on the axes one radius of gyration from them, less these."""
-    return np.concatenate([rings.centre, gyration_radius(rings.mesh.cell) * rings.normal])
+    """Places (2 n + b, 3) in mm: the centres, points on the axes one radius of gyration from them, less these, and the
+    centres of balls."""
+    balls = np.array([wall.place for wall in rings.walls if isinstance(wall, RoundBody)]).reshape(-1, 3)
+    return np.concatenate([rings.centre, gyration_radius(rings.mesh.cell) * rings.normal, balls])
 
 
 def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpace] = ()) -> FiniteSolution:
@@ -90,6 +95,16 @@ def slack_rings(mesh: FiniteMesh, *, space: bool = True, walls: Sequence[HalfSpa
     centre, normal = mesh.slack()
     centre[:, :2] += (mesh.X - centre[:, :2]).mean(axis=0)
     return _without_forces(problem, centre, normal)
+
+
+def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSolution:
+    """The rings beside balls that do not push them; a ball that cuts a ring makes `contacts.min_gap_mm` negative."""
+    none = np.zeros((len(bodies), 3))
+    walls, wall_force = (*rings.walls, *bodies), np.concatenate([rings.wall_force, none])
+    problem = Problem(rings.mesh, rings.load, rings.load > 0.0, rings.centre, rings.is_space, walls)
+    gap = _without_forces(problem, rings.centre, rings.normal).contacts.min_gap_mm
+    contacts = replace(rings.contacts, min_gap_mm=gap)
+    return replace(rings, walls=walls, wall_force=wall_force, contacts=contacts)
 
 
 def _without_forces(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
@@ -107,15 +122,16 @@ def step_rings(
     held: Flags,
     at: Array,
     *,
-    walls: Sequence[HalfSpace] = (),
+    walls: Sequence[Obstacle] = (),
 ) -> RingStep:
     """The rings after a time step from `start`, under forces (n, 3) in N, coordinates held as in `FiniteMesh.solve`.
 
-    weight (n,): W, mass over the square of the step for Euler's method, N/mm; aim (2 n, 3): y_hat, where `ring_places`
-    would be without forces, mm. Nothing need hold the mesh. walls: as many as at the start. A step that has not
-    converged has its status.
+    weight (n + b,): W of rings and balls, mass over the square of the step for Euler's method, N/mm; aim (2 n + b, 3):
+    y_hat, where `ring_places` would be without forces, mm. Nothing need hold the mesh. walls: as many as at the start,
+    half-spaces where they are at the end, balls from where they are at the start. A step that has not converged has its
+    status.
     """
-    return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP, OTHER_MU)
+    return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP, PATHS)
 
 
 def _step(
@@ -124,43 +140,48 @@ def _step(
     weight: Array,
     aim: Array,
     options: FiniteOptions,
-    other_mu: Sequence[float] = (),
+    paths: Sequence[tuple[float, float]],
 ) -> RingStep:
     """`step_rings` to the supports and half-spaces of a problem."""
     began = time.perf_counter()
-    mesh, r1, n = start.mesh, start.mesh.cell.r1, len(weight)
-    load = float(np.abs(problem.force).sum() + (np.tile(weight, 2)[:, None] * np.abs(aim - ring_places(start))).sum())
+    mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
+    inert = np.concatenate([weight[:n], weight])[:, None] * np.abs(aim - ring_places(start))
+    load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
     task, unit = problem.task(max(load, _STILL * r1 * float(weight.sum())))
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
-    radius, walls = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))  # without inertia
-    place, normal = (np.concatenate([part, walls]) for part in (aim[:n] / r1, aim[n:] / radius))
-    heavy = np.append(weight, walls[:, 0])
-    inertia = RingInertia(heavy * r1 / unit, place, heavy * radius**2 / (unit * r1), normal)
+    radius, none = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))
+    loose = n + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
+    place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
+    heavy, turning = (np.append(weight[:n], none[:, 0]) for _ in range(2))
+    heavy[loose], place[loose] = weight[n:], aim[2 * n :] / r1
+    inertia = RingInertia(heavy * r1 / unit, place, turning * radius**2 / (unit * r1), normal)
     task = replace(task, inertia=inertia, beside=False)
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, options.reach)
-    for mu in (options.last, *other_mu):
-        tuned = replace(options, first=mu, last=mu)
-        found = solve_near(task, touching, _forces(start, touching, unit, mu), tuned)
+    for first, last in paths:
+        tuned = replace(options, first=first, last=last)
+        found = solve_near(task, touching, _forces(start, touching, unit, first), tuned)
         if found.status == "converged":
             break
     rings = as_solution(problem, task, found, unit, time.perf_counter() - began)
     con = found.touching
     own = nearest(con, touching)
     closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
-    pushes = unit * spread(con, gradients(con), found.force)[:n]
-    torque = r1 * rotation(rings.normal, pushes[:, 3:])
-    drawn = weight * (rings.normal * (radius * rings.normal - aim[n:])).sum(axis=1)
+    pushes = unit * spread(con, gradients(con), found.force)
+    torque = r1 * rotation(rings.normal, pushes[:n, 3:])
+    drawn = weight[:n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
-    return RingStep(rings, np.concatenate([pushes[:, :3], axes]), unit * r1 * float(found.force @ closed))
+    every = np.concatenate([pushes[:n, :3], axes, pushes[loose, :3]])
+    return RingStep(rings, every, unit * r1 * float(found.force @ closed))
 
 
 def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     """The equilibrium in which a damped motion from the slack weave ends; see `FiniteMesh.solve`."""
     began, r1 = time.perf_counter(), problem.mesh.cell.r1
     placed = problem.start(options)
-    planes = zip(problem.walls, placed.x[placed.rings :], strict=True)
-    cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - problem.mesh.cell.r2) for wall, p in planes)
+    ends, r2 = flat(problem.walls), problem.mesh.cell.r2
+    planes = zip(ends, placed.x[placed.rings :], strict=True)
+    cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - r2) for wall, p in planes)
     start = replace(problem, walls=cut)
     rings = found = _without_forces(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
     size = np.linalg.norm(problem.force, axis=1)
@@ -171,15 +192,16 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     for number in range(MOST_STEPS):
         tell(f"{len(load)} rings on their way to rest, step {number + 1}")
         way = np.where(problem.held, problem.at - rings.centre, 0.0)
-        walls_way = np.array([to.offset - now.offset for to, now in zip(problem.walls, rings.walls, strict=True)])
+        planes_now = flat(rings.walls)
+        walls_way = np.array([to.offset - now.offset for to, now in zip(ends, planes_now, strict=True)])
         longest = max(np.abs(way).max(initial=0.0), np.abs(walls_way).max(initial=0.0))
         part = min(1.0, share * LONGEST * r1 / max(float(longest), 1e-300))
         speed = float(np.linalg.norm(v, axis=1).max())
         h = (np.sqrt(speed**2 + 4.0 * share * LONGEST * r1) - speed) / 2.0
-        walls = [replace(w, offset=w.offset + part * d) for w, d in zip(rings.walls, walls_way, strict=True)]
+        walls = [replace(w, offset=w.offset + part * d) for w, d in zip(planes_now, walls_way, strict=True)]
         places = ring_places(rings)
         there = replace(problem, at=rings.centre + part * way, walls=tuple(walls))
-        end = _step(there, rings, load / h**2, places + h * v, ROUGH).rings
+        end = _step(there, rings, load / h**2, places + h * v, ROUGH, ROUGH_PATHS).rings
         history += end.history
         if end.status != "converged":
             share, v = SHORTER * share, np.zeros_like(v)

@@ -6,7 +6,7 @@ No wire passes through another in a step within bounds on the way of points of o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,12 +37,18 @@ _CHUNK = 4096
 class Placed:
     """Rings in space in units of r1: centres x (n, 3) and unit normals (n, 3).
 
-    The last `walls` rows are half-spaces instead: a point of the plane and the unit normal, towards the rings.
+    The last `walls` rows are half-spaces instead: a point of the plane and the unit normal, towards the rings; or
+    balls: their centres. `radius` (walls,): that of balls, inf of half-spaces.
     """
 
     x: Array
     normal: Array
-    walls: int = 0
+    radius: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def walls(self) -> int:
+        """How many rows are half-spaces and balls."""
+        return len(self.radius)
 
     @property
     def rings(self) -> int:
@@ -51,7 +57,7 @@ class Placed:
 
     def moved(self, q: Array) -> Placed:
         """Rings after the step q (n, 5): centres move by the first three, normals turn by the last two."""
-        return Placed(self.x + q[:, :3], turned(self.normal, q[:, 3:]), self.walls)
+        return Placed(self.x + q[:, :3], turned(self.normal, q[:, 3:]), self.radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +65,8 @@ class Touching:
     """Placed rings and their contacts; wire = r2/r1, and the gap `reach` up to which contacts count.
 
     a, b (p,): near pairs, sorted by key; key (p,); minima: their local minima, sorted by pair, `minima.pair` a row of a
-    and b; fixed (m,): contacts that keep their point of ring a, and those with half-spaces; gap (m,); deepest (p,):
-    smallest gap of each pair, inf where it has none within reach. A pair whose b is no ring is one with a half-space.
+    and b; fixed (m,): contacts that keep their point of ring a, and those with walls; gap (m,); deepest (p,): smallest
+    gap of each pair, inf where it has none within reach. A pair whose b is no ring is one with a half-space or ball.
     """
 
     placed: Placed
@@ -76,13 +82,25 @@ class Touching:
 
     @property
     def is_wall(self) -> Flags:
-        """Pairs (p,) with half-spaces."""
+        """Pairs (p,) with half-spaces and balls."""
         return np.asarray(self.b >= self.placed.rings)
 
     @property
     def at_wall(self) -> Flags:
-        """Contacts (m,) with half-spaces."""
+        """Contacts (m,) with half-spaces and balls."""
         return np.asarray(self.is_wall[self.minima.pair])
+
+    @property
+    def clear(self) -> Array:
+        """The way (p,) of one of a pair as seen from the other beyond which a step is not safe; inf for half-spaces.
+
+        Wires come no nearer than r1 to the centre of a ball that goes through no ring: it cannot slip through the mesh.
+        """
+        distance = np.minimum(self.deepest, self.reach) + 4.0 * self.wire
+        if self.placed.walls:
+            R, wall = self.placed.radius, self.is_wall
+            distance[wall] = (2.0 * R - np.where(R > 1.0, 2.0, 0.0))[self.b[wall] - self.placed.rings]
+        return distance
 
     @property
     def count(self) -> Index:
@@ -121,10 +139,12 @@ def find_touching(placed: Placed, linked: Index, wire: float, reach: float, *, b
         minima = minima.join(_beside_soft(minima, d, na, nb, wire, limit))
     if placed.walls:
         ring, wall = np.repeat(np.arange(rings), placed.walls), np.tile(np.arange(rings, n), rings)
-        g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall])
-        ring, wall, g = ring[g < reach], wall[g < reach], g[g < reach]
+        radius = placed.radius[wall - rings]
+        g = wall_gaps(placed.x[ring], placed.normal[ring], placed.x[wall], placed.normal[wall], radius)
+        kept = (g < reach) | np.isfinite(radius)  # balls may come from afar in one step
+        ring, wall, g = ring[kept], wall[kept], g[kept]
         zero, row = np.zeros((len(ring), 3)), len(key) + np.arange(len(ring))
-        more = Minima(row, -placed.normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring)))
+        more = Minima(row, -placed.normal[wall], zero, zero, g + 2.0 * wire, np.ones(len(ring))).take(g < reach)
         key = np.concatenate([key, ring * n + wall])
         order = np.argsort(key)
         minima, key = minima.join([more]), key[order]
@@ -205,10 +225,8 @@ def of_pairs(keys: Index, asked: Index) -> Index:
 
 
 def handed_on(old: Touching, force: Array, new: Touching, mu: float) -> Array:
-    """Forces (m,) for new contacts: a pair's contacts keep theirs where their number stays.
-
-    Where it does not, the pair's total is shared out as on the central path; pairs that are new take its forces.
-    """
+    """Forces (m,) for new contacts: a pair's contacts keep theirs where their number stays; where it does not, the
+    pair's total is shared out as on the central path; pairs that are new take its forces."""
     row, pair = of_pairs(old.key, new.key), new.minima.pair
     total = np.where(row >= 0, np.bincount(old.minima.pair, force, minlength=len(old.key))[row], 0.0)
     out = new.shared(total, mu)
@@ -256,9 +274,7 @@ def safe_parts(con: Touching, q: Array) -> Array:
     Circles that cross on the way have D(0) + D(1) <= L, where D is their distance and L the longest way of a point of
     one as seen from the other. D(1) >= 2 wire, so less than D(0) + 2 wire is safe; nine tenths of it are allowed.
     """
-    distance = np.minimum(con.deepest, con.reach) + 2.0 * con.wire
-    part = 0.9 * (distance + 2.0 * con.wire) / np.maximum(ways(con, q), 1e-300)
-    return np.asarray(np.where(con.is_wall, 1.0, np.minimum(1.0, part)))
+    return np.asarray(np.minimum(1.0, 0.9 * con.clear / np.maximum(ways(con, q), 1e-300)))
 
 
 def is_passage_safe(old: Touching, new: Touching, q: Array) -> bool:
@@ -268,10 +284,9 @@ def is_passage_safe(old: Touching, new: Touching, q: Array) -> bool:
     to each other is at least what both ends are beyond 2.
     """
     limit = 2.0 * old.wire + old.reach
-    start = np.minimum(old.deepest + 2.0 * old.wire, limit)
     rows = of_pairs(new.key, old.key)
     end = np.where(rows >= 0, np.minimum(new.deepest[rows] + 2.0 * old.wire, limit), limit)
-    if ((ways(old, q) >= start + np.maximum(end, 2.0 * old.wire)) & ~old.is_wall).any():
+    if (ways(old, q) >= old.clear + np.where(old.is_wall, 0.0, np.maximum(end - 2.0 * old.wire, 0.0))).any():
         return False
     x0, x1 = (con.placed.x[: con.placed.rings] for con in (old, new))
     step = x1 - x0

@@ -1,12 +1,17 @@
 """The parts behind the report of every ring: geometry, edge loads, cells in space, starts; and its quick form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from benchmarks.every_ring import let_go
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima_of
 from benchmarks.every_ring.cases import SHEETS
 from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.starts import random_start
+from macro_fem import Motion
+from macro_fem.rings.motion import solve_ring_motion
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh
 
@@ -28,6 +33,16 @@ def test_edge_forces_are_those_of_the_line_load():
     area = np.ptp(mesh.X, axis=0).prod()
     assert np.abs(force.sum(axis=0)).max() < 1e-9
     assert pytest.approx(force.T @ mesh.X / area) == P
+
+
+@pytest.mark.slow
+def test_413_rings_let_go_at_a_corner_pass_the_steps_whose_contacts_split_and_merge():
+    """At one force x gap steps from 0.06 s on do not converge, and at 0.085 s no 64th of a step does."""
+    scene = replace(let_go.motion_scene(let_go.SCENES[0], 4), motion=Motion(0.09, let_go.STEP))
+    run = solve_ring_motion(scene)
+    assert (run.status, len(run.frames)) == ("converged", 19)
+    assert all(frame.rings.contacts.links_intact and frame.rings.contacts.min_gap_mm > 0.0 for frame in run.frames)
+    assert max(abs(frame.account.balance - run.frames[0].account.balance) for frame in run.frames) < 1e-8
 
 
 def test_random_starts_are_admissible_and_differ():

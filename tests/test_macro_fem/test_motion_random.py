@@ -9,8 +9,9 @@ import pytest
 from homogenize import default_law
 from macro_fem.fem.assembly import gradient
 from macro_fem.motion.contact import Contacts
-from macro_fem.motion.files import account_error, row
+from macro_fem.motion.files import row
 from macro_fem.motion.run import solve_motion
+from macro_fem.motion.series import account_error
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
 

@@ -16,10 +16,11 @@ from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.motion import files, pace, run
 from macro_fem.motion.account import kinetic_energy
-from macro_fem.motion.files import COLUMNS, account_error, row
+from macro_fem.motion.files import row
 from macro_fem.motion.modes import find_modes
 from macro_fem.motion.run import solve_motion
 from macro_fem.motion.scheme import Moment
+from macro_fem.motion.series import COLUMNS, account_error
 from macro_fem.motion.stage import masses_of, scene_at
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import read_scene

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from homogenize import default_law
 from macro_fem.cli import main
-from macro_fem.motion.files import COLUMNS, account_error
 from macro_fem.motion.masses import TONNE
 from macro_fem.motion.scheme import Moment
+from macro_fem.motion.series import COLUMNS, account_error
 from macro_fem.motion.stage import scene_at
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.motion import RingStage, first_ring_frame, next_ring_frame, solve_ring_motion
@@ -63,7 +63,7 @@ def tossed(scheme, steps, duration, speed):
     scene = scene_at(read_scene(CURTAIN | tables), 0.0)
     stage = RingStage(scene, ring_scene(scene))
     asked = stage.at(duration)
-    frame = first_ring_frame(asked, slack_rings(asked.mesh))
+    frame = first_ring_frame(stage, slack_rings(asked.mesh))
     n, rng = len(asked.mass), np.random.default_rng(0)
     spin = np.array([10.0, 20.0, 40.0])
     v = np.cross(np.concatenate([np.tile(spin, (n, 1)), spin + rng.normal(0.0, 20.0, (n, 3))]), frame.moment.x)
@@ -126,21 +126,52 @@ def test_a_falling_sheet_lands_on_a_floor():
     assert told["lost_by_locking_N_mm"][-1] > 0.0
 
 
+def test_a_ball_that_strikes_a_sheet_without_supports_keeps_momentum_and_links():
+    """And none of its wires is inside the ball, by sampling: the ball is kept off, not through a hole."""
+    ball = {"kind": "sphere", "radius": 8.0, "mass": 0.02, "at": [0.5 * W, 0.5 * H, 14.0], "velocity": [0, 0, -1500.0]}
+    tables = {"support": {"kind": "top", "release": 0.0}, "load": {"gravity": 0.0}, "body": [ball]}
+    found, told = moved(tables | {"motion": {"duration": 0.008, "step": 2e-3, "start": "reference"}})
+    mass = TONNE * np.append(found.frames[0].asked.mass, 0.02)[:, None]
+    n = len(mass) - 1
+    momentum = np.array([(mass * np.delete(one.moment.v, np.s_[n : 2 * n], 0)).sum(axis=0) for one in found.frames])
+    assert np.abs(momentum - momentum[0]).max() < 1e-10 * np.abs(momentum).max()
+    assert momentum[-1, 2] == pytest.approx(-TONNE * 0.02 * 1500.0)
+    last = found.frames[-1].rings
+    gap = np.linalg.norm(last.drawn.circles(720)[0] - last.walls[-1].place, axis=2).min() - 8.0 - CELL.r2_mm
+    assert -1e-9 < gap < 0.1
+    assert told["mean_z_mm"][-1] < -0.5
+    assert told["lost_by_locking_N_mm"][-1] > 0.0
+
+
+def test_wind_with_a_speed_acts_by_the_velocity_relative_to_the_rings():
+    """A sheet without supports and weight that flies along the wind at a quarter of its speed: 9/16 of the force."""
+    wind = {"speed": 20.0, "direction": [0.0, 0.6, -0.8]}
+    support = {"kind": "top", "release": 0.0}
+    tables = {"support": support, "load": {"gravity": 0.0, "wind": wind}, "motion": {"duration": 1.0}}
+    scene = read_scene(CURTAIN | tables)
+    stage = RingStage(scene, ring_scene(scene_at(scene, 0.0)))
+    asked, h = stage.at(1e-3), 1e-3
+    start = first_ring_frame(stage, slack_rings(asked.mesh))
+    n, v = len(asked.mass), np.zeros_like(start.moment.v)
+    along = np.array([0.0, 0.6, -0.8])
+    for share, left in ((0.25, 0.75**2), (1.5, -(0.5**2))):
+        v[:n] = share * 20e3 * along
+        end = next_ring_frame(stage, 0.0, replace(start, moment=Moment(0.0, start.moment.x, v)), None, h)
+        gained = (TONNE * asked.mass[:, None] * (end.moment.v - v)[:n]).sum(axis=0)
+        assert gained == pytest.approx(left * h * np.linalg.norm(asked.force.sum(axis=0)) * along, rel=1e-7, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("tables", "says"),
     [
         ({"support": CORNERS, "motion": {"duration": 1.0, "start": "reference"}}, "use 'hung'"),
         (
-            {"support": CORNERS, "motion": {"duration": 1.0}, "load": {"wind": {"speed": 3.0, "direction": [0, 0, 1]}}},
-            "pressure",
-        ),
-        (
             {
-                "support": CORNERS,
-                "motion": {"duration": 1.0},
-                "body": [{"kind": "sphere", "radius": 5.0, "mass": 1.0, "at": [0.0, 0.0, 30.0]}],
+                "support": {"kind": "top", "release": 0.0},
+                "motion": {"duration": 1.0, "start": "reference"},
+                "body": [{"kind": "sphere", "radius": 5.0, "mass": 1.0, "at": [9.0, 9.0, 6.0]}],
             },
-            "no bodies",
+            "inside a body",
         ),
         ({"support": CORNERS}, "is missing"),
     ],
@@ -168,6 +199,34 @@ def test_rings_with_motion_writes_its_files(tmp_path):
     assert tuple(rows[0]) == COLUMNS
     assert len(rows) == 7
     assert {one.name for one in out.iterdir()} == {
-        *("summary.json", "motion.csv", "motion.pvd", "motion.png"),
+        *("summary.json", "motion.csv", "motion.pvd", "motion.png", "motion.npz"),
         *(f"motion_{k:04d}.vtu" for k in range(6)),
     }
+
+
+def test_a_run_of_rings_goes_on_as_if_it_had_not_ended(tmp_path):
+    """A ball falls on a hung sheet: places, forces, bodies and peaks of one run, and of two with --continue."""
+    whole, part = tmp_path / "whole.toml", tmp_path / "part.toml"
+    text = (
+        f'[curtain]\nwidth = {W}\nheight = {H}\n[[support]]\nkind = "top"\n[[body]]\nkind = "sphere"\nradius = 7.0\n'
+        f"mass = 0.01\nat = [{0.5 * W}, 5.0, 9.0]\nvelocity = [0.0, 0.0, -900.0]\n[motion]\n"
+        "duration = 0.01\nstep = 0.002\n"
+    )
+    whole.write_text(text)
+    part.write_text(text.replace("0.01\nstep", "0.006\nstep"))
+    for scene, out, more in ((whole, "one", ()), (part, "two", ()), (whole, "two", ("--continue",))):
+        asked = ["rings", str(scene), "--out", str(tmp_path / out), "--no-picture", *more]
+        result = CliRunner().invoke(main, asked)
+        assert result.exit_code == 0, result.output
+    rows = [np.loadtxt(tmp_path / out / "motion.csv", delimiter=",", skiprows=1) for out in ("one", "two")]
+    assert rows[1] == pytest.approx(rows[0], rel=1e-6, abs=1e-6)
+    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("one", "two"))
+    assert two["bodies"][0]["end_mm"] == pytest.approx(one["bodies"][0]["end_mm"], abs=1e-6)
+    assert two["peak_contact_force_N"] == pytest.approx(one["peak_contact_force_N"], rel=1e-6)
+    assert two["links_intact"]
+    assert {"bodies.csv", "bodies_0005.vtu", "motion_0005.vtu"} <= {path.name for path in (tmp_path / "two").iterdir()}
+    for other in (part, tmp_path / "another.toml"):
+        other.write_text(other.read_text() if other is part else text.replace("7.0", "6.0"))
+        again = CliRunner().invoke(main, ["rings", str(other), "--out", str(tmp_path / "two"), "--continue"])
+        assert again.exit_code == 2
+        assert ("longer duration" if other is part else "another scene") in again.output

@@ -391,7 +391,7 @@ def test_the_gap_of_a_ring_over_a_plane_has_the_sign_of_its_lowest_point():
     t = np.linspace(0.0, 2.0 * np.pi, 2001)[:, None]
     for shift in (0.0, -0.8, -1.5):
         at = x + shift * m
-        gap = wall_gaps(at, normal, place, m)
+        gap = wall_gaps(at, normal, place, m, np.full(len(x), np.inf))
         for one in range(len(x)):
             e1, e2 = (e[one] for e in tangent_frame(normal))
             lowest = ((at[one] + np.cos(t) * e1 + np.sin(t) * e2 - place[one]) @ m[one]).min()
@@ -400,21 +400,46 @@ def test_the_gap_of_a_ring_over_a_plane_has_the_sign_of_its_lowest_point():
                 assert lowest - 1e-5 <= gap[one] <= 2.0 * lowest + 1e-5
 
 
-def test_derivatives_over_a_plane_are_those_of_differences():
+@pytest.mark.parametrize("R", [0.7, 1.6, 5.0])
+def test_the_gap_of_a_ring_beside_a_ball_has_the_sign_of_its_nearest_point(R):
+    x, normal, place, m = random_pairs(1)
+    t = np.linspace(0.0, 2.0 * np.pi, 2001)[:, None]
+    e1, e2 = tangent_frame(normal)
+    for away in (R - 0.9, R, R + 0.4):
+        place = x - away * m
+        gap = wall_gaps(x, normal, place, m, np.full(len(x), R))
+        points = (x - place)[:, None] + np.cos(t) * e1[:, None] + np.sin(t) * e2[:, None]
+        distance = np.linalg.norm(points, axis=2).min(axis=1) - R
+        assert (np.sign(gap) == np.sign(distance))[np.abs(distance) > 1e-5].all()
+
+
+def test_a_ball_of_infinite_radius_is_a_half_space():
+    x, normal, place, m = random_pairs(5)
+    off, R = place - 1e6 * m, np.full(len(x), 1e6)
+    flat = wall_derivatives(x, normal, place, m, np.inf * R)
+    for one, other in zip(wall_derivatives(x, normal, off, m, R), flat, strict=True):
+        assert one[:, :3] == pytest.approx(other[:, :3], rel=1e-4, abs=1e-4)
+    assert wall_gaps(x, normal, off, m, R) == pytest.approx(wall_gaps(x, normal, place, m, np.inf * R), abs=1e-4)
+
+
+@pytest.mark.parametrize("R", [np.inf, 0.6, 1.5, 5.0])
+def test_derivatives_over_a_plane_and_beside_a_ball_are_those_of_differences(R):
     x, normal, place, m = random_pairs(2)
+    radius = np.full(len(x), R)
+    place = place if np.isinf(R) else x - (R + 1.5) * m
     q = np.random.default_rng(3).standard_normal((len(x), 5))
     way = np.random.default_rng(4).standard_normal((len(x), 3))
     step = 1e-4
 
     def at(t):
         moved = Placed(x, normal).moved(t * q)
-        return wall_gaps(moved.x, moved.normal, place + t * way, m)
+        return wall_gaps(moved.x, moved.normal, place + t * way, m, radius)
 
-    jac, H = wall_derivatives(x, normal, place, m)
+    jac, H = wall_derivatives(x, normal, place, m, radius)
     v = np.concatenate([way - q[:, :3], q[:, 3:], np.ones((len(x), 2))], axis=1)  # planes do not turn
-    assert (jac * v).sum(axis=1) == pytest.approx((at(step) - at(-step)) / (2 * step), abs=1e-5)
+    assert (jac * v).sum(axis=1) == pytest.approx((at(step) - at(-step)) / (2 * step), abs=1e-5, rel=1e-6)
     second = (at(step) - 2 * at(0.0) + at(-step)) / step**2
-    assert np.einsum("ni,nij,nj->n", v, H, v) == pytest.approx(second, abs=1e-4)
+    assert np.einsum("ni,nij,nj->n", v, H, v) == pytest.approx(second, abs=1e-4, rel=1e-6)
 
 
 def over(solution, wall):
