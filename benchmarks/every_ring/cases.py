@@ -29,7 +29,8 @@ ACROSS = 3
 @dataclass(frozen=True)
 class Sheet:
     """A scene of any size: its support, the angle of its weave in degrees, and a pull in the middle of its width at a
-    third of its height, as multiples of the weight along x and y; `sizes`: the k that the full report solves."""
+    third of its height, as multiples of the weight along x and y, at a point or over a circle whose diameter is the
+    part `spread` of the width; `sizes`: the k that the full report solves."""
 
     key: str
     title: str
@@ -40,6 +41,7 @@ class Sheet:
     columns: int = 4
     rows: int = 3
     sizes: tuple[int, ...] = (1, 2, 3, 4)
+    spread: float = 0.0
 
     def sides(self, k: int) -> tuple[float, float]:
         """Width and height in mm."""
@@ -58,11 +60,12 @@ class Sheet:
         W, H = self.sides(k)
         curtain = {"width": W, "height": H, "weave_angle": self.weave_angle, "areal_mass": AREAL_MASS}
         force = [part * self.weight(k) for part in self.pull]
-        load = {"point": {"at": [0.5 * W, H / 3.0], "force": force}} if any(force) else {}
+        pull = {"at": [0.5 * W, H / 3.0], "force": force}
+        load = {"patch": pull | {"radius": 0.5 * self.spread * W}} if self.spread else {"point": pull}
         support = {"kind": self.support, "gather": self.gather}
         solver = {"bounds": True} if bounds else {}
-        tables = {"curtain": curtain, "mesh": {"cells": cells}, "support": support, "load": load, "solver": solver}
-        return read_scene(tables)
+        tables = {"curtain": curtain, "mesh": {"cells": cells}, "support": support, "solver": solver}
+        return read_scene(tables | ({"load": load} if any(force) else {}))
 
 
 SHEETS = (

@@ -1,6 +1,7 @@
 """The rings against the disk: mean height, potential, lowest point, line load, by the number of rings across."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,6 +15,8 @@ LEAST_FITTED = 8
 """Cells across of the smallest sheet that the extrapolation uses."""
 CELLS = 32
 """Of the disk's mesh across."""
+SPREADS = (0, 3, 5)
+"""Rings across the circle over which the pull is spread, 0 at a point."""
 HEIGHT, POTENTIAL = "mean height, %", "potential, %"
 LOWEST, LINE = "lowest point, %", "line load, %"
 
@@ -44,6 +47,7 @@ def measure(full: bool) -> Section:
         table("Rings less disk", rows, forms),
         table("Extrapolated to many rings", limits, limit_forms, note),
         rule_table(rows),
+        spread_table(full, forms),
     )
     return Section("The rings and the disk", text, tables, diagrams(rows), conclusion(rows, limits))
 
@@ -159,6 +163,14 @@ def rule_table(rows: Sequence[Row]) -> Table:
         "many cells across or more; scenes without such a size are not in it. Nothing is extrapolated."
     )
     return table("How many rings make a curtain large", made, {WEIGHT: ".2f", PULL: ".2f"}, note)
+
+
+def spread_table(full: bool, forms: dict[str, str]) -> Table:
+    """The pulled sheet with its pull spread over rings."""
+    pull, sizes = SHEETS[-1], SHEETS[-1].sizes[1::2] if full else SHEETS[-1].sizes[1:2]
+    spread = [(k, n, replace(pull, spread=n / (k * pull.columns))) for k in sizes for n in SPREADS]
+    rows = [{"rings across the load": n} | compared(sheet, k, True) for k, n, sheet in spread]
+    return table("A pull over more rings", rows, forms, "Pulled evenly over a circle in rings and disk; 0: at a point.")
 
 
 def diagrams(rows: Sequence[Row]) -> tuple[Diagram, ...]:

@@ -7,9 +7,10 @@ from benchmarks.every_ring.cases import SHEETS, Array
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, outcomes
 from macro_fem.rings.ring_scene import RingScene, ring_scene
-from rve import FiniteMesh, FiniteOptions
+from rve import FiniteOptions
+from rve.finite.problem import Problem
 from rve.finite.solver import solve_rings
-from rve.finite.task import Found, Task
+from rve.finite.task import Found
 from rve.finite.touching import Placed, find_touching, links_intact
 
 SWEEPS, STRIDE = 40, 0.08
@@ -76,30 +77,14 @@ def _potential(rings: RingScene, centre: Array) -> float:
     return float(-(rings.force * (centre - X)).sum())
 
 
-def task_of(rings: RingScene, space: bool) -> Task:
-    """What the solver solves, in its units: see `rve.finite.solution.solve_mesh`."""
-    mesh = rings.mesh
-    held = rings.held | np.array([False, False, not space])
-    size = float(np.hypot(*np.ptp(mesh.X, axis=0)))
-    unit = np.abs(rings.force).sum() * size / (len(mesh.linked) * mesh.cell.r1)
-    free = np.ones((len(mesh.X), 5), dtype=bool)
-    free[:, :3] = ~held
-    return Task(mesh.linked, mesh.cell.wire, rings.force / unit, held, rings.at / mesh.cell.r1, free)
+def problem_of(rings: RingScene, space: bool) -> Problem:
+    """What the solver is asked for."""
+    return Problem(rings.mesh, rings.force, rings.held, rings.at, space)
 
 
 def solved_from(rings: RingScene, start: Placed, space: bool) -> Found:
     """The equilibrium from a start."""
-    return solve_rings(task_of(rings, space), start, FiniteOptions())
-
-
-def slack_start(rings: RingScene) -> Placed:
-    """The slack weave, moved to where its supports are on average."""
-    mesh: FiniteMesh = rings.mesh
-    centre, normal = mesh.slack()
-    for axis in range(2):
-        rows = rings.held[:, axis]
-        centre[:, axis] += (rings.at[rows, axis] - centre[rows, axis]).mean()
-    return Placed(centre / mesh.cell.r1, normal)
+    return solve_rings(problem_of(rings, space).task()[0], start, FiniteOptions())
 
 
 def random_start(rings: RingScene, space: bool, seed: int) -> Placed:
@@ -107,7 +92,7 @@ def random_start(rings: RingScene, space: bool, seed: int) -> Placed:
     rng = np.random.default_rng(seed)
     mesh, wire = rings.mesh, rings.mesh.cell.wire
     keys = mesh.linked[:, 0] * len(mesh.X) + mesh.linked[:, 1]
-    placed = slack_start(rings)
+    placed = problem_of(rings, space).start(FiniteOptions(disturbance=0.0))
     for _ in range(SWEEPS):
         q = STRIDE * rng.uniform(-1.0, 1.0, (len(mesh.X), 5))
         if not space:
