@@ -1,16 +1,18 @@
-"""Cauchy loads under which several locked states coexist: the one of largest work, or two of equal work.
+"""Cauchy loads under which several locked states coexist: the one of largest work, or two or three of equal work.
 
 A Cauchy load has no potential, but every state locked under it is locked under its S = J F^-1 s F^-T as well. A row
 (S_i, E_i) is the largest of its states if no known state does more work under S_i: S_i:(E_i - E_j) >= 0 for all j.
 Where a state does, the row is solved again from it. It may be that each of two states does more work than the other
 under the S of the other. Then no single state is the answer: a large mesh carries the load with both states side by
 side. Their common load S*, under which both do the same work, is the one that s gives on a mixture
-(1 - t) E_A + t E_B of their strains.
+(1 - t) E_A + t E_B of their strains. Likewise for three states, such as a symmetric
+one beside another and its mirror image.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +29,18 @@ from rve.geometry.pose import Pose, start_pose
 
 SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""
-ROUNDS = 4
+ROUNDS = 6
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 MOVED = 1e-6
 """Strain by which a state must differ from the old one of its row to be another state."""
 UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
-BALANCE_STEPS = 20
-WORK_TOLERANCE = 1e-10
-"""Difference of the works S*:E_A and S*:E_B at unit trace at which two coexisting states are in balance."""
+BALANCE_STEPS, SHARE_STEPS = 10, 30
+"""Steps of Newton's method for the load S* of coexisting states, and for the shares of given strains."""
+PART = 1e-7
+"""Change of shares by which their derivatives are taken as differences."""
+LOAD_TOLERANCE = 1e-7
+"""Change of S* at unit trace below which coexisting states are in balance: works then differ by its square."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,7 @@ def largest_rows(
         return rows, found, changed, left
     is_larger = mesh.cauchy.weave.is_larger
     known = _further_states(rows, mesh) if is_larger else _dead_states(rows, mesh)
+    rows = _fill(rows, found.status, s, known, mesh)
     for count in range(ROUNDS):
         bad, states = _contradicted(rows, known, mesh)
         if not len(bad):
@@ -94,14 +100,23 @@ def largest_rows(
             best = climbed(Largest.of(mesh, S, own), states)
         else:
             best = largest(S, mesh, states)
-        rivals = best.states
-        known = known.join([rivals.with_images(mesh)])
-        bad = bad[np.isfinite(best.h)]
-        rows, new, done = _solve_from_rivals(rows, s, bad, rivals.pose, known.join([states]), mesh)
+        known = known.join([best.states.with_images(mesh)])
+        rows, new, done, more = _solve_from_rivals(rows, s, bad, states.join([known]), mesh)
+        known = known.join([more.with_images(mesh)])
         found = found.put(done, new)
         changed[done] = True
     left[_contradicted(rows, known, mesh)[0]] = True
     return rows, found, changed, left
+
+
+def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownStates, mesh: LoadedCell) -> RowStates:
+    """The rows with those that stalled on their way from a known state."""
+    left = np.flatnonzero(np.isin(status, ["stalled", "no-limit"]))
+    if not len(left):
+        return rows
+    states = rows.states(mesh).join([known])
+    pose = states.pose.take(np.array([best_mixture(each, states.E, mesh)[0] for each in s[left]]))
+    return rows.put(left, RowStates.of(mesh, pose, s[left], UNDECIDED, np.zeros(len(left), dtype=bool)))
 
 
 def _further_states(rows: RowStates, mesh: LoadedCell) -> KnownStates:
@@ -144,70 +159,132 @@ def _missing_work(S: Array, E: Array, states: KnownStates) -> Array:
 
 
 def _solve_from_rivals(
-    rows: RowStates, s: Array, bad: Index, rivals: Pose, known: KnownStates, mesh: LoadedCell
-) -> tuple[RowStates, Equilibrium, Index]:
-    """The rows `bad` solved again from their rivals, poses (k,) that do more work under their S; equilibria of the rows
-    that are solved now, and their numbers.
+    rows: RowStates, s: Array, bad: Index, known: KnownStates, mesh: LoadedCell
+) -> tuple[RowStates, Equilibrium, Index, KnownStates]:
+    """The rows `bad` solved again from the best mixtures of known states; equilibria of the rows that are solved now,
+    and their numbers; the states that were reached on the way.
 
-    A row takes the state that is reached from its rival if no known state does more work. Otherwise it coexists with
-    its rival, if each does more work under the S of the other. Otherwise it goes on from the state that was reached, or
-    from its rival if that is where it came from.
+    A row takes the state that is reached from the largest share of its mixture if no known state does more work.
+    Otherwise the states of the mixture coexist, if they can be brought to the same work. Otherwise it goes on from the
+    state that was reached, or from the largest share if that is where it came from.
     """
     old, s = rows.E[bad], s[bad]
-    new = restart_patiently(s, mesh.cauchy, rivals, mesh.options)
-    E, S = mesh.strain(new.pose), np.ones((len(bad), 3))
-    got = new.status == "converged"
-    S[got] = mesh.conjugate(E[got], s[got])
-    climbs = got & (_missing_work(S, E, known) <= GAIN)
-    pick, rest = np.flatnonzero(climbs), np.flatnonzero(~climbs)
+    mixtures = [best_mixture(each, known.E, mesh) for each in s]
+    lead = known.pose.take(np.array([one[0] for one in mixtures]))
+
+    def climbing(new: Equilibrium) -> tuple[Flags, Array, Flags]:
+        E, S, got = mesh.strain(new.pose), np.ones((len(bad), 3)), new.status == "converged"
+        S[got] = mesh.conjugate(E[got], s[got])
+        return got, E, got & (_missing_work(S, E, known) <= GAIN)
+
+    new = restart(s, mesh.cauchy, lead, MARGINS[0], mesh.options)
+    got, E, climbs = climbing(new)
+    rest = np.flatnonzero(~climbs)
+    owner = np.repeat(np.arange(len(rest)), [len(mixtures[i]) for i in rest])
+    several = known.pose.take(np.array([k for i in rest for k in mixtures[i]], dtype=int))
+    both, S_star, fine, more = balance_works(s[rest], owner, several, mesh)
+    ok = rest[fine]
+    # Most rows that stall are two states in balance: a patient restart is left to the others.
+    slow = np.setdiff1d(np.flatnonzero(~got), ok)
+    if len(slow):
+        new = new.put(slow, restart_patiently(s[slow], mesh.cauchy, lead.take(slow), mesh.options))
+        got, E, climbs = climbing(new)
+    pick, left = np.flatnonzero(climbs), np.setdiff1d(np.flatnonzero(~climbs), ok)
     unique = strain_is_unique(mesh.cauchy, new, s)[pick]
     rows = rows.put(bad[pick], RowStates.of(mesh, new.pose.take(pick), s[pick], "restart", unique))
-    if not len(rest):
-        return rows, new, bad
-    both, S_star, fine = balance_works(s[rest], rows.pose.take(bad[rest]), rivals.take(rest), mesh)
-    ok, left = rest[fine], rest[~fine]
     some = RowStates.of(mesh, both.pose.take(fine), s[ok], "coexisting", np.zeros(len(ok), dtype=bool))
     rows = rows.put(bad[ok], replace(some, S=S_star[fine]))
     fresh = np.flatnonzero(got[left] & (np.abs(E[left] - old[left]).max(axis=1) > MOVED))
-    pose = rivals.take(left).put(fresh, new.pose.take(left[fresh]))
+    pose = lead.take(left).put(fresh, new.pose.take(left[fresh]))
     rows = rows.put(bad[left], RowStates.of(mesh, pose, s[left], UNDECIDED, np.zeros(len(left), dtype=bool)))
     keep = np.sort(np.concatenate([pick, ok]))
-    return rows, new.put(ok, both.take(fine)).take(keep), bad[keep]
+    return rows, new.put(ok, both.take(fine)).take(keep), bad[keep], more
 
 
-def balance_works(s: Array, first: Pose, second: Pose, mesh: LoadedCell) -> tuple[Equilibrium, Array, Flags]:
-    """Equilibria (k,) under the dead loads S* at which two states do the same work; S* (k, 3); where it was found.
+def balance_works(
+    s: Array, owner: Index, pose: Pose, mesh: LoadedCell
+) -> tuple[Equilibrium, Array, Flags, KnownStates]:
+    """Equilibria (k,) under the dead loads S* at which the two or three states of each row do the same work; S*
+    (k, 3); where it was found; all states that were reached. Poses (q,) are starts, that of the largest share first,
+    for the rows owner (q,).
 
-    The share t of the second state is found by the Illinois method: t = 0 has the second state do more work, t = 1 the
-    first. Both states follow the load from step to step. The equilibrium is that of the larger share.
+    Newton's method: S is that of the mixture of strains under which they do the same work, and all states follow it,
+    which changes their works by the square of the change of S only. The equilibrium is that of the largest share.
+    Narrow gaps keep a state on its branch where it would join that of another of the row.
     """
-    poses = [first, second]
-    E = [mesh.strain(pose) for pose in poses]
-    low, high = np.zeros(len(s)), np.ones(len(s))
-    t, S = 0.5 * high, mesh.conjugate(E[0], s)
-    g_low, g_high = double_dot(S, E[1] - E[0]), double_dot(mesh.conjugate(E[1], s), E[1] - E[0])
-    fine = (g_low > 0.0) & (g_high < 0.0)
-    found = [restart(S, mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0)) for pose in poses]
-    open_, last_up = np.flatnonzero(fine), np.full(len(s), -1)
+    first, members = np.unique(owner, return_index=True)[1], [np.flatnonzero(owner == i) for i in range(len(s))]
+    E, S, fine = mesh.strain(pose), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
+    open_ = [i for i, own in enumerate(members) if len(own) > 1]
+    found = restart(s[owner], mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0))
     for _ in range(BALANCE_STEPS):
-        if not len(open_):
+        left = []
+        for i in open_:
+            shares = equal_shares(s[i], E[members[i]], mesh)
+            if shares is None:
+                continue
+            old, S[i] = S[i].copy(), mesh.conjugate((shares @ E[members[i]])[None], s[i : i + 1])[0]
+            first[i] = members[i][np.argmax(shares)]
+            fine[i] = np.abs(S[i] - old).max() <= LOAD_TOLERANCE
+            if not fine[i]:
+                left.append(i)
+        if not left:
             break
-        i = open_
-        t[i] = low[i] + (high[i] - low[i]) * g_low[i] / (g_low[i] - g_high[i])
-        S[i] = mesh.conjugate((1.0 - t[i])[:, None] * E[0][i] + t[i][:, None] * E[1][i], s[i])
-        for k in range(2):
-            new = restart_patiently(S[i], mesh.dead, poses[k].take(i), mesh.options)
-            found[k], poses[k] = found[k].put(i, new), poses[k].put(i, new.pose)
-            E[k][i] = mesh.strain(new.pose)
-            fine[i] &= new.status == "converged"
-        g = double_dot(S[i], E[1][i] - E[0][i])
-        up = g > 0.0
-        again = up == last_up[i]
-        g_high[i] = np.where(up, np.where(again, 0.5 * g_high[i], g_high[i]), g)
-        g_low[i] = np.where(up, g, np.where(again, 0.5 * g_low[i], g_low[i]))
-        last_up[i] = up
-        low[i], high[i] = np.where(up, t[i], low[i]), np.where(up, high[i], t[i])
-        open_ = i[(np.abs(g) > WORK_TOLERANCE) & fine[i]]
-    fine[open_] = False
-    take = np.flatnonzero(t > 0.5)
-    return found[0].put(take, found[1].take(take)), S, fine
+        lost = left
+        for margin in MARGINS:
+            pick = np.concatenate([members[i] for i in lost])
+            new = restart_patiently(S[owner[pick]], mesh.dead, pose.take(pick), mesh.options, margin)
+            found = found.put(pick, new)
+            E[pick] = mesh.strain(new.pose)
+            lost = [i for i in lost if equal_shares(s[i], E[members[i]], mesh) is None]
+            if not lost:
+                break
+        pose = found.pose
+        open_ = [i for i in left if (found.status[members[i]] == "converged").all()]
+    ended = np.flatnonzero(found.status == "converged")
+    return found.take(first), S, fine, KnownStates(found.pose.take(ended), S[owner[ended]], E[ended])
+
+
+def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> list[int]:
+    """Up to three of the strains E (m, 3), the largest share first, whose mixture of equal works under its S is nearest
+    to the answer of the Cauchy load s (3,): where no other does more work under S, it is the answer among mixtures.
+
+    Descent: the state of most work under S joins those of the mixture, or replaces some, as long as that lowers by how
+    much the best work exceeds that of the mixture.
+    """
+    chosen: list[int] = []
+    lack, rival = np.inf, int(np.argmax((s * WEIGHT) @ E.T))
+    while True:
+        best = lack - GAIN
+        for some in [kept for size in range(3) for kept in combinations(chosen, size)]:
+            members = [rival, *some]
+            w = equal_shares(s, E[members], mesh)
+            if w is None:
+                continue
+            S = mesh.conjugate((w @ E[members])[None], s[None])[0]
+            works = E @ (S * WEIGHT)
+            gain = float(works.max() - w @ works[members])
+            if gain < best:
+                best, mixture, ahead = gain, [members[k] for k in np.argsort(-w)], int(works.argmax())
+        if not best < lack - GAIN:
+            return chosen
+        lack, chosen, rival = best, mixture, ahead
+
+
+def equal_shares(s: Array, E: Array, mesh: LoadedCell) -> Array | None:
+    """Positive shares (k,) of the strains E (k, 3) that all do the same work under the S of their mixture and the
+    Cauchy load s (3,), by Newton's method; None where there are none, and for strains that are the same."""
+    k = len(E)
+    w, loads = np.full(k, 1.0 / k), np.tile(s, (k, 1))
+    if k == 1 or any(np.abs(a - b).max() < MOVED for a, b in combinations(E, 2)):
+        return w if k == 1 else None
+    for _ in range(SHARE_STEPS):
+        near = w + PART * np.column_stack([-np.sign(np.arange(k)), np.eye(k)[:, 1:]])
+        short = (mesh.conjugate(near @ E, loads) * WEIGHT) @ (E[1:] - E[0]).T
+        step = np.linalg.lstsq((short[1:] - short[0]).T / PART, -short[0], rcond=None)[0]
+        step = np.append(-step.sum(), step)
+        if np.abs(step).max() < 1e-12:
+            return w
+        w = w + min(1.0, 0.9 / max((-step / w).max(), 1e-300)) * step
+        if w.min() < 1e-6:
+            break
+    return None

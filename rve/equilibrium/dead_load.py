@@ -39,6 +39,8 @@ START_GAP = 1e-3
 PROBE, SAME_STRAIN = 1e-4, 5e-3
 """Complementarity mu at which a path is compared with the state that is known, and the difference of strains up to
 which it leads there."""
+PROBE_STEPS = 50
+"""Iterations, beyond the 50 that every dead load gets, after which a path to mu = PROBE is left; few take as many."""
 MIN_GAIN = 0.5
 """Contacts by which the work on a path must be nearer to that of the known state than a path to equal work would be."""
 
@@ -94,11 +96,11 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     the cell along a curved valley, which steps with second-order corrections follow: they are tried next.
     """
     first = replace(options, attempts=1, shrink=0.3, power=1.0, max_iterations=options.max_iterations + 50)
+    first = replace(first, rejection=NEVER, mu_end=max(MU_END, options.mu_end))
     found = follow(unit_loads(S), equations, first, start)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
         slower = replace(_patient(options), attempts=2, max_iterations=2 * options.max_iterations)
-        slower = replace(slower, mu_end=max(MU_END, options.mu_end))
         again = follow(unit_loads(S[left]), equations, slower, None if start is None else start.take(left))
         found = found.put(left, replace(again, attempts=again.attempts + 1))
     return found
@@ -107,7 +109,7 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
 def _patient(options: DirectOptions) -> DirectOptions:
     """Options of loads that stall: mu falls slowly, and steps follow curved valleys."""
     slow = replace(options, attempts=1, shrink=0.5, power=1.0, rejection=NEVER, corrections=2)
-    return replace(slow, tolerance=max(options.tolerance, TOLERANCE))
+    return replace(slow, tolerance=max(options.tolerance, TOLERANCE), mu_end=max(MU_END, options.mu_end))
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
@@ -137,14 +139,17 @@ def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> 
 
 def restart(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
-    near = replace(options, attempts=1, mu_start=margin, shrink=0.3, power=1.0)
+    near = replace(options, attempts=1, mu_start=margin, shrink=0.3, power=1.0, rejection=NEVER)
     near = replace(near, tolerance=max(options.tolerance, TOLERANCE), max_iterations=min(90, options.max_iterations))
+    near = replace(near, mu_end=max(options.mu_end, MU_END))
     return follow(unit_loads(loads), equations, near, open_gaps(start, equations, margin, options.reach))
 
 
-def restart_patiently(loads: Array, equations: Equations, start: Pose, options: DirectOptions) -> Equilibrium:
-    """`restart` from gaps of 1e-4; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys."""
-    found = restart(loads, equations, start, MARGINS[0], options)
+def restart_patiently(
+    loads: Array, equations: Equations, start: Pose, options: DirectOptions, margin: float = MARGINS[0]
+) -> Equilibrium:
+    """`restart`; loads that stall, as of rank one do, from gaps of 1e-6 and along curved valleys."""
+    found = restart(loads, equations, start, margin, options)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.max_iterations:
         slower = replace(_patient(options), mu_start=MARGINS[1], max_iterations=200)
@@ -161,7 +166,8 @@ def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple
     contact (lam > gap) takes mu from the work at the end, to first order.
     """
     once = replace(mesh.options, attempts=1)
-    path = solve_dead(S, mesh.dead, replace(once, mu_end=PROBE, tolerance=PROBE), start)
+    probe = replace(once, mu_end=PROBE, tolerance=PROBE, max_iterations=min(PROBE_STEPS, once.max_iterations))
+    path = solve_dead(S, mesh.dead, probe, start)
     short = E - mesh.strain(path.pose)
     far = np.abs(short).max(axis=1) > SAME_STRAIN
     loaded = ((path.lam > path.contacts.gap) & path.contacts.present).sum(axis=(1, 2))

@@ -5,6 +5,8 @@ import pytest
 
 from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
 from rve.directions import grid
+from rve.equilibrium.branches import best_mixture, equal_shares
+from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
@@ -40,7 +42,7 @@ def test_two_states_in_balance(tmp_path):
     S, E = best.S[0] / (best.S[0, 0] + best.S[0, 2]), best.E[0]
     found = support(cell, S)
     assert found.h[0] == pytest.approx(double_dot(S, E), abs=1e-8)
-    assert double_dot(S, first.E[0]) < found.h[0] - 5e-6
+    assert double_dot(S, first.E[0]) < found.h[0] - 5e-7
     # Its state is locked under the Cauchy load that it carries in its own pose.
     states = best.states
     equations = Equations.of(states.cell.weave, cell.wire)
@@ -64,6 +66,24 @@ def test_two_states_in_balance(tmp_path):
     assert best.to_pandas().branch.tolist() == ["coexisting"]
 
 
+def test_the_best_mixture_of_strains_carries_its_load():
+    """Of two or three strains on one plane with the normal S, all others below: the load is that of their mixture."""
+    mesh = LoadedCell.of(FOUR_IN_ONE, 0.1, (2.2, 2.53), DirectOptions())
+    rng = np.random.default_rng(3)
+    for k in (1, 2, 3, 3, 2, 3):
+        E = rng.uniform(-0.1, 0.1, (12, 3))
+        S = np.array([0.6, rng.uniform(-0.2, 0.2), 0.4])
+        height = np.append(np.zeros(k), -rng.uniform(0.02, 0.1, 12 - k))
+        E += (height - double_dot(np.tile(S, (12, 1)), E))[:, None] * S / double_dot(S, S)
+        shares = rng.uniform(0.2, 1.0, k)
+        shares /= shares.sum()
+        F = deformation_gradient((shares @ E[:k])[None])[0]
+        s = F @ np.array([[S[0], S[1]], [S[1], S[2]]]) @ F.T
+        found = best_mixture(s[[0, 0, 1], [0, 1, 1]], E, mesh)
+        assert found == np.argsort(-shares).tolist()
+        assert equal_shares(s[[0, 0, 1], [0, 1, 1]], E[found], mesh) == pytest.approx(np.sort(shares)[::-1], abs=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("ratio", "weave", "short"), [(22.0, FOUR_IN_ONE, 1e-4), (50.0, FOUR_IN_ONE, 2e-3), (20.0, SIX_IN_ONE, 1e-4)]
@@ -72,8 +92,7 @@ def test_tables_of_thin_wire_are_normal(ratio, weave, short):
     """And no row falls short of its load alone by more than stated: one by 1.0e-3 at r1/r2 = 50 (docs/theory.md, 4)."""
     cell, loads = Cell(5.0, 5.0 / ratio, weave), grid(15.0, weave)
     table = solve_table(cell, loads)
-    assert (table.status == "converged").mean() > 0.9
-    assert set(table.status) <= {"converged", "below"}
+    assert (table.status == "converged").all()
     assert normality(table, weave.is_mirrored) >= -1e-8
     dead = support(cell, table.S[table.converged])
     good = dead.status == "converged"
