@@ -35,12 +35,13 @@ MOVED = 1e-6
 """Strain by which a state must differ from the old one of its row to be another state."""
 UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
-BALANCE_STEPS, SHARE_STEPS = 10, 30
+BALANCE_STEPS, SHARE_STEPS = 8, 30
 """Steps of Newton's method for the load S* of coexisting states, and for the shares of given strains."""
 PART = 1e-7
 """Change of shares by which their derivatives are taken as differences."""
-LOAD_TOLERANCE = 1e-7
-"""Change of S* at unit trace below which coexisting states are in balance: works then differ by its square."""
+WORK_TOLERANCE, LOAD_TOLERANCE = 1e-10, 1e-6
+"""Differences of the works S*:E at unit trace, and of S* from that of the mixture, below which states are in balance;
+after `BALANCE_STEPS` equal works are enough."""
 
 
 @dataclass(frozen=True)
@@ -208,25 +209,33 @@ def balance_works(
     (k, 3); where it was found; all states that were reached. Poses (q,) are starts, that of the largest share first,
     for the rows owner (q,).
 
-    Newton's method: S is that of the mixture of strains under which they do the same work, and all states follow it,
-    which changes their works by the square of the change of S only. The equilibrium is that of the largest share.
-    Narrow gaps keep a state on its branch where it would join that of another of the row.
+    S is that of the mixture of strains under which they do the same work, and all states follow it; narrow gaps keep a
+    state on its branch where it would join another. The equilibrium is that of the largest share.
     """
     first, members = np.unique(owner, return_index=True)[1], [np.flatnonzero(owner == i) for i in range(len(s))]
     E, S, fine = mesh.strain(pose), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
+    trail: dict[int, tuple[Array, Array]] = {}
     open_ = [i for i, own in enumerate(members) if len(own) > 1]
     found = restart(s[owner], mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0))
+
+    def equal(i: int) -> bool:
+        return bool(np.ptp(E[members[i]] @ (S[i] * WEIGHT)) <= WORK_TOLERANCE)
+
     for _ in range(BALANCE_STEPS):
         left = []
         for i in open_:
             shares = equal_shares(s[i], E[members[i]], mesh)
             if shares is None:
                 continue
-            old, S[i] = S[i].copy(), mesh.conjugate((shares @ E[members[i]])[None], s[i : i + 1])[0]
             first[i] = members[i][np.argmax(shares)]
-            fine[i] = np.abs(S[i] - old).max() <= LOAD_TOLERANCE
+            to = mesh.conjugate((shares @ E[members[i]])[None], s[i : i + 1])[0]
+            way = to - S[i]
+            fine[i] = equal(i) and np.abs(way).max() <= LOAD_TOLERANCE
             if not fine[i]:
                 left.append(i)
+                old, back = trail.get(i, (to, 0.0 * way))
+                turn = way - back  # the S that the states lead to depends on S: a secant step
+                trail[i], S[i] = (to, way), to - (way @ turn) / max(turn @ turn, 1e-300) * (to - old)
         if not left:
             break
         lost = left
@@ -240,6 +249,8 @@ def balance_works(
                 break
         pose = found.pose
         open_ = [i for i in left if (found.status[members[i]] == "converged").all()]
+    else:
+        fine[open_] = [equal(i) and equal_shares(s[i], E[members[i]], mesh) is not None for i in open_]
     ended = np.flatnonzero(found.status == "converged")
     return found.take(first), S, fine, KnownStates(found.pose.take(ended), S[owner[ended]], E[ended])
 
@@ -248,8 +259,7 @@ def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> list[int]:
     """Up to three of the strains E (m, 3), the largest share first, whose mixture of equal works under its S is nearest
     to the answer of the Cauchy load s (3,): where no other does more work under S, it is the answer among mixtures.
 
-    Descent: the state of most work under S joins those of the mixture, or replaces some, as long as that lowers by how
-    much the best work exceeds that of the mixture.
+    Descent: the state of most work under S joins the mixture, or replaces some of it, as long as that lowers its gain.
     """
     chosen: list[int] = []
     lack, rival = np.inf, int(np.argmax((s * WEIGHT) @ E.T))
