@@ -1,6 +1,7 @@
 """The parts behind the report of every ring: geometry, edge loads, cells in space, starts; and its quick form."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +10,14 @@ from benchmarks.every_ring import let_go
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima_of
 from benchmarks.every_ring.cases import SHEETS
 from benchmarks.every_ring.cell import edge_forces
+from benchmarks.every_ring.hooks import peak
 from benchmarks.every_ring.starts import random_start
 from macro_fem import Motion
 from macro_fem.rings.motion import solve_ring_motion
 from macro_fem.rings.ring_scene import ring_scene
-from rve import Cell, FiniteMesh
+from rve import Cell, FiniteMesh, pulled_ring
+from rve.common.materials import STEEL
+from rve.ring.section import Ring
 
 
 def test_brute_force_knows_two_circles():
@@ -53,3 +57,22 @@ def test_random_starts_are_admissible_and_differ():
         assert least_gap(placed.x, placed.normal, 1.0, 0.1) > 0.0
         assert linked_pairs(placed.x, placed.normal, 1.0) == woven
     assert np.abs(first.x - second.x).max() > 0.1
+
+
+def test_a_ring_of_a_chain_bears_what_a_ring_pulled_by_two_opposed_forces_does():
+    """Rings 0, 1, 2 hang from each other, turned by 90 degrees each; the first is held, the force at a hook is its."""
+    ring, force = Ring(5.0, 0.5, STEEL.young_N_per_mm2, STEEL.poisson), 3.0
+    down = np.array([0.0, 2.0 * (ring.r1 - ring.r2), 0.0])
+    chain = SimpleNamespace(
+        centre=-np.arange(3.0)[:, None] * down,
+        normal=np.eye(3)[[0, 2, 0]],
+        reaction=np.array([[0.0, force, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+        contacts=SimpleNamespace(
+            pairs=np.array([[0, 1], [1, 2]]),
+            normal=np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),
+            force=np.full(2, force),
+            gap=np.zeros(2),
+        ),
+    )
+    most = STEEL.yield_N_per_mm2 * force / pulled_ring(5.0, 0.5, STEEL).first_yield_N
+    assert [peak(chain, i, ring) for i in (0, 1)] == pytest.approx([most, most], rel=1e-9)

@@ -20,9 +20,10 @@ from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
 from macro_fem.demand.loop import solve_on_demand
 from macro_fem.demand.options import DemandOptions, OnDemand
-from macro_fem.demand.ring_strength import strength_of_rows
+from macro_fem.demand.ring_strength import strength_of_rows, with_strength
 from macro_fem.demand.rings import Rings, contradictions, question
 from macro_fem.job import solve
+from macro_fem.output.strength import MEANING, summary
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
@@ -385,6 +386,25 @@ def test_the_interval_of_real_rings_holds_the_answer_of_the_finest_law_and_mesh(
 
 
 @pytest.mark.slow
+def test_the_factor_on_demand_is_that_of_the_finest_law():
+    """Of what the curtain asks for, within the error of the law between its rows; the weakest link is the same."""
+    scene = square({"kind": "hooks", "pitch": 50.0, "gather": 0.9}, 6)
+    found = solve(scene, OnDemand(Cell(), accuracy=0.05))
+    told, solution = found.summary, found.solution
+    assert told["safety_factor"] > 0.0
+    problem, strength = solution.problem, default_law().strength
+    own = replace(problem.law.own, strength=strength)
+    same = summary(replace(solution, problem=replace(problem, law=replace(problem.law, own=own))))
+    used = "safety_factor", "utilisation_of_averages_max", "utilisation_of_point_forces_max"
+    for key in used:
+        assert told[key] == pytest.approx(same[key], rel=strength.error.first_yield_max)
+    assert told["collapse_factor"] == pytest.approx(same["collapse_factor"], rel=strength.error.collapse_max)
+    law = solve(scene, default_law()).summary
+    assert told["safety_factor"] == pytest.approx(law["safety_factor"], rel=0.02)
+    assert told["weakest"].split()[0] == law["weakest"].split()[0]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("cell", [Cell(5.0, 0.5, WEAVES["6-in-1"]), Cell(5.0, 0.2, grain="x")], ids=["6-in-1", "thin"])
 def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
     found = solve_on_demand(square(cells=3), cell, DemandOptions(0.06))
@@ -393,3 +413,6 @@ def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
     low, high = interval(found)
     assert low < high
     assert found.law.rows.is_mirrored == cell.weave.is_mirrored
+    told = summary(with_strength(found, cell, NO_CACHE).level.solution)
+    assert told["strength_note"] == MEANING
+    assert told["safety_factor"] > 0.0

@@ -1,0 +1,133 @@
+"""Rings next to hooks: their largest stress by the contact forces of every ring, against that of the disk."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from benchmarks.every_ring.cases import AREAL_MASS, Array
+from benchmarks.frame import Section, table
+from benchmarks.measure import Row
+from homogenize import MembraneLaw, default_law, fit
+from macro_fem import read_scene
+from macro_fem.job import solve
+from macro_fem.rings.ring_scene import ring_scene
+from rve import Cell, FiniteSolution, solve_table, with_rings
+from rve.ring.section import Ring
+from rve.ring.stress import peak_stress
+
+NEAR = 2.0
+"""Rings next to a hook: within this many sides of the reference cell of a held one."""
+CELLS = 24
+"""Of the disk's mesh across."""
+CORNERS = {"kind": "corners", "gather": 0.9}
+SCENES: tuple[tuple[str, str, float, tuple[int, int], Any, Any], ...] = (
+    ("corners", "4-in-1", 0.0, (8, 6), CORNERS, {}),
+    ("corners", "4-in-1", 0.0, (12, 6), CORNERS, {}),
+    ("hooks", "4-in-1", 0.0, (8, 6), 2, {}),
+    ("hooks", "4-in-1", 0.0, (8, 6), 4, {}),
+    ("hooks", "4-in-1", 0.0, (16, 6), 4, {}),
+    ("hooks, bar", "4-in-1", 0.0, (8, 6), 4, {"bar": {"mass": 0.1}}),
+    ("hooks, wind", "4-in-1", 0.0, (8, 6), 4, {"wind": {"direction": [0, 0, 1], "pressure": 14.0}}),
+    ("hooks", "4-in-1", 90.0, (8, 6), 4, {}),
+    ("corners", "6-in-1", 0.0, (8, 6), CORNERS, {}),
+    ("hooks", "6-in-1", 0.0, (8, 6), 4, {}),
+)
+"""Name, weave, its angle in degrees, cells across and down, support or cells from hook to hook, further loads."""
+ALL, BESIDE, HOOK = "largest, rings / disk", "beside the held ring / mesh", "held ring / ring at hook"
+
+
+@cache
+def law_of(weave: str) -> MembraneLaw:
+    """The law of r1/r2 = 10 with the strength of its rings; of 6-in-1 from a grid of 10 degrees."""
+    if weave == "4-in-1":
+        return default_law()
+    cell, step = Cell(weave=weave), np.arange(0.0, 91.0, 10.0)
+    loads = np.repeat(np.arange(-45.0, 45.0, 10.0), len(step)), np.tile(step, 9)
+    return fit(with_rings(solve_table(cell, loads), cell)).law
+
+
+def measure(full: bool) -> Section:
+    """The section."""
+    rows = [compared(*one) for one in (SCENES if full else SCENES[2:4])]
+    good = [row for row in rows if row["status"] == "converged"]
+    text = (
+        "Rings of r1/r2 = 10, in space, of the default steel. A ring's utilisation: the largest von Mises stress by "
+        "its contact forces (closed form of a curved wire, `rve.ring.stress`) over the yield stress; the force at a "
+        "hook acts where the ring's wire meets its line. The rings are rigid: where they leave forces open, these are "
+        f"one choice of many. `disk`: the utilisation of the summary, {CELLS} columns of finite elements. `{HOOK}`: "
+        f"the ring under the hook against two opposed forces. `{BESIDE}`: rings within {NEAR:g} cells of it against "
+        "the larger of averages and point forces. Hooks are 90 % of their pitch apart."
+    )
+    told = [f"{head}: {mean_and_spread([row[head] for row in good])}" for head in (ALL, HOOK, BESIDE)]
+    conclusion = f"{len(good)} of {len(rows)} scenes converged. " + "; ".join(told) + "."
+    forms = dict.fromkeys((ALL, BESIDE, HOOK), ".2f")
+    return Section("Rings next to a hook", text, (table("Utilisation, rings over disk", rows, forms),), (), conclusion)
+
+
+def mean_and_spread(values: list[float]) -> str:
+    """The mean, its standard deviation, least and largest."""
+    x = np.array(values)
+    return f"{x.mean():.2f} on average, standard deviation {x.std():.2f}, from {x.min():.2f} to {x.max():.2f}"
+
+
+def compared(name: str, weave: str, angle: float, cells: tuple[int, int], support: Any, load: Any) -> Row:
+    """Rings of a scene against its disk."""
+    law = law_of(weave)
+    assert law.cell is not None
+    info, strength = law.cell, law.strength
+    across, down = (info.b_y_mm, info.b_x_mm) if angle else (info.b_x_mm, info.b_y_mm)
+    if not isinstance(support, dict):
+        support = {"kind": "hooks", "pitch": support * across, "gather": 0.9}
+    curtain = {"width": cells[0] * across, "height": cells[1] * down, "weave_angle": angle, "areal_mass": AREAL_MASS}
+    scene = read_scene({"curtain": curtain, "mesh": {"cells": CELLS}, "support": support, "load": load})
+    told = solve(scene, law).summary
+    rings = ring_scene(scene, law)
+    found = rings.solve(space=True)
+    held = np.flatnonzero(rings.held[:, 1])
+    away = np.linalg.norm(rings.mesh.X[:, None] - rings.mesh.X[held], axis=2).min(axis=1)
+    ring = Ring(info.r1_mm, info.r2_mm, strength.material.young_N_per_mm2, strength.material.poisson)
+    stress = np.array([peak(found, i, ring) for i in np.flatnonzero(away <= NEAR * max(across, down))])
+    used = stress / strength.yield_stress()
+    is_held = np.isin(np.flatnonzero(away <= NEAR * max(across, down)), held)
+    mesh = max(told["utilisation_of_averages_max"], told["utilisation_of_point_forces_max"])
+    return {
+        "scene": name,
+        "weave": f"{weave}, {'across' if angle else 'along'}",
+        "cells": f"{cells[0]} x {cells[1]}",
+        "rings": len(found.centre),
+        "status": found.status,
+        "disk": told["utilisation_max"],
+        ALL: float(used.max() / told["utilisation_max"]),
+        HOOK: float(used[is_held].max() / told["utilisation_of_hook_rings_max"]),
+        BESIDE: float(used[~is_held].max() / mesh),
+    }
+
+
+def peak(found: FiniteSolution, i: int, ring: Ring) -> float:
+    """The largest von Mises stress in N/mm2 of ring i under its contacts and the force of its support."""
+    contacts, N = found.contacts, found.normal[i]
+    on = np.flatnonzero((contacts.pairs == i).any(axis=1) & (contacts.force > 0.0))
+    rho = [contact_point(found, k, ring)[list(contacts.pairs[k]).index(i)] for k in on]
+    push = [contacts.force[k] * contacts.normal[k] * (1.0 if contacts.pairs[k, 1] == i else -1.0) for k in on]
+    hook = found.reaction[i] - (found.reaction[i] @ N) * N  # in the ring's plane: its centre is what is held
+    if np.linalg.norm(hook) > 0.0:
+        rho, push = [*rho, hook / np.linalg.norm(hook)], [*push, hook]
+    e1 = np.cross(N, np.eye(3)[np.abs(N).argmin()])
+    e1 /= np.linalg.norm(e1)
+    at, F = np.array(rho), np.array(push)
+    phi = np.arctan2(at @ np.cross(N, e1), at @ e1)
+    forces = np.stack([(F * at).sum(axis=1), (F * np.cross(N, at)).sum(axis=1), F @ N], axis=1)
+    return float(peak_stress(phi[None], forces[None], ring).stress[0])
+
+
+def contact_point(found: FiniteSolution, k: int, ring: Ring) -> tuple[Array, Array]:
+    """Directions from the centres of both rings to the points of their centre circles next to contact k: along its
+    normal within the plane of each, on the side from which the normal leads from one to the other."""
+    contacts = found.contacts
+    n, two = contacts.normal[k], contacts.pairs[k]
+    flat = [n - (n @ found.normal[i]) * found.normal[i] for i in two]
+    a, b = (x / np.linalg.norm(x) for x in flat)
+    way = found.centre[two[1]] - found.centre[two[0]] - (2.0 * ring.r2 + contacts.gap[k]) * n
+    sides = [(s * a, t * b) for s in (1.0, -1.0) for t in (1.0, -1.0)]
+    return min(sides, key=lambda x: float(np.linalg.norm(ring.r1 * (x[0] - x[1]) - way)))
