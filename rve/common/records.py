@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -60,6 +59,8 @@ class Rows:
 
     def _with(self, change: Callable[[str, Any], Any]) -> Self:
         """A copy in which the fields with one row per case are changed."""
-        columns = {one.name: getattr(self, one.name) for one in fields(self)}  # type: ignore[arg-type]
-        rowwise = {name: own for name, own in columns.items() if isinstance(own, np.ndarray | Rows)}
-        return replace(self, **{name: change(name, own) for name, own in rowwise.items()})  # type: ignore[type-var]
+        # Not by dataclasses.replace, which takes as long as the arrays of a small batch.
+        new = object.__new__(type(self))
+        for name, own in vars(self).items():
+            vars(new)[name] = change(name, own) if isinstance(own, (np.ndarray, Rows)) else own
+        return new

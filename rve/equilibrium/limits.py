@@ -55,35 +55,36 @@ def loose_motions(equations: Equations, found: Equilibrium, s: Array) -> Iterato
 def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
     """Equilibria under the loads s (n, 3) that are limits for a vanishing addition to the second principal load.
 
-    Equilibria for decreasing additions come first, each started from the one before: the start is that one stopped at
-    complementarity 1e-3 of the addition, where gaps are still open. From the slack pose such loads take ten times as
-    many iterations, or stall. The smallest three additions whose extrapolation Newton's method confirms count; status
-    "no-limit" if none do.
+    Paths for decreasing additions come first, each started from the one before and stopped at complementarity 1e-3 of
+    the addition, where gaps are still open. From the slack pose such loads take ten times as many iterations, or stall.
+    The smallest three additions whose extrapolation Newton's method confirms count; status "no-limit" if none do.
     """
     mean, half = 0.5 * (s[:, 0] + s[:, 2]), 0.5 * (s[:, 0] - s[:, 2])
     radius = np.hypot(half, s[:, 1])
     n1 = np.stack([radius + half, s[:, 1], radius - half], axis=1) / np.maximum(2.0 * radius, 1e-300)[:, None]
     inward = (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
-    trail: list[Equilibrium] = []
+    paths: list[Equilibrium] = []
     start, early = None, replace(options, attempts=1)
     for size in _SIZES:
         mu = 1e-3 * size
-        path = solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start)
-        exact = replace(options, attempts=1, mu_start=mu)
-        trail.append(solve_equilibrium(s + size * inward, equations, exact, path.pose))
-        start, early = path.pose, replace(early, mu_start=4.0 * mu)
-    result = replace(trail[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
-    iterations = np.sum([part.iterations for part in trail], axis=0)
-    left = np.arange(len(s))
-    for last in range(len(trail) - 1, 1, -1):
-        three = [part.take(left) for part in trail[last - 2 : last + 1]]
-        limit = _extrapolate_limit(three, s[left], equations, options, 1e-3 * _SIZES[last])
+        paths.append(solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start))
+        start, early = paths[-1].pose, replace(early, mu_start=4.0 * mu)
+    result = replace(paths[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
+    left, ends = np.arange(len(s)), dict[int, Equilibrium]()
+    for last in range(len(paths) - 1, 1, -1):
+        three = range(last - 2, last + 1)
+        for k in set(three) - set(ends):
+            exact = replace(options, attempts=1, mu_start=1e-3 * _SIZES[k])
+            ends[k] = solve_equilibrium(s + _SIZES[k] * inward, equations, exact, paths[k].pose)
+        limit = _extrapolate_limit(
+            [ends[k].take(left) for k in three], s[left], equations, options, 1e-3 * _SIZES[last]
+        )
         good = np.flatnonzero(limit.status == "converged")
         result = result.put(left[good], limit.take(good))
         left = np.delete(left, good)
         if not len(left):
             break
-    return replace(result, iterations=iterations)
+    return replace(result, iterations=np.sum([part.iterations for part in [*paths, *ends.values()]], axis=0))
 
 
 def _extrapolate_limit(

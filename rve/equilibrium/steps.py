@@ -9,7 +9,7 @@ import numpy as np
 from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.equilibrium.system import Equations, System
-from rve.geometry.contacts import CellContacts, parallel_clearance
+from rve.geometry.contacts import CellContacts, gap_bound, parallel_clearance
 from rve.geometry.pose import Pose, moved
 
 LARGEST_CORRECTION = 0.1
@@ -136,9 +136,19 @@ def accept_step(
     first, before, bad = pose, contacts, np.arange(len(dq))
     length = np.minimum(1.0, radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
     floor = 0.01 * before.min_gap
-    for _ in range(31):
-        here, step = first.take(bad), length[bad, None] * dq[bad]
-        there = moved(here, equations.displacement(step, here))
+    here, there = first, moved(first, equations.displacement(length[:, None] * dq, first))
+    for _ in range(31 if valley is None else 0):  # a search would only confirm that these are too long
+        tight = np.flatnonzero(gap_bound(before, there, equations.weave, equations.wire) < floor)
+        if not len(tight):
+            break
+        length[tight] *= 0.5
+        some = first.take(tight)
+        there = there.put(tight, moved(some, equations.displacement(length[tight, None] * dq[tight], some)))
+    for tries in range(31):
+        step = length[bad, None] * dq[bad]
+        if tries:
+            here = first.take(bad)
+            there = moved(here, equations.displacement(step, here))
         if valley is None:
             found = equations.contacts(there, reach)
         else:
@@ -149,7 +159,11 @@ def accept_step(
         if len(long):
             way = parallel_clearance(here.take(long), there.take(long), equations.weave, equations.wire)
             good[long] &= way > -equations.wire
-        pose, contacts, bad = pose.put(bad, there), contacts.put(bad, found), bad[~good]
+        if tries:
+            pose, contacts = pose.put(bad, there), contacts.put(bad, found)
+        else:
+            pose, contacts = there, found
+        bad = bad[~good]
         if not len(bad):
             return pose, contacts, length
         length[bad] *= 0.5

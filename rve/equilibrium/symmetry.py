@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, follow, solve_equilibrium, unit_loads
-from rve.equilibrium.limits import loose_motions
+from rve.equilibrium.limits import loose_motions, strain_is_unique
 from rve.equilibrium.steps import carry_forces
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
@@ -95,8 +95,8 @@ def symmetric_equations(equations: Equations, symmetry: Symmetry) -> Equations:
 def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectOptions) -> Equilibrium:
     """What `solve_equilibrium` finds, first tried in the symmetric coordinates of the weave.
 
-    One attempt is made there; cases that do not converge or are not confirmed are solved with all coordinates. Their
-    iterations count both, and their attempts one more.
+    One attempt is made there; cases that do not converge or are not confirmed are solved with all coordinates, except
+    loads of rank one that leave the strain free (`limits.with_limits`). Iterations count both, and attempts one more.
     """
     symmetry = symmetry_of(equations.weave)
     if symmetry is None:
@@ -106,7 +106,10 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
     once = replace(options, attempts=1, max_iterations=min(MOST_ITERATIONS, options.max_iterations))
     part = follow(unit, half, once, symmetric_start(equations.weave, symmetry, len(s)))
     found = expand_symmetric(part, symmetry, equations, unit, options.reach)
-    left = np.flatnonzero(~is_confirmed(found, half, equations, unit, options.tolerance))
+    is_solved = is_confirmed(found, half, equations, unit, options.tolerance)
+    slender = np.abs(unit[:, 0] * unit[:, 2] - unit[:, 1] ** 2) < 1e-12  # of rank one
+    is_solved |= slender & (options.tolerance > found.R) & ~strain_is_unique(equations, found, unit)
+    left = np.flatnonzero(~is_solved)
     if not len(left):
         return found
     again = follow(unit[left], equations, options)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rve.common.records import Rows
 from rve.common.types import Array
-from rve.geometry.circles import Minima, are_linked, dot, local_minima
+from rve.geometry.circles import Minima, are_linked, dot, foot_on_circle, local_minima
 from rve.geometry.pose import Pose, pair_geometry
 from rve.geometry.weave import Weave
 
@@ -85,6 +85,17 @@ def find_contacts(pose: Pose, weave: Weave, wire: float, reach: float, *, far_pa
     )
 
 
+def gap_bound(contacts: CellContacts, pose: Pose, weave: Weave, wire: float) -> Array:
+    """Upper bound (n,) of the smallest gap of poses, from points near these contacts of poses nearby: no search."""
+    near = contacts.minima
+    d, na, nb = (x.reshape(-1, 3)[near.pair] for x in pair_geometry(pose, weave))
+    rho_a = foot_on_circle(d + foot_on_circle(near.rho_b, nb, 1.0), na, 1.0)
+    way = d + foot_on_circle(rho_a - d, nb, 1.0) - rho_a
+    gap = np.full(contacts.present.shape, np.inf)
+    gap[contacts.present] = np.sqrt(dot(way, way)) - 2.0 * wire
+    return np.asarray(gap.reshape(len(gap), -1).min(axis=1))
+
+
 def can_touch(d: Array, limit: float) -> NDArray[np.bool_]:
     """Whether circles of radius 1 with offsets d (..., 3) can come as near as `limit`."""
     return np.asarray(dot(d, d) < (2.0 + limit) ** 2)
@@ -99,15 +110,12 @@ def parallel_clearance(before: Pose, after: Pose, weave: Weave, wire: float, sam
     """
     same = weave.pairs[:, 0] == weave.pairs[:, 1]
     (d0, n0, _), (d1, n1, _) = pair_geometry(before, weave), pair_geometry(after, weave)
-    lowest = np.full(len(d0), np.inf)
-    for t in np.arange(1, samples) / samples:
-        d = (1.0 - t) * d0[:, same] + t * d1[:, same]
-        n = (1.0 - t) * n0[:, same] + t * n1[:, same]
-        h = dot(d, n) / np.sqrt(dot(n, n))
-        rho = np.sqrt(np.maximum(dot(d, d) - h**2, 0.0))
-        distance = np.where(rho <= 2.0, np.abs(h), np.hypot(rho - 2.0, h))
-        lowest = np.minimum(lowest, distance.min(axis=1, initial=np.inf))
-    return lowest - 2.0 * wire
+    t = (np.arange(1, samples) / samples)[:, None, None, None]
+    d, n = ((1.0 - t) * x[:, same] + t * y[:, same] for x, y in ((d0, d1), (n0, n1)))
+    h = dot(d, n) / np.sqrt(dot(n, n))
+    rho = np.sqrt(np.maximum(dot(d, d) - h**2, 0.0))
+    distance = np.where(rho <= 2.0, np.abs(h), np.hypot(rho - 2.0, h))
+    return np.asarray(distance.min(axis=(0, 2), initial=np.inf) - 2.0 * wire)
 
 
 def unlisted_pairs(weave: Weave) -> Weave:

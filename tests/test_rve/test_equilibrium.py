@@ -12,7 +12,7 @@ from rve.equilibrium.limits import contact_forces, polish, touching
 from rve.equilibrium.steps import accept_step
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.contacts import find_contacts, parallel_clearance
+from rve.geometry.contacts import find_contacts, gap_bound, parallel_clearance
 from rve.geometry.kinematics import cauchy_line_load
 from rve.geometry.pose import Pose, moved, start_pose, tangent_frame
 from rve.geometry.weave import FOUR_IN_ONE
@@ -191,6 +191,18 @@ def test_reference_is_side_by_side(ratio):
     b_x, b_y = reference_sides(Cell(5.0, 5.0 / ratio), OPTIONS)
     assert b_x == pytest.approx(2 * (5.0 + 5.0 / ratio), abs=1e-9)
     assert 0 < b_y < 4 * (5.0 - 5.0 / ratio)
+
+
+def test_points_near_old_contacts_bound_the_gap_from_above():
+    """They are the contacts themselves where nothing has moved, and no search finds a larger gap where rings have."""
+    rng = np.random.default_rng(5)
+    pose = moved(start_pose(FOUR_IN_ONE, 200), rng.uniform(-0.1, 0.1, (200, 9)))
+    before = find_contacts(pose, FOUR_IN_ONE, 0.05, 0.6)
+    assert gap_bound(before, pose, FOUR_IN_ONE, 0.05) == pytest.approx(before.min_gap, abs=1e-12)
+    there = moved(pose, rng.uniform(-0.05, 0.05, (200, 9)))
+    over = gap_bound(before, there, FOUR_IN_ONE, 0.05) - find_contacts(there, FOUR_IN_ONE, 0.05, np.inf).min_gap
+    assert over.min() > -1e-12
+    assert np.median(over) < 1e-3
 
 
 def test_rings_do_not_pass_through_each_other():
