@@ -17,11 +17,11 @@ ON_A_TRACK = macro_fem.Scene(
 )
 
 
-def put(picture: Path, name: str) -> None:
-    """The picture beside the pages, of 1,200 pixels and 256 colours, which are a tenth of its bytes."""
+def put(picture: Path, path: Path) -> None:
+    """The picture in a file of the documentation, of 1,200 pixels and 256 colours, which are a tenth of its bytes."""
     whole = Image.open(picture).convert("RGB")
     small = whole.resize((1200, round(1200 * whole.height / whole.width)), Image.Resampling.LANCZOS)
-    small.quantize(256).save(HERE / name, optimize=True)
+    small.quantize(256).save(path, optimize=True)
 
 
 def main() -> None:
@@ -30,11 +30,11 @@ def main() -> None:
         folder = Path(name)
         example = [sys.executable, HERE.parent / "examples" / "curtain.py", "--out", folder]  # README's first command
         subprocess.run(example, check=True)
-        put(folder / "curtain" / "curtain.png", "curtain.png")
+        put(folder / "curtain" / "curtain.png", HERE / "curtain.png")
         macro_fem.localize(folder / "curtain").save(folder / "rings")
-        put(folder / "rings" / "rings.png", "rings.png")
+        put(folder / "rings" / "rings.png", HERE / "rings.png")
         macro_fem.solve(ON_A_TRACK).rings().save(folder / "space")
-        put(folder / "space" / "rings.png", "rings_space.png")
+        put(folder / "space" / "rings.png", HERE / "rings_space.png")
 
 
 if __name__ == "__main__":
