@@ -83,8 +83,8 @@ SPACE = {
     },
     "solver": {"rigid": {"space": True}, "elastic": {"kind": "elastic"}},
 } | BOTH
-SEED = 2
-"""Of the scenes in which the pairs meet."""
+SHEET_WEIGHT = 0.2
+"""N that a sheet weighs: where nothing loads it, its balance is held to a part of that."""
 ROUNDS = {"sphere", "cylinder", "box", "follows"}
 """What is found in rounds, each a convex problem."""
 REFUSED = {
@@ -105,7 +105,7 @@ REFUSED = {
 
 def covering(keys):
     """Names of values by key in rows, so that any two keys have every pair of their values in some row."""
-    chance, rows = random.Random(SEED), []
+    chance, rows = random.Random(0), []
     pairs = {pair for a, b in combinations(keys, 2) for pair in product(product([a], keys[a]), product([b], keys[b]))}
     while pairs:
         many = [{key: chance.choice(list(keys[key])) for key in keys} | dict(min(pairs)) for _ in range(200)]
@@ -141,7 +141,7 @@ def assert_sound(solution, row):
     problem, summary = solution.problem, summarize(solution)
     force = problem.force
     assert all(np.all(np.isfinite(value)) for value in (solution.x, solution.P, solution.E, solution.primal))
-    size = max(np.abs(force).sum(), np.abs(solution.reactions).sum(), 1e-4)
+    size = max(np.abs(force).sum(), np.abs(solution.reactions).sum(), SHEET_WEIGHT)
     carried = np.sum([held["force_N"] for held in summary["support_forces"]], axis=0) + solution.pushes.sum(axis=0)
     np.testing.assert_allclose(carried, -force.sum(axis=0), atol=1e-8 * size)
     # rings of 1000 N/mm give a little, and so do those of supports at the largest stretch
