@@ -4,12 +4,13 @@
 of dead loads of unit trace, every third on its rim, where they are of rank one.
 """
 
-from __future__ import annotations
-
-import time
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from benchmarks.frame import table, table_text
+from benchmarks.measure import Row, least_seconds
 from rve.common.tensor import from_disc
 from rve.common.types import Array
 from rve.geometry.cell import Cell
@@ -31,29 +32,26 @@ def spread_loads(count: int = LOADS) -> Array:
     return np.asarray(from_disc(radius[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)))
 
 
-def row_of(weave: str, ratio: float, cells: tuple[int, int] = (2, 2)) -> str:
-    """One line of the map: loads that do more work in the larger cell, how much more, depth, and times."""
-    S, seconds, found = spread_loads(), [], []
-    for size, centres in (((1, 1), "plane"), (cells, "space")):
-        began = time.process_time()
-        found.append(support(Cell(5.0, 5.0 / ratio, WEAVES[weave], cells=size, centres=centres), S))
-        seconds.append(time.process_time() - began)
-    more = np.nan_to_num(found[1].h - found[0].h)
-    missing = int((found[1].status != "converged").sum())
-    up = more > 1e-6
-    share = (more / np.abs(found[0].h))[up].max(initial=0.0)
-    numbers = f"{up.sum()} of {len(S)} | {more.max() if up.any() else 0.0:.4f} | {100.0 * share:.1f} % | {missing}"
-    return f"| {weave} | {ratio:g} | {numbers} | {seconds[0]:.1f} | {seconds[1]:.1f} |"
-
-
-def main() -> None:
-    """Print the map."""
-    print("| weave | r1/r2 | loads that do more | most, S:E - h | most, of h | no answer | plane, s | larger, s |")
-    print("|---|---|---|---|---|---|---|---|", flush=True)
-    for weave, ratios in RATIOS.items():
-        for ratio in ratios:
-            print(row_of(weave, ratio), flush=True)
+def row_of(weave: str, ratio: float) -> Row:
+    """One line of the map: loads that do more work in the larger cell, how much more, and times."""
+    S, cell = spread_loads(), Cell(5.0, 5.0 / ratio, WEAVES[weave])
+    larger = replace(cell, cells=(2, 2), centres="space")
+    (found, seconds), (more, longer) = (least_seconds(partial(support, one, S), long=0.0) for one in (cell, larger))
+    gain = np.nan_to_num(more.h - found.h)
+    up = gain > 1e-6
+    return {
+        "weave": weave,
+        "r1/r2": ratio,
+        "loads that do more": f"{up.sum()} of {len(S)}",
+        "most, S:E - h": gain[up].max(initial=0.0),
+        "most, of h": (gain / np.abs(found.h))[up].max(initial=0.0),
+        "no answer": int((more.status != "converged").sum()),
+        "plane, s": seconds,
+        "larger, s": longer,
+    }
 
 
 if __name__ == "__main__":
-    main()
+    rows = [row_of(weave, ratio) for weave, ratios in RATIOS.items() for ratio in ratios]
+    forms = {"r1/r2": "g", "most, S:E - h": ".4f", "most, of h": ".1%", "plane, s": ".1f", "larger, s": ".1f"}
+    print(table_text(table("", rows, forms)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.every_ring.cases import ACROSS, SHEETS, Array, Case, Sheet, disk_case, rings_case
+from benchmarks.every_ring.cases import ACROSS, SHEETS, Case, Sheet, disk_case, rings_case
 from benchmarks.frame import Curve, Diagram, Section, Table, table
 from benchmarks.measure import Row
 
@@ -23,7 +23,8 @@ LOWEST, LINE = "lowest point, %", "line load, %"
 
 def measure(full: bool) -> Section:
     """The section."""
-    rows = [row for sheet in SHEETS for row in sheet_rows(sheet, full)]
+    sizes = {sheet: sheet.sizes if full else QUICK_SIZES for sheet in SHEETS}
+    rows = [compared(sheet, k, space) for sheet in SHEETS for space in (False, True) for k in sizes[sheet]]
     limits = [limit_row(sheet, space, rows) for sheet in SHEETS for space in (False, True)]
     forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f"}
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
@@ -36,7 +37,7 @@ def measure(full: bool) -> Section:
         "middle of the disk's interval, over weight times height. `line load`: root mean square of the difference of "
         f"P averaged over {ACROSS} x {ACROSS} cells, over that of the disk."
     )
-    limit_forms = {"order": ".2f", "limit, %": ".2f", "disk from, %": ".2f", "disk to, %": ".2f", "error, %": ".2f"}
+    limit_forms = dict.fromkeys(("order", "limit, %", "disk from, %", "disk to, %", "error, %"), ".2f")
     note = (
         "The potential over weight times height, fitted by a + b / N over the converged sizes with N >= "
         f"{LEAST_FITTED} cells across; `limit` is a, `error` its standard error. `order`: of the difference from the "
@@ -50,12 +51,6 @@ def measure(full: bool) -> Section:
         spread_table(full, forms),
     )
     return Section("The rings and the disk", text, tables, diagrams(rows), conclusion(rows, limits))
-
-
-def sheet_rows(sheet: Sheet, full: bool) -> list[Row]:
-    """A row for each size, in the plane and in space."""
-    sizes = sheet.sizes if full else QUICK_SIZES
-    return [compared(sheet, k, space) for space in (False, True) for k in sizes]
 
 
 def compared(sheet: Sheet, k: int, space: bool) -> Row:
@@ -89,43 +84,21 @@ def interval(sheet: Sheet, disk: Case) -> tuple[float, float]:
     return low / scale, high / scale
 
 
-def line_loads(sheet: Sheet, rings: Case, disk: Case, k: int) -> tuple[Array, Array]:
-    """P (n, 2, 2) around each ring, of the rings and of the disk, averaged over the same squares, by weight / width."""
-    scale = sheet.weight(k) / sheet.sides(k)[0]
+def line_load_distance(sheet: Sheet, rings: Case, disk: Case, k: int) -> float:
+    """Root mean square over the area of the difference of P, averaged over the same squares around each ring, over
+    that of the disk's; P by weight / width."""
     W, H = sheet.sides(1)
     side = 0.25 * ACROSS * (W / sheet.columns + H / sheet.rows) * (1.0 + 1e-9)
-    tree = cKDTree(k * disk.arrays["middle"])
+    tree, half = cKDTree(k * disk.arrays["middle"]), max(side, 0.75 * k * W / CELLS)
     area, P = disk.arrays["area"], disk.arrays["P"]
-    theirs = np.zeros((len(rings.arrays["X"]), 2, 2))
-    half = max(side, 0.75 * k * sheet.sides(1)[0] / CELLS)
-    for ring, rows in enumerate(tree.query_ball_point(rings.arrays["X"], half, p=np.inf)):
-        theirs[ring] = np.average(P[rows], axis=0, weights=area[rows]) if rows else np.nan
-    ours = rings.arrays["P"][:, :2] / scale
-    return ours, theirs * sheet.sides(1)[0] / sheet.weight(1)
-
-
-def line_load_distance(sheet: Sheet, rings: Case, disk: Case, k: int) -> float:
-    """Root mean square over the area of the difference of P, over that of the disk's."""
-    ours, theirs = line_loads(sheet, rings, disk, k)
-    good = np.isfinite(theirs).all(axis=(1, 2))
-    area = rings.arrays["area"][good]
-    away, own = (area @ (part[good] ** 2).sum(axis=(1, 2)) for part in (ours - theirs, theirs))
+    near = tree.query_ball_point(rings.arrays["X"], half, p=np.inf)
+    good = [ring for ring, rows in enumerate(near) if rows]
+    theirs = np.array([np.average(P[near[ring]], axis=0, weights=area[near[ring]]) for ring in good])
+    theirs *= W / sheet.weight(1)
+    ours = rings.arrays["P"][good, :2] * sheet.sides(k)[0] / sheet.weight(k)
+    weight = rings.arrays["area"][good]
+    away, own = (weight @ (part**2).sum(axis=(1, 2)) for part in (ours - theirs, theirs))
     return float(np.sqrt(away / own))
-
-
-def fitted(N: Array, value: Array) -> tuple[float, float]:
-    """a and its standard error, of value = a + b / N by least squares.
-
-    >>> N = np.array([4.0, 8.0, 16.0])
-    >>> a, error = fitted(N, 2.0 + 3.0 / N)
-    >>> round(a, 6), error < 1e-9
-    (2.0, True)
-    """
-    A = np.column_stack([np.ones(len(N)), 1.0 / N])
-    x = np.linalg.lstsq(A, value, rcond=None)[0]
-    left = A @ x - value
-    spread = float(left @ left) / max(len(N) - 2, 1) * np.linalg.inv(A.T @ A)
-    return float(x[0]), float(np.sqrt(spread[0, 0]))
 
 
 def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row]) -> Row:
@@ -138,7 +111,8 @@ def limit_row(sheet: Sheet, space: bool, rows: Sequence[Row]) -> Row:
     if len(rows) < 3:
         return row
     N = np.array([float(one["cells across"]) for one in rows])
-    a, error = fitted(N, np.array([one["_potential"] for one in rows]))
+    line, spread = np.polyfit(1.0 / N, [one["_potential"] for one in rows], 1, cov=True)
+    a, error = float(line[1]), float(np.sqrt(spread[1, 1]))
     order = -np.polyfit(np.log(N), np.log([abs(one[POTENTIAL]) for one in rows]), 1)[0]
     row |= {"order": float(order), "limit, %": a, "error, %": error, "disk from, %": low, "disk to, %": high}
     return row | {"inside": low - 2.0 * error <= a <= high + 2.0 * error}

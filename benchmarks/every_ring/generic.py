@@ -8,8 +8,8 @@ program in a box smaller than the wire, and boxes shrink.
 
 import importlib.util
 import time
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,32 +43,21 @@ class Peer:
     least_gap: float
 
 
-@dataclass
-class _Cuts:
-    """Constraints: pairs, and the direction on ring a."""
-
-    pairs: list[tuple[int, int]] = field(default_factory=list)
-    directions: list[Array] = field(default_factory=list)
-
-    def add(self, pair: Any, direction: Array) -> None:
-        self.pairs.append((int(pair[0]), int(pair[1])))
-        self.directions.append(direction)
+Cut = tuple[int, int, Array]
+"""A constraint: two rings, and the direction on the first."""
 
 
 def solve_generic(start: tuple[Array, Array], force: Array, fixed: NDArray[np.bool_], wire: float) -> Peer:
     """IPOPT from a start (centres, normals) with its links right; `fixed` (n, 3) coordinates stay where they are."""
     centre, normal = (np.array(part) for part in start)
     scale = float(np.abs(force).sum())
-    old: list[_Cuts] = []
+    old: list[list[Cut]] = []
     potential, count = np.inf, 0
     while count < ROUNDS:
         count += 1
-        cuts = _even_cuts(centre, normal, wire)
-        fresh = _minima_cuts(centre, normal, wire)
+        even, fresh = _cuts(centre, normal, wire)
         old = [*old[-5:], fresh]
-        for part in old:
-            cuts.pairs += part.pairs
-            cuts.directions += part.directions
+        cuts = [*even, *chain.from_iterable(old)]
         before = np.concatenate([centre, normal])
         centre, normal = _round(centre, normal, force / scale, fixed, wire, cuts, BOX * SHRINK**count)
         new = -float((force * centre).sum()) / scale
@@ -80,33 +69,23 @@ def solve_generic(start: tuple[Array, Array], force: Array, fixed: NDArray[np.bo
     return Peer(centre, normal, potential, count, least_gap(centre, normal, 1.0, wire))
 
 
-def _even_cuts(centre: Array, normal: Array, wire: float) -> _Cuts:
-    """Evenly spaced points of either ring of a pair that come near the other ring."""
-    cuts = _Cuts()
+def _cuts(centre: Array, normal: Array, wire: float) -> tuple[list[Cut], list[Cut]]:
+    """Points of a ring that come near another: evenly spaced ones of both rings of a pair, and all minima of pairs."""
     e1, e2 = frames(normal)
-    t = 2.0 * np.pi / EVEN * np.arange(EVEN)
-    for one in near_pairs(centre, 2.0 + 2.0 * wire + 4.0 * BOX):
-        for a, b in (one, one[::-1]):
-            rho = np.cos(t)[:, None] * e1[a] + np.sin(t)[:, None] * e2[a]
-            near = to_circle(centre[a] + rho, centre[b], normal[b], 1.0) < 2.0 * wire + 4.0 * BOX
-            for direction in rho[near]:
-                cuts.add((a, b), direction)
-    return cuts
-
-
-def _minima_cuts(centre: Array, normal: Array, wire: float) -> _Cuts:
-    cuts = _Cuts()
-    e1, e2 = frames(normal)
-    pairs = near_pairs(centre, 2.0 + 2.0 * wire + 4.0 * BOX)
-    for row, s, distance in zip(*minima_of(centre, normal, pairs), strict=True):
-        if distance < 2.0 * wire + 4.0 * BOX:
-            a = pairs[row, 0]
-            cuts.add(pairs[row], np.cos(s) * e1[a] + np.sin(s) * e2[a])
-    return cuts
+    t, reach = 2.0 * np.pi / EVEN * np.arange(EVEN), 2.0 * wire + 4.0 * BOX
+    pairs, even = near_pairs(centre, 2.0 + reach), list[Cut]()
+    for a, b in (*pairs, *pairs[:, ::-1]):
+        rho = np.cos(t)[:, None] * e1[a] + np.sin(t)[:, None] * e2[a]
+        near = to_circle(centre[a] + rho, centre[b], normal[b], 1.0) < reach
+        even += [(a, b, direction) for direction in rho[near]]
+    row, s, distance = (part[..., None] for part in minima_of(centre, normal, pairs))
+    a, b = pairs[row[:, 0]].T
+    touching = zip(a, b, np.cos(s) * e1[a] + np.sin(s) * e2[a], strict=True)
+    return even, [cut for cut, way in zip(touching, distance, strict=True) if way < reach]
 
 
 def _round(
-    centre: Array, normal: Array, force: Array, fixed: NDArray[np.bool_], wire: float, cuts: _Cuts, width: float
+    centre: Array, normal: Array, force: Array, fixed: NDArray[np.bool_], wire: float, cuts: list[Cut], width: float
 ) -> tuple[Array, Array]:
     """Centres and normals of the least potential under the cuts, within the box."""
     import casadi as ca
@@ -118,7 +97,7 @@ def _round(
     tilts = [z[3 * n + 2 * k : 3 * n + 2 * k + 2] for k in range(n)]
     m = [(normal[k] + u[0] * e1[k] + u[1] * e2[k]) / ca.sqrt(1.0 + ca.sumsqr(u)) for k, u in enumerate(tilts)]
     gaps = []
-    for (a, b), v in zip(cuts.pairs, cuts.directions, strict=True):
+    for a, b, v in cuts:
         flat = v - ca.dot(v, m[a]) * m[a]
         w = x[a] + flat / ca.norm_2(flat) - x[b]
         height = ca.dot(w, m[b])
@@ -149,10 +128,9 @@ def measure(full: bool) -> Section:
     text = (
         "A mesh of 2 x 2 reference cells, 13 rings, r1/r2 = 10, under its weight, hung by its upper corners at 90 % "
         "of their distance or by its whole top edge. IPOPT (through CasADi) has gaps and derivatives of its own "
-        "(`generic.py`). It starts from our answer with all rings moved and tilted by up to 0.01 at random, so that "
-        "it overlaps, and from there looks for a local minimum of its own in boxes that shrink from 0.06 r1. The "
-        f"lowest of {len(SEEDS)} starts counts, since a box may shrink before IPOPT is there. "
-        "Potentials are compared with that of `rve.FiniteMesh`."
+        "(`generic.py`). It starts from our answer with all rings moved and tilted by up to 0.01 at random and looks "
+        f"for a local minimum in boxes that shrink from {BOX} r1. The lowest of {len(SEEDS)} starts is compared with "
+        "`rve.FiniteMesh`."
     )
     near = [row for row in rows if abs(row[DIFFERENCE]) < 1e-6]
     conclusion = f"IPOPT's potential is ours to 1e-6 of weight times r1 in {len(near)} of {len(rows)} rows."

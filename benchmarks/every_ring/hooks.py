@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.every_ring.brute import frames
 from benchmarks.every_ring.cases import AREAL_MASS, Array
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row
@@ -87,9 +88,8 @@ def compared(name: str, weave: str, angle: float, cells: tuple[int, int], suppor
     held = np.flatnonzero(rings.held[:, 1])
     away = np.linalg.norm(rings.mesh.X[:, None] - rings.mesh.X[held], axis=2).min(axis=1)
     ring = Ring(info.r1_mm, info.r2_mm, strength.material.young_N_per_mm2, strength.material.poisson)
-    stress = np.array([peak(found, i, ring) for i in np.flatnonzero(away <= NEAR * max(across, down))])
-    used = stress / strength.yield_stress()
-    is_held = np.isin(np.flatnonzero(away <= NEAR * max(across, down)), held)
+    near = np.flatnonzero(away <= NEAR * max(across, down))
+    used, is_held = np.array([peak(found, i, ring) for i in near]) / strength.yield_stress(), np.isin(near, held)
     mesh = max(told["utilisation_of_averages_max"], told["utilisation_of_point_forces_max"])
     return {
         "scene": name,
@@ -113,10 +113,8 @@ def peak(found: FiniteSolution, i: int, ring: Ring) -> float:
     hook = found.reaction[i] - (found.reaction[i] @ N) * N  # in the ring's plane: its centre is what is held
     if np.linalg.norm(hook) > 0.0:
         rho, push = [*rho, hook / np.linalg.norm(hook)], [*push, hook]
-    e1 = np.cross(N, np.eye(3)[np.abs(N).argmin()])
-    e1 /= np.linalg.norm(e1)
-    at, F = np.array(rho), np.array(push)
-    phi = np.arctan2(at @ np.cross(N, e1), at @ e1)
+    at, F, (e1, e2) = np.array(rho), np.array(push), frames(N[None])
+    phi = np.arctan2(at @ e2[0], at @ e1[0])
     forces = np.stack([(F * at).sum(axis=1), (F * np.cross(N, at)).sum(axis=1), F @ N], axis=1)
     return float(peak_stress(phi[None], forces[None], ring).stress[0])
 

@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from functools import cache
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def measure(full: bool) -> Section:
         f"{100.0 * TRAVEL:g} % of the way of the disk. `lost`: by locking and by the scheme "
         "until the end, part of the energy that weight and wind have given the disk at most."
     )
-    if engine.is_there():
+    if find_spec("mujoco") is not None:
         ours = solved(SCENES[0], BESIDE)
         peers = [engine_row(dt, ours) for dt in engine.STEPS]
         forms = {"step, sqrt(r1 / g)": "g", "least gap, r1": "+.4f", "s of MuJoCo": ".0f", "s of ours": ".0f"}

@@ -27,5 +27,5 @@ def test_degenerate_pairs_have_the_minima_that_are_claimed():
     for name, (pair, count) in degenerate_pairs().items():
         found = newton(pair)
         assert len(found.distance) == count, name
-        lowest = golden_section(pair, 20001).distance.min()
+        lowest = golden_section(pair, samples=20001).distance.min()
         assert found.distance.min() == pytest.approx(lowest, abs=1e-10), name  # golden section ends at 1e-12

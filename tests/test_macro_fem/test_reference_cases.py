@@ -24,12 +24,7 @@ def gathered_net_height(element, n):
 
 
 @pytest.mark.parametrize(
-    ("element", "n", "mean_potential"),
-    [
-        ("P1", 8, 23664.7),
-        ("P1", 16, 23453.0),
-        ("P2", 4, 23005.0),
-    ],
+    ("element", "n", "mean_potential"), [("P1", 8, 23664.7), ("P1", 16, 23453.0), ("P2", 4, 23005.0)]
 )
 def test_gathered_net_on_every_element(element, n, mean_potential):
     """The cone programs of another author, as the integral of the height over 1600 mm2, to their printed digit."""
