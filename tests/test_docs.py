@@ -80,9 +80,3 @@ def test_the_gallery_shows_every_scene_with_its_picture_and_its_first_words():
         assert " ".join(comments) in page, path.name
         assert f"../examples/pictures/{path.stem}.png" in page
         assert f"../{path.relative_to(DOCS.parent)}" in page
-
-
-def test_explanations_name_files_of_the_code_only_where_developers_read():
-    for page in sorted((DOCS / "explanation").glob("*.md")):
-        text = page.read_text(encoding="utf-8").split("## For developers")[0]
-        assert not re.findall(r"`(?!examples/)[\w/]+\.py`|`test_\w+", text), page.name

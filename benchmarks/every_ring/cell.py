@@ -31,7 +31,7 @@ AWAY = f"largest error {FAR} or more cells away"
 def measure(full: bool) -> Section:
     """The section."""
     size = (12, 10) if full else (6, 4)
-    cases = [_case(*direction, size) for direction in (DIRECTIONS if full else DIRECTIONS[2:3])]
+    cases = [edge_loaded(*direction, size) for direction in (DIRECTIONS if full else DIRECTIONS[2:3])]
     rows = [case.numbers for case in cases]
     text = (
         f"A mesh of {size[0]} x {size[1]} reference cells in the plane, r1/r2 = 10, no weight. Rings on the boundary "
@@ -57,7 +57,8 @@ def measure(full: bool) -> Section:
     return Section("The periodic cell", text, (table("Homogeneous edge load", rows, forms),), (diagram,), conclusion)
 
 
-def _case(alpha: float, beta: float, size: tuple[int, int]) -> Case:
+def edge_loaded(alpha: float, beta: float, size: tuple[int, int]) -> Case:
+    """A mesh of so many cells; array: the largest error of E by rows of cells from the edge."""
     cell = Cell()
     row = solve_table(cell, ([alpha], [beta]))
     mesh = FiniteMesh.rectangle(cell, *size)

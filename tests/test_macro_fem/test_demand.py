@@ -135,7 +135,6 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     *_, best = levels(finer, law.inner, law.outer)
     assert low < best.bounds.upper
     assert best.bounds.lower < high
-    assert best.bounds.lower < high
     assert low < best.bounds.lower + 1e-3 * scale
     assert found.rings.solves == len(known_rings) < 60
     assert [turn.ring_solves for turn in found.turns] == sorted(turn.ring_solves for turn in found.turns)

@@ -91,8 +91,6 @@ def turned(points, degrees):
 BOX = [[0, 0], [100, 0], [100, 80], [0, 80]]
 HEIGHTS = np.linspace(0.0, 80.0, 21)
 WAVE = np.column_stack([100.0 + 1.5 * np.sin(0.3 * HEIGHTS), HEIGHTS])
-
-
 HIP = {"top": 60.0, "bottom": 100.0, "left": 60.0, "right": 60.0}
 OUTLINES = {
     "box": (BOX, {"top": 100.0, "bottom": 100.0, "left": 80.0, "right": 80.0}),
@@ -180,18 +178,6 @@ def test_refined_meshes_keep_groups_holes_and_hooks(tmp_path):
     places = mesh.mesh.p[:, mesh.hooks[0].nodes]
     assert finer.mesh.p[:, finer.hooks[0].nodes] == pytest.approx(places)
     assert len(finer.hooks[0].nodes) == len(mesh.hooks[0].nodes) == round(arc(ROUND[2:]) / 11.0) + 1
-
-
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        ({"mesh": {"cells": 32}}, 'cells = 32: has no effect with shape = "file"'),
-        ({"mesh": {"pattern": "aligned"}}, "pattern = 'aligned': has no effect"),
-    ],
-)
-def test_keys_without_effect_are_refused(tmp_path, tables, words):
-    with pytest.raises(InputError, match=words):
-        held(scene_of(BOX, tmp_path, **tables))
 
 
 def test_cells_that_overlap_are_refused():

@@ -19,12 +19,6 @@ from tests.test_macro_fem.sheets import least_angle
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 
 
-def test_there_are_scenes_with_pictures():
-    assert len(EXAMPLES) >= 6
-    for path in EXAMPLES:
-        assert (path.parent / "pictures" / f"{path.stem}.png").is_file()
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
 def test_example_makes_a_problem(path):
     scene, law = load_scene(path), default_law()

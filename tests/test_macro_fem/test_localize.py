@@ -295,11 +295,9 @@ def test_tubes_lie_on_the_torus():
 
 def curtain_folder(folder, scene):
     """The files of macro_fem for a scene."""
-    from macro_fem.cli import main as macro_fem
-
     (folder / "scene.toml").write_text(scene)
     arguments = ["run", str(folder / "scene.toml"), "--out", str(folder), "--no-picture"]
-    assert CliRunner().invoke(macro_fem, arguments).exit_code == 0
+    assert CliRunner().invoke(main, arguments).exit_code == 0
     return folder
 
 

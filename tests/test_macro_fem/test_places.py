@@ -1,6 +1,7 @@
 """Nodes are where a scene holds and loads points; supports report their forces there."""
 
 import json
+from itertools import product
 
 import meshio
 import numpy as np
@@ -221,14 +222,7 @@ FAMILY = np.degrees(np.arctan(RINGS.b_y_mm / RINGS.b_x_mm))
 
 @pytest.mark.parametrize(
     ("shape", "hang"),
-    [
-        ("rectangle", 0.0),
-        ("rectangle", 90.0),
-        ("outline", 0.0),
-        ("outline", 90.0),
-        ("outline", 30.0),
-        ("outline", -20.0),
-    ],
+    [*product(("rectangle", "outline"), (0.0, 90.0)), ("outline", 30.0), ("outline", -20.0)],
 )
 def test_inner_edges_follow_the_turned_weave(shape, hang):
     """Both diagonals of the weave's cell, 49 degrees from its x axis, turn with it counterclockwise."""

@@ -19,6 +19,7 @@ curtain.width = nan -> [curtain] width = nan
 curtain.width = 1e9 -> units
 curtain.height = 1e9 -> units
 mesh.cells = 20000 -> use fewer
+curtain = {shape = "file", file = "mesh.msh"} -> cells = 4: has no effect with shape = "file"
 curtain.weave_angel = "y" -> did you mean weave_angle?
 solvr = {} -> solvr: unknown table
 support = {kind = "top", gather = 1.9} -> farther apart

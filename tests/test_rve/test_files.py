@@ -4,13 +4,13 @@ import json
 import os
 import stat
 
-import numpy as np
 import pytest
 
 from rve.common.errors import InputError
 from rve.common.files import check_belongs, check_out_file, check_out_folder, check_out_job, checksum, job, sidecar_path
-from rve.geometry.kinematics import cauchy_line_load
-from rve.table import RowQuality, StrainTable, read_table, write_table
+from rve.geometry.cell import Cell
+from rve.solve import solve_table
+from rve.table import read_table, write_table
 
 OLD = {"a.txt": "old a", "sub/b.txt": "old b", "step_1.vtu": "old step"}
 NEW = {"a.txt": "new a", "sub/b.txt": "new b", "c.png": "new c"}
@@ -129,15 +129,7 @@ def test_outputs_that_are_inputs_by_any_name_are_refused(tmp_path):
 
 @pytest.fixture
 def table():
-    alpha, beta = np.array([0.0, 10.0]), np.array([45.0, 30.0])
-    E, n = np.array([[0.1, 0.0, 0.2], [0.2, 0.05, 0.1]]), 2
-    status, ones = np.array(["converged"] * n), np.ones(n)
-    x = np.ones((n, 2))
-    whole = np.ones(n, dtype=int)
-    S = cauchy_line_load(alpha, beta)
-    return StrainTable(
-        alpha, beta, E, S, x, x, whole > 0, status, RowQuality(ones, ones, whole, whole), provenance={"r1_mm": 5.0}
-    )
+    return solve_table(Cell(), ([0.0, 10.0], [45.0, 30.0]))
 
 
 def test_a_table_and_its_sidecar_belong_together(tmp_path, table):
