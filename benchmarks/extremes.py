@@ -51,14 +51,10 @@ NOISE = {"R": "at_most 1e-11", "overlap, mm": "at_most 1e-12", "iterations, medi
 
 def table_row(name: str, found: StrainTable) -> Row:
     """How the loads of a table end; rows contradict each other where S_i:(E_i - E_j) < -1e-8 for some j."""
-    return {
-        "loads": name,
-        OUTCOME: outcomes(found.status),
-        "iterations, median": float(np.median(found.quality.iterations)),
-        "R": np.nanmax(found.quality.R),
-        "overlap, mm": max(0.0, -np.nanmin(found.quality.min_gap_mm)),
-        "contradicting rows": int((normality(found) < -1e-8).sum()),
-    }
+    row: Row = {"loads": name, OUTCOME: outcomes(found.status)}
+    row |= {"iterations, median": float(np.median(found.quality.iterations)), "R": np.nanmax(found.quality.R)}
+    row["overlap, mm"] = max(0.0, -np.nanmin(found.quality.min_gap_mm))
+    return row | {"contradicting rows": int((normality(found) < -1e-8).sum())}
 
 
 def ratio_row(weave: Weave, ratio: float) -> Row:
@@ -136,12 +132,11 @@ def law_row(name: str, law: MembraneLaw) -> Row:
 
 def curtain_tables() -> dict[str, dict[str, Any]]:
     """Tables of scenes of extreme shape, support and load, by name; each is a square of 100 mm unless it says so."""
-    still = {"load": {"gravity": 0.0}}
-    held = {"support": {"kind": "top"}}
+    still, held = {"load": {"gravity": 0.0}}, {"support": {"kind": "top"}}
+    thin, flat = ({"curtain": {"width": w, "height": h}} for w, h in ((1.0, 1000.0), (1000.0, 1.0)))
     made: dict[str, dict[str, Any]] = {
-        "ribbon 1 : 1000, hanging": {"curtain": {"width": 1.0, "height": 1000.0}, "mesh": {"cells": 1}} | held,
-        "ribbon 1000 : 1, held along its top": {"curtain": {"width": 1000.0, "height": 1.0}, "mesh": {"cells": 400}}
-        | held,
+        "ribbon 1 : 1000, hanging": thin | held | {"mesh": {"cells": 1}},
+        "ribbon 1000 : 1, held along its top": flat | held | {"mesh": {"cells": 400}},
         "one cell": {"mesh": {"cells": 1}},
         "gathered to 2 %": {"support": {"kind": "top", "gather": 0.02}},
         "no gravity, no load": still,

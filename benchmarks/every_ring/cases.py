@@ -90,17 +90,10 @@ def rings_case(sheet: Sheet, k: int, space: bool) -> Case:
     rings = ring_scene(sheet.scene(k, 8))
     solution = rings.solve(space=space)
     mesh = rings.mesh
-    numbers = {
-        "status": solution.status,
-        "rings": len(mesh.X),
-        "links_intact": solution.contacts.links_intact,
-        "min_gap_mm": solution.contacts.min_gap_mm,
-        "kkt_residual": solution.kkt_residual,
-        "mean_height_mm": solution.mean_height,
-        "potential_N_mm": solution.potential,
-        "lowest_mm": float(solution.centre[:, 1].min()),
-        "wall_s": solution.wall_s,
-    }
+    numbers = {"status": solution.status, "rings": len(mesh.X), "links_intact": solution.contacts.links_intact}
+    numbers |= {"min_gap_mm": solution.contacts.min_gap_mm, "kkt_residual": solution.kkt_residual}
+    numbers |= {"mean_height_mm": solution.mean_height, "potential_N_mm": solution.potential}
+    numbers |= {"lowest_mm": float(solution.centre[:, 1].min()), "wall_s": solution.wall_s}
     return Case(numbers, {"X": mesh.X, "area": mesh.area, "P": _line_load(solution)})
 
 

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.every_ring.cases import ACROSS, SHEETS, Case, Sheet, disk_case, rings_case
 from benchmarks.frame import Curve, Diagram, Section, Table, table
-from benchmarks.measure import Row
+from benchmarks.measure import Row, count_of
 
 QUICK_SIZES = (1, 2)
 LEAST_FITTED = 8
@@ -30,12 +30,11 @@ def measure(full: bool) -> Section:
     forms |= {"KKT residual": "at_most", "least gap, mm": "at_most 1e-9"}
     names = "; ".join(f"`{sheet.key}`: {sheet.title}" for sheet in SHEETS)
     text = (
-        f"{names}. All have rings of r1/r2 = 10 and sides in the ratio of 4 to 3 cells; a sheet is as many cells "
-        "across as the table says. Loads grow with the weight, so that the disk's answer over the height is one "
-        f"number for all sizes. The disk has {CELLS} columns of finite elements and certified bounds (`[solver] "
-        "bounds`). `mean height`, `lowest point`: rings less disk, over the height. `potential`: rings less the "
-        "middle of the disk's interval, over weight times height. `line load`: root mean square of the difference of "
-        f"P averaged over {ACROSS} x {ACROSS} cells, over that of the disk."
+        f"{names}. Rings of r1/r2 = 10, sides in the ratio of 4 to 3 cells. Loads grow with the weight, so that the "
+        f"disk's answer over the height is one number for all sizes; it has {CELLS} columns of finite elements and "
+        "certified bounds. `mean height`, `lowest point`: rings less disk, over the height. `potential`: rings less "
+        "the middle of the disk's interval, over weight times height. `line load`: root mean square of the difference "
+        f"of P averaged over {ACROSS} x {ACROSS} cells, over that of the disk."
     )
     limit_forms = dict.fromkeys(("order", "limit, %", "disk from, %", "disk to, %", "error, %"), ".2f")
     note = (
@@ -59,22 +58,17 @@ def compared(sheet: Sheet, k: int, space: bool) -> Row:
     found, H = rings.numbers, sheet.sides(k)[1]
     low, high = (100.0 * part for part in interval(sheet, disk))
     potential = 100.0 * found["potential_N_mm"] / (sheet.weight(k) * H)
-    return {
-        "scene": sheet.key,
-        "centres": "space" if space else "plane",
-        "cells across": k * sheet.columns,
-        "rings": found["rings"],
+    centres = "space" if space else "plane"
+    row = {"scene": sheet.key, "centres": centres, "cells across": k * sheet.columns, "rings": found["rings"]}
+    row |= {
         "status": found["status"],
         HEIGHT: 100.0 * (found["mean_height_mm"] - k * disk.numbers["mean_height_mm"]) / H,
-        POTENTIAL: potential - 0.5 * (low + high),
-        LOWEST: 100.0 * (found["lowest_mm"] - k * disk.numbers["lowest_mm"]) / H,
-        LINE: 100.0 * line_load_distance(sheet, rings, disk, k),
-        "KKT residual": found["kkt_residual"],
-        "least gap, mm": min(0.0, found["min_gap_mm"]),
-        "links intact": found["links_intact"],
-        "s": found["wall_s"],
-        "_potential": potential,
     }
+    row |= {POTENTIAL: potential - 0.5 * (low + high)}
+    row |= {LOWEST: 100.0 * (found["lowest_mm"] - k * disk.numbers["lowest_mm"]) / H}
+    row |= {LINE: 100.0 * line_load_distance(sheet, rings, disk, k), "KKT residual": found["kkt_residual"]}
+    row |= {"least gap, mm": min(0.0, found["min_gap_mm"]), "links intact": found["links_intact"]}
+    return row | {"s": found["wall_s"], "_potential": potential}
 
 
 def interval(sheet: Sheet, disk: Case) -> tuple[float, float]:
@@ -165,18 +159,15 @@ def diagrams(rows: Sequence[Row]) -> tuple[Diagram, ...]:
 
 def conclusion(rows: Sequence[Row], limits: Sequence[Row]) -> str:
     """What the numbers say."""
-    inside = [row for row in limits if row.get("inside")]
-    fitted_rows = [row for row in limits if "inside" in row]
-    both = {(row["scene"], row["cells across"]): {} for row in rows}
-    for row in rows:
-        if row["status"] == "converged":
-            both[row["scene"], row["cells across"]][row["centres"]] = row["_potential"]
-    cost = [pair["plane"] - pair["space"] for pair in both.values() if len(pair) == 2]
+    fitted = [row["inside"] for row in limits if "inside" in row]
+    known = {(row["scene"], row["cells across"], row["centres"]): row for row in rows if row["status"] == "converged"}
+    pairs = [(row, known.get((*key, "space"))) for (*key, centres), row in known.items() if centres == "plane"]
+    cost = [plane["_potential"] - space["_potential"] for plane, space in pairs if space is not None]
     least = [n for n in sorted({row["cells across"] for row in rows}) if worst_from(rows, n, False) is not None]
     rule = "; ".join(f"{n} cells across: {worst_from(rows, n, False):.1f} %" for n in least)
     return (
         "Under its weight a curtain with centres free in space hangs where the disk does, in mean height and as a "
         f"part of the height, if it has at least {rule}. The extrapolated potential is inside the disk's interval, "
-        f"give or take twice the error, in {len(inside)} of {len(fitted_rows)} rows. Confinement to the plane raises "
+        f"give or take twice the error, in {count_of(fitted)} rows. Confinement to the plane raises "
         f"the potential by {min(cost):.2g} to {max(cost):.2g} % of weight times height."
     )

@@ -74,7 +74,7 @@ def _cuts(centre: Array, normal: Array, wire: float) -> tuple[list[Cut], list[Cu
     e1, e2 = frames(normal)
     t, reach = 2.0 * np.pi / EVEN * np.arange(EVEN), 2.0 * wire + 4.0 * BOX
     pairs, even = near_pairs(centre, 2.0 + reach), list[Cut]()
-    for a, b in (*pairs, *pairs[:, ::-1]):
+    for a, b in np.stack([pairs, pairs[:, ::-1]], axis=1).reshape(-1, 2):
         rho = np.cos(t)[:, None] * e1[a] + np.sin(t)[:, None] * e2[a]
         near = to_circle(centre[a] + rho, centre[b], normal[b], 1.0) < reach
         even += [(a, b, direction) for direction in rho[near]]
@@ -167,13 +167,6 @@ def compared(hung: str, space: bool) -> Row:
     peer = min(peers, key=lambda one: (one.least_gap < -1e-7, one.potential))
     seconds = time.process_time() - began
     intact = linked_pairs(peer.centre, peer.normal, 1.0) == {(int(a), int(b)) for a, b in mesh.linked}
-    return {
-        "hung by": hung,
-        "centres": "space" if space else "plane",
-        "ours": ours.status,
-        DIFFERENCE: peer.potential - potential,
-        "least gap of IPOPT, r1": peer.least_gap,
-        "links of IPOPT intact": intact,
-        "rounds": peer.rounds,
-        "s of IPOPT": seconds,
-    }
+    row = {"hung by": hung, "centres": "space" if space else "plane", "ours": ours.status}
+    row |= {DIFFERENCE: peer.potential - potential, "least gap of IPOPT, r1": peer.least_gap}
+    return row | {"links of IPOPT intact": intact, "rounds": peer.rounds, "s of IPOPT": seconds}

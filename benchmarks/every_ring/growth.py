@@ -50,18 +50,8 @@ def _solved(k: int, space: bool, start: str) -> Row:
     began, watch = time.process_time(), time.perf_counter()
     found = rings.solve(space=space, disk=disk)
     seconds, wall = time.process_time() - began, time.perf_counter() - watch
-    return {
-        "rings": len(found.centre),
-        "centres": "space" if space else "plane",
-        "start": start,
-        "status": found.status,
-        "links intact": found.contacts.links_intact,
-        "iterations": found.iterations,
-        "trials": sum(one.trials for one in found.history),
-        "factors": sum(one.factors for one in found.history),
-        "potential, N mm": found.potential,
-        "KKT residual": found.kkt_residual,
-        "s": seconds,
-        "s of wall time": wall,
-        "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-    }
+    row = {"rings": len(found.centre), "centres": "space" if space else "plane", "start": start}
+    row |= {"status": found.status, "links intact": found.contacts.links_intact, "iterations": found.iterations}
+    row |= {name: sum(getattr(one, name) for one in found.history) for name in ("trials", "factors")}
+    row |= {"potential, N mm": found.potential, "KKT residual": found.kkt_residual, "s": seconds}
+    return row | {"s of wall time": wall, "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}

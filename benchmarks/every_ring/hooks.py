@@ -54,11 +54,11 @@ def measure(full: bool) -> Section:
     good = [row for row in rows if row["status"] == "converged"]
     text = (
         "Rings of r1/r2 = 10, in space, of the default steel. A ring's utilisation: the largest von Mises stress by "
-        "its contact forces (closed form of a curved wire, `rve.ring.stress`) over the yield stress; the force at a "
-        "hook acts where the ring's wire meets its line. The rings are rigid: where they leave forces open, these are "
-        f"one choice of many. `disk`: the utilisation of the summary, {CELLS} columns of finite elements. `{HOOK}`: "
-        f"the ring under the hook against two opposed forces. `{BESIDE}`: rings within {NEAR:g} cells of it against "
-        "the larger of averages and point forces. Hooks are 90 % of their pitch apart."
+        "its contact forces (`rve.ring.stress`) over the yield stress; the force at a hook acts where the ring's wire "
+        "meets its line. The rings are rigid: where they leave forces open, these are one choice of many. `disk`: the "
+        f"utilisation of the summary, {CELLS} columns of finite elements. `{HOOK}`: against two opposed forces. "
+        f"`{BESIDE}`: rings within {NEAR:g} cells of a held one against the larger of averages and point forces. Hooks "
+        "are 90 % of their pitch apart."
     )
     told = [f"{head}: {mean_and_spread([row[head] for row in good])}" for head in (ALL, HOOK, BESIDE)]
     conclusion = f"{len(good)} of {len(rows)} scenes converged. " + "; ".join(told) + "."
@@ -91,17 +91,11 @@ def compared(name: str, weave: str, angle: float, cells: tuple[int, int], suppor
     near = np.flatnonzero(away <= NEAR * max(across, down))
     used, is_held = np.array([peak(found, i, ring) for i in near]) / strength.yield_stress(), np.isin(near, held)
     mesh = max(told["utilisation_of_averages_max"], told["utilisation_of_point_forces_max"])
-    return {
-        "scene": name,
-        "weave": f"{weave}, {'across' if angle else 'along'}",
-        "cells": f"{cells[0]} x {cells[1]}",
-        "rings": len(found.centre),
-        "status": found.status,
-        "disk": told["utilisation_max"],
-        ALL: float(used.max() / told["utilisation_max"]),
-        HOOK: float(used[is_held].max() / told["utilisation_of_hook_rings_max"]),
-        BESIDE: float(used[~is_held].max() / mesh),
-    }
+    row = {"scene": name, "weave": f"{weave}, {'across' if angle else 'along'}", "cells": f"{cells[0]} x {cells[1]}"}
+    row |= {"rings": len(found.centre), "status": found.status, "disk": told["utilisation_max"]}
+    row[ALL] = used.max() / told["utilisation_max"]
+    row[HOOK] = used[is_held].max() / told["utilisation_of_hook_rings_max"]
+    return row | {BESIDE: used[~is_held].max() / mesh}
 
 
 def peak(found: FiniteSolution, i: int, ring: Ring) -> float:

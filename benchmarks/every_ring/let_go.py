@@ -75,10 +75,8 @@ def engine_row(dt: float, ours: Row) -> Row:
     return {
         "step, sqrt(r1 / g)": dt,
         **{f"up at {t:g} s, %": away[round(t / STEP), 1] for t in (0.05, 0.1, 0.15)},
-        "largest distance, %": float(np.linalg.norm(away, axis=1).max()),
-        "least gap, r1": fallen.least_gap,
-        "s of MuJoCo": fallen.seconds,
-        "s of ours": ours["seconds"],
+        **{"largest distance, %": np.linalg.norm(away, axis=1).max(), "least gap, r1": fallen.least_gap},
+        **{"s of MuJoCo": fallen.seconds, "s of ours": ours["seconds"]},
     }
 
 
@@ -121,11 +119,10 @@ def _compared(found: Row) -> tuple[list[Row], Row]:
     (t, rings, disk), share = found["places"], found["share"]
     disk = disk[: len(rings)]  # a run of rings may have ended before its time
     away, way = np.linalg.norm(rings - disk, axis=1), np.linalg.norm(disk - disk[0], axis=1)
-    allowed = away[0] + TRAVEL * way
+    allowed, of = away[0] + TRAVEL * way, {"scene": found["scene"], "rings": found["rings"]}
     rows = [
         {
-            "scene": found["scene"],
-            "rings": found["rings"],
+            **of,
             "t, s": t[i],
             "way of the disk, %": share * way[i],
             "rings less disk, up, %": share * (rings - disk)[i, 1],
@@ -134,17 +131,9 @@ def _compared(found: Row) -> tuple[list[Row], Row]:
         }
         for i in range(0, len(t), SHOWN)
     ]
-    end = {
-        "scene": found["scene"],
-        "rings": found["rings"],
-        "until, s": t[-1],
-        "beyond, %": share * float((away - allowed).max()),
-        "lost, rings, %": found["lost"][0],
-        "lost, disk, %": found["lost"][1],
-        "account, N mm": found["account"],
-        "s of rings": found["seconds"],
-    }
-    return rows, end
+    end = of | {"until, s": t[-1], "beyond, %": share * float((away - allowed).max())}
+    end |= {"lost, rings, %": found["lost"][0], "lost, disk, %": found["lost"][1]}
+    return rows, end | {"account, N mm": found["account"], "s of rings": found["seconds"]}
 
 
 def _forms(row: Row, own: dict[str, str]) -> dict[str, str]:

@@ -3,14 +3,13 @@
 import numpy as np
 
 from benchmarks.every_ring.brute import least_gap, linked_pairs
-from benchmarks.every_ring.cases import SHEETS, Array
+from benchmarks.every_ring.cases import SHEETS
 from benchmarks.frame import Section, table
 from benchmarks.measure import Row, outcomes
 from macro_fem.rings.ring_scene import RingScene, ring_scene
 from rve import FiniteOptions
 from rve.finite.problem import Problem
 from rve.finite.solver import solve_rings
-from rve.finite.task import Found
 from rve.finite.touching import Placed, find_touching, links_intact
 
 SWEEPS, STRIDE = 40, 0.08
@@ -47,44 +46,30 @@ def _row(sheet: int, k: int, count: int, space: bool) -> Row:
     scale = float(np.abs(rings.force).sum()) * float(np.ptp(rings.mesh.X[:, 1]))
     woven = {(int(a), int(b)) for a, b in rings.mesh.linked}
     r1, wire = rings.mesh.cell.r1, rings.mesh.cell.wire
+    task, X = problem_of(rings, space).task()[0], np.pad(rings.mesh.X, ((0, 0), (0, 1)))
     status, potential, intact, gaps = [], [], 0, []
     for seed in range(count):
-        found = solved_from(rings, random_start(rings, space, seed), space)
+        found = solve_rings(task, random_start(rings, space, seed), FiniteOptions())
         placed = found.touching.placed
         status.append(found.status)
-        potential.append(_potential(rings, placed.x * r1) / scale)
+        potential.append(float((rings.force * (X - r1 * placed.x)).sum()) / scale)
         intact += linked_pairs(placed.x, placed.normal, 1.0) == woven
         gaps.append(least_gap(placed.x, placed.normal, 1.0, wire))
     own = rings.solve(space=space)
     good = np.array(potential)[np.array(status) == "converged"]
-    return {
-        "scene": SHEETS[sheet].key,
-        "rings": len(rings.mesh.X),
-        "centres": "space" if space else "plane",
-        "starts": count,
-        "status": outcomes(status),
-        "links as woven": intact,
-        "least gap, r1": min(0.0, *gaps),
+    row = {"scene": SHEETS[sheet].key, "rings": len(rings.mesh.X), "centres": "space" if space else "plane"}
+    row |= {"starts": count, "status": outcomes(status), "links as woven": intact, "least gap, r1": min(0.0, *gaps)}
+    row |= {
         "best, %": 100.0 * good.min(),
         "spread, %": 100.0 * np.ptp(good),
         "standard deviation, %": 100.0 * good.std(),
-        "own start above the best, %": 100.0 * (own.potential / scale - good.min()),
     }
-
-
-def _potential(rings: RingScene, centre: Array) -> float:
-    X = np.column_stack([rings.mesh.X, np.zeros(len(centre))])
-    return float(-(rings.force * (centre - X)).sum())
+    return row | {"own start above the best, %": 100.0 * (own.potential / scale - good.min())}
 
 
 def problem_of(rings: RingScene, space: bool) -> Problem:
     """What the solver is asked for."""
     return Problem(rings.mesh, rings.force, rings.held, rings.at, space)
-
-
-def solved_from(rings: RingScene, start: Placed, space: bool) -> Found:
-    """The equilibrium from a start."""
-    return solve_rings(problem_of(rings, space).task()[0], start, FiniteOptions())
 
 
 def random_start(rings: RingScene, space: bool, seed: int) -> Placed:

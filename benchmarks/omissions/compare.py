@@ -25,17 +25,10 @@ def trial(
 
     `default`: what the scene decides; `ok`: whether both runs converged.
     """
-    return {
-        "feature": feature,
-        "scene": scene,
-        "default": default,
-        "time without, s": seconds[0],
-        "time with, s": seconds[1],
-        RATIO: seconds[1] / seconds[0],
-        "change of the result": f"{at_most(change, NOISE)} {unit}" if ok else "failed",
-        "tolerance": f"{tolerance:.1e} {unit}",
-        "same": bool(ok and change <= tolerance),
-    }
+    row = {"feature": feature, "scene": scene, "default": default, "time without, s": seconds[0]}
+    row |= {"time with, s": seconds[1], RATIO: seconds[1] / seconds[0]}
+    row |= {"change of the result": f"{at_most(change, NOISE)} {unit}" if ok else "failed"}
+    return row | {"tolerance": f"{tolerance:.1e} {unit}", "same": bool(ok and change <= tolerance)}
 
 
 def trial_table(title: str, trials: Sequence[Row]) -> Table:
@@ -46,7 +39,6 @@ def trial_table(title: str, trials: Sequence[Row]) -> Table:
 def verdict(trials: Sequence[Row]) -> str:
     """How many features leave the result unchanged, and which do not."""
     changed = [f"`{row['feature']}` ({row['scene']})" for row in trials if not row["same"]]
-    text = (
-        f"{count_of([row['same'] for row in trials])} features leave the result unchanged, to the solver's tolerance."
-    )
+    unchanged = count_of([row["same"] for row in trials])
+    text = f"{unchanged} features leave the result unchanged, to the solver's tolerance."
     return text + (f" Changed: {', '.join(changed)}." if changed else "")

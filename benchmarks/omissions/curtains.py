@@ -44,12 +44,11 @@ def measure(full: bool) -> Section:
         by_option(law, "idle half-spaces", cells, PathOptions(), KEEP_IDLE),
     ]
     text = (
-        "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar; the "
-        "solver's functions are called with other options. `third-coordinate`: nodes may leave the plane. "
-        "`all-half-spaces`: every point begins with all half-spaces of the law, instead of adding those that are "
-        "violated. `idle half-spaces`: none is dropped on the way. "
-        "`ties`: a matrix between nodes and unknowns, needed only for "
-        f"straight bars. `coarse-start`: a coarser curtain first, by default from {COARSE_FROM} points on."
+        "A square metre of ring mesh, r1/r2 = 10, hung by its corners, or from its top edge with a straight bar. "
+        "`third-coordinate`: nodes may leave the plane. `all-half-spaces`: every point begins with all half-spaces of "
+        "the law, instead of adding those that are violated. `idle half-spaces`: none is dropped on the way. `ties`: a "
+        "matrix between nodes and unknowns, needed only for straight bars. "
+        f"`coarse-start`: a coarser curtain first, by default from {COARSE_FROM} points on."
     )
     tables = (trial_table("Features switched on in curtains", trials),)
     return Section("Curtains", text, tables, (), verdict(trials))
@@ -133,8 +132,6 @@ def by_option(law: MembraneLaw, feature: str, cells: int, without: PathOptions, 
         found = rigid(problem, options)
         return found.converged, found.primal / scale
 
-    calls, default = (
-        (partial(potential, without), partial(potential, with_it)),
-        USED if with_it == PathOptions() else LEFT_OUT,
-    )
+    calls = partial(potential, without), partial(potential, with_it)
+    default = USED if with_it == PathOptions() else LEFT_OUT
     return compared(feature, "corners", calls, problem, "of the potential", default)

@@ -37,11 +37,9 @@ def measure(full: bool) -> Section:
         given = np.append(given[0], SLOW[0]), np.append(given[1], SLOW[1])
     trials = [moved(term, given) for term in TERMS]
     text = (
-        "A locked state has no velocities, so the direct solver solves its equations without inertia and damping. "
-        "Here the terms move the rings from the slack pose into the locked one as in the paper, with compliant "
-        f"contacts; then Newton's method closes the contacts, for {len(given[0])} "
-        f"loads, alpha 0:45:15 and beta 15:90:15{', and (45, 0), the slowest' if full else ''}. "
-        "r1/r2 = 10."
+        "A locked state has no velocities. Here inertia and damping move the rings from the slack pose into it as in "
+        f"the paper, with compliant contacts; then Newton's method closes these, for {len(given[0])} loads, alpha "
+        f"0:45:15 and beta 15:90:15{', and (45, 0), the slowest' if full else ''}. r1/r2 = 10."
     )
     damped, heavy = (row["_steps"] for row in trials)
     conclusion = (

@@ -32,6 +32,7 @@ BASE_CELLS = 8
 GAPS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 SPACINGS = (22.5, 15.0, 9.0, 5.0, 3.0)
 LAWS = ("net", "inner", "outer", "refined")
+NAMES = {"contact": "contact tolerance", "table": "table spacing", "law": "kind of law"}
 ERROR, SECONDS = "error of the mean height / height", "s, rings to curtain"
 LEAST = 1e-6
 """Errors below are within the tolerance of the curtain's solver."""
@@ -97,7 +98,7 @@ def mesh_ladder(sizes: Sequence[int], exact: float) -> list[Row]:
     for coarse, fine in pairwise(singles):
         pair = row_of(exact, extrapolated(coarse["_height"], fine["_height"]), coarse["s"] + fine["s"])
         setting = f"{coarse['setting'].split()[0]} and {fine['setting']}, extrapolated"
-        rows += [fine, {"method": "mesh", "setting": setting, "_pair": "mesh, extrapolated"} | pair]
+        rows += [fine, {"method": "mesh", "setting": setting, "_name": "mesh, extrapolated"} | pair]
     return [*rows[:-1], rows[-1] | {"setting": f"{rows[-1]['setting']}: the reference", "_size": math.nan}]
 
 
@@ -123,23 +124,13 @@ def recommendation(reference: float, spacings: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def part_rows(sizes: Sequence[int], mesh_reference: float) -> list[Row]:
-    """The ladders of all parts."""
-    rows = [*contact_ladder(), *table_ladder(), *law_ladder(), *mesh_ladder(sizes, mesh_reference)]
-    names = {"contact": "contact tolerance", "table": "table spacing", "law": "kind of law"}
-    return [row | {"_name": row.get("_pair", names.get(row["method"], row["method"]))} for row in rows]
-
-
 def parts_table(rows: Sequence[Row], doubt: float) -> Table:
     """All ladders with signed errors."""
+    refused = "refused: rows contradict each other"
+    told = [signed(row[ERROR], LEAST) if math.isfinite(row[ERROR]) else refused for row in rows]
     shown = [
-        {
-            "part": row["method"],
-            "setting": row["setting"],
-            ERROR: signed(row[ERROR], LEAST) if math.isfinite(row[ERROR]) else "refused: rows contradict each other",
-            "s": row["s"],
-        }
-        for row in rows
+        {"part": row["method"], "setting": row["setting"], ERROR: error, "s": row["s"]}
+        for row, error in zip(rows, told, strict=True)
     ]
     note = (
         "Seconds: of the table for contact and table, of the curtain for law and mesh. The limit of the meshes is "
@@ -152,7 +143,8 @@ def measure(full: bool) -> Section:
     """The section; `full` goes to meshes twice as fine."""
     sizes = (4, 8, 16, 32, 64) if full else (4, 8, 16, 32)
     mesh_reference, doubt = reference_height(sizes[-1])
-    rows = part_rows(sizes, mesh_reference)
+    rows = [*contact_ladder(), *table_ladder(), *law_ladder(), *mesh_ladder(sizes, mesh_reference)]
+    rows = [{"_name": NAMES.get(row["method"], row["method"])} | row for row in rows]
     # The reference: the limit of the base law's meshes, plus the change by the finer table on the base mesh.
     reference = mesh_reference + base_height(law_of(FINE_SPACING)) - base_height(law_of(BASE_SPACING))
     settings = recommendation(reference, [row for row in rows if row["method"] == "table"])
@@ -172,13 +164,11 @@ def measure(full: bool) -> Section:
 
 
 def _conclusion(rows: Sequence[Row]) -> str:
-    least = {
-        name: np.nanmin([row["_size"] for row in rows if row["_name"] == name])
-        for name in ("mesh", "contact tolerance")
-    }
+    mesh, gap = (
+        np.nanmin([row["_size"] for row in rows if row["_name"] == name]) for name in ("mesh", NAMES["contact"])
+    )
     return (
-        f"The mesh contributes most (error {decade(least['mesh'], LEAST)} at the finest single one), then the table. "
-        f"Closing contacts to round-off costs little (error {decade(least['contact tolerance'], LEAST)} at "
-        f"{GAPS[-1]:.0e}). Two extrapolated meshes are more accurate than one mesh of half the cell size; 0.01 % needs "
-        "them."
+        f"The mesh contributes most (error {decade(mesh, LEAST)} at the finest), then the table; closing contacts to "
+        f"round-off costs little (error {decade(gap, LEAST)} at {GAPS[-1]:.0e}). Two extrapolated meshes are more "
+        "accurate than one of half the cell size; 0.01 % needs them."
     )

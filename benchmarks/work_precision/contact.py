@@ -179,15 +179,10 @@ def random_rows(full: bool) -> list[Row]:
 
     def judge(found: Found, seconds: float) -> Row:
         got = score(found, reference)
-        return {
-            ERROR: got.error,
-            "minima missed": f"{got.missed} of {got.all}",
-            "deepest of a pair missed": got.deepest,
-            "wrong or twice": got.wrong,
-            BATCH: 1e6 * seconds / len(pairs.d),
-            "_error": max(got.error, 1e-16),
-            "_s": seconds / len(pairs.d),
-        }
+        row: Row = {ERROR: got.error, "minima missed": f"{got.missed} of {got.all}"}
+        row |= {"deepest of a pair missed": got.deepest, "wrong or twice": got.wrong}
+        each = seconds / len(pairs.d)
+        return row | {BATCH: 1e6 * each, "_error": max(got.error, 1e-16), "_s": each}
 
     rows: list[Row] = []
     for name, settings in searches(full).items():

@@ -85,20 +85,11 @@ def scene_of(problem: Problem, way: Way, cells: int, **solver: Any) -> Scene:
 
 def run(problem: Problem, way: Way, cells: int, reference: float) -> Row:
     """One point of a ladder: the signed error, nan where there is no answer."""
-    row: Row = {"element, solver": way.name, "cells": cells, "unknowns": 0, ERROR: math.nan, "steps": 0, "s": math.nan}
-    solution, seconds = least_seconds(
-        partial(solve_scene, scene_of(problem, way, cells), problem.law), repeats=2, long=0.5
-    )
-    good = solution.status == "converged"
-    return row | {
-        "cells": solution.problem.disc.n_cells,
-        "unknowns": solution.problem.fem.n,
-        ERROR: (solution.mean_height() - reference) / problem.height if good else math.nan,
-        "steps": solution.iterations,
-        "s": seconds,
-        "order": "",
-        "status": solution.status,
-    }
+    solve = partial(solve_scene, scene_of(problem, way, cells), problem.law)
+    solution, seconds = least_seconds(solve, repeats=2, long=0.5)
+    error = (solution.mean_height() - reference) / problem.height if solution.status == "converged" else math.nan
+    row: Row = {"element, solver": way.name, "cells": solution.problem.disc.n_cells, "unknowns": solution.problem.fem.n}
+    return row | {ERROR: error, "steps": solution.iterations, "s": seconds, "order": "", "status": solution.status}
 
 
 def climb(problem: Problem, way: Way, sizes: list[int], reference: float) -> list[Row]:
@@ -190,11 +181,9 @@ def certificates(problem: Problem, uniform: list[int], adapt: int, reference: fl
         row |= {"lower bound mm": f"{low:.2f}", "upper bound mm": f"{high:.2f}", gap: (high - low) / problem.height}
         row |= {error: (high - reference) / problem.height, "reference inside": low <= reference <= high, time: seconds}
         rows.append(row)
-    pairs = zip(curves(rows, "mesh", gap, time), curves(rows, "mesh", error, time), strict=True)
+    kinds = ((gap, "certified gap"), (error, "true error of P1"))
     drawn = [
-        replace(curve, label=f"{curve.label}: {what}")
-        for pair in pairs
-        for curve, what in zip(pair, ("certified gap", "true error of P1"), strict=True)
+        replace(one, label=f"{one.label}: {what}") for key, what in kinds for one in curves(rows, "mesh", key, time)
     ]
     title = f"{problem.name}: certified interval of the mean height"
     labels = ("gap or error of the mean height / height", "processor time of both bounds (s)")
@@ -227,8 +216,7 @@ def _conclusion(corners: Table) -> str:
     """What the corner-hung ladder says about the default."""
     finest = {row[0]: float(str(row[3])) for row in corners.rows if row[3] != "-"}
     return (
-        f"With as many unknowns P2 is {abs(finest['P1 aligned'] / finest['P2 aligned']):.0f} times as accurate as P1. "
-        'For one number, use `element = "P2"` with half the cells, as `examples/curtain.py` does. The default '
-        "is P1 with edges along both families (`aligned`): it alone is admissible in every point, so that its answer "
-        "is an upper bound; `bounds` and `adapt` take P2 on its triangles, with the law at their corners."
+        f"With as many unknowns P2 is {abs(finest['P1 aligned'] / finest['P2 aligned']):.0f} times as accurate as P1: "
+        'for one number, use `element = "P2"` with half the cells. The default is P1 with edges along both families '
+        "(`aligned`): it alone is admissible in every point, so that its answer is an upper bound."
     )

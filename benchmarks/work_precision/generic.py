@@ -4,7 +4,7 @@ They maximise S:E over the nine coordinates with all gaps >= 0 and analytic firs
 Piola-Kirchhoff load of the answer, given to them because a fixed Cauchy load has no potential.
 """
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -107,27 +107,16 @@ class Programme:
         return full
 
 
-Solve = Callable[[Programme, Array, float], Array]
-"""A solver: programme, start (9,), tolerance; the answer (9,)."""
-
-
-def solve_slsqp(programme: Programme, q0: Array, tolerance: float) -> Array:
-    """Sequential quadratic programmes of SciPy; `tolerance` on the loss."""
-    bound = {"type": "ineq", "fun": lambda q: programme.gaps(q)[0], "jac": lambda q: programme.gaps(q)[1]}
-    return _scipy(programme, q0, "SLSQP", bound, ftol=tolerance, maxiter=1000)
-
-
-def solve_trust_constr(programme: Programme, q0: Array, tolerance: float) -> Array:
-    """The barrier method of SciPy; `tolerance` on the gradient and the barrier."""
+def solve_with(method: str, programme: Programme, q0: Array, tolerance: float) -> Array:
+    """The answer (9,) from q0 (9,); `tolerance` on the loss (SLSQP), or on the gradient and the barrier."""
+    options = {"ftol": tolerance, "maxiter": 1000}
+    if method == "trust-constr":  # with the default radius 1 its first step leaves the weave
+        ends = {"gtol": tolerance, "barrier_tol": tolerance, "xtol": 1e-12}
+        options = ends | {"maxiter": 400, "initial_tr_radius": 0.02}
     bound = NonlinearConstraint(lambda q: programme.gaps(q)[0], 0.0, np.inf, jac=lambda q: programme.gaps(q)[1])
-    # With the default radius 1 its first step leaves the weave.
-    options = {"gtol": tolerance, "barrier_tol": tolerance, "xtol": 1e-12, "maxiter": 400, "initial_tr_radius": 0.02}
-    return _scipy(programme, q0, "trust-constr", bound, **options)
-
-
-def _scipy(programme: Programme, q0: Array, method: str, bound: Any, **options: Any) -> Array:
     given: dict[str, Any] = {"jac": programme.slope, "constraints": [bound], "bounds": [BOX] * 9, "options": options}
     return np.asarray(minimize(programme.loss, q0, method=method, **given).x)
 
 
-SOLVERS: dict[str, Solve] = {"SLSQP": solve_slsqp, "trust-constr": solve_trust_constr}
+SOLVERS = {name: partial(solve_with, name) for name in ("SLSQP", "trust-constr")}
+"""Sequential quadratic programmes and the barrier method of SciPy."""

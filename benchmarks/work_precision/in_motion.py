@@ -105,10 +105,8 @@ def step_row(name: str, cells: int) -> Row:
     _, rest = least_seconds(partial(solve_problem, make_problem(still, law, build_mesh(still, law.cell))), long=0.5)
     return {
         "scene": f"{name}, {'space' if plane['solver']['space'] else 'plane'}",
-        "triangles": frames[0].problem.mesh.mesh.t.shape[1],
-        SECONDS: float(np.median(seconds[1:])),
-        ITERATIONS: float(np.median([frame.iterations for frame in frames[1:]])),
-        REST: rest,
+        **{"triangles": frames[0].problem.mesh.mesh.t.shape[1], SECONDS: float(np.median(seconds[1:]))},
+        **{ITERATIONS: float(np.median([frame.iterations for frame in frames[1:]])), REST: rest},
     }
 
 

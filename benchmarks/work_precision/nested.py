@@ -1,10 +1,9 @@
 """The law on demand against the nested scheme: error of the mean height against ring problems and time.
 
-In the nested scheme (FE2, F. Feyel and J.-L. Chaboche, doi 10.1016/S0045-7825(99)00224-8) every quadrature point has
-its own cell, which is solved in every iteration. Here the cell of a point is loaded by the stress that the point has,
-for rigid rings answer a stress, not a strain: with h(S) and a locked strain. The curtain is solved again by the hull of
-all strains, until the rings of no point allow more than the hull. All points know what the rings of others have
-answered, which a nested scheme would not tell them: the count favours it.
+In the nested scheme (FE2, F. Feyel and J.-L. Chaboche, doi 10.1016/S0045-7825(99)00224-8) the cell of every quadrature
+point is solved in every iteration: here under the stress that the point has, for rigid rings answer a stress, not a
+strain. The curtain is solved again by the hull of all strains, until the rings of no point allow more than the hull.
+All points know what the rings of others have answered, which favours the nested scheme.
 
 All methods solve the same square metre, hung by its corners, on the same mesh, so that errors are those of the law.
 """
