@@ -112,7 +112,7 @@ def largest_rows(
 
 def _fill(rows: RowStates, status: NDArray[np.str_], s: Array, known: KnownStates, mesh: LoadedCell) -> RowStates:
     """The rows with those that stalled on their way from a known state."""
-    left = np.flatnonzero(np.isin(status, ["stalled", "no-limit"]))
+    left = np.flatnonzero(status == "stalled")
     if not len(left):
         return rows
     states = rows.states(mesh).join([known])
