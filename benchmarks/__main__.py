@@ -33,11 +33,6 @@ def measure_of(key: str) -> Callable[[bool], Section]:
     return measure
 
 
-def numerics_of(key: str) -> str:
-    """The fingerprint of what a section measures, as the code is now."""
-    return fingerprint(measure_of(key).__module__)
-
-
 def measured(key: str) -> str:
     """The fingerprint of what a section was measured with, "-" if it is not there."""
     page = SECTIONS[key]
@@ -48,7 +43,7 @@ def measured(key: str) -> str:
 
 def stale() -> list[str]:
     """Sections whose numerics have changed since they were measured."""
-    return [key for key in SECTIONS if measured(key) != numerics_of(key)]
+    return [key for key in SECTIONS if measured(key) != fingerprint(measure_of(key).__module__)]
 
 
 @click.command(help=__doc__)
@@ -64,12 +59,10 @@ def main(names: tuple[str, ...], full: bool, lists: bool, out: Path | None) -> N
             click.echo(f"{key:10} {page.relative_to(ROOT)}{'  stale' if key in old else ''}")
         return
     for key in names or old:
-        began = perf_counter()
-        section = measure_of(key)(full)
-        write(
-            out / SECTIONS[key].name if out else SECTIONS[key], key, section, perf_counter() - began, numerics_of(key)
-        )
-        click.echo(f"{key}: {perf_counter() - began:.1f} s")
+        began, measure, page = perf_counter(), measure_of(key), SECTIONS[key]
+        section, seconds = measure(full), perf_counter() - began
+        write(out / page.name if out else page, key, section, seconds, fingerprint(measure.__module__))
+        click.echo(f"{key}: {seconds:.1f} s")
 
 
 if __name__ == "__main__":

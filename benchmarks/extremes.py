@@ -159,8 +159,8 @@ def curtain_row(name: str, tables: dict[str, Any], law: MembraneLaw, kind: str) 
         return row | {STATUS: str(error)}
     if found.status != "converged":
         return row | {STATUS: f"{found.status}: {found.message}"}
-    answer = {"iterations": found.iterations, "unbalanced": found.residual, HEIGHT: found.mean_height()}
-    return row | {STATUS: str(found.status)} | answer
+    row |= {STATUS: str(found.status), "iterations": found.iterations, "unbalanced": found.residual}
+    return row | {HEIGHT: found.mean_height()}
 
 
 def curtain_rows() -> list[Row]:
@@ -182,9 +182,9 @@ def measure(full: bool) -> Section:
     motions = [motion_row(*one, steps=200 * more) for one in ladders()]
     laws = [law_row(*one) for one in law_kinds().items()]
     text = (
-        "A row says how many cases `converged`, or the status of the failure, or the sentence with which the input "
-        "was refused. Residuals and gaps at the level of round-off are given by the power of ten that bounds them. "
-        "Curtains are squares of 100 mm hung by two corners at 90 % of the width unless the row says otherwise."
+        "A row says how many cases `converged`, or the status of the failure, or the sentence that refuses the input. "
+        "Round-off is given by the power of ten that bounds it. Curtains are squares of 100 mm hung by two corners at "
+        "90 % of the width unless the row says otherwise."
     )
     missed = [row["loads"] for row in loads if len(row[OUTCOME].split()) > 2]
     good = count_of([row[STATUS] == "converged" for row in curtains])

@@ -12,7 +12,7 @@ import re
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -174,7 +174,10 @@ def svg(diagram: Diagram) -> str:
 
 def machine() -> str:
     """What a section was measured on: processor, system, versions, commit."""
-    packages = ", ".join(f"{name} {_version(name)}" for name in ("numpy", "scipy", "scikit-fem", "scikit-sparse"))
+    known = {one.name: one.version for one in distributions()}
+    packages = ", ".join(
+        f"{name} {known.get(name, 'absent')}" for name in ("numpy", "scipy", "scikit-fem", "scikit-sparse")
+    )
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     name = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
@@ -183,13 +186,6 @@ def machine() -> str:
         f"{platform.python_version()}; OMP_NUM_THREADS = {os.environ.get('OMP_NUM_THREADS', 'unset')}, load average at "
         f"the end {os.getloadavg()[1]:.1f} (1 is this benchmark). Versions: {packages}. Commit {commit()}."
     )
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "absent"
 
 
 def commit() -> str:

@@ -21,10 +21,9 @@ RATIOS = {
     "6-in-1": (6.0, 7.0, 8.0, 10.0, 11.0, 12.0, 13.0, 14.0, 16.0, 20.0, 30.0, 50.0, 100.0),
     "4-in-1": (6.0, 10.0, 14.0, 20.0, 30.0, 50.0, 100.0),
 }
-LOADS = 15
 
 
-def spread_loads(count: int = LOADS) -> Array:
+def spread_loads(count: int = 15) -> Array:
     """Loads of unit trace (count, 3), evenly spread: a sunflower in the disc, every third drawn out to its rim."""
     turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     radius = np.sqrt((np.arange(count) + 0.5) / count)

@@ -23,7 +23,6 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, refine
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
 from rve.common.tensor import trace
-from rve.common.types import Array
 
 EXAMPLES = ["corner_hung", "facade_panel", "facade_wind", "gathered_with_bar", "over_the_edge", "passage"]
 EXAMPLES += ["round_net", "shop_counter", "shop_front", "shoulder", "to_the_floor", "turned_weave"]
@@ -113,16 +112,12 @@ def refined(scene: Scene, mesh: CurtainMesh, side: float, place: Any = None) -> 
         which, finer = mesh.mesh.element_finder(), mesh
         for _ in range(HALVINGS):
             middle = finer.mesh.p[:, finer.mesh.t].mean(axis=1)
-            where = np.flatnonzero(high[which(*middle)] & (_sides(finer) > side))
+            area = triangle_areas(finer.mesh.p.T[finer.mesh.t.T])
+            where = np.flatnonzero(high[which(*middle)] & (area > side**2))
             finer = refine(finer, where) if len(where) else finer
         if finer is mesh:
             return found
         mesh = finer
-
-
-def _sides(mesh: CurtainMesh) -> Array:
-    """Sides in mm of squares as large as the cells of a mesh of triangles, (n_cells,)."""
-    return np.sqrt(triangle_areas(mesh.mesh.p.T[mesh.mesh.t.T]))
 
 
 def utilisation_row(name: str) -> Row:

@@ -6,12 +6,12 @@ grow with the weight. So the disk's answer over the height is the same number fo
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import read_scene
 from macro_fem.job import solve
@@ -80,7 +80,7 @@ SHEETS = (
 class Case:
     """An answer: its numbers, and its arrays by name."""
 
-    numbers: dict[str, Any]
+    numbers: Row
     arrays: dict[str, Array]
 
 
@@ -114,11 +114,8 @@ def disk_case(sheet: Sheet, cells: int) -> Case:
     disc, summary = solution.problem.disc, result.summary["bounds"]
     count = len(solution.problem.mesh.mesh.t.T)
     P = disc.cell_mean(solution.P).reshape(count, -1)[:, :4].reshape(count, 2, 2)
-    numbers = {
-        "mean_height_mm": solution.mean_height(),
-        "potential_N_mm": [summary["lower_N_mm"], summary["upper_N_mm"]],
-        "lowest_mm": float(solution.x[:, 1].min()),
-    }
+    numbers: Row = {"mean_height_mm": solution.mean_height(), "lowest_mm": float(solution.x[:, 1].min())}
+    numbers["potential_N_mm"] = [summary["lower_N_mm"], summary["upper_N_mm"]]
     middle = solution.problem.mesh.mesh.p[:, solution.problem.mesh.mesh.t].mean(axis=1).T
     area = disc.weight.reshape(disc.n_quad, -1).sum(axis=0)
     return Case(numbers, {"middle": middle, "P": P, "area": area})

@@ -60,7 +60,7 @@ def edge_loaded(alpha: float, beta: float, size: tuple[int, int]) -> Case:
     found = mesh.solve(force, held, np.column_stack([mesh.X, np.zeros(n)]), space=False)
     E = cell_strains(mesh, found.centre)
     error = np.abs(E - row.E[0]).max(axis=2)
-    depth = depths(error.shape)
+    depth = np.minimum.outer(*(np.minimum(np.arange(k), np.arange(k)[::-1]) for k in error.shape))  # 0 on the edge
     by_row = [float(error[depth == d].max()) for d in range(int(depth.max()) + 1)]
     numbers: Row = {"alpha": alpha, "beta": beta, "status": found.status}
     numbers |= {MIDDLE: by_row[-1], AWAY: max(by_row[FAR:], default=None), OUTER: by_row[0]}
@@ -91,9 +91,3 @@ def cell_strains(mesh: FiniteMesh, centre: Array) -> Array:
     F1, F2 = 0.5 * (d1[:, :-1] + d1[:, 1:]), 0.5 * (d2[:-1] + d2[1:])
     E11, E22 = 0.5 * ((F1**2).sum(axis=2) - 1.0), 0.5 * ((F2**2).sum(axis=2) - 1.0)
     return np.stack([E11, 0.5 * (F1 * F2).sum(axis=2), E22], axis=2)
-
-
-def depths(shape: tuple[int, ...]) -> Array:
-    """Cells between each cell of a grid and its edge, 0 on the edge."""
-    i, j = (np.minimum(np.arange(k), np.arange(k)[::-1]) for k in shape[:2])
-    return np.minimum.outer(i, j)

@@ -7,10 +7,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.every_ring.cases import ACROSS, SHEETS, Case, Sheet, disk_case, rings_case
-from benchmarks.frame import Curve, Diagram, Section, Table, table
+from benchmarks.frame import Diagram, Section, Table, curves, table
 from benchmarks.measure import Row, count_of
 
-QUICK_SIZES = (1, 2)
 LEAST_FITTED = 8
 """Cells across of the smallest sheet that the extrapolation uses."""
 CELLS = 32
@@ -23,7 +22,7 @@ LOWEST, LINE = "lowest point, %", "line load, %"
 
 def measure(full: bool) -> Section:
     """The section."""
-    sizes = {sheet: sheet.sizes if full else QUICK_SIZES for sheet in SHEETS}
+    sizes = {sheet: sheet.sizes if full else (1, 2) for sheet in SHEETS}
     rows = [compared(sheet, k, space) for sheet in SHEETS for space in (False, True) for k in sizes[sheet]]
     limits = [limit_row(sheet, space, rows) for sheet in SHEETS for space in (False, True)]
     forms = dict.fromkeys((HEIGHT, POTENTIAL, LOWEST, LINE), ".2f") | {"s": ".0f"}
@@ -38,10 +37,9 @@ def measure(full: bool) -> Section:
     )
     limit_forms = dict.fromkeys(("order", "limit, %", "disk from, %", "disk to, %", "error, %"), ".2f")
     note = (
-        "The potential over weight times height, fitted by a + b / N over the converged sizes with N >= "
-        f"{LEAST_FITTED} cells across; `limit` is a, `error` its standard error. `order`: of the difference from the "
-        "middle of the disk's certified interval, fitted by N^-order. `inside`: whether the limit lies in the "
-        "interval, give or take twice its error."
+        f"The potential fitted by a + b / N over converged sizes with N >= {LEAST_FITTED} cells across; `limit` is a, "
+        "`error` its standard error. `order`: of the difference from the middle of the disk's certified interval, "
+        "fitted by N^-order. `inside`: whether the limit lies in the interval, give or take twice its error."
     )
     tables = (
         table("Rings less disk", rows, forms),
@@ -127,8 +125,8 @@ def rule_table(rows: Sequence[Row]) -> Table:
     sizes = sorted({row["cells across"] for row in rows})
     made = [{AT_LEAST: n, WEIGHT: worst_from(rows, n, False), PULL: worst_from(rows, n, True)} for n in sizes]
     note = (
-        "The largest difference of the mean height, in % of the height, over all converged scenes in space of that "
-        "many cells across or more; scenes without such a size are not in it. Nothing is extrapolated."
+        "The largest difference of the mean height, in % of the height, over converged scenes in space of that many "
+        "cells across or more. Nothing is extrapolated."
     )
     return table("How many rings make a curtain large", made, {WEIGHT: ".2f", PULL: ".2f"}, note)
 
@@ -143,17 +141,13 @@ def spread_table(full: bool, forms: dict[str, str]) -> Table:
 
 def diagrams(rows: Sequence[Row]) -> tuple[Diagram, ...]:
     """The differences of height and line load, in space and in the plane."""
+    good = [row | {"_name": f"{row['scene']}, {row['centres']}"} for row in rows if row["status"] == "converged"]
     out = []
     for key, name, head in (("height", "mean height", HEIGHT), ("line_load", "line load", LINE)):
-        lines = []
-        for sheet in SHEETS:
-            for centres in ("plane", "space"):
-                mine = [r for r in rows if (r["scene"], r["centres"], r["status"]) == (sheet.key, centres, "converged")]
-                x = tuple(float(row["cells across"]) for row in mine)
-                lines.append(Curve(f"{sheet.key}, {centres}", x, tuple(abs(float(row[head])) for row in mine)))
+        lines = curves([row | {"_y": abs(row[head])} for row in good], "_name", "cells across", "_y")
         label = "% of the height" if head == HEIGHT else "% of the disk's"
         title = f"Difference of the {name}, rings to disk"
-        out.append(Diagram(key, title, "cells across", label, tuple(line for line in lines if line.x)))
+        out.append(Diagram(key, title, "cells across", label, lines))
     return tuple(out)
 
 

@@ -1,15 +1,14 @@
 """A mesh of 2 x 2 cells in IPOPT: the same potential from a generic nonlinear solver with gaps of its own.
 
 A ring has its centre and two tilts as unknowns. A constraint is a fixed direction, projected into the plane of ring a,
-whose point keeps its distance from circle b, in closed form; CasADi differentiates it. Directions are those of all
-local minima that brute force finds, in this round and the ones before, and evenly spaced ones. Each round solves the
-program in a box smaller than the wire, and boxes shrink.
+whose point keeps its distance from circle b, in closed form; CasADi differentiates it. Directions are evenly spaced,
+and those of all local minima of this round and the ones before. Boxes, smaller than the wire, shrink in every round.
 """
 
 import importlib.util
 import time
-from dataclasses import dataclass
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +31,7 @@ SEEDS = (5, 6, 7)
 DIFFERENCE = "difference of the potential over weight times r1"
 
 
-@dataclass(frozen=True, eq=False)
-class Peer:
+class Peer(NamedTuple):
     """Centres and normals (n, 3) in r1, potential over the sum of the loads, rounds, least gap by brute force."""
 
     centre: Array
@@ -52,9 +50,8 @@ def solve_generic(start: tuple[Array, Array], force: Array, fixed: NDArray[np.bo
     centre, normal = (np.array(part) for part in start)
     scale = float(np.abs(force).sum())
     old: list[list[Cut]] = []
-    potential, count = np.inf, 0
-    while count < ROUNDS:
-        count += 1
+    potential = np.inf
+    for count in range(1, ROUNDS + 1):
         even, fresh = _cuts(centre, normal, wire)
         old = [*old[-5:], fresh]
         cuts = [*even, *chain.from_iterable(old)]

@@ -27,9 +27,9 @@ def measure(full: bool) -> Section:
     forms = {"potential, N mm": ".4f", "KKT residual": "at_most", "s": ".1f", "s of wall time": ".1f", "MB": ".0f"}
     text = (
         "Squares hung by two corners at their full distance, from the slack weave and guided by the disk, each in a "
-        "process of its own with one thread; the largest one is the square metre of `examples/corner_hung.toml`. "
-        "`trials`: searches for contacts and looks at known ones; `factors`: of the Newton matrix; `s`: processor time "
-        "without that of the disk; `MB`: the most that the whole process held."
+        "process of its own; the largest one is the square metre of `examples/corner_hung.toml`. `trials`: searches "
+        "for contacts and looks at known ones; `factors`: of the Newton matrix; `s`: processor time without that of "
+        "the disk; `MB`: the most that the whole process held."
     )
     good = sum(row["status"] == "converged" and row["links intact"] for row in rows)
     most = max(rows, key=lambda row: row["rings"])["rings"]

@@ -60,16 +60,11 @@ def measure(full: bool) -> Section:
         f"`{BESIDE}`: rings within {NEAR:g} cells of a held one against the larger of averages and point forces. Hooks "
         "are 90 % of their pitch apart."
     )
-    told = [f"{head}: {mean_and_spread([row[head] for row in good])}" for head in (ALL, HOOK, BESIDE)]
+    ratios = ((head, np.array([row[head] for row in good])) for head in (ALL, HOOK, BESIDE))
+    told = [f"{head}: {x.mean():.2f} on average, {x.min():.2f} to {x.max():.2f}" for head, x in ratios]
     conclusion = f"{len(good)} of {len(rows)} scenes converged. " + "; ".join(told) + "."
     forms = dict.fromkeys((ALL, BESIDE, HOOK), ".2f")
     return Section("Rings next to a hook", text, (table("Utilisation, rings over disk", rows, forms),), (), conclusion)
-
-
-def mean_and_spread(values: list[float]) -> str:
-    """The mean, its standard deviation, least and largest."""
-    x = np.array(values)
-    return f"{x.mean():.2f} on average, standard deviation {x.std():.2f}, from {x.min():.2f} to {x.max():.2f}"
 
 
 def compared(name: str, weave: str, angle: float, cells: tuple[int, int], support: Any, load: Any) -> Row:

@@ -55,15 +55,10 @@ def solved(name: str, k: int) -> Row:
     rings = np.array([ring_row(frame) for frame in ring_run.frames])
     disk = np.array([row(disk_run, frame) for frame in disk_run.frames])
     given = float((disk[:, WORK] - disk[:, POTENTIAL]).max() + disk[0, POTENTIAL])
-    return {
-        "scene": name,
-        "rings": len(ring_run.frames[0].rings.centre),
-        "account": account_error(rings),
-        "share": 100.0 / SHEETS[0].sides(k)[1],
-        "lost": [float(100.0 * rows[-1, LOST].sum() / given) for rows in (rings, disk)],
-        "seconds": seconds,
-        "places": (rings[:, 0], rings[:, MEAN], disk[:, MEAN]),
-    }
+    found = {"scene": name, "rings": len(ring_run.frames[0].rings.centre), "account": account_error(rings)}
+    found["lost"] = [float(100.0 * rows[-1, LOST].sum() / given) for rows in (rings, disk)]
+    found["places"] = rings[:, 0], rings[:, MEAN], disk[:, MEAN]
+    return found | {"share": 100.0 / SHEETS[0].sides(k)[1], "seconds": seconds}
 
 
 def engine_row(dt: float, ours: Row) -> Row:
@@ -123,10 +118,8 @@ def _compared(found: Row) -> tuple[list[Row], Row]:
     rows = [
         {
             **of,
-            "t, s": t[i],
-            "way of the disk, %": share * way[i],
-            "rings less disk, up, %": share * (rings - disk)[i, 1],
-            "distance, %": share * away[i],
+            **{"t, s": t[i], "way of the disk, %": share * way[i]},
+            **{"rings less disk, up, %": share * (rings - disk)[i, 1], "distance, %": share * away[i]},
             "allowed, %": share * allowed[i],
         }
         for i in range(0, len(t), SHOWN)

@@ -25,7 +25,6 @@ from macro_fem.solvers.path import PATH, PathOptions, PathResult
 
 TOLERANCE = 1e-9
 """Of the solver: potentials relative to load times size, and the mean height relative to the size."""
-BAR = {"bar": {"mass": 1.0}}
 Answer = Callable[[], tuple[bool, float]]
 KEEP_IDLE = PathOptions(pruned_at=())
 
@@ -36,7 +35,7 @@ def measure(full: bool) -> Section:
     cells = 24 if full else 16
     trials = [
         third_coordinate(law, "corners", cells),
-        third_coordinate(law, "top", cells, BAR),
+        third_coordinate(law, "top", cells, {"bar": {"mass": 1.0}}),
         all_half_spaces(law, 6 if full else 4),
         ties(law, cells),
         coarse_start(law, cells),

@@ -17,8 +17,6 @@ from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load
 from rve.paper.stewart_trinkle import StewartTrinkleOptions, solve
 
-TERMS = ("damping", "inertia")
-"""Each with those before."""
 LIGHT = 1e-6
 """Share of the mass that is left in a motion without inertia."""
 TOUCHING = 1e-4
@@ -35,7 +33,7 @@ def measure(full: bool) -> Section:
     given = loads(15.0, 15.0)
     if full:
         given = np.append(given[0], SLOW[0]), np.append(given[1], SLOW[1])
-    trials = [moved(term, given) for term in TERMS]
+    trials = [moved(term, given) for term in ("damping", "inertia")]
     text = (
         "A locked state has no velocities. Here inertia and damping move the rings from the slack pose into it as in "
         f"the paper, with compliant contacts; then Newton's method closes these, for {len(given[0])} loads, alpha "

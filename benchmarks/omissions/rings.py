@@ -24,13 +24,12 @@ CELLS = {
     "4-in-1, r1/r2 = 10": Cell(5.0, 0.5),
     "6-in-1, r1/r2 = 8": Cell(5.0, 0.625, SIX_IN_ONE),
 }
-THIN = {"4-in-1, r1/r2 = 30": Cell(5.0, 5.0 / 30.0)}
 GAP = "gap of unlisted pairs, r1"
 
 
 def measure(full: bool) -> Section:
     """The section."""
-    cells = CELLS | (THIN if full else {})
+    cells = CELLS | ({"4-in-1, r1/r2 = 30": Cell(5.0, 5.0 / 30.0)} if full else {})
     given = loads(first_beta=5.0)
     s = cauchy_line_load(*given)
     plain = {name: least_seconds(partial(solved, cell, s), long=3.0) for name, cell in cells.items()}

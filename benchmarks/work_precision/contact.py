@@ -1,8 +1,4 @@
-"""Section `contact`: error of the gap of two rings against time, for three contact searches.
-
-Rings are circles of radius 1. The gap is the distance of the circles less the wire, so its error is that of the
-distance. A search returns all local minima of the distance below `REACH`.
-"""
+"""Section `contact`: error of the gap of two rings against time, for three contact searches."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.every_ring.brute import Array, frames, minima, to_circle
 from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, count_of, decade, ladder
+from rve.common.records import Rows
 from rve.geometry.circles import are_linked, foot_on_circle, local_minima
 
 REACH = 1.0
@@ -24,16 +21,12 @@ ERROR, BATCH = "largest error of the gap / r1", "us per pair in a batch of 1000"
 
 
 @dataclass(frozen=True)
-class Pairs:
+class Pairs(Rows):
     """Circles of radius 1: centre of B seen from A, and the normals of both, (n, 3) each."""
 
     d: Array
     n_a: Array
     n_b: Array
-
-    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> "Pairs":
-        """The pairs of these rows."""
-        return Pairs(self.d[rows], self.n_a[rows], self.n_b[rows])
 
 
 @dataclass(frozen=True)
@@ -175,7 +168,7 @@ def random_rows(full: bool) -> list[Row]:
     """All methods on random linked pairs, in a batch and one at a time."""
     pairs = random_pairs(1000)
     reference = golden_section(pairs)
-    some = [pairs.take([i]) for i in range(20)]
+    some = [pairs.take(np.array([i])) for i in range(20)]
 
     def judge(found: Found, seconds: float) -> Row:
         got = score(found, reference)

@@ -203,11 +203,10 @@ def measure(full: bool) -> Section:
     ]
     tables, pictures = zip(*found, strict=True)
     text = (
-        "Rigid rings unless a solver is named: `elastic` rings stretch. "
-        "The height of *net* is known exactly; the reference of *corners* "
-        f"is {reference:.2f} mm, P2 extrapolated to zero cell size (pairs of meshes agree to {doubt:.2f} mm). A ladder "
-        f"ends where a run takes more than {PATIENCE:g} s. Errors are signed: P1 lies above, because it is admissible "
-        "in every point."
+        "Rigid rings unless a solver is named: `elastic` rings stretch. The height of *net* is known exactly; the "
+        f"reference of *corners* is {reference:.2f} mm, P2 extrapolated to zero cell size (pairs of meshes agree to "
+        f"{doubt:.2f} mm). A ladder ends where a run takes more than {PATIENCE:g} s. Errors are signed: P1 lies above, "
+        "because it is admissible in every point."
     )
     return Section("Curtains: elements and solvers", text, tables, pictures, _conclusion(tables[1]))
 

@@ -1,8 +1,7 @@
 """Error against run time of curtains in motion: BDF2, Euler's method, and steps chosen by the run, in four scenes.
 
-Positions of all nodes at the end, against BDF2 with steps four times as short as the shortest shown: of a curtain let
-go at a corner, blown at by a gust, shaken by its rail, and of a net that a ball strikes. And the time of a step over
-the number of triangles, beside the same curtain at rest.
+Positions of all nodes at the end, against BDF2 with steps four times as short as the shortest shown; and the time of a
+step over the number of triangles, beside the same curtain at rest.
 """
 
 import time
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.frame import Curve, Diagram, Section, table
+from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, least_seconds
 from homogenize import default_law
 from macro_fem.curtain import solve_problem
@@ -73,19 +72,16 @@ def measure(full: bool) -> Section:
         (8, (20, 40, 80, 160), (1e-3, 1e-4, 1e-5)) if full else (4, (10, 20, 40, 80), (1e-3, 1e-4))
     )
     rows = [row for name in SCENES for row in rows_of(name, cells, steps, accuracies)]
-    pictured = [(name, "BDF2") for name in SCENES] + [("corner let go", "Euler"), ("corner let go", "step chosen")]
-    shown = [[row for row in rows if (row["scene"], row["method"]) == one] for one in pictured]
-    curves = [
-        Curve(", ".join(one), tuple(row[SECONDS] for row in mine), tuple(row[ERROR] for row in mine))
-        for one, mine in zip(pictured, shown, strict=True)
-    ]
+    pictured = [f"{name}, BDF2" for name in SCENES] + ["corner let go, Euler", "corner let go, step chosen"]
+    named = [row | {"_name": f"{row['scene']}, {row['method']}"} for row in rows]
+    drawn = curves([row for row in named if row["_name"] in pictured], "_name", SECONDS, ERROR)
     title = "Curtains in motion: error against run time"
     text = (
         f"A sheet of {SIDE:g} x {SIDE:g} mm, {cells} cells across, in space, rigid law. Error: root mean square over "
         f"all nodes at the end, against BDF2 with {4 * steps[-1]} steps on the same mesh: that of the steps alone."
     )
     forms = {MEAN: ".2f", SECONDS: ".1f", ERROR: ".1e"}
-    picture = Diagram("motion", title, SECONDS, ERROR, tuple(curves))
+    picture = Diagram("motion", title, SECONDS, ERROR, drawn)
     growing = [step_row(name, cells) for cells in ((8, 16, 24, 50) if full else (8, 16, 24)) for name in GROWN]
     size = table("Processor time of a step, and at rest", growing, {SECONDS: ".2f", REST: ".2f", ITERATIONS: ".0f"})
     return Section("Motion", text, (table("Steps in time", rows, forms), size), (picture,), _end(rows))

@@ -4,14 +4,12 @@ In the nested scheme (FE2, F. Feyel and J.-L. Chaboche, doi 10.1016/S0045-7825(9
 point is solved in every iteration: here under the stress that the point has, for rigid rings answer a stress, not a
 strain. The curtain is solved again by the hull of all strains, until the rings of no point allow more than the hull.
 All points know what the rings of others have answered, which favours the nested scheme.
-
-All methods solve the same square metre, hung by its corners, on the same mesh, so that errors are those of the law.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +41,7 @@ ACCURACIES = (5e-2, 2e-2, 1e-2, 5e-3)
 GRADED_RESOLUTION = 1e-6
 
 
-@dataclass(frozen=True)
-class Nested:
+class Nested(NamedTuple):
     """The answer of the nested scheme: mean height, mm, ring problems, rounds, and what is left, over the height."""
 
     height: float
