@@ -41,10 +41,10 @@ def test_edge_forces_are_those_of_the_line_load():
 
 @pytest.mark.slow
 def test_413_rings_let_go_at_a_corner_pass_the_steps_whose_contacts_split_and_merge():
-    """At one force x gap steps from 0.06 s on do not converge, and at 0.085 s no 64th of a step does."""
-    scene = replace(let_go.motion_scene(let_go.SCENES[0], 4), motion=Motion(0.09, let_go.STEP))
+    """At one number of force x gap the step to 0.065 s does not converge, whichever number it is."""
+    scene = replace(let_go.motion_scene(let_go.SCENES[0], 4), motion=Motion(0.07, let_go.STEP))
     run = solve_ring_motion(scene)
-    assert (run.status, len(run.frames)) == ("converged", 19)
+    assert (run.status, len(run.frames)) == ("converged", 15)
     assert all(frame.rings.contacts.links_intact and frame.rings.contacts.min_gap_mm > 0.0 for frame in run.frames)
     assert max(abs(frame.account.balance - run.frames[0].account.balance) for frame in run.frames) < 1e-8
 
