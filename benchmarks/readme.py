@@ -1,10 +1,9 @@
-"""README's numbers, and its first picture, docs/curtain.png.
+"""README's numbers.
 
 Rings, law and curtain in one run on one core. Times are processor times, the least of several runs; for curtains they
 are wall times of one run.
 """
 
-import shutil
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 
 import examples.curtain
 from benchmarks.frame import Section, table
-from benchmarks.measure import ROOT, least_seconds
+from benchmarks.measure import least_seconds
 from benchmarks.problems import loads, normality, square
 from homogenize import load_law
 from homogenize.fitting.fit import fit_table
@@ -94,9 +93,8 @@ def curtains(folder: Path) -> Said:
 
 
 def whole_chain(folder: Path) -> Said:
-    """A row about `examples/curtain.py`; its picture becomes the README's."""
+    """A row about `examples/curtain.py`."""
     answer, seconds = least_seconds(lambda: examples.curtain.run(folder), long=0.0)
-    shutil.copyfile(folder / "curtain" / "curtain.png", ROOT / "docs" / "curtain.png")
     mean = answer["mean_height_mm"]
     return [("`examples/curtain.py`, pictures included", f"{seconds:.1f} s, mean height {mean:.2f} mm")]
 

@@ -183,7 +183,7 @@ def _solve_from_rivals(
     rest = np.flatnonzero(~climbs)
     owner = np.repeat(np.arange(len(rest)), [len(mixtures[i]) for i in rest])
     several = known.pose.take(np.array([k for i in rest for k in mixtures[i]], dtype=int))
-    both, S_star, fine, more = balance_works(s[rest], owner, several, mesh)
+    both, S_star, fine, more = balance_works(s[rest], owner, several, new.take(rest), mesh)
     ok = rest[fine]
     # Most rows that stall are two states in balance: a patient restart is left to the others.
     slow = np.setdiff1d(np.flatnonzero(~got), ok)
@@ -203,11 +203,11 @@ def _solve_from_rivals(
 
 
 def balance_works(
-    s: Array, owner: Index, pose: Pose, mesh: LoadedCell
+    s: Array, owner: Index, pose: Pose, before: Equilibrium, mesh: LoadedCell
 ) -> tuple[Equilibrium, Array, Flags, KnownStates]:
     """Equilibria (k,) under the dead loads S* at which the two or three states of each row do the same work; S*
     (k, 3); where it was found; all states that were reached. Poses (q,) are starts, that of the largest share first,
-    for the rows owner (q,).
+    for the rows owner (q,); equilibria `before` (k,) stay where no load S* is found.
 
     S is that of the mixture of strains under which they do the same work, and all states follow it; narrow gaps keep a
     state on its branch where it would join another. The equilibrium is that of the largest share.
@@ -216,7 +216,7 @@ def balance_works(
     E, S, fine = mesh.strain(pose), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
     trail: dict[int, tuple[Array, Array]] = {}
     open_ = [i for i, own in enumerate(members) if len(own) > 1]
-    found = restart(s[owner], mesh.dead, pose, MARGINS[0], replace(mesh.options, max_iterations=0))
+    found = replace(before.take(owner), status=np.full(len(owner), "stalled", dtype="<U16"))
 
     def equal(i: int) -> bool:
         return bool(np.ptp(E[members[i]] @ (S[i] * WEIGHT)) <= WORK_TOLERANCE)
