@@ -226,7 +226,8 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, **how: A
         raise InputError(AT_REST)
     summary = run_rings(scene, law_path, out, **how)
     say(*every_ring_lines(summary, out))
-    _answer_or_go_on(summary, "rings", scene, law_path)
+    answer(summary)
+    _fail_unless(summary["status"] == "converged")
     law = () if law_path is None else ("--law", law_path)
     say_next("macro_fem", "compare", scene, *law, *plane, why="beside the membrane of the law")
 

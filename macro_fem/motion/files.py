@@ -13,7 +13,6 @@ from macro_fem.curtain import is_elastic
 from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.motion.account import Account
-from macro_fem.motion.pace import motion_of
 from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.series import Kept, Series, named, row_of, run_series, summary_of
@@ -42,7 +41,6 @@ def run_motion(
 ) -> dict[str, Any]:
     """Solve the scene of [motion] in a file, write its files into `out` and return the summary; see `run_series`."""
     scene, wanted = load_scene(scene_path), Pictures(picture, animation, html, stem="motion")
-    motion_of(scene)
     wanted.check(scene)
     law = default_law() if law_path is None else load_law(law_path)
 

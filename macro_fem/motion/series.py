@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -180,14 +182,14 @@ def _write_kept(path: Path, series: Series[F], frames: Sequence[F], rows: Array)
 def read_kept(path: Path, series: Series[F]) -> tuple[list[F], list[Any]]:
     """Frames and rows of a run of the same scene but for its duration; InputError for any other file."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             kept = dict(file)
         of, pace, rows = str(kept["of"]), kept["pace"], kept["rows"]
         accounts = [Account(*one.tolist()) for one in kept["account"]]
         moments = [Moment(float(t), x, v) for t, x, v in zip(kept["t"], kept["x"], kept["v"], strict=True)]
     except FileNotFoundError as error:
         raise InputError(f"--continue: {path} is missing: there is no run to go on with") from error
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
     if of != _checksum(series):
         raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")

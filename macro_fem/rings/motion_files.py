@@ -11,7 +11,6 @@ import numpy as np
 
 from homogenize import default_law, load_law
 from macro_fem.motion.account import Account
-from macro_fem.motion.pace import motion_of
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.series import Kept, Series, named, row_of, run_series, summary_of
 from macro_fem.motion.stage import scene_at
@@ -50,7 +49,6 @@ def run_ring_motion(
     """
     Pictures(picture, html=html, stem="motion").check()
     scene = load_scene(scene_path)
-    motion_of(scene)
     law = default_law() if law_path is None else load_law(law_path)
     who = EveryRing(law, **how)
 

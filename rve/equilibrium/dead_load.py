@@ -8,6 +8,7 @@ the matter of `rve.equilibrium.largest_work`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -95,8 +96,7 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
     of the loads converge, by 1/10 a third of them stall at r1/r2 = 50. Just inside rank one the weak second load moves
     the cell along a curved valley, which steps with second-order corrections follow: they are tried next.
     """
-    first = replace(options, attempts=1, shrink=0.3, power=1.0, max_iterations=options.max_iterations + 50)
-    first = replace(first, rejection=NEVER, mu_end=max(MU_END, options.mu_end))
+    first = _unrejected(options, shrink=0.3, max_iterations=options.max_iterations + 50)
     found = follow(unit_loads(S), equations, first, start)
     left = np.flatnonzero(found.status != "converged")
     if len(left) and options.attempts > 1:
@@ -108,8 +108,13 @@ def solve_dead(S: Array, equations: Equations, options: DirectOptions, start: Po
 
 def _patient(options: DirectOptions) -> DirectOptions:
     """Options of loads that stall: mu falls slowly, and steps follow curved valleys."""
-    slow = replace(options, attempts=1, shrink=0.5, power=1.0, rejection=NEVER, corrections=2)
-    return replace(slow, tolerance=max(options.tolerance, TOLERANCE), mu_end=max(MU_END, options.mu_end))
+    return _unrejected(options, shrink=0.5, corrections=2, tolerance=max(options.tolerance, TOLERANCE))
+
+
+def _unrejected(options: DirectOptions, **changed: Any) -> DirectOptions:
+    """One attempt that takes back no step and ends where round-off of merging contacts begins."""
+    ended = replace(options, attempts=1, power=1.0, rejection=NEVER, mu_end=max(MU_END, options.mu_end))
+    return replace(ended, **changed)
 
 
 def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> Pose:
@@ -139,9 +144,8 @@ def open_gaps(pose: Pose, equations: Equations, margin: float, reach: float) -> 
 
 def restart(loads: Array, equations: Equations, start: Pose, margin: float, options: DirectOptions) -> Equilibrium:
     """Locked states under `loads` (n, 3) from the locked poses `start`, whose gaps are first opened to `margin`."""
-    near = replace(options, attempts=1, mu_start=margin, shrink=0.3, power=1.0, rejection=NEVER)
-    near = replace(near, tolerance=max(options.tolerance, TOLERANCE), max_iterations=min(90, options.max_iterations))
-    near = replace(near, mu_end=max(options.mu_end, MU_END))
+    near = _unrejected(options, mu_start=margin, shrink=0.3, max_iterations=min(90, options.max_iterations))
+    near = replace(near, tolerance=max(options.tolerance, TOLERANCE))
     return follow(unit_loads(loads), equations, near, open_gaps(start, equations, margin, options.reach))
 
 

@@ -147,6 +147,12 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
     assert again.exit_code == 2
     assert "longer duration" in again.output
+    kept = tmp_path / "two" / "motion.npz"
+    data = kept.read_bytes()
+    for broken in (b"", b"PK", data[:500], data[: len(data) // 2], data[:200] + bytes(400) + data[600:]):
+        kept.write_bytes(broken)
+        again = CliRunner().invoke(main, ["run", str(whole), "--out", str(tmp_path / "two"), "--continue"])
+        assert (again.exit_code, "is not what a run has kept" in again.output) == (2, True)
 
 
 def test_a_stopped_run_keeps_its_steps_and_ends_with_130(tmp_path, monkeypatch):
