@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -14,6 +14,7 @@ from macro_fem.motion.account import Account
 from macro_fem.motion.scheme import Moment, predicted
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.schema import Scene
+from macro_fem.scene.tables import Timed
 from rve.common.errors import InputError
 from rve.common.progress import tell
 
@@ -130,19 +131,28 @@ def first_step(motion: Motion) -> float:
     return motion.step or motion.duration / FIRST_STEPS
 
 
-def stepped(motion: Motion, start: F, advance: Advance[F], size: float, what: str) -> Iterator[F]:
-    """The frames from `start` to the end of the duration; size of what moves in mm; `what` is told to move."""
-    frame = start
+def stepped(scene: Scene, start: F, advance: Advance[F], size: float, what: str) -> Iterator[F]:
+    """The frames from `start` to the end of the duration; size of what moves in mm; `what` is told to move.
+
+    Steps end where a support lets go, after which the first one is Euler's. Steps without a length of their own also
+    end at the times of histories: long ones at rest would pass a gust unseen.
+    """
+    motion, frame = motion_of(scene), start
+    near = 1e-9 * motion.duration
+    releases = {item.release for item in scene.support if item.release is not None}
+    stops = releases | ({t for item in scene.of(Timed) for t, _ in item.history} if motion.step is None else set())
     yield frame
-    while (left := motion.duration - frame.moment.t) > 1e-9 * motion.duration:
-        t = frame.moment.t
+    while (t := frame.moment.t) < motion.duration - near:
         tell(f"{what} in motion, {t:.4g} of {motion.duration:.4g} s", t / motion.duration)
+        if any(abs(t - release) <= near for release in releases):
+            frame = frame.paced(replace(frame.pace, before=None))
+        left = min([motion.duration, *(stop for stop in stops if stop > t + near)]) - t
         frame = accurate_frame(motion, frame, advance, size, left)
         yield frame
 
 
 def accurate_frame(motion: Motion, frame: F, advance: Advance[F], size: float, left: float) -> F:
-    """The next frame, by a step that is as accurate as asked for and no longer than what is `left`, s."""
+    """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
     least = SMALLEST * first_step(motion)
     now, pace = frame.moment, frame.pace
     h, before = pace.h, pace.before
@@ -152,7 +162,7 @@ def accurate_frame(motion: Motion, frame: F, advance: Advance[F], size: float, l
         is_impact = before is not None and _is_impact(frame, following, pace.most)
         if is_impact:
             following = advance(frame, None, h)
-        after = h
+        after = motion.step or h
         if motion.step is None:
             guess = predicted(now, pace.last, h)
             away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / size

@@ -75,7 +75,7 @@ def motion_frames(scene: Scene, law: MembraneLaw, start: MotionFrame | None = No
     def advance(frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
         return _next_frame(stage, motion, frame, before, h)
 
-    yield from stepped(motion, start, advance, mesh.size, f"{mesh.mesh.t.shape[1]} cells")
+    yield from stepped(scene, start, advance, mesh.size, f"{mesh.mesh.t.shape[1]} cells")
 
 
 def _first_frame(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, stage: Stage) -> MotionFrame:

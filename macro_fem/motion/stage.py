@@ -34,8 +34,8 @@ def scene_at(scene: Scene, t: float) -> Scene:
 
 def let_go(scene: Scene, t: float) -> frozenset[int]:
     """Numbers of the supports that have let go before the end of a step at t."""
-    times = [item.release for item in scene.support]
-    return frozenset(number for number, release in enumerate(times) if release is not None and release < t - 1e-12)
+    times = [np.inf if item.release is None else item.release for item in scene.support]
+    return frozenset(number for number, release in enumerate(times) if release < t * (1.0 - 1e-9))
 
 
 class Stage:

@@ -110,7 +110,7 @@ def ring_frames(scene: Scene, who: EveryRing, start: RingFrame | None = None) ->
         rings = _hung(first, who) if motion.start == "hung" else _slack(stage.at(after), who.space)
         start = first_ring_frame(stage, rings).paced(Pace(first_step(motion)))
     size = float(np.hypot(*np.ptp(first.mesh.X, axis=0)))
-    yield from stepped(motion, start, advance, size, f"{len(start.rings.centre)} rings")
+    yield from stepped(scene, start, advance, size, f"{len(start.rings.centre)} rings")
 
 
 def _hung(asked: RingScene, who: EveryRing) -> FiniteSolution:
