@@ -22,7 +22,7 @@ from rve.common.progress import tell, way
 from rve.common.records import Index, Rows
 from rve.common.typed import Typed
 from rve.common.types import Array
-from rve.equilibrium.steps import Valley, accept_step, carry_forces, newton_direction
+from rve.equilibrium.steps import Valley, accept_step, admitted_share, carry_forces, newton_direction
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts
 from rve.geometry.pose import Pose, moved, start_pose
@@ -126,11 +126,13 @@ def iterate(state: PathState, equations: Equations, options: DirectOptions) -> P
     lam = state.lam.reshape(n, -1)
     dq, dlam = newton_direction(state.system, gap, lam, state.mu, present, state.radius)
     valley = Valley.of(state.system, con, gap, lam, options.corrections) if options.corrections else None
-    pose, contacts, length = accept_step(state.pose, con, dq, state.radius, equations, options.reach, valley)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        longest = np.where(dlam < 0.0, -0.99 * lam / dlam, np.inf).min(axis=1)
-    lam = (lam + np.minimum(longest, 1.0)[:, None] * dlam).reshape(state.lam.shape)
-    lam = carry_forces(con, lam, contacts, state.mu)
+    # As far towards the walls as mu is to fall: of a step that is halved instead, gaps keep half.
+    share = admitted_share((1.0 - np.minimum(0.01, mu[:, 0])) * gap, np.matmul(state.system.G, dq[..., None])[..., 0])
+    dq *= np.minimum(share, state.radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))[:, None]
+    floor = np.minimum(0.01 * con.min_gap, 0.1 * state.mu)
+    pose, contacts, length = accept_step(state.pose, con, dq, floor, equations, options.reach, valley)
+    dlam *= admitted_share(0.99 * lam, dlam)[:, None]
+    lam = carry_forces(con, (lam + dlam).reshape(state.lam.shape), contacts, state.mu)
     centre = mu / np.where(contacts.present, np.maximum(contacts.gap, 1e-16), 1.0)
     lam = np.where(contacts.present, np.clip(lam, 1e-8 * centre, 1e8 * centre), 0.0)
     system = equations.assemble(pose, contacts, lam, state.s)
@@ -143,7 +145,7 @@ def update_path(state: PathState, off: Array, merit: Array, options: DirectOptio
     stall = np.where(improved, 0, state.stall + 1)
     on_path = (10.0 * state.mu > state.R) & (off < 0.9 * state.mu)
     # A barrier centre may not exist right where contacts merge: go on to the next mu after `patience` idle iterations.
-    fresh = on_path | (stall >= options.patience)
+    fresh = (on_path & (state.mu > options.mu_end)) | (stall >= options.patience)
     idle = min(2.0 * options.shrink, 1.0 - 0.5 * (1.0 - options.shrink)) * state.mu
     mu = np.where(on_path, np.minimum(options.shrink * state.mu, state.mu**options.power), idle)
     radius = np.where(better, 2.0 * state.radius, np.where(stall >= 3, 0.4 * state.radius, state.radius))

@@ -65,26 +65,25 @@ def limit_equilibrium(s: Array, equations: Equations, options: DirectOptions) ->
     inward = (mean + radius)[:, None] * (np.array([1.0, 0.0, 1.0]) - n1)
     paths: list[Equilibrium] = []
     start, early = None, replace(options, attempts=1)
-    for size in _SIZES:
+    for size in _SIZES[:-2]:
         mu = 1e-3 * size
         paths.append(solve_equilibrium(s + size * inward, equations, replace(early, mu_end=mu, tolerance=mu), start))
         start, early = paths[-1].pose, replace(early, mu_start=4.0 * mu)
     result = replace(paths[-1], status=np.full(len(s), "no-limit", dtype="<U16"))
-    left, ends = np.arange(len(s)), dict[int, Equilibrium]()
-    for last in range(len(paths) - 1, 1, -1):
-        three = range(last - 2, last + 1)
-        for k in set(three) - set(ends):
-            exact = replace(options, attempts=1, mu_start=1e-3 * _SIZES[k])
-            ends[k] = solve_equilibrium(s + _SIZES[k] * inward, equations, exact, paths[k].pose)
-        limit = _extrapolate_limit(
-            [ends[k].take(left) for k in three], s[left], equations, options, 1e-3 * _SIZES[last]
-        )
+    iterations, left = np.sum([part.iterations for part in paths], axis=0), np.arange(len(s))
+    for k in range(len(paths) - 1, -1, -1):
+        loads = np.concatenate([s[left] + size * inward[left] for size in _SIZES[k : k + 3]])
+        exact, near = replace(options, attempts=1, mu_start=1e-3 * _SIZES[k]), paths[k].pose.take(np.tile(left, 3))
+        ends = solve_equilibrium(loads, equations, exact, near)
+        three = [ends.take(part) for part in np.arange(3 * len(left)).reshape(3, -1)]
+        iterations[left] += np.sum([part.iterations for part in three], axis=0)
+        limit = _extrapolate_limit(three, s[left], equations, options, 1e-3 * _SIZES[k + 2])
         good = np.flatnonzero(limit.status == "converged")
         result = result.put(left[good], limit.take(good))
         left = np.delete(left, good)
         if not len(left):
             break
-    return replace(result, iterations=np.sum([part.iterations for part in [*paths, *ends.values()]], axis=0))
+    return replace(result, iterations=iterations)
 
 
 def _extrapolate_limit(

@@ -65,6 +65,12 @@ def newton_direction(
     return dq, np.where(present, target - ratio * np.matmul(system.G, dq[..., None])[..., 0], 0.0)
 
 
+def admitted_share(room: Array, change: Array) -> Array:
+    """Largest share (n,), at most 1, of `change` (n, c) that takes away no more than `room` (n, c)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(change < 0.0, -room / change, 1.0).min(axis=1, initial=1.0))
+
+
 def _barrier_stiffness(system: System, gap: Array, lam: Array, present: Flags) -> tuple[Array, Array]:
     """K = -J + G^T diag(lam/gap) G (n, m, m) and the ratios lam/gap (n, c), zero in empty slots."""
     ratio = np.where(present, lam / gap, 0.0)
@@ -126,17 +132,16 @@ def accept_step(
     pose: Pose,
     contacts: CellContacts,
     dq: Array,
-    radius: Array,
+    floor: Array,
     equations: Equations,
     reach: float,
     valley: Valley | None,
 ) -> tuple[Pose, CellContacts, Array]:
-    """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m), within `radius` (n,), that keeps gaps
-    positive and links intact; its contacts and the share (n,) of dq. With a valley, steps are corrected."""
+    """The pose after the longest of the steps 1, 1/2, 1/4 ... of dq (n, m) that keeps gaps above `floor` (n,) and
+    links intact; its contacts and the share (n,) of dq. With a valley, steps are corrected."""
     first, before, bad = pose, contacts, np.arange(len(dq))
-    length = np.minimum(1.0, radius / np.maximum(np.abs(dq).max(axis=1), 1e-300))
-    floor = 0.01 * before.min_gap
-    here, there = first, moved(first, equations.displacement(length[:, None] * dq, first))
+    length = np.ones(len(dq))
+    here, there = first, moved(first, equations.displacement(dq, first))
     for _ in range(31 if valley is None else 0):  # a search would only confirm that these are too long
         tight = np.flatnonzero(gap_bound(before, there, equations.weave, equations.wire) < floor)
         if not len(tight):
