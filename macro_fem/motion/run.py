@@ -165,5 +165,5 @@ def _check(end: Stepped, t: float) -> None:
         )
     raise Failed(
         MotionStatus.STALLED,
-        f"the step to {t:.6g} s stopped at an error of {found.evidence.error:.1e} ({found.stop}): use a smaller step",
+        f"the step to {t:.6g} s stopped at an error of {found.evidence.error:.1e} ({found.stop}): use another step",
     )

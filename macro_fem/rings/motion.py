@@ -175,7 +175,7 @@ def next_ring_frame(
             raise Failed(
                 MotionStatus.INFEASIBLE if rings.way_left_mm > 0.0 else MotionStatus.STALLED,
                 f"the step to {now.t + h:.6g} s ended {rings.status} at a residual of {rings.kkt_residual:.1e}: "
-                f"use a smaller step",
+                f"use another step",
             )
         half = next_ring_frame(stage, damping, frame, before, 0.5 * h, halvings - 1)
         return next_ring_frame(stage, damping, half, now, 0.5 * h, halvings - 1)

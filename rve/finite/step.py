@@ -145,9 +145,13 @@ def _step(
     """`step_rings` to the supports and half-spaces of a problem."""
     began = time.perf_counter()
     mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
-    inert = np.concatenate([weight[:n], weight])[:, None] * np.abs(aim - ring_places(start))
+    both = np.concatenate([weight[:n], weight])
+    inert = both[:, None] * np.abs(aim - ring_places(start))
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
-    task, unit = problem.task(max(load, _STILL * r1 * float(weight.sum())))
+    load = max(load, _STILL * r1 * float(weight.sum()))
+    task, unit = problem.task(load)
+    # Of short steps places to round-off leave more.
+    tolerance = max(options.tolerance, np.finfo(float).eps * float(both @ np.abs(aim).max(axis=1)) / load)
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
     radius, none = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))
     loose = n + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
@@ -159,7 +163,7 @@ def _step(
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
     touching = find_touching(placed, task.linked, task.wire, options.reach)
     for first, last in paths:
-        tuned = replace(options, first=first, last=last)
+        tuned = replace(options, first=first, last=last, tolerance=tolerance)
         found = solve_near(task, touching, _forces(start, touching, unit, first), tuned)
         if found.status == "converged":
             break
