@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rve.common.drawing.plane import new_axes
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.drawing.space import THREE_QUARTERS, add, lines, look, new_plotter, surface
+from rve.common.drawing.space import BODY, THREE_QUARTERS, add, add_body, ball, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
 from rve.common.types import Array
 from rve.geometry.circles import tangent_frame
@@ -37,13 +37,14 @@ WINDOW, NO_FORCE = "#009e73", "#808890"
 @dataclass(frozen=True, eq=False)
 class DrawnRings:
     """Rings to draw: centre (n, 3) in mm, unit normal (n, 3), radii r1 and r2 in mm, and the force (n,) in N by which
-    they are coloured; None for grey rings."""
+    they are coloured; None for grey rings. balls: names, centres (3,) and radii in mm of balls beside them."""
 
     centre: Array
     normal: Array
     r1: float
     r2: float
     force: Array | None = None
+    balls: tuple[tuple[str, Array, float], ...] = ()
 
     def circles(self, count: int) -> tuple[Array, Array]:
         """Points (n, count, 3) of the centre circles, and the unit vectors from the centre to them."""
@@ -104,14 +105,18 @@ class DrawnRings:
     def plot(self, ax: Axes | None = None, *, width: float = 0.7) -> Axes:
         """Centre lines of the rings seen along z, on `ax` or axes of their own."""
         from matplotlib.collections import LineCollection
+        from matplotlib.patches import Circle
 
         ax = new_axes(7.0, 6.0) if ax is None else ax
-        drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors="0.5")
+        grey = "0.5" if self.force is None else None  # any colour that is given would hide those of the forces
+        drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors=grey)
         if self.force is not None:
             scale = force_scale(self.force)
             drawn.set(array=np.maximum(self.force, scale.low), cmap=scale.colour_map(), norm=scale.norm())
             scale.add_bar(ax, shrink=0.75, pad=0.02)
         ax.add_collection(drawn)
+        for _, centre, radius in self.balls:
+            ax.add_patch(Circle((centre[0], centre[1]), radius, color=BODY, alpha=0.75))
         ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title=f"{len(self.centre)} rings")
         ax.autoscale_view()
         return ax
@@ -130,6 +135,8 @@ class DrawnRings:
             for name, numbers in values.items():
                 mesh[name] = np.repeat(numbers, points + 1)
             add(plotter, "rings", mesh, scale, line_width=2)
+        for name, centre, radius in self.balls:
+            add_body(plotter, name, ball(radius, centre), smooth_shading=True)
         look(plotter, THREE_QUARTERS)
         return plotter
 

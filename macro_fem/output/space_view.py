@@ -16,14 +16,26 @@ from macro_fem.scene.tables import in_3d
 from macro_fem.scene.tracks import Track, track_of
 from macro_fem.solution import CurtainSolution
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.drawing.space import FLAT, THREE_QUARTERS, add, arrows, balls, lines, look, new_plotter, surface
+from rve.common.drawing.space import (
+    FLAT,
+    THREE_QUARTERS,
+    add,
+    add_body,
+    arrows,
+    ball,
+    balls,
+    lines,
+    look,
+    new_plotter,
+    surface,
+)
 from rve.common.types import Array
 
 if TYPE_CHECKING:
     from pyvista import Plotter, PolyData
 
 HELD, TRACK, REACTION, PUSH = "#1f4e79", "#4a4f57", "#d7263d", "#e07b00"
-OBSTACLE, GROUND, SHADOW, FIGURE = "#c9b18f", "#ebedf0", "#cdd2d8", "#8d96a1"
+GROUND, SHADOW, FIGURE = "#ebedf0", "#cdd2d8", "#8d96a1"
 LEAST_FOR_PERSON = 800.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 PERSON_MM = 1750.0
@@ -89,8 +101,8 @@ def draw_curtain(
     for item, shift in obstacles:
         mesh = obstacle_mesh(item, shift, frame, ground)
         if mesh is not None:
-            style = {"opacity": 0.35 if isinstance(item, Wall) else 0.75}
-            add(plotter, item.name, mesh, OBSTACLE, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
+            style = {"opacity": 0.35} if isinstance(item, Wall) else {}
+            add_body(plotter, item.name, mesh, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
     for name, colour, (at, force) in (("supports", REACTION, pulls(solution)), ("obstacles", PUSH, pushes(solution))):
         shown = arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
         add(plotter, f"force of {name}, longest {np.linalg.norm(force, axis=1).max(initial=0.0):.3g} N", shown, colour)
@@ -202,13 +214,6 @@ def obstacle_mesh(item: Obstacle, shift: Array, frame: PictureFrame, ground: flo
             mesh.points = np.clip(0.5 * (low + high) + way, *ends)
             return mesh
     return None
-
-
-def ball(radius: float, centre: Array) -> PolyData:
-    """A smooth ball."""
-    import pyvista
-
-    return pyvista.Sphere(radius=radius, center=centre, theta_resolution=64, phi_resolution=64)
 
 
 def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> None:

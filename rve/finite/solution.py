@@ -21,7 +21,7 @@ from rve.finite.problem import Problem
 from rve.finite.solver import solve_rings
 from rve.finite.task import SENTENCES, FiniteOptions, Found, Record, Task
 from rve.finite.touching import find_touching, links_intact
-from rve.finite.walls import Obstacle
+from rve.finite.walls import Obstacle, RoundBody
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,10 +150,11 @@ class FiniteSolution:
 
     @property
     def drawn(self) -> DrawnRings:
-        """The rings to draw, grey where there are no forces."""
+        """The rings to draw, grey where there are no forces, and the balls beside them."""
         cell, force = self.mesh.cell, self.largest_force
         has_forces = bool(np.isfinite(force).all())
-        return DrawnRings(self.centre, self.normal, cell.r1, cell.r2, force if has_forces else None)
+        balls = tuple((b.name, np.array(b.place), b.radius) for b in self.walls if isinstance(b, RoundBody))
+        return DrawnRings(self.centre, self.normal, cell.r1, cell.r2, force if has_forces else None, balls)
 
     def view(self, plotter: Plotter | None = None) -> Plotter:
         """All rings in space, coloured by contact force, balls at held rings and arrows of the forces on them.

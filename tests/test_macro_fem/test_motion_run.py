@@ -135,8 +135,7 @@ def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
     whole.write_text(LET_GO)
     part.write_text(LET_GO.replace("0.06", "0.03"))
     for scene, out, more in ((whole, "one", ()), (part, "two", ()), (whole, "two", ("--continue", "--html"))):
-        asked = ["run", str(scene), "--out", str(tmp_path / out), "--no-picture", *more]
-        result = CliRunner().invoke(main, asked)
+        result = CliRunner().invoke(main, ["run", str(scene), "--out", str(tmp_path / out), "--no-picture", *more])
         assert result.exit_code == 0, result.output
     tables = [list(csv.reader((tmp_path / out / "motion.csv").read_text().splitlines())) for out in ("one", "two")]
     assert tables[0][0] == tables[1][0] == list(COLUMNS)

@@ -32,6 +32,8 @@ FRONT, THREE_QUARTERS = (0.0, -0.12, -1.0), (-0.75, -0.45, -1.0)
 FRAME_MS, LAST_MS = 120, 1500
 """How long a frame of an animation is shown, and its last one."""
 MARGIN = 1.04
+BODY = "#c9b18f"
+"""Colour of bodies that a mesh meets."""
 MATT: dict[str, Any] = {"ambient": 0.4, "diffuse": 0.7, "specular": 0.1, "smooth_shading": True}
 FLAT: dict[str, Any] = {"lighting": False, "ambient": 0.0, "diffuse": 1.0, "specular": 0.0}
 
@@ -63,11 +65,14 @@ def new_plotter(panels: int = 1) -> Plotter:
 
 
 def add(plotter: Plotter, name: str, mesh: PolyData, colour: str | Scale, **style: Any) -> None:
-    """Add a mesh in one colour, or coloured by its array `colour.label`; nothing if the mesh is empty."""
+    """Add a mesh in one colour, or coloured by its array `colour.label`; nothing if the mesh is empty. Of meshes of one
+    name the second is NAME 2, and so on."""
     import pyvista
 
     if not mesh.n_points:
         return
+    each = (name, *(f"{name} {k}" for k in range(2, len(plotter.actors) + 2)))
+    name = next(one for one in each if one not in plotter.actors)
     style = MATT | {"name": name, "reset_camera": False, "render": False} | style
     style |= {"render_lines_as_tubes": True, "smooth_shading": False} if mesh.n_lines else {}
     if isinstance(colour, str):
@@ -93,6 +98,18 @@ def lines(points: Array) -> PolyData:
     n, k = points.shape[:2]
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)])
     return pyvista.PolyData(points.reshape(-1, 3), lines=cells.ravel())
+
+
+def add_body(plotter: Plotter, name: str, mesh: PolyData, **style: Any) -> None:
+    """Add a body that a mesh meets."""
+    add(plotter, name, mesh, BODY, **{"opacity": 0.75} | style)
+
+
+def ball(radius: float, centre: Array) -> PolyData:
+    """A smooth ball."""
+    import pyvista
+
+    return pyvista.Sphere(radius=radius, center=centre, theta_resolution=64, phi_resolution=64)
 
 
 def balls(points: Array, radius: float) -> PolyData:
