@@ -19,20 +19,22 @@ def fingerprint(module: str) -> str:
     left = [module]
     while left:
         name = left.pop()
-        path = _file(name)
-        if path is None or name in seen or SHOWN & set(name.split(".")):
+        if name in seen or SHOWN & set(name.split(".")):
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        left += _imported(tree)
-        seen[name] = ast.dump(_bare(tree))
-    inside = [seen[name] for name in sorted(seen) if name.split(".")[0] in PACKAGES]
+        seen[name], imported = _read(name)
+        left += imported
+    inside = [seen[name] for name in sorted(seen) if seen[name] and name.split(".")[0] in PACKAGES]
     return hashlib.sha256("\n".join(inside).encode()).hexdigest()[:8]
 
 
-def _file(name: str) -> Path | None:
-    """The file of a module of this tree; None for others and for packages."""
+@cache
+def _read(name: str) -> tuple[str, list[str]]:
+    """The bare tree of a module of this project as text, and what it imports; nothing of other modules and packages."""
     path = ROOT / Path(*name.split(".")).with_suffix(".py")
-    return path if path.exists() and name.split(".")[0] in (*PACKAGES, "benchmarks") else None
+    if not path.exists() or name.split(".")[0] not in (*PACKAGES, "benchmarks"):
+        return "", []
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return ast.dump(_bare(tree)), _imported(tree)
 
 
 def _imported(tree: ast.Module) -> list[str]:
