@@ -36,6 +36,9 @@ DIRECTIONS = 180
 BLOCK = 64
 """Points compared with all half-spaces at a time: few enough to stay in the cache, many enough to hide Python. They
 share one piece of memory: fresh pieces take five times as long."""
+PRODUCTS = 2**18
+"""Multiplications at a time at most: from twice as many on OpenBLAS wakes its threads, which beside another program
+took ten times as long."""
 
 
 class ProjectionError(NotConverged):
@@ -64,10 +67,11 @@ class Polyhedron:
 
     def worst(self, E: Array) -> tuple[Index, Array]:
         """Most violated half-space and its excess over h at E (n, k), each (n,)."""
-        index, excess, space = np.empty(len(E), np.intp), np.empty(len(E)), np.empty((BLOCK, len(self.h)))
+        rows = min(BLOCK, max(1, PRODUCTS // self._columns.size))
+        index, excess, space = np.empty(len(E), np.intp), np.empty(len(E)), np.empty((rows, len(self.h)))
         E = np.column_stack([E, np.ones(len(E))])
-        for start in range(0, len(E), BLOCK):
-            part = slice(start, start + BLOCK)
+        for start in range(0, len(E), rows):
+            part = slice(start, start + rows)
             over = np.matmul(E[part], self._columns, out=space[: len(E[part])])
             index[part] = over.argmax(axis=1)
             excess[part] = over[np.arange(len(over)), index[part]]

@@ -13,6 +13,7 @@ prints sentences by `say`, the last one by `say_next`, and its record by `answer
 from __future__ import annotations
 
 import errno
+import os
 import shlex
 import signal
 import threading
@@ -58,7 +59,10 @@ class Command(click.Command):
         super().__init__(name, params=[*(kwargs.pop("params", None) or []), *common], **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; whatever it raises becomes a sentence and an exit code."""
+        """Run the command on one thread of BLAS unless the user says more, as its threads wait for one another where a
+        core is busy (a curtain took 80 to 190 s, not 20); whatever it raises becomes a sentence and an exit code.
+        """
+        os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported
         try:
             with _stops_raised(), nullcontext() if _asked("--quiet") else shown():
                 return super().invoke(ctx)
