@@ -40,7 +40,6 @@ class LawEntries(Typed):
     provenance: dict[str, Any] | None = None
 
     def check(self) -> None:
-        """BadField for what this version does not read."""
         for key, found, known in (("schema", self.schema, SCHEMA), ("units", self.units, UNITS)):
             if found != known:
                 self.refuse(f"{key} = {shown(found)}, this version reads {key} = {known}")

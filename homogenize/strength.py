@@ -66,7 +66,6 @@ class StrengthEntries(Typed):
     is_mirrored: bool = True
 
     def check(self) -> None:
-        """BadField for lists of different lengths, loads that are not tensile or not of unit trace."""
         lists = ("S", "cauchy", "first_yield_1_per_mm", "collapse_1_per_mm", "compliance_mm_per_N")
         if len({len(getattr(self, key)) for key in lists}) > 1:
             self.refuse(f"{', '.join(lists)}: differ in length")
@@ -152,11 +151,9 @@ class Strength(Rows):
         return f"{head}; relative error at {e.rows} rows left out: {errors}"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: rings, error between the loads, and the numbers of the material."""
         return as_html(self.text(), asdict(self.material))
 
     def to_dict(self) -> dict[str, Any]:
-        """The strength as a law file holds it."""
         return {
             "joint": self.joint,
             "material": asdict(self.material),

@@ -108,5 +108,4 @@ class Solution(ABC):
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: status, and the numbers of the summary that are single values."""
         return as_html(self, self.summary)

@@ -80,7 +80,6 @@ class MembraneSolution(Solution):
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The numbers of summary.json: lengths in mm, forces in N, line loads in N per mm of reference length."""
         return self._summary(picture=False)
 
     def _check(self, wanted: Pictures) -> None:
@@ -102,7 +101,6 @@ class MembraneSolution(Solution):
         return summary
 
     def write_html(self, path: str | Path) -> None:
-        """See `Solution.write_html`."""
         check_out_file(path, "path")
         write_curtain_page(path, self.loaded)
 

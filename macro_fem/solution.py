@@ -97,7 +97,6 @@ class CurtainSolution(Judged):
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Status and message: see `macro_fem.solvers.status`."""
         verdict = judged(self.stop, self.evidence, self.asked, self.iterations, self.reach, self.relaxation)
         return verdict if self.settling is None else self.settling.verdict(verdict)
 

@@ -58,7 +58,6 @@ class FitOptions(Typed):
     resolution: Resolution = RESOLUTION
 
     def check(self) -> None:
-        """BadField for a resolution of a law that has none."""
         if self.resolution != RESOLUTION and self.kind != "refined":
             self.refuse(f"resolution = {self.resolution}: belongs to kind 'refined', not {self.kind!r}")
 
@@ -71,7 +70,6 @@ class FitResult:
     report: ErrorReport
 
     def save(self, path: str | Path) -> None:
-        """Writes the law file."""
         self.law.save(path)
 
     def __str__(self) -> str:
@@ -80,7 +78,6 @@ class FitResult:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the law and its error, and what is known of its strength."""
         strength = () if self.law.strength is None else (self.law.strength.text(),)
         return as_html(self.law, lines=(*self.report.text().splitlines(), *strength))
 

@@ -70,7 +70,6 @@ class Normality:
         return self.slack >= -self.tolerance
 
     def sentence(self) -> str:
-        """The finding in words."""
         if self.holds:
             return f"normality holds: S_i:(E_i - E_j) >= {self.slack:.1e} for all pairs of rows"
         rows = ", ".join(str(i) for i in self.blamed[:10]) + (", ..." if len(self.blamed) > 10 else "")
@@ -130,7 +129,6 @@ class RowEntries(Typed):
     is_mirrored: bool = True
 
     def check(self) -> None:
-        """BadField for lists of different lengths and for rows that no cell can have."""
         lengths = len(self.S), len(self.E), len(self.unique)
         if not lengths[0] == lengths[1] == lengths[2]:
             self.refuse(f"S, E, unique: differ in length, {lengths}")

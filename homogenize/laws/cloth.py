@@ -33,11 +33,9 @@ class ClothLaw(StoredLaw, kind="cloth"):
 
     @property
     def compliance(self) -> Array:
-        """None: zeros (3, 3)."""
         return np.zeros((3, 3))
 
     def support(self, S: Array) -> Array:
-        """h(S) = 0 for every tensile S (n, 3), (n,)."""
         check_finite(S, "line loads")
         return np.zeros(len(S))
 
@@ -54,16 +52,13 @@ class ClothLaw(StoredLaw, kind="cloth"):
         return Cut(from_disc(unit), np.zeros(len(E)), eigenvalues(E)[1])
 
     def response(self, E: Array) -> Response:
-        """None: InputError, for an inextensible law has no energy beyond locking."""
         raise InputError("cloth does not stretch, so it has no elastic response: use kind = 'rigid'")
 
     def to_dict(self) -> dict[str, Any]:
-        """No parameters."""
         return {}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str) -> ClothLaw:
-        """The cloth law; InputError for parameters, which it has none of."""
         for key in data:
             raise InputError(f"{where} {key}: unknown key; cloth has no parameters")
         return cls()

@@ -38,7 +38,6 @@ class NetEntries(Typed):
     stiffness_N_per_mm: Stiffness
 
     def check(self) -> None:
-        """BadField for directions that are not two different unit vectors."""
         n = np.array(self.directions)
         if np.abs((n**2).sum(axis=1) - 1.0).max() > ROUNDING or abs(np.linalg.det(n)) < ROUNDING:
             self.refuse(f"directions = {n.tolist()}: must be two different unit vectors")
@@ -125,12 +124,10 @@ class NetLaw(StoredLaw, kind="net"):
         return np.linalg.solve(gram, N)
 
     def to_dict(self) -> dict[str, Any]:
-        """Directions, limit stretch and stiffness as plain numbers."""
         return {"directions": self.directions.tolist(), "limit": self.limit, "stiffness_N_per_mm": self.stiffness}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str) -> NetLaw:
-        """The net that `to_dict` wrote; InputError names a missing or impossible entry."""
         found = read_typed(NetEntries, data, where)
         return NetLaw(np.array(found.directions), found.limit, found.stiffness_N_per_mm)
 

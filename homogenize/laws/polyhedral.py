@@ -58,11 +58,9 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
 
     @property
     def compliance(self) -> Array:
-        """Inverse of the stiffness, mm/N."""
         return np.asarray(np.linalg.inv(self.stiffness))
 
     def support(self, S: Array) -> Array:
-        """h(S) = max over the vertices of S:E, (n,)."""
         check_finite(S, "line loads")
         return highest(S, self.vertices)
 
@@ -73,7 +71,6 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         return HalfSpaces(S, self.support(S))
 
     def elastic(self) -> MembraneLaw:
-        """The law whose rings give by direction where `strength` tells their compliance, else the law itself."""
         from homogenize.laws.giving import giving_law
 
         return giving_law(self) or self
@@ -85,7 +82,6 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         return Cut(self.S[worst], self.h[worst], violation)
 
     def response(self, E: Array) -> Response:
-        """Energy, stress and tangent beyond locking, by exact active sets."""
         check_finite(E)
         return respond(E, self._body)
 
@@ -94,12 +90,10 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
         return polyhedron_of(self.S, self.h, self.stiffness)
 
     def to_dict(self) -> dict[str, Any]:
-        """Half-spaces and stiffness; the vertices follow from them."""
         return {"S": self.S.tolist(), "h": self.h.tolist(), "stiffness_N_per_mm": self.stiffness.tolist()}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], where: str) -> PolyhedralLaw:
-        """The law that `to_dict` wrote; InputError names a missing or impossible entry."""
         found = read_typed(PolyhedronEntries, data, where)
         try:
             return polyhedral_law(np.array(found.S), np.array(found.h), stiffness_matrix(found.stiffness_N_per_mm))
@@ -107,7 +101,6 @@ class PolyhedralLaw(StoredLaw, kind="polyhedral"):
             raise InputError(f"{where} {error}") from error
 
     def softer(self, factor: float) -> PolyhedralLaw:
-        """The law of rings whose compliance is `factor` times as large; itself if its stiffness is a stated one."""
         is_stated = str(self.provenance.get("stiffness", "stated")).startswith("stated")
         return self if is_stated else replace(self, stiffness=self.stiffness / factor)
 

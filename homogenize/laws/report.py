@@ -68,5 +68,4 @@ class ErrorReport(Typed):
         return self.text()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers for a law file."""
         return asdict(self)

@@ -52,7 +52,6 @@ class StoredLaw(MembraneLaw):
 
     @property
     def name(self) -> str:
-        """The kind of law."""
         return self.kind
 
     @property
@@ -96,7 +95,6 @@ class StoredLaw(MembraneLaw):
         return str(self)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: kind, rings, and the lines of the error report."""
         report = self.report
         return as_html(self, lines=() if report is None else report.text().splitlines())
 

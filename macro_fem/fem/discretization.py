@@ -78,12 +78,10 @@ class Discretization:
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes; the unknown has d components at each."""
         return self.nodes.shape[0]
 
     @property
     def n_cells(self) -> int:
-        """Number of cells."""
         return self.cell_dofs.shape[0]
 
     @property

@@ -27,12 +27,10 @@ class HungLaw:
 
     @property
     def name(self) -> str:
-        """Name of the law."""
         return self.own.name
 
     @property
     def cell(self) -> CellInfo | None:
-        """The rings behind the law, in the frame of the weave."""
         return self.own.cell
 
     @property
@@ -55,27 +53,22 @@ class HungLaw:
         return np.asarray(A @ self.to_weave.T)
 
     def support(self, S: Array) -> Array:
-        """h(S), see MembraneLaw."""
         return self.own.support(self.in_weave(S))
 
     def half_spaces(self) -> HalfSpaces:
-        """Half-spaces to start with, see MembraneLaw."""
         start = self.own.half_spaces()
         return replace(start, S=start.S @ self.to_curtain.T)
 
     def cut(self, E: Array) -> Cut:
-        """The most violated half-space, see MembraneLaw."""
         cut = self.own.cut(np.column_stack([self.in_weave(E[:, :3]), E[:, 3:]]))
         return replace(cut, S=cut.S @ self.to_curtain.T)
 
     def response(self, E: Array) -> Response:
-        """The elastic answer, see MembraneLaw."""
         local = self.own.response(self.in_weave(E))
         T = self.to_curtain
         return Response(local.energy, local.S @ T.T, T @ local.C @ self.to_weave, local.E_star @ T.T)
 
     def elastic(self) -> HungLaw:
-        """The law with the compliance of its rings, see MembraneLaw."""
         return replace(self, own=elastic_law(self.own))
 
 

@@ -60,11 +60,6 @@ class SparsityPattern:
         indptr, indices, source = self._mirror
         return _csc(data[source], indices, indptr, self.n)
 
-    @cached_property
-    def diagonal(self) -> Index:
-        """Places of the diagonal in the data, (n,): each column of the lower triangle begins with it."""
-        return self.indptr[:-1].astype(np.int64)
-
     def place(self, row: Index, column: Index) -> Index:
         """Places in the data of entries (...) by their flat numbers: -1 above the diagonal and where one is held.
 
@@ -133,45 +128,9 @@ def sparsity(disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -
     return SparsityPattern(np.where(free, number, -1), d, *index, np.concatenate(slots))
 
 
-def tied_pattern(pattern: SparsityPattern, tie: sparse.csc_matrix) -> tuple[SparsityPattern, sparse.csr_matrix]:
-    """The pattern of T^T K T for a `tie` T (n, n_z), and the matrix that turns K's entries into its lower triangle's.
-
-    `pattern` is that of K on all n unknowns; the second matrix multiplies `pattern.full(data).data`.
-    """
-    numbers = pattern.full(np.zeros(pattern.nnz))
-    row, column = numbers.indices, np.repeat(np.arange(numbers.shape[0]), np.diff(numbers.indptr))
-    masters, shares = _padded_rows(tie)
-    n = tie.shape[1]
-    keys, entries, values = [], [], []
-    for a, b in np.ndindex(masters.shape[1], masters.shape[1]):
-        i, j = masters[row, a], masters[column, b]
-        keep = (j >= 0) & (i >= j)
-        keys.append((j * n + i)[keep])
-        entries.append(np.flatnonzero(keep))
-        values.append((shares[row, a] * shares[column, b])[keep])
-    unique, place = np.unique(np.concatenate(keys), return_inverse=True)
-    shape = (len(unique), numbers.nnz)
-    spread = sparse.coo_matrix((np.concatenate(values), (place, np.concatenate(entries))), shape=shape).tocsr()
-    j, i = np.divmod(unique, n)
-    indptr = np.searchsorted(j, np.arange(n + 1)).astype(np.int32)
-    no_slot = np.zeros((0, 0), dtype=np.int64)
-    return SparsityPattern(np.arange(n), pattern.d, indptr, i.astype(np.int32), no_slot), spread
-
-
 def component_pairs(d: int) -> list[tuple[int, int]]:
     """The blocks (i, k), i >= k, in the order of the packed entries."""
     return [(i, k) for i in range(d) for k in range(i + 1)]
-
-
-def _padded_rows(T: sparse.csc_matrix) -> tuple[np.ndarray, Array]:
-    """Columns and values of the rows of T as (rows, widest): absent entries are column -1 and value 0."""
-    T = T.tocsr()
-    length = np.diff(T.indptr)
-    where = (np.repeat(np.arange(T.shape[0]), length), np.arange(T.nnz) - np.repeat(T.indptr[:-1], length))
-    columns = np.full((T.shape[0], int(length.max())), -1, dtype=np.int64)
-    values = np.zeros(columns.shape)
-    columns[where], values[where] = T.indices, T.data
-    return columns, values
 
 
 def _csc(data: Array, indices: NDArray[Any], indptr: NDArray[Any], n: int) -> sparse.csc_matrix:

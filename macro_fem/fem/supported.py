@@ -16,7 +16,7 @@ from scipy import sparse
 from macro_fem.fem.assembly import gradient, internal_force, stiffness
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.sparsity import SparsityPattern, sparsity, tied_pattern
+from macro_fem.fem.sparsity import SparsityPattern, sparsity
 from rve.common.numeric.factor import Factorizer, Solve
 from rve.common.types import Array
 
@@ -50,7 +50,7 @@ class SupportedFem:
     def moved(self, x_held: Array) -> SupportedFem:
         """The same curtain with its held components elsewhere; pattern and symbolic factor are kept."""
         other = replace(self, x_held=x_held)
-        kept = ("T", "pattern", "_tied", "factorizer")
+        kept = ("T", "pattern", "factorizer")
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
@@ -121,16 +121,6 @@ class SupportedFem:
         """T dz as nodal vectors (n_nodes, d)."""
         return (self.T @ dz).reshape(self.x_held.shape)
 
-    def matrix_data(self, tangent: Array, added: Array | None = None) -> Array:
-        """Data of the lower triangle of B^T (w A) B for tangents A (nq, d, 2, d, 2), in the order of its pattern.
-
-        `added` (nnz,) is data of `pattern` that is added.
-        """
-        data = stiffness(self.disc, self.pattern, tangent)
-        if added is not None:
-            data = data + added
-        return data if self.tie is None else np.asarray(self._tied[1] @ self.pattern.full(data).data)
-
     def factorize(self, tangent: Array, added: Array | None = None) -> Callable[[Array], Array]:
         """A solver of B^T (w A) B x = b for tangents A (nq, d, 2, d, 2); ArithmeticError if it has none.
 
@@ -140,17 +130,20 @@ class SupportedFem:
         If a pivot is lost to rounding a multiple of the diagonal is added. Two rounds of refinement with the true
         matrix remove most of its effect.
         """
-        data = self.matrix_data(tangent, added)
-        pattern = self.pattern if self.tie is None else self._tied[0]
-        matrix = pattern.full(data)
-        if not np.isfinite(data.sum()):
+        data = stiffness(self.disc, self.pattern, tangent)
+        matrix = self.pattern.full(data if added is None else data + added)
+        if self.tie is not None:
+            matrix = (self.tie.T @ matrix @ self.tie).tocsc()
+            matrix.sort_indices()
+        if not np.isfinite(matrix.data.sum()):
             raise ArithmeticError("the matrix holds an entry that is not finite")
-        if not pattern.n:
+        if not matrix.shape[0]:
             return lambda b: np.zeros(0)
         for shift in SHIFTS:
-            shifted = data.copy()
-            shifted[pattern.diagonal] *= 1.0 + shift
-            solve = self.factorizer(pattern.full(shifted))
+            shifted = matrix.copy()
+            if shift:
+                shifted.setdiag((1.0 + shift) * matrix.diagonal())
+            solve = self.factorizer(shifted)
             if callable(solve):
                 return partial(_refined, solve, matrix)
         raise ArithmeticError(f"no pivot order works even with the diagonal raised by {SHIFTS[-1]:g}")
@@ -159,12 +152,6 @@ class SupportedFem:
     def factorizer(self) -> Factorizer:
         """Factorizes matrices on the free unknowns, ties applied; their ordering is found once."""
         return Factorizer()
-
-    @cached_property
-    def _tied(self) -> tuple[SparsityPattern, sparse.csr_matrix]:
-        """The pattern of T^T K T and the matrix that turns the entries of K into its lower triangle's."""
-        assert self.tie is not None
-        return tied_pattern(self.pattern, self.tie)
 
 
 def with_loose_nodes(fem: SupportedFem, count: int) -> SupportedFem:

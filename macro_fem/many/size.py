@@ -59,7 +59,6 @@ class Size:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What is printed as JSON."""
         return asdict(self)
 
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:

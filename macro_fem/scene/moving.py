@@ -36,7 +36,6 @@ class Motion(Typed):
     scheme: Literal["bdf2", "euler"] = "bdf2"
 
     def check(self) -> None:
-        """BadField for a step beyond the duration."""
         if self.step is not None and self.step > self.duration:
             self.refuse(f"step = {self.step:g}: is longer than the duration, {self.duration:g} s")
 
@@ -49,7 +48,6 @@ class Thrown(Item):
 
     @property
     def space_reason(self) -> str:
-        """Bodies move in space."""
         return f"kind = {self.kind!r} moves in space"
 
 
@@ -64,7 +62,6 @@ class Ball(Thrown, kind="sphere"):
     name: Name = "ball"
 
     def check(self) -> None:
-        """BadField for a body without mass, whose motion nothing decides."""
         if self.mass == 0.0:
             self.refuse("mass = 0: must be greater than 0")
 

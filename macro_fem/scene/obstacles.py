@@ -41,14 +41,12 @@ class Obstacle(Timed):
     move: Vector
 
     def check(self) -> None:
-        """BadField for a vector without a direction."""
         for key in ("facing", "axis"):
             if not any(getattr(self, key, (1.0,))):
                 self.refuse(f"{key} = {list(getattr(self, key))}: has no direction: one component must not be 0")
 
     @property
     def space_reason(self) -> str:
-        """Why the obstacle takes the curtain into space."""
         in_plane = is_flat(self) and not leaves_plane(getattr(self, "facing", NO_MOVE))
         return "" if in_plane else f"{self.name} is not a half-space of the plane"
 
@@ -161,7 +159,6 @@ class Box(Body, kind="box"):
     clear: Literal["cells", "nodes"] = "cells"
 
     def check(self) -> None:
-        """BadField for a box whose edges are to be rounder than it is thick."""
         if self.rounding is not None and self.rounding > self.breadth * (1.0 + 1e-9):
             self.refuse(f"rounding = {self.rounding:g}: is more than half of its least length, {min(self.size):g} mm")
 
@@ -211,7 +208,6 @@ class Start(Typed):
     y_axis: Way = (0.0, 1.0, 0.0)
 
     def check(self) -> None:
-        """BadField for axes that are not at right angles."""
         for key in ("x_axis", "y_axis"):
             if not any(getattr(self, key)):
                 self.refuse(f"{key} = {list(getattr(self, key))}: has no direction: one component must not be 0")

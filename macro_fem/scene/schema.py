@@ -121,7 +121,6 @@ class Scene:
         return replace(self, items=(*self.items, *more))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the records of the scene."""
         parts = (self.curtain, self.mesh, *self.items, self.load, self.start, self.solver)
         return as_html(f"Scene: {self.source}", dict(self.material), (str(part) for part in parts if part is not None))
 

@@ -42,7 +42,6 @@ class Shape(Typed):
         super().__post_init__()
 
     def check(self) -> None:
-        """BadField for too many corners."""
         corners = len(getattr(self, "outline", ())) + sum(map(len, self.holes))
         if corners > MAX_CORNERS:
             self.refuse(f"outline and holes: have {corners} corners, at most {MAX_CORNERS} are allowed")
@@ -92,7 +91,6 @@ class MeshFile(Shape, shape="file"):
     file: Name
 
     def check(self) -> None:
-        """BadField for holes, which the file has of its own."""
         super().check()
         if self.holes:
             self.refuse('holes: are not used by shape = "file"')

@@ -37,7 +37,6 @@ class Corners(Support, kind="corners"):
     rings_per_hook: RingsPerHook = 1
 
     def hold(self, site: Site, factor: float) -> Held:
-        """The first and the last node of the top edge."""
         nodes = site.edge("top")[0][[0, -1]]
         return site.held("corners", nodes, site.gathered(nodes, self.gather), factor)
 
@@ -50,7 +49,6 @@ class Top(Support, kind="top"):
     move: Way = NO_MOVE
 
     def hold(self, site: Site, factor: float) -> Held:
-        """All nodes of the top edge."""
         nodes, facets = site.edge("top")
         return site.held("top", nodes, site.gathered(nodes, self.gather), factor, facets=facets)
 
@@ -60,7 +58,6 @@ class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
     def hold(self, site: Site, factor: float) -> Held:
-        """All nodes of the top edge, free along x."""
         nodes, facets = site.edge("top")
         return site.held("rail", nodes, site.disc.nodes[nodes], factor, "yz", facets)
 
@@ -83,14 +80,12 @@ class Hooks(Support, kind="hooks"):
     rings_per_hook: RingsPerHook = 1
 
     def check(self) -> None:
-        """BadField unless either pitch or count is given."""
         if self.pitch is None and self.count is None:
             self.refuse("pitch: is missing; give it in mm, or the count of hooks")
         if self.pitch is not None and self.count is not None:
             self.refuse(f"count = {self.count}: is not used together with pitch")
 
     def hold(self, site: Site, factor: float) -> Held:
-        """The nodes at the hooks."""
         nodes = site.hooks()
         return site.held("hooks", nodes, site.gathered(nodes, self.gather), factor, "yz" if self.sliding else "both")
 
@@ -111,7 +106,6 @@ class Edge(Support, kind="edge"):
     sliding: bool = False
 
     def check(self) -> None:
-        """BadField for keys that have no effect with a line, or without one."""
         if self.along is None:
             if self.sliding:
                 self.refuse("sliding = true: has no effect without along, the line to slide on")
@@ -127,13 +121,11 @@ class Edge(Support, kind="edge"):
 
     @property
     def space_reason(self) -> str:
-        """Why the edge takes the curtain into space."""
         if self.along and any(map(leaves_plane, self.along)):
             return f"along = {[list(point) for point in self.along]} leaves the plane"
         return super().space_reason
 
     def hold(self, site: Site, factor: float) -> Held:
-        """All nodes of the edge, narrowed about the middle of its bounding box, or on its line."""
         if self.along is not None:
             return self._on_line(site, self.along, factor)
         nodes, facets = site.edge(self.edge, "edge")
@@ -167,11 +159,9 @@ class Point(Support, kind="point"):
 
     @property
     def points(self) -> tuple[Vector, ...]:
-        """Its place."""
         return (self.at,)
 
     def hold(self, site: Site, factor: float) -> Held:
-        """The node at the place."""
         nodes = point_node(self.at, site.disc)
         name = f"point ({self.at[0]:g}, {self.at[1]:g})"
         return site.held(name, nodes, site.disc.nodes[nodes], factor, self.held)

@@ -150,7 +150,6 @@ class LiveLoad(Timed):
 
     @property
     def where(self) -> str:
-        """The entry in messages."""
         return f"[{self.table}]"
 
 
@@ -172,7 +171,6 @@ class PointLoad(LiveLoad, kind="point"):
 
     @property
     def points(self) -> tuple[Vector, ...]:
-        """Its place."""
         return (self.at,)
 
 
@@ -212,7 +210,6 @@ class Wind(LiveLoad, kind="wind"):
     follows: bool = False
 
     def check(self) -> None:
-        """BadField unless exactly one of pressure and speed is given, and only keys that have an effect."""
         if not any(self.direction):
             self.refuse(f"direction = {list(self.direction)}: has no direction: one component must not be 0")
         if self.pressure is None and self.speed is None:
@@ -223,7 +220,6 @@ class Wind(LiveLoad, kind="wind"):
 
     @property
     def space_reason(self) -> str:
-        """Why the wind takes the curtain into space."""
         follows = "follows = true: pressure is normal to the surface" if self.follows else ""
         return super().space_reason or follows
 

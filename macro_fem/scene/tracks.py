@@ -65,7 +65,6 @@ class Track(Support, kind="track"):
     rings_per_hook: RingsPerHook = 1
 
     def check(self) -> None:
-        """BadField for keys that contradict each other, or that leave the track open."""
         if self.path is not None:
             for key in ("radius", "angle"):
                 if getattr(self, key) is not None:
@@ -88,11 +87,9 @@ class Track(Support, kind="track"):
 
     @property
     def space_reason(self) -> str:
-        """A track is a curve in plan."""
         return "kind = 'track' leaves the plane"
 
     def hold(self, site: Site, factor: float) -> Held:
-        """The top edge on its track: as a whole, or at its runners."""
         line, s, curve = track_of(self, site.mesh, site.where)
         if self.has_hooks:
             nodes, facets = site.hooks(), NONE

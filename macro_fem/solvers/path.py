@@ -106,7 +106,6 @@ class PathResult(Judged):
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Status and message, from the numbers."""
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
 
     @property

@@ -39,7 +39,6 @@ class Material(Typed):
     ultimate_N_per_mm2: Stress | None = 360.0
 
     def check(self) -> None:
-        """BadField for an ultimate stress below the yield stress."""
         low, high = self.yield_N_per_mm2, self.ultimate_N_per_mm2
         if low is not None and high is not None and high < low:
             self.refuse(f"ultimate_N_per_mm2 = {high:g}: is less than yield_N_per_mm2 = {low:g}")

@@ -60,7 +60,6 @@ class Typed:
         """BadField for fields that contradict each other."""
 
     def refuse(self, what: str) -> None:
-        """Raise BadField."""
         raise BadField(what, type(self).__name__) from None
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rve.common.errors import InputError
-from rve.common.numeric.polygons import distance_to_polygon, inside, polygon_area
+from rve.common.numeric.polygons import inside, near_sides, region
 from rve.common.records import Flags, Index
 from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
@@ -185,7 +185,7 @@ def _sites(cell: Cell, border: Array, holes: list[Array], sides: Array, axes: Ar
     X = ((index[:, 1:] + reference_shares(cell)[index[:, 0]]) * sides) @ axes.T + origin
     keep, near = inside(X, border, holes), 1e-4 * float(sides.min())
     for polygon in (border, *holes):
-        keep |= distance_to_polygon(X, polygon, 2.0 * near) <= near
+        keep |= near_sides(X, polygon, near)
     index, X = index[keep], X[keep]
     order = np.lexsort((X[:, 0], X[:, 1]))
     return index[order], X[order]
@@ -196,6 +196,5 @@ def _areas(X: Array, border: Array, holes: list[Array], brick: Array, axes: Arra
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
     offsets = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2) * brick @ axes.T
     part = sum(inside(X + offset, border, holes) / len(offsets) for offset in offsets)
-    total = polygon_area(border) - sum(polygon_area(hole) for hole in holes)
     part = np.maximum(part, 1.0 / len(offsets))
-    return np.asarray(part * total / part.sum())
+    return np.asarray(part * region(border, holes).area / part.sum())

@@ -20,7 +20,6 @@ from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
 from rve.common.errors import InputError
-from rve.common.numeric.polygons import distance_to_polygon
 from rve.common.types import Array
 
 CORNER = math.radians(40.0)
@@ -147,10 +146,11 @@ def paths(pairs: Iterable[tuple[int, int]], points: Array) -> list[np.ndarray]:
 def _in_order(mesh: Any, loops: list[Loop], holes: list[Array]) -> list[Loop]:
     """Hole loops in the order of the polygons `holes`, or of their centres."""
     if holes and len(loops) == len(holes):
-        nearest = [
-            int(np.argmin([distance_to_polygon(mesh.p[:, loop.nodes].T, hole).mean() for hole in holes]))
-            for loop in loops
-        ]
+        import shapely
+
+        sides = [shapely.LinearRing(hole) for hole in holes]
+        points = [shapely.points(mesh.p[:, loop.nodes].T) for loop in loops]
+        nearest = [int(np.argmin([shapely.distance(at, one).mean() for one in sides])) for at in points]
         return [loops[k] for k in np.argsort(nearest, kind="stable")]
     digits = 1e-6 * float(np.ptp(mesh.p, axis=1).max())
     centres = [tuple(np.round(mesh.p[:, loop.nodes].mean(axis=1) / digits)) for loop in loops]

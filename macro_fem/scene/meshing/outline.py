@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.spatial import Delaunay
 
-from macro_fem.fem.cells import counterclockwise, cross, signed_areas, triangle_areas
-from rve.common.numeric.polygons import distance_to_polygon, inside
+from macro_fem.fem.cells import counterclockwise, signed_areas, triangle_areas
+from rve.common.numeric.polygons import inside, near_sides, region
 from rve.common.types import Array
 
 MAX_LATTICE = 8_000_000
@@ -41,7 +42,7 @@ def mesh_outline(
     inner = _lattice(outline, spacing, aspect, angle)
     inner = inner[inside(inner, outline, holes)]
     for polygon in (outline, *holes):
-        inner = inner[distance_to_polygon(inner, polygon, 2.0 * spacing) > CLEARANCE * spacing]
+        inner = inner[~near_sides(inner, polygon, CLEARANCE * spacing)]
     points = np.concatenate([on_border, inner])
     triangles = Delaunay(points).simplices
     triangles = triangles[inside(points[triangles].mean(axis=1), outline, holes)]
@@ -79,38 +80,26 @@ def _lattice(outline: Array, spacing: float, aspect: float, angle: float) -> Arr
 
 
 def _check_polygons(outline: Array, holes: list[Array]) -> None:
-    names = ["outline", *(f"hole {k}" for k in range(1, len(holes) + 1))]
-    polygons = [outline, *holes]
-    for name, polygon in zip(names, polygons, strict=True):
+    import shapely
+
+    gaps: list[Any] = []
+    for number, polygon in enumerate((outline, *holes)):
+        name = f"hole {number}" if number else "outline"
         if np.any(np.linalg.norm(polygon - np.roll(polygon, -1, axis=0), axis=1) == 0.0):
             raise ValueError(f"{name}: has two equal corners in a row")
-        if _crosses(polygon, polygon, same=True):
+        flat, sides = 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2, shapely.LinearRing(polygon)
+        if not sides.is_simple and sides.convex_hull.area > flat:
             raise ValueError(f"{name}: crosses itself")
-        if abs(signed_areas(polygon)) <= 1e-9 * float(np.ptp(polygon, axis=0).max()) ** 2:
+        if abs(signed_areas(polygon)) <= flat:
             raise ValueError(f"{name}: has no area, its corners lie on a line")
-    for k, hole in enumerate(holes, start=1):
-        if not np.all(inside(hole, outline)) or _crosses(hole, outline, same=False):
+    whole = region(outline)
+    for k, gap in enumerate(map(region, holes), start=1):
+        if not whole.contains_properly(gap):
             raise ValueError(f"holes: hole {k} is not inside the outline")
-        for j, other in enumerate(holes[: k - 1], start=1):
-            if _crosses(hole, other, same=False) or inside(hole[:1], other)[0] or inside(other[:1], hole)[0]:
+        for j, other in enumerate(gaps, start=1):
+            if gap.intersects(other):
                 raise ValueError(f"holes: hole {k} and hole {j} overlap")
-
-
-def _crosses(one: Array, two: Array, *, same: bool) -> bool:
-    """Whether any sides of two polygons cross or touch; of the same polygon, sides that are not neighbours."""
-    a, b = one, np.roll(one, -1, axis=0)
-    for k, (c, d) in enumerate(zip(two, np.roll(two, -1, axis=0), strict=True)):
-        sides = [np.sign(cross(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
-        hit = (sides[0] * sides[1] <= 0.0) & (sides[2] * sides[3] <= 0.0)
-        if same:
-            n = len(one)
-            hit[[k, (k - 1) % n, (k + 1) % n]] = False
-        # sides on one line touch only where their boxes do
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        hit &= np.all((low <= np.maximum(c, d)) & (high >= np.minimum(c, d)), axis=1)
-        if hit.any():
-            return True
-    return False
+        gaps.append(gap)
 
 
 def _check_border(triangles: np.ndarray, lengths: list[int]) -> None:
