@@ -18,7 +18,7 @@ from msgspec import Meta
 from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
 from rve.common.errors import InputError
-from rve.common.materials import Material, Stress, read_material
+from rve.common.materials import Material, Stress
 from rve.common.records import Rows
 from rve.common.rings import read_joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
@@ -175,7 +175,7 @@ def strength_of_table(table: StrainTable) -> Strength | None:
     if table.strength is None or table.compliance is None:
         return None
     where = "the sidecar file of the table:"
-    material = read_material(read_entry(table.provenance, "material", dict, where), f"{where} material")
+    material = read_typed(Material, read_entry(table.provenance, "material", dict, where), f"{where} material")
     size = trace(table.S)
     good = table.converged & np.isfinite(table.strength).all(axis=1) & (size > 0.0)
     S = table.S[good] / size[good, None]
@@ -211,7 +211,7 @@ def read_strength(table: Any, where: str) -> Strength:
     found = read_typed(StrengthEntries, table, where)
     S, cauchy = np.array(found.S), np.array(found.cauchy)
     first, last = np.array(found.first_yield_1_per_mm), np.array(found.collapse_1_per_mm)
-    material = read_material(found.material, f"{where} material")
+    material = read_typed(Material, found.material, f"{where} material")
     along = np.array(found.compliance_mm_per_N, float)  # None becomes nan
     joint = read_joint(table, where)
     return Strength(S, cauchy, first, last, along, material, found.error, joint, found.is_mirrored)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
+from rve.common.commands.command_line import Group, answer, options, say, say_next
 from rve.common.commands.sweeps import run_sweep, sweep_options
 from rve.common.errors import InputError
 from rve.common.files import beside
@@ -182,7 +183,7 @@ def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
-    words += ["--out", beside(out, "rings"), *no_picture("pyvista")]
+    words += ["--out", beside(out, "rings"), *([] if find_spec("pyvista") else ["--no-picture"])]
     say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 

@@ -13,7 +13,6 @@ from macro_fem.scene.loads import areal_mass
 from macro_fem.scene.moving import scaled
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Combination, LiveLoad
-from rve.common.texts import csv_text
 
 
 def combined(scene: Scene, combination: Combination, cell: CellInfo | None) -> Scene:
@@ -73,9 +72,3 @@ def _most(found: Sequence[tuple[Combination, Mapping[str, Any]]]) -> list[dict[s
                 | {"force_N": forces[most], "combination": found[most][0].name}
             )
     return rows
-
-
-def envelope_table(summary: Mapping[str, Any]) -> str:
-    """The largest force of each held point as CSV."""
-    rows = summary["envelope"]["support_forces"]
-    return csv_text(list(rows[0]), (row.values() for row in rows))

@@ -13,18 +13,9 @@ import numpy as np
 
 from macro_fem.answer import Solution
 from macro_fem.bounds.adapt import Level
-from macro_fem.combinations import envelope, envelope_table
+from macro_fem.combinations import envelope
 from macro_fem.elastic_forces import with_forces
-from macro_fem.output.files import (
-    bounds_summary,
-    curtain_mesh,
-    features,
-    interval_summary,
-    summarize,
-    write_series,
-    write_summary,
-    write_vtu,
-)
+from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
 from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
 from macro_fem.rings.curtain import curtain_of, read_told
@@ -89,15 +80,16 @@ class MembraneSolution(Solution):
         summary = self._summary(picture=wanted.picture)
         area = self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].bounds.error / area} if self.levels else {}
-        write_vtu(staged / "curtain.vtu", self.loaded, error)
+        files.write_vtu(staged / "curtain.vtu", self.loaded, error)
         if len(self.steps) > 1:
-            write_series(staged, self._shown)
+            files.write_series(staged, self._shown)
         tell("files and pictures")
         write_pictures(staged, self._shown, wanted)
-        write_summary(staged, summary)
+        files.write_summary(staged, summary)
         write_text(staged / "order.csv", csv_text(list(summary["order"]), [summary["order"].values()]))
         if self.combinations:
-            write_text(staged / "envelope.csv", envelope_table(summary))
+            rows = summary["envelope"]["support_forces"]
+            write_text(staged / "envelope.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
         return summary
 
     def write_html(self, path: str | Path) -> None:
@@ -139,7 +131,7 @@ class MembraneSolution(Solution):
         InputError where the law has no rings.
         """
         told = read_told(self.summary, "the curtain's summary")
-        return localize(curtain_of(curtain_mesh(self.loaded), told, "a curtain in memory"), options)
+        return localize(curtain_of(files.curtain_mesh(self.loaded), told, "a curtain in memory"), options)
 
     @property
     def _shown(self) -> list[CurtainSolution]:
@@ -147,10 +139,10 @@ class MembraneSolution(Solution):
         return [*self.steps[:-1], self.loaded]
 
     def _summary(self, *, picture: bool) -> dict[str, Any]:
-        summary = summarize(self.loaded)
+        summary = files.summarize(self.loaded)
         if self.levels:
-            lines = [bounds_summary(level) for level in self.levels]
-            summary |= {"bounds": lines[-1], "levels": lines} | interval_summary(self.levels[-1])
+            lines = [files.bounds_summary(level) for level in self.levels]
+            summary |= {"bounds": lines[-1], "levels": lines} | files.interval_summary(self.levels[-1])
         if self.demand is not None:
             summary |= self.demand.to_dict()
         summary |= obstacle_summary(self._shown)
@@ -161,7 +153,7 @@ class MembraneSolution(Solution):
                 message = f"combination {failed[0]['name']}: {failed[0]['message']}"
                 summary |= {"status": failed[0]["status"], "message": message}
         summary["order"] = order(self.loaded, summary)
-        summary["features"] = features(self.loaded, bounds=bool(self.levels), picture=picture)
+        summary["features"] = files.features(self.loaded, bounds=bool(self.levels), picture=picture)
         if len(self.steps) > 1:
             count = len(self.steps)
             summary["steps"] = [_step_line(one, step, count) for step, one in enumerate(self.steps, 1)]

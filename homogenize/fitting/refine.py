@@ -14,14 +14,13 @@ from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from homogenize.fitting.bounds import SupportBounds, bounds_of
 from homogenize.fitting.rows import ROUNDING, LockedRows, with_mirror
+from rve.common.records import Flags, Index
 from rve.common.tensor import disc, double_dot, from_disc, mirror
 from rve.common.types import Array
 
-Index = NDArray[np.intp]
 RIM_TOLERANCE = 1e-7
 RESOLUTION, FINEST = 3e-5, 1e-7
 """Default and least resolution; the least gives a hundred thousand half-spaces and more."""
@@ -59,7 +58,7 @@ class Nodes:
     E: Array
     of_row: Index
 
-    def on_rim(self) -> NDArray[np.bool_]:
+    def on_rim(self) -> Flags:
         """Loads of rank one, (k,)."""
         return np.asarray(1.0 - np.hypot(self.x[:, 0], self.x[:, 1]) < RIM_TOLERANCE)
 

@@ -17,14 +17,12 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from homogenize.laws.protocol import Response
 from rve.common.errors import InputError, NotConverged
+from rve.common.records import Index
 from rve.common.tensor import WEIGHT, dyad, trace
 from rve.common.types import Array
-
-Index = NDArray[np.intp]
 
 TOLERANCE = 1e-13
 """A half-space counts as violated above this strain; rounding of S:E is a few 1e-16."""

@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, check_finite
+from homogenize.laws.stored import StoredLaw
 from rve.common.errors import InputError
 from rve.common.tensor import WEIGHT, disc, double_dot
 from rve.common.types import Array
@@ -91,9 +92,7 @@ class GivingLaw(PolyhedralLaw):
     def _body(self) -> Polyhedron:
         return polyhedron_of(self.S, self.h, self.stiffness, self.extra)
 
-    def elastic(self) -> GivingLaw:
-        """Itself."""
-        return self
+    elastic = StoredLaw.elastic
 
     def compliance_along(self, S: Array, size: float) -> Array:
         """Twice the complementary energy beyond size h(S), over size^2, mm/N, (n,): S:D S of this law at line loads

@@ -148,9 +148,7 @@ class ElasticNet(NetLaw):
         worst = excess.argmax(axis=1)
         return Cut(fibres.S[worst], fibres.h[worst], excess.max(axis=1))
 
-    def elastic(self) -> MembraneLaw:
-        """Itself."""
-        return self
+    elastic = StoredLaw.elastic
 
 
 def diagonal_net(limit: float = 1.0, stiffness: float = STATED_STIFFNESS) -> NetLaw:

@@ -65,7 +65,8 @@ class OnDemand:
 def ring_options(rings: str | None, **given: Any) -> OnDemand | None:
     """The rings that are asked, None if no radii are given; the rest as the command line has it.
 
-    InputError for radii, weave or grain that make no mesh, and for options that need --rings.
+    Answers are kept in $XDG_CACHE_HOME/ring-mesh, by default ~/.cache/ring-mesh, unless told otherwise. InputError for
+    radii, weave or grain that make no mesh, and for options that need --rings.
 
     >>> ring_options("5,0.5", no_cache=True).cell.wire
     0.1
@@ -81,14 +82,10 @@ def ring_options(rings: str | None, **given: Any) -> OnDemand | None:
     if weave not in WEAVES:
         raise InputError(f"--weave = {shown(weave)}: known are {', '.join(WEAVES)}")
     cell = Cell(*radii(rings), WEAVES[weave], told.get("grain", "y"))
-    folder = None if "no_cache" in told else told.get("cache", default_folder())
-    return OnDemand(cell, told.get("accuracy", DEMAND.accuracy), cache=folder)
-
-
-def default_folder() -> Path:
-    """Where answers are kept unless told otherwise: $XDG_CACHE_HOME/ring-mesh, by default ~/.cache/ring-mesh."""
     base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
+    kept = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
+    folder = None if "no_cache" in told else told.get("cache", kept)
+    return OnDemand(cell, told.get("accuracy", DEMAND.accuracy), cache=folder)
 
 
 def begin_with(asked: OnDemand | None, law: Path | None, table: Path | None) -> OnDemand | None:

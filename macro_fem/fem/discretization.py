@@ -147,11 +147,7 @@ class Discretization:
 
     def points_at(self, X: Array) -> Points:
         """The points of all cells at the places X (2, n) of the reference element, those that cells share once."""
-        return self._points_of(self.shapes_at(X))
-
-    def shapes_at(self, X: Array) -> Array:
-        """Shape functions (n, n_local) at the places X (2, n) of the reference element."""
-        return reference_shapes(ELEMENTS[self.element][0](), X, self.cell_dofs.shape[1])[0]
+        return self._points_of(reference_shapes(ELEMENTS[self.element][0](), X, self.cell_dofs.shape[1])[0])
 
     def _points_of(self, shape: Array) -> Points:
         """The points of all cells with weights `shape` (n, n_local) of a cell's nodes, those that cells share once."""

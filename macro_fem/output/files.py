@@ -14,25 +14,16 @@ from macro_fem.drag import wind_summary
 from macro_fem.elastic_forces import forces_by, forces_note
 from macro_fem.fem.cells import counterclockwise, padded
 from macro_fem.output import line_load, strength
-from macro_fem.output.forces import held_length, support_forces, support_table
+from macro_fem.output.forces import held_length, support_forces, support_rows
 from macro_fem.output.weakest import weakest
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.tables import Bar, LiveLoad
 from macro_fem.solution import CurtainSolution
+from rve.common import meshes
 from rve.common.files import versions, write_text
-from rve.common.meshes import (
-    DIRECTION_1,
-    DISPLACEMENT,
-    LINE_LOAD_1,
-    LINE_LOAD_2,
-    STATE,
-    STRAIN,
-    STRESS,
-    write_mesh_file,
-)
 from rve.common.numeric.factor import linear_solver
-from rve.common.texts import json_text
+from rve.common.texts import csv_text, json_text
 from rve.common.types import Array
 
 if TYPE_CHECKING:
@@ -42,7 +33,7 @@ if TYPE_CHECKING:
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """summary.json in `folder`, where numbers that are not finite are null, and support_forces.csv beside it."""
     write_text(folder / "summary.json", json_text(summary))
-    write_text(folder / "support_forces.csv", support_table(summary["support_forces"]))
+    write_text(folder / "support_forces.csv", csv_text(*support_rows(summary["support_forces"])))
 
 
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
@@ -204,7 +195,7 @@ def corner_positions(solution: CurtainSolution) -> Array:
 
 def write_vtu(path: Path, solution: CurtainSolution, extra: dict[str, Array] | None = None) -> None:
     """Write `curtain_mesh` as VTU, atomically."""
-    write_mesh_file(path, curtain_mesh(solution, extra))
+    meshes.write_mesh_file(path, curtain_mesh(solution, extra))
 
 
 def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = None) -> Any:
@@ -220,17 +211,17 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
     values, direction = solution.principal()
     used = strength.utilisation(solution)
     data = {
-        STRAIN: disc.cell_mean(solution.E),
-        STRESS: disc.cell_mean(solution.S),
-        LINE_LOAD_1: values[:, 0],
-        LINE_LOAD_2: values[:, 1],
-        DIRECTION_1: padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
-        STATE: solution.state(),
+        meshes.STRAIN: disc.cell_mean(solution.E),
+        meshes.STRESS: disc.cell_mean(solution.S),
+        meshes.LINE_LOAD_1: values[:, 0],
+        meshes.LINE_LOAD_2: values[:, 1],
+        meshes.DIRECTION_1: padded(np.einsum("cij,cj->ci", disc.cell_mean(solution.F), direction)),
+        meshes.STATE: solution.state(),
         **({} if used is None else {"utilisation": used}),
         **(extra or {}),
     }
     point_data = {
-        DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
+        meshes.DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
         "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
     }
     if solution.problem.walls is not None:

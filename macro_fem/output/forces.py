@@ -12,7 +12,6 @@ from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.solution import CurtainSolution
-from rve.common.texts import csv_text
 from rve.common.types import Array
 
 TOUCHES = 1e-6
@@ -95,20 +94,13 @@ def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:
     return float(np.hypot(*(ends[:, 1] - ends[:, 0])).sum())
 
 
-def support_table(supports: list[dict[str, Any]]) -> str:
-    """The forces of supports point by point as CSV: number and name of the support, reference position, force.
-
-    In space the third component of the force follows, and where the point is held.
-
-    >>> print(support_table([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}]), end="")
-    support_number,support,x_mm,y_mm,force_x_N,force_y_N
-    1,top,0.0,9.0,0.5,2.0
-    """
-    return csv_text(*support_rows(supports))
-
-
 def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Names of the columns and the rows of `support_table`."""
+    """Columns and rows of the forces of supports point by point: number and name of the support, reference position,
+    force; in space the third component of the force follows, and where the point is held.
+
+    >>> support_rows([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}])[1]
+    [(1, 'top', 0.0, 9.0, 0.5, 2.0)]
+    """
     points = [(number, one["support"], point) for number, one in enumerate(supports, 1) for point in one["points"]]
     in_space = any("place_mm" in point for *_, point in points)
     more = ("force_z_N", "place_x_mm", "place_y_mm", "place_z_mm") if in_space else ()

@@ -112,7 +112,7 @@ class Site:
     ) -> Held:
         """The nodes (k,) held at places `target` (k, 2), moved; InputError for a gather that moves none of them."""
         X, gather = self.disc.nodes[nodes], getattr(self.item, "gather", 1.0)
-        mask = np.tile(held_axes(held, self.scene.d), (len(nodes), 1))
+        mask = np.tile([held == "both" or axis in held for axis in "xyz"[: self.scene.d]], (len(nodes), 1))
         if gather != 1.0 and np.abs((target - X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * self.mesh.size:
             raise InputError(
                 f"{self.scene.source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is"
@@ -124,15 +124,6 @@ class Site:
         X, x = self.disc.nodes[nodes], self.mesh.mesh.p[0]
         middle = 0.5 * (x.min() + x.max())
         return np.stack([middle + gather * (X[:, 0] - middle), X[:, 1]], axis=-1)
-
-
-def held_axes(held: str, d: int) -> tuple[bool, ...]:
-    """Which of d components a support holds: "both" are all.
-
-    >>> held_axes("both", 3), held_axes("yz", 3), held_axes("yz", 2)
-    ((True, True, True), (False, True, True), (False, True))
-    """
-    return tuple(held == "both" or axis in held for axis in "xyz"[:d])
 
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:

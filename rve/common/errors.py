@@ -48,10 +48,7 @@ def noted_if_stopped(note: str) -> Iterator[None]:
 
 
 def require(module: str, extra: str, purpose: str, instead: str = "") -> None:
-    """InputError if an optional package is missing; it says how to install it, and what else can be done.
-
-    >>> require("numpy", "plots", "pictures")
-    """
+    """InputError if an optional package is missing; it says how to install it, and what else can be done."""
     if find_spec(module) is None:
         way_out = f", or {instead}" if instead else ""
         raise InputError(f"{purpose} needs {module}: run pip install {module} (extra {extra}){way_out}")

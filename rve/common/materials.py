@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from rve.common.errors import InputError, shown
 from rve.common.rings import STEEL_KG_PER_MM3, Density, DensityPerM3
-from rve.common.typed import Typed, read_entry, read_typed, refuse_unknown
+from rve.common.typed import Typed, read_entry, refuse_unknown
 
 Young = Annotated[float, Meta(ge=500.0, le=2e6)]
 """N/mm2: from soft plastics to diamond. Values in GPa (steel 210, tungsten 411) are below and refused."""
@@ -131,8 +131,3 @@ def described(table: Any, where: str) -> tuple[tuple[str, Any], ...]:
         raise InputError(f"{where} is not a table of names and values")
     material_of(table, where, base=replace(STEEL, yield_N_per_mm2=None, ultimate_N_per_mm2=None))
     return tuple(table.items())
-
-
-def read_material(table: Mapping[str, Any], where: str) -> Material:
-    """The material that a file holds, as `dataclasses.asdict` writes it; InputError names file, key and value."""
-    return read_typed(Material, table, where)

@@ -9,7 +9,8 @@ from click.testing import CliRunner
 from rve import MATERIALS, WEAVES, Cell, Material, named_material, read_table
 from rve.cli import main
 from rve.common.errors import InputError
-from rve.common.materials import material_of, read_material
+from rve.common.materials import material_of
+from rve.common.typed import read_typed
 
 
 def test_named_materials_have_plausible_numbers():
@@ -26,7 +27,7 @@ def test_given_values_replace_those_of_the_named_material():
     assert found == Material("steel 1.4404, changed", 7.99e-6, 200e3, 0.3, 450.0, 500.0)
     assert material_of({}) == Material()
     assert material_of({"yield": 400.0}).ultimate_N_per_mm2 is None  # more than the named one: unknown
-    assert read_material(asdict(found), "table.json: material") == found
+    assert read_typed(Material, asdict(found), "table.json: material") == found
 
 
 @pytest.mark.parametrize(

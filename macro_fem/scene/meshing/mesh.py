@@ -112,7 +112,7 @@ def _plain_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
                 f"less than a ring, {2.0 * cell.r1_mm:g} mm; were metres meant? Scale the mesh by 1000"
             )
         return CurtainMesh(mesh, "file", edges)
-    aspect = weave_aspect(cell)
+    aspect = 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm  # slope of the diagonal families
     outline = curtain.corners(scene.mesh.cells)
     _refuse_too_many(scene, outline, aspect)
     if isinstance(curtain, Rectangle) and not curtain.holes:
@@ -142,11 +142,6 @@ def _refuse_too_many(scene: Scene, outline: Array, aspect: float) -> None:
             f"{scene.source}: [mesh] cells = {cells}: makes up to {count:.3g} triangles on a curtain {slender:.3g} "
             f"times as high as wide, at most {MAX_TRIANGLES:.3g} are allowed; use fewer cells or check its units"
         )
-
-
-def weave_aspect(cell: CellInfo | None) -> float:
-    """b_y / b_x: the slope of the diagonal families; 1 for a law without rings."""
-    return 1.0 if cell is None else cell.b_y_mm / cell.b_x_mm
 
 
 def columns(scene: Scene) -> int:
