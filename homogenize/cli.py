@@ -7,11 +7,9 @@ from typing import Any
 
 import click
 
+from rve.common import InputError, check_out_file, read_entry, require, types_of
 from rve.common.commands.command_line import Group, answer, check_plot, parse_load, say, say_next
-from rve.common.errors import InputError, require
-from rve.common.files import check_out_file
 from rve.common.materials import Stress
-from rve.common.typed import read_entry, types_of
 
 KINDS = ("refined", "outer", "inner", "net")
 """Those of `homogenize.fitting.fit`, which is not imported to print a help text."""

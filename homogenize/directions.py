@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
-from rve.common.errors import InputError
+from rve.common import Array, InputError
 from rve.common.tensor import disc, eigenvalues, mirror, trace
-from rve.common.types import Array
 
 SAME = 1e-9
 """Loads in the disc closer than this are one load."""

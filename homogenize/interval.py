@@ -21,8 +21,7 @@ from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import Strength, strength_of_table
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 
 @dataclass(frozen=True, eq=False)

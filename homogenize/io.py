@@ -17,10 +17,8 @@ from homogenize import laws
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.stored import SCHEMA, UNITS, StoredLaw
 from homogenize.strength import Strength, read_strength
-from rve.common.errors import shown
-from rve.common.reading import read_json_object
+from rve.common import Typed, read_entry, read_json_object, read_typed, shown
 from rve.common.rings import check_rings
-from rve.common.typed import Typed, read_entry, read_typed
 
 Coordinate = Annotated[float, Meta(ge=-1.0, le=1.0)]
 DEFAULT_LAW = Path(__file__).parent / "data" / "rings_10.json"

@@ -16,13 +16,10 @@ from homogenize.laws.pictures import locking_surface, solid_axes
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
+from rve.common import Array, job, json_text, tell, write_text
 from rve.common.drawing.plane import new_axes, new_figure, save_figure, shade
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.files import job, write_text
-from rve.common.progress import tell
 from rve.common.tensor import trace
-from rve.common.texts import json_text
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

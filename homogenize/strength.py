@@ -17,14 +17,10 @@ from msgspec import Meta
 
 from homogenize.directions import Directions, folds_of, tensile_part
 from rve import cauchy_line_load
-from rve.common.errors import InputError
+from rve.common import Array, InputError, Rows, Typed, as_html, read_entry, read_typed
 from rve.common.materials import Material, Stress
-from rve.common.records import Rows
 from rve.common.rings import read_joint
 from rve.common.tensor import IDENTITY, WEIGHT, eigenvalues, trace
-from rve.common.texts import as_html
-from rve.common.typed import Typed, read_entry, read_typed
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from rve import StrainTable

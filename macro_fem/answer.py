@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 from macro_fem.output.forces import support_rows
 from macro_fem.output.pictures import Pictures
 from macro_fem.solvers.status import Status
-from rve.common.errors import require
-from rve.common.files import check_out_job, job
-from rve.common.texts import as_html
+from rve.common import as_html, check_out_job, job, require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,12 +9,9 @@ from typing import Any
 
 import click
 
+from rve.common import InputError, beside, json_text, read_json_object
 from rve.common.commands.command_line import Group, answer, options, say, say_next
 from rve.common.commands.sweeps import run_sweep, sweep_options
-from rve.common.errors import InputError
-from rve.common.files import beside
-from rve.common.reading import read_json_object
-from rve.common.texts import json_text
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""

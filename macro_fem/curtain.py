@@ -31,8 +31,7 @@ from macro_fem.solvers.path import COUNTED, PathOptions, PathResult, Terms, unso
 from macro_fem.solvers.status import Reach, load_scale
 from macro_fem.solvers.stretch_limit import reach_of, solve_at_stretch_limit
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 COARSE_FROM = 4000
 """Points from which a coarser curtain is solved first: on fewer the law's own half-spaces are as quick."""

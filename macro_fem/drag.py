@@ -27,8 +27,7 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.tables import Wind
 from macro_fem.scene.wind import dynamic_pressure, layered_drag, layered_solidity, ring_solidity, wind_pressure
 from macro_fem.solution import CurtainSolution
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 EDGE = 0.3
 """Share of a cell's height on both sides of its edges over which its shade fades in. The rounds need not settle with a

@@ -17,9 +17,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.meshing.mesh import components
 from macro_fem.solution import CurtainSolution
-from rve.common.errors import InputError
-from rve.common.progress import part_of
-from rve.common.types import Array
+from rve.common import Array, InputError, part_of
 
 NOT_UNIQUE = (
     "rigid rings can share the load in many ways, and forces of single points, line loads and the safety factor are "

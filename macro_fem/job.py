@@ -32,9 +32,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteOptions
-from rve.common.errors import InputError, noted_if_stopped
-from rve.common.files import check_out_job
-from rve.common.progress import part_of
+from rve.common import InputError, check_out_job, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the

@@ -25,10 +25,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Combination
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Status
-from rve.common.errors import InputError, require
-from rve.common.files import check_out_file, write_text
-from rve.common.progress import tell
-from rve.common.texts import csv_text
+from rve.common import InputError, check_out_file, csv_text, require, tell, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

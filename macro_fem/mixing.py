@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common import Array
 
 LEAST_PART = 0.02
 """Least part of a change that is taken. Less hardly moves."""

@@ -19,8 +19,7 @@ from macro_fem.scene.supports import Supports, build_supports, pin_sliding, told
 from macro_fem.scene.tables import Wind
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 THINNEST = 0.2
 """Half the least width of a body over the longest side of a cell. Thinner bodies pass between the points that meet

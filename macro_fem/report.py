@@ -14,8 +14,8 @@ from macro_fem.output.weakest import holds_line, links
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.told import combination_lines, order_lines
+from rve.common import atomic_path, checksum
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
-from rve.common.files import atomic_path, checksum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -29,9 +29,7 @@ from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.status import Settling, load_scale
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common.errors import InputError
-from rve.common.progress import part_of, way
-from rve.common.types import Array
+from rve.common import Array, InputError, part_of, way
 
 ROUNDS = 60
 """Most rounds; one costs a convex solve."""

@@ -24,7 +24,7 @@ from macro_fem.solvers.status import (
     judged,
     load_scale,
 )
-from rve.common.types import Array
+from rve.common import Array
 
 SLACK = 1e-3
 """A larger principal line load below this part of the greatest one anywhere counts as none: slack."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from rve.common import SENTENCES, InputError, NotConverged, read_json_object, sidecar_path, tell
 from rve.common.commands.command_line import (
     Group,
     answer,
@@ -22,10 +23,6 @@ from rve.common.commands.command_line import (
     say_next,
 )
 from rve.common.commands.sweeps import run_sweep, sweep_options
-from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import sidecar_path
-from rve.common.progress import tell
-from rve.common.reading import read_json_object
 
 METHODS = ("direct", "stewart-trinkle")
 FIT_FROM = 10

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common import Array
 from rve.common.drawing.plane import new_axes
 from rve.common.drawing.scale import Scale, rounded_up
 from rve.common.drawing.space import BODY, THREE_QUARTERS, add, add_body, ball, lines, look, new_plotter, surface
 from rve.common.meshes import write_mesh_file
-from rve.common.types import Array
 from rve.geometry.circles import tangent_frame
 
 if TYPE_CHECKING:

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rve.common import SENTENCES, Array, InputError, NotConverged
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes
-from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.types import Array
 from rve.drawn import DrawnRings
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.locked_states import LockedStates

@@ -21,9 +21,7 @@ import numpy as np
 from homogenize.laws.geometry import DEPENDENT, MAX_ROUNDS, polyhedron_of
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import MembraneLaw
-from rve.common.errors import InputError
-from rve.common.files import write_text
-from rve.common.types import Array
+from rve.common import Array, InputError, write_text
 
 PER_STATEMENT = 40
 

@@ -15,8 +15,8 @@ from homogenize.fitting.rows import LockedRows, with_mirror
 from homogenize.laws.geometry import fibres, highest, outer_vertices
 from homogenize.laws.polyhedral import PolyhedralLaw, polyhedral_law
 from homogenize.laws.protocol import CellInfo
+from rve.common import Array
 from rve.common.tensor import WEIGHT, eigenvalues, trace
-from rve.common.types import Array
 
 RIM = 720
 """Loads of rank one of the inner law."""

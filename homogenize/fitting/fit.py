@@ -31,11 +31,8 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
-from rve.common.errors import InputError
+from rve.common import Array, InputError, Typed, as_html
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
-from rve.common.texts import as_html
-from rve.common.typed import Typed
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from rve import StrainTable

@@ -17,9 +17,8 @@ from msgspec import Meta
 
 from homogenize.fitting.bounds import SupportBounds, bounds_of
 from homogenize.fitting.rows import ROUNDING, LockedRows, with_mirror
-from rve.common.records import Flags, Index
+from rve.common import Array, Flags, Index
 from rve.common.tensor import disc, double_dot, from_disc, mirror
-from rve.common.types import Array
 
 RIM_TOLERANCE = 1e-7
 RESOLUTION, FINEST = 3e-5, 1e-7

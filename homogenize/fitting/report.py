@@ -12,10 +12,8 @@ from homogenize.fitting.bounds import bounds_of
 from homogenize.fitting.rows import LockedRows, Normality
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.laws.report import ErrorReport, Misfit
-from rve.common.errors import InputError
-from rve.common.progress import tell
+from rve.common import Array, InputError, tell
 from rve.common.tensor import disc, from_disc
-from rve.common.types import Array
 
 DIRECTIONS = 1000
 SEED = 2026

@@ -13,11 +13,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from rve.common.errors import InputError
-from rve.common.records import Rows
+from rve.common import Array, InputError, Rows, Typed, read_typed
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
-from rve.common.typed import Typed, read_typed
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from rve import StrainTable

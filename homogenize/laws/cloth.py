@@ -14,9 +14,8 @@ import numpy as np
 from homogenize.laws.geometry import fibres
 from homogenize.laws.protocol import Cut, HalfSpaces, Response, check_finite
 from homogenize.laws.stored import StoredLaw
-from rve.common.errors import InputError
+from rve.common import Array, InputError
 from rve.common.tensor import disc, eigenvalues, from_disc
-from rve.common.types import Array
 
 FIRST_FIBRES = 8
 """Directions that the first half-spaces hold. More cost time at every point; others join where they matter."""

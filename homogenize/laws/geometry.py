@@ -19,10 +19,8 @@ from itertools import combinations
 import numpy as np
 
 from homogenize.laws.protocol import Response
-from rve.common.errors import InputError, NotConverged
-from rve.common.records import Index
+from rve.common import Array, Index, InputError, NotConverged
 from rve.common.tensor import WEIGHT, dyad, trace
-from rve.common.types import Array
 
 TOLERANCE = 1e-13
 """A half-space counts as violated above this strain; rounding of S:E is a few 1e-16."""

@@ -26,9 +26,8 @@ from homogenize.laws.geometry import Polyhedron, highest, outer_vertices, polyhe
 from homogenize.laws.polyhedral import PolyhedralLaw
 from homogenize.laws.protocol import Cut, HalfSpaces, MembraneLaw, check_finite
 from homogenize.laws.stored import StoredLaw
-from rve.common.errors import InputError
+from rve.common import Array, InputError
 from rve.common.tensor import WEIGHT, disc, double_dot
-from rve.common.types import Array
 
 LEAST_SHARE = 1e-3
 """Eigenvalues of a compliance below this share of the largest are raised to it: no load direction is rigid."""

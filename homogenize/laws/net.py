@@ -16,10 +16,9 @@ from msgspec import Meta
 
 from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, Stiffness, check_finite
 from homogenize.laws.stored import StoredLaw
+from rve.common import Array, Typed, read_typed
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_disc, trace
-from rve.common.typed import Typed, read_typed
-from rve.common.types import Array
 
 ROUNDING = 1e-6
 """Of the length of a direction in a file, and the least sine between two."""

@@ -8,10 +8,9 @@ import numpy as np
 
 from homogenize.laws.protocol import MembraneLaw
 from homogenize.strength import MAKE_AGAIN, Strength
+from rve.common import Array, InputError
 from rve.common.drawing.plane import BLUE, VERMILION, new_axes, new_figure, shade
-from rve.common.errors import InputError
 from rve.common.tensor import from_disc
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

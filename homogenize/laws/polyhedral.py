@@ -26,10 +26,8 @@ from homogenize.laws.protocol import (
     stiffness_matrix,
 )
 from homogenize.laws.stored import StoredLaw
-from rve.common.errors import InputError
+from rve.common import Array, InputError, Typed, read_typed
 from rve.common.tensor import disc, eigenvalues, from_disc, trace
-from rve.common.typed import Typed, read_typed
-from rve.common.types import Array
 
 MOST_HALF_SPACES = 50_000
 """In a law file. A table of 403 rows gives some 5,000; reading takes longer in proportion."""

@@ -12,11 +12,9 @@ from typing import Annotated, Protocol
 import numpy as np
 from msgspec import Meta
 
-from rve.common.errors import InputError
+from rve.common import Array, InputError, Typed
 from rve.common.rings import ArealMass, Length
 from rve.common.tensor import WEIGHT
-from rve.common.typed import Typed
-from rve.common.types import Array
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
 """N/mm, of every strain. A wider range leaves no digits between stress and energy."""

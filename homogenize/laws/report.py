@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from rve.common.typed import Typed
+from rve.common import Typed
 
 Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 Size = Annotated[float, Meta(ge=0.0, le=1e300)]

@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.strength import Strength
-from rve.common.errors import require
-from rve.common.files import write_text
-from rve.common.texts import as_html, json_text
-from rve.common.typed import read_typed
+from rve.common import as_html, json_text, read_typed, require, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,9 +14,8 @@ from homogenize.io import load_law
 from homogenize.laws.stored import StoredLaw
 from homogenize.query.strain import locked_strain
 from homogenize.strength import MAKE_AGAIN
-from rve.common.errors import InputError
+from rve.common import Array, InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
-from rve.common.types import Array
 
 ROUNDING = 1e-12
 NAMES = ("11", "12", "22")

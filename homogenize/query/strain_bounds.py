@@ -19,9 +19,8 @@ import numpy as np
 
 from homogenize.fitting.rows import LockedRows, normality, with_mirror
 from rve import deformation_gradient, second_pk
-from rve.common.records import Rows
+from rve.common import Array, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
-from rve.common.types import Array
 
 STAR = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 CORNERS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])

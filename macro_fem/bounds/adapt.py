@@ -24,8 +24,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cones import take_from, with_support
-from rve.common.progress import part_of
-from rve.common.types import Array
+from rve.common import Array, part_of
 
 BULK = 0.6
 """Share of the gap whose triangles are refined in one go (W. Doerfler, doi 10.1137/0733054)."""

@@ -38,7 +38,7 @@ from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.solution import CurtainSolution, slackened
 from macro_fem.solvers.walls import Walls
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
 from macro_fem.solvers.cones import take_from, with_support
 from macro_fem.solvers.path import PathOptions, PathResult, Terms
-from rve.common.types import Array
+from rve.common import Array
 
 PATH_OF_BOUNDS = PathOptions(gap=2e-5, violation=5e-3, drawn=False)
 """How the dual program is solved. Larger gaps weaken the bound; that of any mesh is far larger than the default.

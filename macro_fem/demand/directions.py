@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rve.common.types import Array
+from rve.common import Array
 
 DIGITS = 9
 """Digits of a direction: nearer ones are one question."""

@@ -28,11 +28,8 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell
-from rve.common.cache import NO_CACHE, Cache
-from rve.common.errors import InputError
-from rve.common.progress import part_of
+from rve.common import NO_CACHE, Array, Cache, InputError, part_of
 from rve.common.tensor import disc
-from rve.common.types import Array
 
 LAW_SHARE = 0.15
 """The law may widen the interval by this part of what is asked, or of what the mesh does now. More saves ring solves

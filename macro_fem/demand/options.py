@@ -9,7 +9,7 @@ from typing import Any
 
 from homogenize import LawInterval, interval_of_table, read_law_interval
 from rve import WEAVES, Cell
-from rve.common.errors import InputError, shown
+from rve.common import InputError, shown
 from rve.common.rings import check_ring_size
 
 LEAST_ACCURACY, MOST_ACCURACY = 1e-5, 0.5

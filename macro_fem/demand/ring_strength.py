@@ -12,9 +12,7 @@ from macro_fem.demand.loop import Demand
 from macro_fem.demand.rings import Rings
 from macro_fem.output.strength import critical_load
 from rve import Cell, cauchy_of, solve_table, with_rings
-from rve.common.cache import Cache
-from rve.common.errors import InputError
-from rve.common.progress import tell
+from rve.common import Cache, InputError, tell
 from rve.common.tensor import disc, eigenvalues, trace
 
 LOOKS = 4

@@ -15,12 +15,8 @@ import numpy as np
 from homogenize import CellInfo, LawInterval, LockedRows, cell_of, law_interval
 from macro_fem.demand.directions import rounded
 from rve import Cell, solve_table, support
-from rve.common.cache import NO_CACHE, Cache
-from rve.common.errors import InputError, NotConverged
-from rve.common.files import versions
-from rve.common.progress import heard_by, tell
+from rve.common import NO_CACHE, Array, Cache, InputError, NotConverged, heard_by, tell, versions
 from rve.common.tensor import WEIGHT, disc, double_dot, from_disc, mirror
-from rve.common.types import Array
 
 Beside = tuple[tuple[float, float], ...]
 """Directions that a direction was solved with, whose locked states were starts."""

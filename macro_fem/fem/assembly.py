@@ -28,7 +28,7 @@ import numpy as np
 
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.sparsity import SparsityPattern, component_pairs
-from rve.common.types import Array
+from rve.common import Array
 
 
 def gradient(disc: Discretization, v: Array) -> Array:

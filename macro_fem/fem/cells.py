@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.types import Array
+from rve.common import Array
 
 Index = NDArray[np.int64]
 

@@ -18,8 +18,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from rve.common.records import Rows
-from rve.common.types import Array
+from rve.common import Array, Rows
 
 Index = NDArray[np.int64]
 

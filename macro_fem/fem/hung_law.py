@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from homogenize import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, elastic_law
+from rve.common import Array
 from rve.common.tensor import dyad
-from rve.common.types import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from macro_fem.fem.discretization import Discretization, Index
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from macro_fem.fem.assembly import gradient, internal_force, stiffness
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.fem.sparsity import SparsityPattern, sparsity
+from rve.common import Array
 from rve.common.numeric.factor import Factorizer, Solve
-from rve.common.types import Array
 
 SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9)
 """Relative additions to the diagonal that are tried in turn when a pivot is not positive."""

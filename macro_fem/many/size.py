@@ -16,11 +16,8 @@ from macro_fem.job import solve
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import Rectangle
 from macro_fem.scene.tables import Bar, Item, Wind
+from rve.common import InputError, csv_text, job, json_text, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
-from rve.common.errors import InputError, shown
-from rve.common.files import job, write_text
-from rve.common.progress import part_of
-from rve.common.texts import csv_text, json_text
 
 VARY = ("pitch", "mass", "speed", "r2")
 """What may be varied: the distance of hooks or runners, the mass of bars, the speed of the wind, the wire of rings."""

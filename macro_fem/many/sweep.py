@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rve.common import InputError
 from rve.common.commands.sweeps import SweepItem, absolute
-from rve.common.errors import InputError
 
 COLUMNS = (
     "status",

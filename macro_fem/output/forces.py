@@ -12,7 +12,7 @@ from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.solution import CurtainSolution
-from rve.common.types import Array
+from rve.common import Array
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""

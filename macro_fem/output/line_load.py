@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.cells import triangle_areas
 from macro_fem.output.forces import PointForce, point_forces
 from macro_fem.solution import CurtainSolution
-from rve.common.types import Array
+from rve.common import Array
 
 PIECES = 8.0
 """Cells larger than the averaging area's diameter over this are cut into pieces: the mean is known to a part in 100."""

@@ -10,6 +10,7 @@ from macro_fem.output import plots
 from macro_fem.output.space_view import Titled, draw_curtain, drawn, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
+from rve.common import InputError, check_out_file, require
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import (
@@ -21,8 +22,6 @@ from rve.common.drawing.space import (
     save_animation,
     save_picture,
 )
-from rve.common.errors import InputError, require
-from rve.common.files import check_out_file
 
 NO_GIF = "leave out --animation"
 

@@ -11,10 +11,9 @@ from macro_fem.output import strength
 from macro_fem.output.files import corner_positions
 from macro_fem.output.space_view import Titled, line_load_scale, title
 from macro_fem.solution import CurtainSolution
+from rve.common import Array, InputError
 from rve.common.drawing.plane import new_axes, new_figure
 from rve.common.drawing.scale import Scale
-from rve.common.errors import InputError
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,6 +15,7 @@ from macro_fem.scene.support_kinds import Hooks
 from macro_fem.scene.tables import in_3d
 from macro_fem.scene.tracks import Track, track_of
 from macro_fem.solution import CurtainSolution
+from rve.common import Array
 from rve.common.drawing.scale import Scale, rounded_up
 from rve.common.drawing.space import (
     FLAT,
@@ -29,7 +30,6 @@ from rve.common.drawing.space import (
     new_plotter,
     surface,
 )
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from pyvista import Plotter, PolyData

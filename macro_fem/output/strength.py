@@ -40,8 +40,8 @@ from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
 from rve import pulled_ring
+from rve.common import Array
 from rve.common.tensor import dyad, eigenvalues
-from rve.common.types import Array
 
 EVEN = 1.05
 """Pointwise utilisations this many times the largest average vary over a cell of the weave."""

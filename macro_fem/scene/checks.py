@@ -13,7 +13,7 @@ from macro_fem.scene.moving import Thrown
 from macro_fem.scene.obstacles import Body, is_flat
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
 from macro_fem.scene.tables import NO_MOVE, LiveLoad, Wind, in_3d
-from rve.common.errors import InputError
+from rve.common import InputError
 
 if TYPE_CHECKING:
     from macro_fem.scene.schema import Scene

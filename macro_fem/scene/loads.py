@@ -15,8 +15,7 @@ from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
 from macro_fem.scene.wind import check_drag, wind_pressure
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 PER_MM2 = 1e-6
 """m2 per mm2: kg/m2 times m/s2 is N/m2."""

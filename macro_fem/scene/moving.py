@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from macro_fem.scene.tables import Item, Length, Name, Point3, Timed
-from rve.common.typed import Typed
+from rve.common import Typed
 
 Kind = TypeVar("Kind", bound=Timed)
 Speed = Annotated[float, Meta(ge=-1e9, le=1e9)]

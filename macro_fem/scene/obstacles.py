@@ -12,8 +12,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from macro_fem.scene.tables import NO_MOVE, Coordinate, Length, Name, Point3, Timed, Vector, Way, in_3d, leaves_plane
-from rve.common.typed import Typed
-from rve.common.types import Array
+from rve.common import Array, Typed
 
 HALVINGS = 40
 """Steps of the search for the least distance along a way; each leaves two thirds of the bracket."""

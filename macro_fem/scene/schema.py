@@ -14,11 +14,8 @@ from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
 from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Support, leaves_plane
-from rve.common.errors import InputError, shown
+from rve.common import InputError, Typed, as_html, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
-from rve.common.reading import read_toml
-from rve.common.texts import as_html
-from rve.common.typed import Typed, read_typed, refuse_unknown
 
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}

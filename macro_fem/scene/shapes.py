@@ -11,9 +11,7 @@ from msgspec import Meta
 
 from macro_fem.scene.meshing.outline import regular_polygon
 from macro_fem.scene.tables import MAX_CORNERS, MAX_ENTRIES, Degrees, Length, Name, Polygon
-from rve.common.errors import shown
-from rve.common.typed import Typed
-from rve.common.types import Array
+from rve.common import Array, Typed, shown
 
 WEAVE_ANGLES = {"y": 0.0, "x": 90.0}
 

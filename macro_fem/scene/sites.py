@@ -17,8 +17,7 @@ from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
 from macro_fem.scene.meshing.edges import paths
 from macro_fem.scene.tables import NO_MOVE, Support, in_3d
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 if TYPE_CHECKING:
     from macro_fem.scene.meshing.mesh import CurtainMesh

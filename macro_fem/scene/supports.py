@@ -19,8 +19,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh, components
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import Held, Site, Sliding, edge_nodes, sliding_nodes, sloping, unit_direction
 from macro_fem.scene.tables import Bar
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 
 @dataclass(frozen=True, eq=False)

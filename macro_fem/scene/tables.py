@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from rve.common.typed import Typed
+from rve.common import Typed
 
 if TYPE_CHECKING:
     from macro_fem.scene.sites import Held, Site

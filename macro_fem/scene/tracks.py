@@ -30,8 +30,7 @@ from macro_fem.scene.tables import (
     Share,
     Support,
 )
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 if TYPE_CHECKING:
     from macro_fem.scene.meshing.mesh import CurtainMesh

@@ -26,8 +26,7 @@ from homogenize import CellInfo
 from macro_fem.scene.tables import Wind
 from rve import cell_of_sides
 from rve import solidity as solidity_of
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 AIR_DENSITY = 1.25
 """kg/m3, the recommended value of EN 1991-1-4:2005, 4.5 (1), note 2."""

@@ -34,8 +34,7 @@ from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
 from macro_fem.solvers.path import PATH, RIGID_TERMS, PathOptions, PathResult, Terms
 from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import rows_of
-from rve.common.progress import tell, way
-from rve.common.types import Array
+from rve.common import Array, tell, way
 
 SETTLED = 1e-2
 """Stagnation is checked only below this error; earlier, gap and residuals fall alternately."""

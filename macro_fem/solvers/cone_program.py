@@ -41,8 +41,8 @@ from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roo
 from macro_fem.solvers.inertia import Inertia
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.walls import WallRows
+from rve.common import Array
 from rve.common.tensor import WEIGHT
-from rve.common.types import Array
 
 REACH = 4.0
 """No point of an admissible state is farther than this many sizes from its place in another one: twice the stretch."""

@@ -11,7 +11,7 @@ from macro_fem.solvers.cone_program import ConeState, Measure, Program, mean_pro
 from macro_fem.solvers.cones import times_root
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.walls import longest
-from rve.common.types import Array
+from rve.common import Array
 
 BOUNDARY = 0.98
 """Part of the way to the boundary of the cones that a step may go. Closer to 1 the next steps become short."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homogenize import Cut, HalfSpaces, MembraneLaw
+from rve.common import Array
 from rve.common.tensor import IDENTITY, trace
-from rve.common.types import Array
 
 LAW_CHUNK = 20_000
 """Points per call of `law.cut`: keeps its (points, half-spaces) table inside some 100 MB."""

@@ -17,8 +17,8 @@ from macro_fem.solvers.cone_program import LIFT, ConeState, Measure, Program, me
 from macro_fem.solvers.cone_step import BOUNDARY, ConeStep
 from macro_fem.solvers.cones import all_cuts, with_cuts
 from macro_fem.solvers.soc import Vectors
+from rve.common import Array
 from rve.common.tensor import trace
-from rve.common.types import Array
 
 NEAR = 0.9
 """A missing half-space joins when it is nearer than this part of the distance to the nearest known one. Larger parts

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from macro_fem.fem.supported import SupportedFem
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from macro_fem.solvers.cones import Cones, first_cones
 from macro_fem.solvers.inertia import Inertia
 from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged
 from macro_fem.solvers.walls import Walls
-from rve.common.types import Array
+from rve.common import Array
 
 COUNTED = 10.0
 """The gap of the answer may be this many times `gap`: it counts unbalanced forces REACH times and the cost of drawing

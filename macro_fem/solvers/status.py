@@ -12,7 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common import Array
 
 ROUNDING = 1e-6
 """Errors up to this much above what was asked are accepted once rounding stops a solver; the message gives them."""

@@ -31,7 +31,7 @@ from macro_fem.solvers.cones import green_strain, least_slack
 from macro_fem.solvers.path import PathOptions, PathResult
 from macro_fem.solvers.status import AT_LIMIT, FREE, Reach
 from macro_fem.solvers.walls import Walls
-from rve.common.types import Array
+from rve.common import Array
 
 RELAXATIONS = (AT_LIMIT, 1e-3)
 """Relative stretches by which the law is relaxed, tried in turn: the answer is off by its square root, multipliers are

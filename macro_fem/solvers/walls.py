@@ -17,8 +17,7 @@ from scipy import sparse
 
 from macro_fem.fem.discretization import Points
 from macro_fem.fem.supported import SupportedFem
-from rve.common.records import Rows
-from rve.common.types import Array
+from rve.common import Array, Rows
 
 TOUCHED = 1e-9
 """Relative to the size: by how much a node that no unknown moves may be outside its half-space, as rounding."""

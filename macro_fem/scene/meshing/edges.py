@@ -19,8 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import cross, signed_areas
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 CORNER = math.radians(40.0)
 """The boundary turns by more than this at a corner. Larger: obtuse corners of a polygon join their sides to one chain.

@@ -23,8 +23,7 @@ from macro_fem.scene.meshing.places import hook_places, with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.tables import PatchLoad, Vector
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 MAX_TRIANGLES = 4_000_000
 """More cells than this are refused before their arrays are made: some four million unknowns, 20 GB in a solver."""

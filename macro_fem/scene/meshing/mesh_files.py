@@ -14,10 +14,8 @@ from macro_fem.scene.meshing.edges import boundary_loops, facets_between, named_
 from macro_fem.scene.meshing.places import least_sine
 from macro_fem.scene.shapes import MeshFile
 from macro_fem.scene.tables import MOST_MM
-from rve.common.errors import InputError, require, shown
-from rve.common.files import atomic_path
+from rve.common import Array, InputError, atomic_path, require, shown
 from rve.common.meshes import read_mesh_file
-from rve.common.types import Array
 
 
 def read_mesh(curtain: MeshFile, source: Path) -> tuple[Any, dict[str, np.ndarray]]:

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from macro_fem.fem.cells import counterclockwise, signed_areas, triangle_areas
+from rve.common import Array
 from rve.common.numeric.polygons import inside, near_sides, region
-from rve.common.types import Array
 
 MAX_LATTICE = 8_000_000
 """Lattice points in the box, turned with the weave, around the outline: 0.5 GB while they are chosen from."""

@@ -18,8 +18,7 @@ from scipy.spatial import cKDTree
 from macro_fem.fem.cells import counterclockwise, cross
 from macro_fem.scene.meshing.edges import CORNER, facets_between, paths
 from macro_fem.scene.tables import Support
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 SAME = 1e-9
 """Places nearer to a node than this part of the size of the mesh have a node."""
