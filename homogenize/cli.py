@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from rve.common import InputError, check_out_file, read_entry, require, types_of
+from rve.common import InputError, check_out_file, check_out_job, read_entry, require, types_of
 from rve.common.commands.command_line import Group, answer, check_plot, parse_load, say, say_next
 from rve.common.materials import Stress
 
@@ -112,7 +112,6 @@ def plot(law: Path, table: Path, out: Path) -> None:
     from homogenize.io import load_law
     from homogenize.plots import RECORD, write_pictures
     from rve import read_table
-    from rve.common.files import check_out_job
 
     require("matplotlib", "plots", "homogenize plot")
     check_out_job(out, RECORD, inputs=[law, table])

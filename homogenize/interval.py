@@ -80,10 +80,7 @@ def read_law_interval(path: str | Path = DEFAULT_LAW) -> LawInterval:
 
 
 def interval_or_law(path: str | Path) -> MembraneLaw | LawInterval:
-    """The law in a file with what its rows prove; the law alone if the file holds no rows or a net.
-
-    InputError if the file cannot be read.
-    """
+    """The law in a file with what its rows prove; the law alone without rows; InputError if it cannot be read."""
     law = load_law(path)
     return interval_of_law(law, str(path)) or law
 

@@ -54,20 +54,12 @@ def law_kinds() -> dict[str, type[StoredLaw]]:
 
 
 def default_law() -> StoredLaw:
-    """The law for r1/r2 = 10 that ships inside the package, made from the 190 rows of the paper's grid.
-
-    >>> default_law().name
-    'polyhedral'
-    """
+    """The law for r1/r2 = 10 that ships inside the package, made from the 190 rows of the paper's grid."""
     return load_law(DEFAULT_LAW)
 
 
 def strength_of_law(law: MembraneLaw) -> Strength | None:
-    """The strength of the rings behind `law`; None if it has none, as laws that are no files and those of old tables.
-
-    >>> strength_of_law(default_law()).material.name
-    'steel'
-    """
+    """The strength of the rings behind `law`; None if it has none, as laws without a file and those of old tables."""
     return law.strength if isinstance(law, StoredLaw) else None
 
 

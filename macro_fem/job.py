@@ -147,12 +147,7 @@ def _steps(scene: Scene, law: MembraneLaw, last: int) -> list[CurtainSolution]:
 
 
 def run_scene(
-    scene_path: Path,
-    law_path: Path | None,
-    out: Path,
-    *,
-    on_demand: OnDemand | None = None,
-    **files: Any,
+    scene_path: Path, law_path: Path | None, out: Path, *, on_demand: OnDemand | None = None, **files: Any
 ) -> dict[str, Any]:
     """Solve the scene in a file by a law, or by rings `on_demand`, write its files into `out`; the summary.
 

@@ -69,11 +69,7 @@ class CurtainProblem:
 
 
 def make_problem(
-    scene: Scene,
-    law: MembraneLaw,
-    mesh: CurtainMesh,
-    factor: float = 1.0,
-    released: frozenset[int] | None = None,
+    scene: Scene, law: MembraneLaw, mesh: CurtainMesh, factor: float = 1.0, released: frozenset[int] | None = None
 ) -> CurtainProblem:
     """The discrete problem of a scene on a mesh, live loads and moves scaled by `factor`; InputError as found.
 

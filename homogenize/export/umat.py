@@ -33,9 +33,8 @@ def umat_source(law: MembraneLaw, title: str = "") -> str:
             f"kind = {law.name}: only polyhedral laws are exported, fit one of kind refined, outer or inner"
         )
     body = polyhedron_of(law.S, law.h, law.stiffness)
-    blocks = data_statements("P", np.column_stack([body.normals, -body.h]).ravel()) + data_statements(
-        "R", body.R.T.ravel()
-    )
+    planes = np.column_stack([body.normals, -body.h])
+    blocks = [*data_statements("P", planes.ravel()), *data_statements("R", body.R.T.ravel())]
     fields = {
         "TITLE": title[:60],
         "DENSITY": "(its own)" if law.cell is None else f"{law.cell.areal_mass_kg_per_m2 * 1e-9:.9E}",

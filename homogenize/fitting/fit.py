@@ -9,7 +9,6 @@ to these. The strength of the law keeps S:D S of every direction (`homogenize.st
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ from homogenize.laws.protocol import CellInfo, MembraneLaw
 from homogenize.laws.report import ErrorReport
 from homogenize.laws.stored import StoredLaw
 from homogenize.strength import strength_of_table
-from rve.common import Array, InputError, Typed, as_html
+from rve.common import Array, InputError, Typed, as_html, checksum
 from rve.common.rings import STEEL_KG_PER_MM3, check_rings
 
 if TYPE_CHECKING:
@@ -89,7 +88,7 @@ def fit_table(path: str | Path, options: FitOptions | None = None) -> FitResult:
         result = fit(table, options)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    source = {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    source = {"name": path.name, "sha256": checksum(path)}
     return replace(result, law=replace(result.law, provenance=result.law.provenance | {"table": source}))
 
 

@@ -24,8 +24,6 @@ RIM_TOLERANCE = 1e-7
 RESOLUTION, FINEST = 3e-5, 1e-7
 """Default and least resolution; the least gives a hundred thousand half-spaces and more."""
 Resolution = Annotated[float, Meta(ge=FINEST, le=1.0)]
-
-
 FINE, MOST_PARTS = 1e-4, 10
 """Ways between rows are cut in sqrt(gap / FINE) parts, MOST_PARTS at most, where gap is the distance of the bounds; at
 another resolution in the same measure."""

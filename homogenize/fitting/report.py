@@ -15,9 +15,6 @@ from homogenize.laws.report import ErrorReport, Misfit
 from rve.common import Array, InputError, tell
 from rve.common.tensor import disc, from_disc
 
-DIRECTIONS = 1000
-SEED = 2026
-
 
 def misfit_of(S: Array, error: Array) -> Misfit:
     """Summary of errors (n,) at loads S (n, 3)."""
@@ -27,7 +24,7 @@ def misfit_of(S: Array, error: Array) -> Misfit:
     return Misfit(len(S), float(size[worst]), float(size.mean()), (s11, s12, s22))
 
 
-def random_loads(count: int = DIRECTIONS, seed: int = SEED) -> Array:
+def random_loads(count: int = 1000, seed: int = 2026) -> Array:
     """Tensile loads of unit trace, uniform over the disc of (S11 - S22, 2 S12), every tenth of rank one, (count, 3)."""
     rng = np.random.default_rng(seed)
     radius = np.sqrt(rng.uniform(size=count))

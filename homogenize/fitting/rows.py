@@ -11,16 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
-from rve.common import Array, InputError, Rows, Typed, read_typed
+from rve.common import Array, Flags, Index, InputError, Rows, Typed, read_typed
 from rve.common.tensor import IDENTITY, WEIGHT, double_dot, eigenvalues, mirror, trace
 
 if TYPE_CHECKING:
     from rve import StrainTable
-
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 NORMALITY_TOLERANCE = 1e-8
 ROUNDING = 1e-9
@@ -39,7 +35,7 @@ class LockedRows(Rows):
     S: Array
     E: Array
     h: Array
-    unique: Mask
+    unique: Flags
     source: Index
     dropped: tuple[str, ...] = ()
     is_mirrored: bool = True

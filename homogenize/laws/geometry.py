@@ -189,12 +189,8 @@ def feasible_point(normals: Array, limits: Array) -> Array:
     from scipy.optimize import linprog
 
     lengths = np.linalg.norm(normals, axis=1)
-    answer = linprog(
-        [0.0, 0.0, 0.0, -1.0],
-        A_ub=np.column_stack([normals, lengths]),
-        b_ub=limits,
-        bounds=[(None, None)] * 3 + [(0.0, None)],
-    )
+    ranges = [(None, None)] * 3 + [(0.0, None)]
+    answer = linprog([0.0, 0.0, 0.0, -1.0], np.column_stack([normals, lengths]), limits, bounds=ranges)
     if answer.status == 3:
         raise InputError("the rows' loads do not bound the strain under tension: add load directions to the table")
     if answer.status != 0 or answer.x[3] <= 1e-9:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, Stiffness, check_finite
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, Typed, read_typed
 from rve.common.rings import STEEL_KG_PER_MM3, areal_mass
@@ -22,6 +22,9 @@ from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, dyad, from_dis
 
 ROUNDING = 1e-6
 """Of the length of a direction in a file, and the least sine between two."""
+LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
+"""N/mm, of every strain. A wider range leaves no digits between stress and energy."""
+Stiffness = Annotated[float, Meta(ge=LEAST_STIFFNESS, le=MOST_STIFFNESS)]
 STATED_STIFFNESS = 1000.0
 """N/mm: the contact stiffness 1e6 kg/s2 of the paper, one contact per ring and pitch; a stand-in for the compliance."""
 

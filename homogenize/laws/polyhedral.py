@@ -14,26 +14,20 @@ import numpy as np
 from msgspec import Meta
 
 from homogenize.laws.geometry import Polyhedron, fibres, highest, outer_vertices, polyhedron_of, respond
-from homogenize.laws.net import STATED_STIFFNESS
-from homogenize.laws.protocol import (
-    CellInfo,
-    Cut,
-    HalfSpaces,
-    Matrix,
-    MembraneLaw,
-    Response,
-    check_finite,
-    stiffness_matrix,
-)
+from homogenize.laws.net import LEAST_STIFFNESS, MOST_STIFFNESS, STATED_STIFFNESS
+from homogenize.laws.protocol import CellInfo, Cut, HalfSpaces, MembraneLaw, Response, check_finite
 from homogenize.laws.stored import StoredLaw
 from rve.common import Array, InputError, Typed, read_typed
-from rve.common.tensor import disc, eigenvalues, from_disc, trace
+from rve.common.tensor import WEIGHT, disc, eigenvalues, from_disc, trace
 
 MOST_HALF_SPACES = 50_000
 """In a law file. A table of 403 rows gives some 5,000; reading takes longer in proportion."""
 MOST_STRAIN = 1e3
 """Bound of h and of the components of S in a law file; strains of rings are below 1."""
 Component = Annotated[float, Meta(ge=-MOST_STRAIN, le=MOST_STRAIN)]
+Entry = Annotated[float, Meta(ge=-MOST_STIFFNESS, le=MOST_STIFFNESS)]
+Matrix = tuple[tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry]]
+"""A stiffness in a law file, N/mm."""
 
 
 @dataclass(frozen=True)
@@ -120,3 +114,21 @@ def polyhedral_law(S: Array, h: Array, stiffness: Array | None = None, cell: Cel
     S, h = S / size[:, None], h / size
     stiffness = STATED_STIFFNESS * np.eye(3) if stiffness is None else np.asarray(stiffness, float)
     return PolyhedralLaw(S, h, outer_vertices(S, h), stiffness, cell=cell)
+
+
+def stiffness_matrix(given: Matrix) -> Array:
+    """A stiffness (3, 3) in tensor components; InputError unless it is symmetric and positive definite.
+
+    With W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
+    """
+    M = np.array(given)
+    Q = WEIGHT[:, None] * M
+    named = f"stiffness_N_per_mm = {M.tolist()}"
+    if np.abs(Q - Q.T).max() > 1e-9 * np.abs(Q).max():
+        raise InputError(f"{named}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
+    least = float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
+    if not least >= LEAST_STIFFNESS:
+        raise InputError(
+            f"{named}: is not positive definite, its least stiffness is {least:g} N/mm; {LEAST_STIFFNESS:g} is needed"
+        )
+    return M

@@ -7,21 +7,12 @@ S:E = S11 E11 + 2 S12 E12 + S22 E22. Line loads and stiffnesses are in N/mm, str
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
-from msgspec import Meta
 
 from rve.common import Array, InputError, Typed
 from rve.common.rings import ArealMass, Length
-from rve.common.tensor import WEIGHT
-
-LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e12
-"""N/mm, of every strain. A wider range leaves no digits between stress and energy."""
-Stiffness = Annotated[float, Meta(ge=LEAST_STIFFNESS, le=MOST_STIFFNESS)]
-Entry = Annotated[float, Meta(ge=-MOST_STIFFNESS, le=MOST_STIFFNESS)]
-Matrix = tuple[tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry]]
-"""A stiffness in a law file, N/mm."""
 
 
 def check_finite(values: Array, what: str = "strains") -> None:
@@ -29,24 +20,6 @@ def check_finite(values: Array, what: str = "strains") -> None:
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
         raise InputError(f"{what} are finite numbers, row {bad[0]} of {len(values)} is {values[bad[0]].tolist()}")
-
-
-def stiffness_matrix(given: Matrix) -> Array:
-    """A stiffness (3, 3) in tensor components; InputError unless it is symmetric and positive definite.
-
-    With W = diag(1, 2, 1) it is W M that is symmetric, and its eigenvalues are the stiffnesses.
-    """
-    M = np.array(given)
-    Q = WEIGHT[:, None] * M
-    named = f"stiffness_N_per_mm = {M.tolist()}"
-    if np.abs(Q - Q.T).max() > 1e-9 * np.abs(Q).max():
-        raise InputError(f"{named}: must be symmetric, M_11,12 = 2 M_12,11 and so on")
-    least = float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
-    if not least >= LEAST_STIFFNESS:
-        raise InputError(
-            f"{named}: is not positive definite, its least stiffness is {least:g} N/mm; {LEAST_STIFFNESS:g} is needed"
-        )
-    return M
 
 
 @dataclass(frozen=True)
@@ -114,24 +87,18 @@ class MembraneLaw(Protocol):
     @property
     def compliance(self) -> Array:
         """The metric of the response, E - E_star = compliance S: (3, 3) in tensor components, mm/N; 0: none."""
-        ...
 
     def support(self, S: Array) -> Array:
         """h(S) = max S:E over K+ for S (n, 3) positive semidefinite, (n,)."""
-        ...
 
     def half_spaces(self) -> HalfSpaces:
         """A few half-spaces that contain K+ and bound it under tension: where a cutting-plane method starts."""
-        ...
 
     def cut(self, E: Array) -> Cut:
         """The half-space each E (n, 3) violates most; violation <= 0 means that E is admissible."""
-        ...
 
     def response(self, E: Array) -> Response:
         """Energy, stress and tangent of the elastic law at E (n, 3)."""
-        ...
 
     def elastic(self) -> MembraneLaw:
         """The law of elastic curtains: K+ with a compliance behind it, by direction where the law knows it."""
-        ...

@@ -58,11 +58,8 @@ class ErrorReport(Typed):
         lines.append(self.rows.text("error of h at the rows"))
         if self.held_out is not None:
             lines.append(self.held_out.text("error of h at rows left out"))
-        lines.append(self.gap.text("outer minus inner bound of h"))
-        lines.append(
-            f"the law leaves the bounds by {self.below:.1e} below, {self.above:.1e} above (h at unit trace of S)"
-        )
-        return "\n".join(lines)
+        left = f"the law leaves the bounds by {self.below:.1e} below, {self.above:.1e} above (h at unit trace of S)"
+        return "\n".join([*lines, self.gap.text("outer minus inner bound of h"), left])
 
     def __str__(self) -> str:
         return self.text()

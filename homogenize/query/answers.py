@@ -18,7 +18,6 @@ from rve.common import Array, InputError
 from rve.common.tensor import double_dot, eigenvalues, trace
 
 ROUNDING = 1e-12
-NAMES = ("11", "12", "22")
 
 
 def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[str, Any]:
@@ -59,7 +58,7 @@ def strain_answer(path: str | Path, alpha_deg: float, beta_deg: float) -> dict[s
 
 def components(key: str, values: Array) -> dict[str, float]:
     """Named components of a triple (3,)."""
-    return {key.format(name): float(x) for name, x in zip(NAMES, values, strict=True)}
+    return {key.format(name): float(x) for name, x in zip(("11", "12", "22"), values, strict=True)}
 
 
 def support_answer(path: str | Path, S: Array) -> dict[str, Any]:

@@ -32,8 +32,6 @@ SAME_LOAD = 1e-9
 """A row answers for loads whose unit Cauchy loads differ by less in every component."""
 FAR = 10.0
 """Multiple of the offset at which the first guess starts."""
-
-
 OFFSET = 0.1
 """Length of X - E as a strain; a smaller one resolves sharp edges better, a larger one makes the surface smoother for
 Newton."""

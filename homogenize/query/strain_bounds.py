@@ -24,8 +24,6 @@ from rve.common.tensor import IDENTITY, WEIGHT, double_dot, trace
 
 STAR = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 CORNERS = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
-
-
 LARGEST = 4.0
 """Shapes with |log m| and |w| up to this are searched; cells beyond are 50 times longer than wide, or sheared flat."""
 FIRST = 40
@@ -46,10 +44,6 @@ class StrainBounds:
 
     E_min: Array
     E_max: Array
-
-    def width(self) -> Array:
-        """Largest distance of the bounds over the components, (n,)."""
-        return np.asarray((self.E_max - self.E_min).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,6 @@ from rve.common import Array, part_of
 
 BULK = 0.6
 """Share of the gap whose triangles are refined in one go (W. Doerfler, doi 10.1137/0733054)."""
-
-
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Corners (2, 3) of the reference triangle, in the order of the corners of cells."""
 

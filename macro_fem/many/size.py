@@ -70,11 +70,7 @@ class Size:
 
 
 def largest_that_holds(
-    scene: Scene,
-    who: MembraneLaw | LawInterval | OnDemand | None,
-    vary: str,
-    ends: tuple[float, float],
-    factor: float,
+    scene: Scene, who: MembraneLaw | LawInterval | OnDemand | None, vary: str, ends: tuple[float, float], factor: float
 ) -> Size:
     """The largest value of `vary` between both `ends` at which the factor of the curtain is at least `factor`.
 

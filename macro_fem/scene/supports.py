@@ -77,11 +77,7 @@ class Supports:
 
 
 def build_supports(
-    scene: Scene,
-    mesh: CurtainMesh,
-    disc: Discretization,
-    factor: float = 1.0,
-    released: frozenset[int] = frozenset(),
+    scene: Scene, mesh: CurtainMesh, disc: Discretization, factor: float = 1.0, released: frozenset[int] = frozenset()
 ) -> Supports:
     """The supports of a scene with prescribed moves scaled by `factor` (load steps), without the numbers `released`.
 
