@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import click
 
 from rve.common import InputError, beside, json_text, read_json_object
-from rve.common.commands.command_line import Group, answer, options, say, say_next
+from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
 from rve.common.commands.sweeps import run_sweep, sweep_options
 
 MOST_RINGS = 90_000
@@ -180,7 +179,7 @@ def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
-    words += ["--out", beside(out, "rings"), *([] if find_spec("pyvista") else ["--no-picture"])]
+    words += ["--out", beside(out, "rings"), *no_picture("pyvista")]
     say_next("macro_fem", "localize", out, *words, why="every ring, and the forces in the worst cell")
 
 

@@ -20,6 +20,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -208,3 +209,8 @@ def check_plot(path: Path, inputs: Iterable[Path | None] = ()) -> None:
     check_out_file(path, "--plot", inputs)
     if path.suffix.lower() not in ("", ".png", ".svg", ".pdf"):
         raise InputError(f"--plot = {path}: give a name that ends in .png, .svg or .pdf")
+
+
+def no_picture(module: str) -> tuple[str, ...]:
+    """What a next command is given where its picture needs a module that is not installed."""
+    return () if find_spec(module) is not None else ("--no-picture",)
