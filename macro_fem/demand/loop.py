@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -63,24 +63,19 @@ SENTENCES = {
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part in N mm.
+    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part.
 
-    lower is nan in turns that only asked the rings.
+    The lower one is nan in turns that only asked the rings.
     """
 
     cells: int
     rows: int
     ring_solves: int
     cache_hits: int
-    upper: float
-    lower: float
-    law_part: float
+    upper_N_mm: float
+    lower_N_mm: float
+    law_part_N_mm: float
     wall_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """For summary.json, units in the names."""
-        names = {"upper": "upper_N_mm", "lower": "lower_N_mm", "law_part": "law_part_N_mm"}
-        return {names.get(key, key): value for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +104,7 @@ class Demand:
             "ring_failures": self.rings.failed,
             "rows": self.rings.count,
             "largest_contradiction_of_rows": self.law.raised,
-            "turns": [turn.to_dict() for turn in self.turns],
+            "turns": [asdict(turn) for turn in self.turns],
         }
 
 

@@ -40,11 +40,6 @@ class SparsityPattern:
         return len(self.indptr) - 1
 
     @property
-    def free(self) -> Index:
-        """Flat numbers of the free unknowns (n,), increasing."""
-        return np.flatnonzero(self.number >= 0)
-
-    @property
     def nnz(self) -> int:
         """Stored entries of the lower triangle."""
         return len(self.indices)

@@ -11,17 +11,9 @@ from macro_fem.output.space_view import Titled, draw_curtain, drawn, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
 from rve.common import InputError, check_out_file, require
+from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import save_figure
-from rve.common.drawing.space import (
-    FRONT,
-    THREE_QUARTERS,
-    check_render,
-    compose,
-    new_plotter,
-    save_animation,
-    save_picture,
-)
 
 NO_GIF = "leave out --animation"
 
@@ -48,7 +40,7 @@ class Pictures:
             if is_asked:
                 require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
                 if scene is not None and scene.in_space:
-                    check_render(f"{self.stem}.{ending}", instead)
+                    space.check_render(f"{self.stem}.{ending}", instead)
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
@@ -74,11 +66,11 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
     if wanted.html:
         write_curtain_page(folder / f"{wanted.stem}.html", last)
     if wanted.picture and last.problem.scene.in_space:
-        plotter = new_plotter(2)
-        for panel, direction in enumerate((FRONT, THREE_QUARTERS)):
+        plotter = space.new_plotter(2)
+        for panel, direction in enumerate((space.FRONT, space.THREE_QUARTERS)):
             plotter.subplot(0, panel)
             draw_curtain(last, plotter, direction=direction)
-        save_picture(picture, plotter, title(last))
+        space.save_picture(picture, plotter, title(last))
     elif wanted.picture:
         save_figure(picture, plots.panels(last))
     if wanted.animation:
@@ -95,4 +87,6 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
 def write_animation(path: Path, steps: Titled) -> None:
     """Write the curtain at each step as GIF, with one scale of colours and one camera."""
     in_space = steps[0][1].problem.scene.in_space
-    save_animation(path, (compose(one, words) for words, one in drawn(steps)) if in_space else plots.frames(steps))
+    space.save_animation(
+        path, (space.compose(one, words) for words, one in drawn(steps)) if in_space else plots.frames(steps)
+    )

@@ -106,7 +106,7 @@ def solve_at_stretch_limit(
     for more in RELAXATIONS:
         relaxation = max(0.0, 1.0 / reach.lower - 1.0) + more
         nearer = fem.moved(fem.x_held / (1.0 + relaxation))
-        near_walls = None if walls is None else walls.scaled(1.0 / (1.0 + relaxation))
+        near_walls = None if walls is None else replace(walls, offset=walls.offset / (1.0 + relaxation))
         result = solve(nearer, start / (1.0 + relaxation), loose, near_walls)
         if result.converged:
             break

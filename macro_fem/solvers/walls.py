@@ -57,10 +57,6 @@ class Walls(Rows):
         np.add.at(out, self.at.node, self.at.share[:, :, None] * (force[:, None] * self.normal)[:, None, :])
         return out
 
-    def scaled(self, factor: float) -> Walls:
-        """The half-spaces of a curtain whose positions are `factor` times as large."""
-        return replace(self, offset=factor * self.offset)
-
     def entries(self) -> tuple[np.ndarray, Array]:
         """Flat numbers of the components that each half-space depends on, and how much it does, both (m, k d)."""
         m, d = self.normal.shape
