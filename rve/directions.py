@@ -6,10 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rve.common.errors import InputError, shown
-from rve.common.files import AnyPath
-from rve.common.reading import number_column, read_columns
-from rve.common.types import Array
+from rve.common import AnyPath, Array, InputError, number_column, read_columns, shown
 from rve.geometry.weave import FOUR_IN_ONE, Weave
 
 MOST_VALUES = 100_000

@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from rve.common.errors import InputError
+from rve.common import InputError, Typed
 from rve.common.rings import Joint
-from rve.common.typed import Typed
 from rve.equilibrium.elastic_rings import ring_states
 from rve.equilibrium.interior_point import DirectOptions
 from rve.equilibrium.system import Equations

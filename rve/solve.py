@@ -9,13 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common.errors import SENTENCES, InputError, NotConverged
-from rve.common.files import TABLE_FORMAT, versions
-from rve.common.progress import part_of
-from rve.common.records import Flags
+from rve.common import SENTENCES, TABLE_FORMAT, Array, Flags, InputError, NotConverged, part_of, versions
 from rve.common.rings import areal_mass
 from rve.common.tensor import double_dot
-from rve.common.types import Array
 from rve.directions import grid
 from rve.equilibrium.branches import MOVED, RowStates, largest_rows, make_rows
 from rve.equilibrium.dead_load import DeadLoad, LoadedCell, solve_dead

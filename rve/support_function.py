@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common.errors import InputError
+from rve.common import Array, InputError, as_html
 from rve.common.tensor import disc, double_dot, eigenvalues, from_disc, trace
-from rve.common.texts import as_html
-from rve.common.types import Array
 from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions, unit_loads
 from rve.equilibrium.largest_work import KnownStates, Largest, largest, largest_beyond

@@ -7,9 +7,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from rve.common import InputError, sidecar_path
 from rve.common.commands.sweeps import SweepItem, absolute
-from rve.common.errors import InputError
-from rve.common.files import sidecar_path
 
 MOST_CELLS = 10_000
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.errors import InputError, require
+from rve.common import Array, InputError, Rows, as_html, csv_text, json_text, require
 from rve.common.files import (
     TABLE_FORMAT,
     AnyPath,
@@ -28,10 +28,7 @@ from rve.common.files import (
     write_text,
 )
 from rve.common.reading import number_column, read_columns, read_json_object
-from rve.common.records import Rows
 from rve.common.rings import check_rings
-from rve.common.texts import as_html, csv_text, json_text
-from rve.common.types import Array
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ import numpy as np
 
 from macro_fem.motion.scheme import Difference, Moment
 from macro_fem.motion.step import Forces, Moving, Stepped
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from macro_fem.problem import CurtainProblem, meeting_points, placed_obstacles, 
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import PlacedObstacle
 from macro_fem.solvers.walls import TOUCHED, Walls
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 REACH = 2.0
 """Points farther from a ball than this many times the way that they may go in a step get no half-space."""

@@ -23,7 +23,7 @@ from macro_fem.output.files import write_vtu
 from macro_fem.output.pictures import Pictures
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import load_scene
-from rve.common.types import Array
+from rve.common import Array
 
 FIELDS = ("P", "S", "supports", "relative_gap")
 """What motion.npz has of each frame beside its moment and account."""

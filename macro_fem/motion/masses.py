@@ -8,8 +8,7 @@ from macro_fem.fem.assembly import load_vector
 from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares
 from macro_fem.scene.tables import Bar
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 TONNE = 1e-3
 """N s2/mm per kg: with lengths in mm and forces in N."""

@@ -15,11 +15,10 @@ from macro_fem.motion.modes import Modes, find_modes
 from macro_fem.motion.stage import scene_at
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.schema import load_scene
+from rve.common import check_out_job, job, json_text, versions, write_text
 from rve.common.drawing.scale import Scale
 from rve.common.drawing.space import THREE_QUARTERS, add, check_render, look, new_plotter, save_picture, surface
-from rve.common.files import check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
-from rve.common.texts import json_text
 
 RECORD = "modes.json"
 SHOWN = 0.15

@@ -32,8 +32,7 @@ from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.fem.sparsity import sparsity
 from macro_fem.motion.masses import mesh_masses, nodal_masses
 from macro_fem.solution import CurtainSolution
-from rve.common.errors import InputError, NotConverged
-from rve.common.types import Array
+from rve.common import Array, InputError, NotConverged
 
 CARRIES = 1e-6
 """Points with a larger part of the largest line load than this are held on the locked surface."""

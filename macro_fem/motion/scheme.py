@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True, eq=False)

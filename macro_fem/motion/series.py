@@ -19,12 +19,9 @@ from macro_fem.motion.scheme import Moment
 from macro_fem.motion.views import chosen
 from macro_fem.output.files import collection
 from macro_fem.scene.schema import Scene
-from rve.common.errors import InputError
+from rve.common import Array, InputError, csv_text, json_text, tell
 from rve.common.files import atomic_path, check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
-from rve.common.progress import tell
-from rve.common.texts import csv_text, json_text
-from rve.common.types import Array
 
 RECORD, KEPT = "summary.json", "motion.npz"
 COLUMNS = (

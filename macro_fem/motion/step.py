@@ -21,7 +21,7 @@ from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.inertia import Inertia, times
 from macro_fem.solvers.path import PathOptions, PathResult, Terms
 from macro_fem.solvers.walls import Walls
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from macro_fem.rings.every_ring import EveryRingSolution, or_none
 from macro_fem.solution import CurtainSolution
-from rve.common.types import Array
+from rve.common import Array
 
 ACROSS = 3
 """Line loads are averaged over squares of this many reference cells along each side."""

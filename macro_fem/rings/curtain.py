@@ -15,13 +15,9 @@ from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded, recovered, triangle_areas
 from rve import Cell, cell_of_sides
-from rve.common.errors import InputError
-from rve.common.files import check_belongs
+from rve.common import Array, InputError, Typed, check_belongs, read_json_object, read_typed
 from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS, read_mesh_file
-from rve.common.reading import read_json_object
 from rve.common.rings import check_rings
-from rve.common.typed import Typed, read_typed
-from rve.common.types import Array
 
 MOST_NUMBER = 1e12
 """Of coordinates in mm, strains and line loads in N/mm: their squares must stay numbers."""

@@ -18,10 +18,8 @@ from macro_fem.output.pictures import Pictures
 from macro_fem.rings.ring_scene import RingScene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteSolution
+from rve.common import Array, InputError, versions
 from rve.common.drawing.plane import new_axes, save_figure
-from rve.common.errors import InputError
-from rve.common.files import versions
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,12 +16,9 @@ from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain
 from macro_fem.rings.places import RingPlaces
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
+from rve.common import Array, as_html, check_out_job, csv_text, job, json_text, require, versions, write_text
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.space import check_render, save_picture
-from rve.common.errors import require
-from rve.common.files import check_out_job, job, versions, write_text
-from rve.common.texts import as_html, csv_text, json_text
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

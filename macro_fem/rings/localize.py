@@ -25,10 +25,7 @@ from rve import (
     locked_arrangements,
     nearest_poses,
 )
-from rve.common.errors import InputError, shown
-from rve.common.progress import tell
-from rve.common.typed import Typed
-from rve.common.types import Array
+from rve.common import Array, InputError, Typed, shown, tell
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from macro_fem.rings.motion import RingFrame, RingRun, RingStage, solve_ring_mot
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import Scene, load_scene
 from rve import RingContacts, slack_rings, with_bodies
+from rve.common import Array
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.plane import new_figure, save_figure
-from rve.common.types import Array
 
 if TYPE_CHECKING:
     from pyvista import Plotter

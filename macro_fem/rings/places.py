@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from macro_fem.fem.cells import cross, mean_at_corners, signed_areas
 from macro_fem.rings.curtain import Curtain
 from rve import Cell, NearestPoses, deformation_gradient, offsets, reference_shares
+from rve.common import Array
 from rve.common.records import Rows as Records
-from rve.common.types import Array
 
 Index = NDArray[np.intp]
 NARROW = 1e-3

@@ -17,10 +17,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.progress import tell
-from rve.common.records import Flags, Index, Rows
+from rve.common import Array, Flags, Index, Rows, tell
 from rve.common.tensor import WEIGHT, double_dot
-from rve.common.types import Array
 from rve.equilibrium.dead_load import MARGINS, LoadedCell, follow_promising, random_poses, restart, restart_patiently
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.largest_work import GAIN, KnownStates, Largest, balanced, climbed, largest, states_beyond

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from rve.common.records import Index
+from rve.common import Array, Index
 from rve.common.tensor import double_dot, trace
-from rve.common.types import Array
 from rve.equilibrium.interior_point import NEVER, DirectOptions, Equilibrium, follow, unit_loads
 from rve.equilibrium.system import Equations, on_coordinates
 from rve.geometry.contacts import parallel_clearance

@@ -14,11 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from rve.common.progress import tell
-from rve.common.records import Index, Rows
+from rve.common import Array, Index, Rows, tell
 from rve.common.rings import Joint
 from rve.common.tensor import WEIGHT
-from rve.common.types import Array
 from rve.equilibrium.dead_load import DeadLoad
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.ring_contacts import contact_ends, contact_flexibility

@@ -22,9 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.records import Index, Rows
+from rve.common import Array, Index, Rows
 from rve.common.tensor import IDENTITY, WEIGHT, disc, double_dot, mirror
-from rve.common.types import Array
 from rve.equilibrium.dead_load import (
     MARGINS,
     NEAR_MARGIN,

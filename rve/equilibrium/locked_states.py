@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common.records import Flags, Rows
-from rve.common.types import Array
+from rve.common import Array, Flags, Rows
 from rve.equilibrium.interior_point import Equilibrium
 from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts, find_contacts

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.records import Flags, Index, Rows
-from rve.common.types import Array
+from rve.common import Array, Flags, Index, Rows
 from rve.equilibrium.interior_point import Equilibrium
 from rve.equilibrium.system import Equations
 from rve.geometry.circles import cross, dot, tangent_frame

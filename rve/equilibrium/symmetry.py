@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.records import Flags, Index
-from rve.common.types import Array
+from rve.common import Array, Flags, Index
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, follow, solve_equilibrium, unit_loads
 from rve.equilibrium.limits import loose_motions, strain_is_unique
 from rve.equilibrium.steps import carry_forces

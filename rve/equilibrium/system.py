@@ -17,8 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common.records import Rows
-from rve.common.types import Array
+from rve.common import Array, Rows
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.distance import distance_gradient, distance_hessian
 from rve.geometry.pose import Pose, pair_maps, reduction, ring_normals

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from rve.common import Array, Flags, Index
 from rve.common.numeric.factor import Solve
-from rve.common.records import Flags, Index
-from rve.common.types import Array
 from rve.finite.task import BLOCK
 from rve.finite.touching import Touching
 from rve.finite.walls import wall_derivatives

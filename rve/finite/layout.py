@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rve.common.errors import InputError
+from rve.common import Array, Flags, Index, InputError
 from rve.common.numeric.polygons import inside, near_sides, region
-from rve.common.records import Flags, Index
-from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.pose import start_pose

@@ -8,9 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, eye
 from scipy.sparse.csgraph import connected_components
 
-from rve.common.errors import InputError
-from rve.common.records import Flags
-from rve.common.types import Array
+from rve.common import Array, Flags, InputError
 from rve.finite.layout import FiniteMesh
 from rve.finite.task import FiniteOptions, Task
 from rve.finite.touching import Placed, find_touching

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rve.common.records import Index
-from rve.common.types import Array
+from rve.common import Array, Index
 from rve.finite.equations import spread
 from rve.finite.newton import Iteration, Step
 from rve.finite.touching import Touching, followed_gaps, is_passage_safe, links_intact, of_pairs

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rve.common import Array, as_html, require
 from rve.common.drawing.page import check_page, write_page
-from rve.common.errors import require
-from rve.common.texts import as_html
-from rve.common.types import Array
 from rve.drawn import DrawnRings
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh

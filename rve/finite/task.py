@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from rve.common.records import Index
-from rve.common.types import Array
+from rve.common import Array, Index
 from rve.finite.touching import Placed, Touching, find_touching, handed_on, of_pairs
 from rve.geometry.circles import cross, dot, tangent_frame
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rve.common.records import Flags, Index
-from rve.common.types import Array
+from rve.common import Array, Flags, Index
 from rve.finite.walls import wall_gaps
 from rve.geometry.circles import (
     Minima,

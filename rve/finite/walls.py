@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 from rve.geometry.circles import cross, dot, tangent_frame
 
 Row = tuple[Array, Array, float]

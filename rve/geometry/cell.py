@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from rve.common.errors import InputError
+from rve.common import InputError, as_html, read_entry
 from rve.common.materials import STEEL, Material, named_material
 from rve.common.rings import STEEL_KG_PER_MM3, Density, Length, ring_volume
-from rve.common.texts import as_html
-from rve.common.typed import read_entry
 from rve.geometry.weave import FOUR_IN_ONE, WEAVES, Weave, supercell
 
 MOST_CELLS = 4

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.records import Flags, Index, Rows
-from rve.common.types import Array
+from rve.common import Array, Flags, Index, Rows
 
 # Two minima of linked rings merge in a pitchfork; below this share of the stiff curvature r1^2/D a minimum may have a
 # twin between two samples, so its neighbourhood is sampled again.

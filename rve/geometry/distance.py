@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rve.common.records import Flags
-from rve.common.types import Array
+from rve.common import Array, Flags
 from rve.geometry.circles import Minima, cross, dot
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rve.common import Array
 from rve.common.tensor import IDENTITY
-from rve.common.types import Array
 
 
 def cauchy_line_load(alpha_deg: ArrayLike, beta_deg: ArrayLike) -> Array:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.records import Index, Rows
-from rve.common.types import Array
+from rve.common import Array, Index, Rows
 from rve.geometry.circles import tangent_frame, turned
 from rve.geometry.kinematics import green_lagrange
 from rve.geometry.weave import Weave

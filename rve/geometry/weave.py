@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.types import Array
+from rve.common import Array
 
 
 @dataclass(frozen=True, repr=False)

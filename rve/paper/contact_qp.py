@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.records import Rows
-from rve.common.types import Array
+from rve.common import Array, Rows
 
 
 @dataclass(frozen=True)

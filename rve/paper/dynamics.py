@@ -12,9 +12,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from rve.common.records import Index
-from rve.common.typed import Typed
-from rve.common.types import Array
+from rve.common import Array, Index, Typed
 from rve.equilibrium.system import Equations
 from rve.geometry.contacts import CellContacts
 from rve.geometry.weave import Weave

@@ -19,9 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.progress import tell, way
-from rve.common.records import Flags, Index, Rows
-from rve.common.types import Array
+from rve.common import Array, Flags, Index, Rows, tell, way
 from rve.equilibrium.interior_point import unit_loads
 from rve.equilibrium.system import Equations, lattice_load
 from rve.geometry.contacts import CellContacts, find_contacts

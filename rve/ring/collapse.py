@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.errors import InputError, NotConverged
-from rve.common.types import Array
+from rve.common import Array, InputError, NotConverged
 from rve.ring.kernels import internal_forces, self_stress
 from rve.ring.section import Ring
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common import Array
 from rve.ring.section import Section
 
 _W = 0.5 / np.pi

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.errors import InputError
+from rve.common import Array, InputError
 from rve.common.materials import STEEL, Material
 from rve.common.rings import Joint, read_joint
-from rve.common.types import Array
 from rve.ring.collapse import plastic_collapse
 from rve.ring.kernels import flexibility
 from rve.ring.section import Ring

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common.errors import InputError
-from rve.common.types import Array
+from rve.common import Array, InputError
 
 
 @dataclass(frozen=True)

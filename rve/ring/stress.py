@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common import Array
 from rve.ring.kernels import internal_forces
 from rve.ring.section import Ring, skin_stress
 

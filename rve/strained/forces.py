@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.errors import NotConverged
+from rve.common import Array, NotConverged
 from rve.common.tensor import WEIGHT, eigenvalues
-from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import cauchy_line_load

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.records import Flags, Index
-from rve.common.types import Array
+from rve.common import Array, Flags, Index
 from rve.geometry.cell import Cell
 from rve.geometry.circles import are_linked, dot, local_minima
 from rve.geometry.pose import Pose, start_pose

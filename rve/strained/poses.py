@@ -23,11 +23,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.errors import NotConverged
-from rve.common.progress import part_of
-from rve.common.records import Rows
+from rve.common import Array, NotConverged, Rows, part_of
 from rve.common.tensor import WEIGHT, eigenvalues
-from rve.common.types import Array
 from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell

@@ -12,10 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rve.common.errors import require
-from rve.common.files import AnyPath, check_out_job, job, versions, write_text
-from rve.common.texts import csv_text, json_text
-from rve.common.types import Array
+from rve.common import AnyPath, Array, check_out_job, csv_text, job, json_text, require, versions, write_text
 from rve.directions import grid
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell

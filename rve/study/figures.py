@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rve.common import Array, tell
 from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, shade, viridis
-from rve.common.progress import tell
-from rve.common.types import Array
 from rve.plots import draw_case
 from rve.solve import solve_table
 from rve.study.comparison import KINKED, Study
