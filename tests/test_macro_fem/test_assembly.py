@@ -5,7 +5,7 @@ import pytest
 import skfem
 from skfem.helpers import dot, grad
 
-from macro_fem.fem.assembly import deformation_gradient, gradient, internal_force, load_vector, stiffness
+from macro_fem.fem.assembly import gradient, internal_force, load_vector, stiffness
 from macro_fem.fem.discretization import ELEMENTS, discretize
 from macro_fem.fem.sparsity import sparsity
 
@@ -74,9 +74,6 @@ def test_affine_fields_are_exact_on_distorted_cells(element):
     u = disc.nodes @ H.T + np.array([1.0, -2.0, 3.0])
     np.testing.assert_allclose(gradient(disc, u), np.broadcast_to(H, (disc.n_points, 3, 2)), atol=1e-12)
     np.testing.assert_allclose(disc.interpolate(u), disc.points @ H.T + [1.0, -2.0, 3.0], atol=1e-12)
-    np.testing.assert_allclose(
-        deformation_gradient(disc, u)[:, :2] - H[:2], np.broadcast_to(np.eye(2), (disc.n_points, 2, 2)), atol=1e-12
-    )
     np.testing.assert_allclose(disc.cell_mean(gradient(disc, u)), np.broadcast_to(H, (disc.n_cells, 3, 2)), atol=1e-12)
 
 
