@@ -15,7 +15,6 @@ from macro_fem.solvers.cones import Cones, green_strain, least_slack
 from macro_fem.solvers.status import (
     FREE,
     ROUNDING,
-    Accuracy,
     Evidence,
     Judged,
     Reach,
@@ -62,7 +61,7 @@ class CurtainSolution(Judged):
 
     problem: CurtainProblem
     stop: str
-    asked: Accuracy
+    asked: Evidence
     x: Array
     inner: InnerForces
     primal: float

@@ -20,7 +20,7 @@ from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, draw
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.tables import Item, Support
 from macro_fem.solution import CurtainSolution, InnerForces
-from macro_fem.solvers.status import Accuracy
+from macro_fem.solvers.status import Evidence
 from rve.common.drawing.page import write_moments
 from rve.common.drawing.plane import save_figure
 from rve.common.drawing.space import new_plotter, save_picture
@@ -43,7 +43,7 @@ def as_solution(run: MotionRun, frame: MotionFrame) -> CurtainSolution:
     scene = replace(problem.scene, items=tuple(kept))
     force = internal_force(problem.disc, frame.P) - frame.supports
     told = replace(problem, scene=scene, force=force, walls=None, winds=())
-    inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Accuracy(1.0, 1.0, 1.0)
+    inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
     return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, run.wall_s)
 
 

@@ -201,7 +201,7 @@ def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, 
         return "blocked" if len(place.state.u) else "infeasible"
     is_free = place.program.load is load
     is_close = is_free and place.now.error < options.gap and place.violation < options.violation
-    if is_close and options.accuracy.is_met(_draw_inside(place, inner, options).evidence):
+    if is_close and _draw_inside(place, inner, options).evidence.meets(options.accuracy):
         return "closed"
     if options.enough is not None and options.enough(place.state.z, place.lower):
         return "closed"

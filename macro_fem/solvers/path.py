@@ -12,7 +12,7 @@ from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers.cones import Cones, first_cones
 from macro_fem.solvers.inertia import Inertia
-from macro_fem.solvers.status import FREE, Accuracy, Evidence, Judged, Reach, Verdict, judged
+from macro_fem.solvers.status import FREE, Evidence, Judged, Reach, Verdict, judged
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
 
@@ -46,9 +46,9 @@ class PathOptions:
     """Relative gaps at which idle half-spaces are dropped, largest first; none keeps all. Small gaps risk circles."""
 
     @property
-    def accuracy(self) -> Accuracy:
+    def accuracy(self) -> Evidence:
         """What the numbers of the answer must not exceed."""
-        return Accuracy(COUNTED * self.gap, self.gap, self.violation)
+        return Evidence(COUNTED * self.gap, self.gap, self.violation)
 
 
 PATH = PathOptions()
@@ -87,7 +87,7 @@ class PathResult(Judged):
 
     stop: str
     evidence: Evidence
-    asked: Accuracy
+    asked: Evidence
     z: Array
     lam: Array
     y_tail: Array

@@ -29,7 +29,7 @@ def load_scale(force: Array, weight: Array) -> float:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an answer's own numbers say, all relative.
+    """What an answer's own numbers say, all relative; or the largest ones with which it counts as one.
 
     gap: upper minus lower bound over load times size; unbalanced: sum of the forces on free unknowns that do not
     balance over the sum of the loads; violation: of the law, over h + tr S / 2, negative inside.
@@ -49,19 +49,10 @@ class Evidence:
         """The largest of the three; infinite if one is not finite."""
         return max(abs(self.gap), self.unbalanced, self.violation) if self.is_finite else float("inf")
 
-
-@dataclass(frozen=True)
-class Accuracy:
-    """The largest relative gap, unbalanced forces and violation of the law with which an answer counts as one."""
-
-    gap: float
-    unbalanced: float
-    violation: float
-
-    def is_met(self, evidence: Evidence, more: float = 0.0) -> bool:
-        """Whether no number of an answer is larger than asked by more than `more`."""
-        found, asked = vars(evidence) | {"gap": abs(evidence.gap)}, vars(self)
-        return evidence.is_finite and all(found[name] <= asked[name] + more for name in asked)
+    def meets(self, asked: Evidence, more: float = 0.0) -> bool:
+        """Whether no number is larger than asked by more than `more`."""
+        found, limits = vars(self) | {"gap": abs(self.gap)}, vars(asked)
+        return self.is_finite and all(found[name] <= limits[name] + more for name in limits)
 
 
 @dataclass(frozen=True)
@@ -233,14 +224,14 @@ NUMBERS = (
 
 
 def judged(
-    stop: str, evidence: Evidence, asked: Accuracy, n: int, reach: Reach = FREE, relaxation: float | None = None
+    stop: str, evidence: Evidence, asked: Evidence, n: int, reach: Reach = FREE, relaxation: float | None = None
 ) -> Verdict:
     """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
 
     stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; relaxation:
     by how much the law was relaxed, None where rings are elastic.
 
-    >>> asked = Accuracy(1e-9, 1e-9, 1e-8)
+    >>> asked = Evidence(1e-9, 1e-9, 1e-8)
     >>> judged("closed", Evidence(1e-10, 0.0, 0.0), asked, 9).status
     'converged'
     >>> judged("closed", Evidence(0.048, 0.0, 0.0), asked, 9).status
@@ -253,10 +244,10 @@ def judged(
     numbers = NUMBERS.format(evidence)
     if not evidence.is_finite:
         return Verdict(Status.NOT_FINITE, WHY["not_finite"])
-    is_rounded = stop in ("closed", "stalled") and asked.is_met(evidence, ROUNDING)
-    if not (asked.is_met(evidence) or is_rounded):
+    is_rounded = stop in ("closed", "stalled") and evidence.meets(asked, ROUNDING)
+    if not (evidence.meets(asked) or is_rounded):
         return Verdict(Status.STALLED if stop == "closed" else Status(stop), WHY[stop].format(n=n, numbers=numbers))
     if reach.is_at_limit:
         how = ", by their stiffness" if relaxation is None else f" {100.0 * relaxation:.3g} % beyond locking"
         return Verdict(Status.TAUT, TAUT.format(limit=100.0 * AT_LIMIT, give=how))
-    return Verdict(Status.CONVERGED, CONVERGED if asked.is_met(evidence) else ROUNDED.format(numbers=numbers))
+    return Verdict(Status.CONVERGED, CONVERGED if evidence.meets(asked) else ROUNDED.format(numbers=numbers))

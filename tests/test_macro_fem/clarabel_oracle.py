@@ -25,7 +25,7 @@ from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.cone_program import REACH
 from macro_fem.solvers.cones import Cones, all_cuts, first_cones, green_strain, least_slack, with_cuts
 from macro_fem.solvers.path import PathResult
-from macro_fem.solvers.status import FREE, Accuracy, Evidence, Reach, load_scale
+from macro_fem.solvers.status import FREE, Evidence, Reach, load_scale
 from macro_fem.solvers.walls import WallRows, Walls, rows_of
 from rve.common.progress import tell
 from rve.common.types import Array
@@ -34,7 +34,7 @@ FLAT = 1e-12
 """Eigenvalues of S below this (S has unit trace) count as zero: the half-space of a single direction."""
 
 
-ATTAINED = Accuracy(gap=1e-5, unbalanced=1e-6, violation=1e-7)
+ATTAINED = Evidence(gap=1e-5, unbalanced=1e-6, violation=1e-7)
 """Errors up to which an answer counts as one: clarabel often ends "almost solved", short of what is asked."""
 ASKED, VIOLATION, ROUNDS = 1e-10, 1e-8, 30
 """Relative gap and residuals that clarabel is asked for; violation of the law (strain) that ends the cutting planes;

@@ -12,7 +12,7 @@ from macro_fem.curtain import solve_scene, supports_reach
 from macro_fem.problem import gathered_start
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.status import AT_LIMIT, FREE, Accuracy, Evidence, Reach, judged
+from macro_fem.solvers.status import AT_LIMIT, FREE, Evidence, Reach, judged
 from macro_fem.solvers.stretch_limit import reach_of
 from tests.test_macro_fem.sheets import posed
 
@@ -20,7 +20,7 @@ RINGS = CellInfo(5.0, 0.5, 11.0, 12.646069623526, 2.785)
 KINDS = ("rigid", "elastic")
 RAIL_AND_CORNERS = [{"kind": "rail"}, {"kind": "corners"}]
 ALL_EDGES = [{"kind": "edge", "edge": edge} for edge in ("left", "right", "top", "bottom")]
-ASKED = Accuracy(gap=1e-9, unbalanced=1e-9, violation=1e-8)
+ASKED = Evidence(gap=1e-9, unbalanced=1e-9, violation=1e-8)
 GOOD = Evidence(gap=1e-10, unbalanced=0.0, violation=-1e-3)
 
 
