@@ -10,14 +10,7 @@ from scipy.spatial import cKDTree
 
 from homogenize import MembraneLaw, with_material
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.problem import (
-    CurtainProblem,
-    gathered_start,
-    make_problem,
-    stabilising_tension,
-    tension_allowance,
-    unit_tensors,
-)
+from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stabilising_tension, unit_tensors
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import is_flat
 from macro_fem.scene.schema import Scene
@@ -228,7 +221,7 @@ def make_solution(
     shift = float(fem.gather(problem.force) @ result.z) - work  # what supports and the choice of origin add to -l.z
     held = fem.gradient(np.zeros_like(result.z))
     held_part = float((fem.weight[:, None, None] * tension * unit_tensors(problem) * held).sum())
-    allowance = tension_allowance(problem, tension)
+    allowance = _tension_allowance(problem, tension)
     scale = load_scale(problem.force, problem.disc.weight) * problem.mesh.size
     stored = float(fem.weight @ problem.elastic_law.response(green_strain(F)).energy) if elastic else 0.0
     pushes = result.wall_forces if result.wall_forces.size else np.zeros(len(problem.walls or ()))
@@ -246,3 +239,14 @@ def make_solution(
         relaxation=relaxation,
         cones=result.cones,
     )
+
+
+def _tension_allowance(problem: CurtainProblem, tension: float) -> float:
+    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
+
+    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of Q:F over the area, where Q is the frame, two
+    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
+    """
+    half = np.array([[0.5, 0.0, 0.5]])
+    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
+    return tension * largest * float(problem.disc.weight.sum())

@@ -166,17 +166,6 @@ def stabilising_tension(problem: CurtainProblem) -> float:
     return problem.scene.solver.stabilising_tension * float(np.abs(problem.force).sum()) / problem.mesh.size
 
 
-def tension_allowance(problem: CurtainProblem, tension: float) -> float:
-    """How much more than the spread problem's a bound of the load's own potential must allow, N mm.
-
-    -l.z = -(l + l_e).z + l_e.z, and l_e.z = tension times the integral of Q:F over the area, where Q is the frame, two
-    orthogonal unit vectors: (Q:F)^2 <= 2 tr C with tr C = 2 + 2 tr E <= 2 + 4 h(I/2).
-    """
-    half = np.array([[0.5, 0.0, 0.5]])
-    largest = np.sqrt(2.0 * (2.0 + 4.0 * float(problem.law.support(half)[0])))
-    return tension * largest * float(problem.disc.weight.sum())
-
-
 def unit_tensors(problem: CurtainProblem) -> Array:
     """The frame at every point (nq, d, 2): the unit tensor of a plane curtain."""
     return np.broadcast_to(problem.frame, (problem.disc.n_points, problem.fem.d, 2))

@@ -12,17 +12,7 @@ from macro_fem.fem.cells import padded, recovered
 from macro_fem.fem.discretization import discretize
 from macro_fem.problem import CurtainProblem, gathered_start, unit_tensors
 from macro_fem.solvers.cones import Cones, green_strain, least_slack
-from macro_fem.solvers.status import (
-    FREE,
-    ROUNDING,
-    Evidence,
-    Judged,
-    Reach,
-    Settling,
-    Verdict,
-    judged,
-    load_scale,
-)
+from macro_fem.solvers.status import FREE, ROUNDING, Evidence, Judged, Reach, Settling, Verdict, judged, load_scale
 from rve.common import Array
 
 SLACK = 1e-3

@@ -18,16 +18,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
-from macro_fem.solvers.cone_program import (
-    ConeState,
-    Measure,
-    Program,
-    compliance_root,
-    find_first_state,
-    is_certificate,
-    is_inside,
-    measure,
-)
+from macro_fem.solvers.cone_program import ConeState, Measure, Program, compliance_root, find_first_state, measure
 from macro_fem.solvers.cone_step import advance, find_step
 from macro_fem.solvers.cones import first_cones, least_slack
 from macro_fem.solvers.cutting_planes import find_nearest, join, prune, widen
@@ -141,7 +132,7 @@ def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tupl
         if prunes and place.now.gap < prunes[0]:
             program, state = prune(program, state)
             del prunes[0]
-        if not is_inside(state):
+        if not _is_inside(state):
             return best, inner, "stalled", steps
         place = _measure(program, state, after.interior_margin)
         if place.interior_margin > inner.interior_margin and inner.interior_margin < INSIDE:
@@ -197,7 +188,7 @@ def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, 
 
     An answer whose own numbers are not yet as good as asked is no end: smaller residuals make it so.
     """
-    if is_certificate(place.program, place.now):
+    if _is_certificate(place.program, place.now):
         return "blocked" if len(place.state.u) else "infeasible"
     is_free = place.program.load is load
     is_close = is_free and place.now.error < options.gap and place.violation < options.violation
@@ -245,3 +236,17 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
     )
+
+
+def _is_inside(state: ConeState) -> bool:
+    """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
+    is_in_rows = min(state.t.min(initial=np.inf), state.u.min(initial=np.inf)) > 0.0
+    return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0 and is_in_rows)
+
+
+def _is_certificate(program: Program, now: Measure) -> bool:
+    """Whether y proves that no admissible z exists: its dual value is large against load and unbalanced forces."""
+    if program.lead or now.outside == 0.0 or now.dual <= 0.0:
+        return False
+    stress_only = float(np.abs(now.r_y).sum()) / program.total
+    return stress_only < 1e-6 * now.dual

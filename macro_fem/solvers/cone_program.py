@@ -231,12 +231,6 @@ def mean_product(program: Program, state: ConeState) -> float:
     return products / program.area
 
 
-def is_inside(state: ConeState) -> bool:
-    """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
-    is_in_rows = min(state.t.min(initial=np.inf), state.u.min(initial=np.inf)) > 0.0
-    return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0 and is_in_rows)
-
-
 def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
     """A state at z on the central path of the first gap; cone vectors of violated cones are lifted inside."""
     eps = np.zeros((len(program.fem.weight), program.N.shape[1]))
@@ -244,11 +238,3 @@ def find_first_state(program: Program, z: Array, first_gap: float) -> ConeState:
     t = np.maximum(program.rows.slack(z), LIFT)
     mu = first_gap * program.scale / program.area
     return ConeState(z, eps, s, soc.inverse(s, mu), t, mu / t)
-
-
-def is_certificate(program: Program, now: Measure) -> bool:
-    """Whether y proves that no admissible z exists: its dual value is large against load and unbalanced forces."""
-    if program.lead or now.outside == 0.0 or now.dual <= 0.0:
-        return False
-    stress_only = float(np.abs(now.r_y).sum()) / program.total
-    return stress_only < 1e-6 * now.dual
