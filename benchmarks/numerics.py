@@ -51,7 +51,7 @@ def _imported(tree: ast.Module) -> list[str]:
 @cache
 def _public(root: str) -> dict[str, str]:
     """The module behind each public name of a root."""
-    stub = ROOT / root / "__init__.pyi"
+    stub = ROOT.joinpath(*root.split("."), "__init__.pyi")
     nodes = ast.walk(ast.parse(stub.read_text(encoding="utf-8"))) if stub.exists() else ()
     lines = [node for node in nodes if isinstance(node, ast.ImportFrom)]
     return {alias.asname or alias.name: f"{root}.{node.module}" for node in lines for alias in node.names}
