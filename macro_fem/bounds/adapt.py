@@ -44,7 +44,6 @@ def levels(
     scene: Scene,
     law: MembraneLaw,
     outer: MembraneLaw | None = None,
-    factor: float = 1.0,
     mesh: CurtainMesh | None = None,
     first: CurtainSolution | None = None,
 ) -> Iterator[Level]:
@@ -60,11 +59,11 @@ def levels(
         work = f"{mesh.mesh.t.shape[1]} cells"
         if solution is None or number:
             with part_of(work, 0.0, 0.5):
-                solution = solve_problem(with_cones_of(admissible_problem(scene, law, mesh, factor), solution))
+                solution = solve_problem(with_cones_of(admissible_problem(scene, law, mesh), solution))
         if solution.status != "converged":
             return
         with part_of(f"{work}, bounds", 0.5, 1.0):
-            level = Level(solution, bound(solution, factor, outer))
+            level = Level(solution, bound(solution, outer=outer))
         yield level
         if level.bounds.status != "converged":
             return

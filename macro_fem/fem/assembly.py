@@ -16,7 +16,7 @@ Example:
     >>> x = disc.nodes * [1.1, 1.0]
     >>> bool(np.allclose(gradient(disc, x), [[1.1, 0.0], [0.0, 1.0]]))
     True
-    >>> pattern = sparsity(disc, d=2, free=disc.nodes[:, 0] > 0.0)
+    >>> pattern = sparsity(disc, d=2, free=np.repeat(disc.nodes[:, 0] > 0.0, 2))
     >>> A = np.broadcast_to(np.eye(4).reshape(2, 2, 2, 2), (disc.n_points, 2, 2, 2, 2))
     >>> pattern.full(stiffness(disc, pattern, A)).shape
     (24, 24)

@@ -80,15 +80,10 @@ class SparsityPattern:
 def sparsity(disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -> SparsityPattern:
     """The pattern of stiffness matrices on the free unknowns.
 
-    `free` is a Boolean mask: (n_nodes,) frees all components of a node, (n_nodes, d) or (n_nodes * d,) single ones. The
-    last `loose` nodes belong to no cell and are coupled with all others.
+    `free` (n_nodes, d) or flat: which components are. The last `loose` nodes belong to no cell and are coupled with all
+    others.
     """
-    free = np.asarray(free, dtype=bool)
-    if free.size == disc.n_nodes:
-        free = np.repeat(free.reshape(-1, 1), d, axis=1)
-    if free.size != disc.n_nodes * d:
-        raise ValueError(f"free has {free.size} entries, the mesh has {disc.n_nodes} nodes of {d} components")
-    free = free.ravel()
+    free = np.ravel(free)
     number = np.cumsum(free) - 1
     nodes = disc.cell_dofs.T
     n_local = len(nodes)
