@@ -15,8 +15,7 @@ from macro_fem.motion.scheme import Moment, predicted
 from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
-from rve.common.errors import InputError
-from rve.common.progress import tell
+from rve.common import InputError, tell
 
 FIRST_STEPS = 400
 """Steps of the whole duration with which a run without a step begins."""

@@ -23,8 +23,7 @@ from macro_fem.scene.moving import Ball, Motion
 from macro_fem.scene.schema import Scene
 from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.status import ROUNDING
-from rve.common.errors import InputError, NotConverged
-from rve.common.types import Array
+from rve.common import Array, InputError, NotConverged
 
 REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""

@@ -21,7 +21,7 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed, Wind
 from macro_fem.solvers.cones import green_strain
-from rve.common.types import Array
+from rve.common import Array
 
 
 def scene_at(scene: Scene, t: float) -> Scene:

@@ -23,8 +23,7 @@ from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
 from rve import FiniteOptions, FiniteSolution, RoundBody, ring_places, slack_rings, step_rings, with_bodies
-from rve.common.errors import InputError, NotConverged
-from rve.common.types import Array
+from rve.common import Array, InputError, NotConverged
 
 HALVINGS = 6
 """How often a step that is not solved is taken in two halves."""

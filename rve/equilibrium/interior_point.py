@@ -18,10 +18,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from rve.common.progress import tell, way
-from rve.common.records import Index, Rows
-from rve.common.typed import Typed
-from rve.common.types import Array
+from rve.common import Array, Index, Rows, Typed, tell, way
 from rve.equilibrium.steps import Valley, accept_step, admitted_share, carry_forces, newton_direction
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts

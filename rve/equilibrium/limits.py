@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from rve.common.types import Array
+from rve.common import Array
 from rve.equilibrium.interior_point import DirectOptions, Equilibrium, solve_equilibrium
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rve.common.records import Flags, Index
-from rve.common.types import Array
+from rve.common import Array, Flags, Index
 from rve.equilibrium.system import Equations, System
 from rve.geometry.contacts import CellContacts, gap_bound, parallel_clearance
 from rve.geometry.pose import Pose, moved

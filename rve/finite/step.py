@@ -20,9 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rve.common.progress import tell
-from rve.common.records import Flags
-from rve.common.types import Array
+from rve.common import Array, Flags, tell
 from rve.finite.equations import gradients, spread
 from rve.finite.layout import FiniteMesh
 from rve.finite.problem import Problem

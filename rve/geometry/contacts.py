@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common.records import Rows
-from rve.common.types import Array
+from rve.common import Array, Rows
 from rve.geometry.circles import Minima, are_linked, dot, foot_on_circle, local_minima
 from rve.geometry.pose import Pose, pair_geometry
 from rve.geometry.weave import Weave
