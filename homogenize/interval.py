@@ -69,10 +69,7 @@ def law_interval(
 
 
 def read_law_interval(path: str | Path = DEFAULT_LAW) -> LawInterval:
-    """The law in a file, by default the one for r1/r2 = 10, with its rows; InputError if it cannot be read or has none.
-
-    A net is no fit to rows, and has none either.
-    """
+    """The law in a file, by default that of r1/r2 = 10, with its rows; InputError without, as for nets."""
     found = interval_of_law(load_law(path), str(path))
     if found is None:
         raise InputError(f"{path}: provenance table_rows: are missing; make the law again with homogenize fit")
