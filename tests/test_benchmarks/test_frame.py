@@ -7,7 +7,7 @@ import pytest
 
 import benchmarks.__main__ as command
 from benchmarks.frame import Curve, Diagram, Section, table
-from benchmarks.numerics import fingerprint
+from benchmarks.numerics import _read, fingerprint
 
 CURVES = (Curve("first", (1.0, 2.0, 3.0), (1e-3, math.nan, 1e-5)), Curve("second", (1.0, 2.0), (1e-2, 1e-4)))
 DIAGRAM = Diagram("ladder", "Error against time", "time (s)", "error", CURVES)
@@ -37,7 +37,7 @@ def test_a_fingerprint_follows_numbers_and_not_words(tmp_path, monkeypatch):
     found = []
     for text in ("x = 1.0\n", '"""What x is."""\n\nx = 1.0  # mm\n', "x = 2.0\n"):
         file.write_text(text)
-        fingerprint.cache_clear()
+        fingerprint.cache_clear(), _read.cache_clear()
         found.append(fingerprint("rve.one"))
     assert found[0] == found[1] != found[2]
 
