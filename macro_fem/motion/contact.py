@@ -38,7 +38,7 @@ class Contacts:
 
     def tangents(self, x: Array) -> Walls | None:
         """Half-spaces that touch obstacles and balls where they are closest to points of nodes at x (n, d)."""
-        return Walls.joined([*self._flat_and_bodies(x), *self._of_balls(x)])
+        return Walls.joined([*self._flat_and_bodies(x), *self._of_balls(x), *self._between(x[self.n :])])
 
     def _flat_and_bodies(self, x: Array) -> list[Walls]:
         problem = self.problem
@@ -60,6 +60,21 @@ class Contacts:
             owner = np.full(len(near), -1 - k)
             found.append(Walls(Points(node, share), normal, np.full(len(near), ball.radius), owner))
         return found
+
+    def _between(self, centres: Array) -> list[Walls]:
+        """Half-spaces that keep balls with these centres (b, d) off obstacles and each other."""
+        number = np.arange(len(self.balls))
+        radius = np.array([ball.radius for ball in self.balls])
+        found = list[Walls]()
+        for one in self.obstacles if self.balls else ():
+            normal = one.normal(centres)
+            at = Points(self.n + number[:, None], np.ones((len(number), 1)))
+            found.append(Walls(at, normal, one.offset(normal) + radius, np.full(len(number), one.number)))
+        i, j = (np.asarray(one) for one in np.triu_indices(len(number), 1))
+        away = centres[i] - centres[j]
+        normal = away / np.maximum(np.linalg.norm(away, axis=1), 1e-300)[:, None]
+        at = Points(self.n + np.column_stack([i, j]), np.tile([1.0, -1.0], (len(i), 1)))
+        return [*found, Walls(at, normal, radius[i] + radius[j], -1 - i)]
 
     def misses(self, x: Array) -> bool:
         """Whether points without a half-space are inside a ball at the end x (n, d) of a step."""
@@ -84,12 +99,19 @@ class Contacts:
                     f"{self.problem.scene.source}: [[body]] {ball.name}: the curtain is {deep:.4g} mm inside it at the "
                     f"start; put it farther away"
                 )
+        for walls in self._between(x[self.n :]):
+            deep = float((-walls.gap(x)).max(initial=0.0))
+            if deep > TOUCHED * self.problem.mesh.size:
+                raise InputError(
+                    f"{self.problem.scene.source}: [[body]]: one is {deep:.4g} mm inside an obstacle or another body "
+                    f"at the start; put it farther away"
+                )
 
     def work(self, end: Stepped, x: Array) -> tuple[float, float]:
         """Pushes times the moves of obstacles along them, and pushes times the gaps at the start x (n, d), N mm."""
         if end.walls is None:
             return 0.0, 0.0
-        moved, touched = 0.0, 0.0
+        moved, touched, after = 0.0, 0.0, {one.number: one for one in self.obstacles}
         for number in np.unique(end.walls.owner):
             which = np.flatnonzero(end.walls.owner == number)
             own, push = end.walls.take(which), end.result.wall_forces[which]
@@ -99,6 +121,7 @@ class Contacts:
             old: PlacedObstacle | None = self.before.get(int(number))
             if old is None:
                 continue
-            moved += float(push @ (own.offset - old.offset(own.normal)))
-            touched += float(push @ old.gap(own.at.places(x)))
+            offset = after[int(number)].offset(own.normal)  # less than a ball's by its radius
+            moved += float(push @ (offset - old.offset(own.normal)))
+            touched += float(push @ (old.gap(own.at.places(x)) - (own.offset - offset)))
         return moved, touched

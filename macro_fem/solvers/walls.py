@@ -95,11 +95,12 @@ class WallRows:
 
     @cached_property
     def v(self) -> Array:
-        """Reference area around the point of each row (m,), mm2."""
+        """Reference area around the point of each row (m,), mm2; that of a node in the mean where there is none."""
         disc = self.fem.disc
         local = disc.cell_dofs.shape[1]
         around = np.bincount(disc.cell_dofs.ravel(), np.repeat(disc.cell_area / local, local), disc.n_nodes)
-        return np.asarray((np.abs(self.rows.at.share) * around[self.rows.at.node]).sum(axis=1))
+        v = (np.abs(self.rows.at.share) * around[self.rows.at.node]).sum(axis=1)
+        return np.asarray(np.where(v > 0.0, v, around.mean()))
 
     def slack(self, z: Array) -> Array:
         """A z + b0 (m,)."""

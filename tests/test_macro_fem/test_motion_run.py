@@ -29,6 +29,7 @@ from rve.common.errors import InputError
 G = 9810.0
 SHEET = {"curtain": {"width": 400.0, "height": 400.0}, "mesh": {"cells": 4}, "solver": {"space": True}}
 TOP = {"kind": "top"}
+FREE = {"support": TOP | {"release": 0.0}}
 LET_GO = """
 curtain = {width = 400.0, height = 400.0}
 mesh = {cells = 4}
@@ -75,8 +76,7 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
     """Also one that comes late, when steps of their own length have grown longer than it."""
     history = [[begin, 0.0], [begin + 0.02, 1.0], [begin + 0.04, 0.0]]
     wind = {"pressure": 2.0, "direction": [0.0, 0.0, 1.0], "history": history}
-    free = TOP | {"release": 0.0}
-    found, told = moved({"support": free, "load": {"wind": wind}, "motion": {"duration": begin + 0.06} | step})
+    found, told = moved(FREE | {"load": {"wind": wind}, "motion": {"duration": begin + 0.06} | step})
     mass = 1e-9 * default_law().cell.areal_mass_kg_per_m2 * 400.0**2
     n = found.frames[0].problem.disc.n_nodes
     masses = masses_of(found.frames[-1].problem, ())
@@ -87,12 +87,8 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
 
 
 def test_a_falling_sheet_comes_to_rest_on_the_floor():
-    tables = {
-        "support": TOP | {"release": 0.0},
-        "obstacle": {"kind": "floor", "height": -20.0},
-        "motion": {"duration": 0.45, "step": 0.015, "scheme": "euler"},
-    }
-    _, told = moved(tables)
+    floor = {"obstacle": {"kind": "floor", "height": -20.0}}
+    _, told = moved(FREE | floor | {"motion": {"duration": 0.45, "step": 0.015, "scheme": "euler"}})
     assert told["lowest_point_mm"].min() > -20.0 - 1e-6
     assert told["kinetic_N_mm"][-1] < 1e-3 * told["kinetic_N_mm"].max()
     assert told["mean_y_mm"][-1] == pytest.approx(-20.0, abs=1.0)
@@ -101,12 +97,22 @@ def test_a_falling_sheet_comes_to_rest_on_the_floor():
 def test_a_ball_thrown_into_a_loose_sheet_keeps_momentum():
     body = {"kind": "sphere", "radius": 80.0, "mass": 0.3, "at": [200.0, 200.0, 85.0], "velocity": [0.0, 0.0, -2000.0]}
     motion = {"duration": 0.03, "step": 0.005, "start": "reference"}
-    free = {"support": TOP | {"release": 0.0}, "load": {"gravity": 0.0}}
-    found, _ = moved(free | {"body": body, "motion": motion})
+    found, _ = moved(FREE | {"load": {"gravity": 0.0}, "body": body, "motion": motion})
     masses = masses_of(found.frames[0].problem, found.bodies)
     momenta = np.array([masses @ frame.moment.v for frame in found.frames])
     assert np.abs(momenta - momenta[0]).max() < 1e-10 * np.abs(momenta[0]).max()
     assert found.frames[-1].moment.v[-1, 2] > -1950.0
+
+
+def test_balls_fall_on_a_floor_and_strike_each_other():
+    ball = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [0.0, 0.0, 300.0], "velocity": [1000.0, 0.0, 0.0]}
+    other = ball | {"mass": 0.5, "at": [195.0, 0.0, 300.0], "velocity": [0.0, 0.0, 0.0]}
+    free = FREE | {"obstacle": {"kind": "floor", "height": -55.0}}
+    found, _ = moved(free | {"body": [ball, other], "motion": {"duration": 0.2, "step": 0.01, "start": "reference"}})
+    x, v = found.frames[-1].moment.x[-2:], found.frames[-1].moment.v[-2:]
+    assert x[:, 1] == pytest.approx(-5.0)  # at rest on the floor
+    assert v[:, 0] == pytest.approx(1000.0 / 1.5, rel=1e-2)  # together, as tautening
+    assert v[:, 0] @ [1.0, 0.5] == pytest.approx(1000.0)
 
 
 def test_a_history_draws_the_curtain_along_its_track():
@@ -171,8 +177,7 @@ def test_a_stopped_run_keeps_its_steps_and_ends_with_130(tmp_path, monkeypatch):
     result = CliRunner().invoke(main, ["run", str(scene), "--out", str(tmp_path / "out"), "--no-picture"])
     assert result.exit_code == 130
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["status"] == "stopped"
-    assert summary["steps"] == 2
+    assert (summary["status"], summary["steps"]) == ("stopped", 2)
 
 
 def test_another_scene_does_not_go_on(tmp_path):
@@ -189,13 +194,11 @@ def test_another_scene_does_not_go_on(tmp_path):
 def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text("[curtain]\nwidth = 60.0\nheight = 1000.0\n[mesh]\ncells = 2\n[support]\nkind = 'top'\n")
-    asked = ["modes", str(scene), "--number", "2", "--out", str(tmp_path / "out"), "--no-picture"]
-    result = CliRunner().invoke(main, asked)
+    out = str(tmp_path / "out")
+    result = CliRunner().invoke(main, ["modes", str(scene), "--number", "2", "--out", out, "--no-picture"])
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    assert told["frequencies_Hz"] == pytest.approx(
-        [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)], rel=1e-2
-    )
+    exact = [0.25 * j / np.pi * np.sqrt(G / 1000.0) for j in (2.404826, 5.520078)]
+    assert json.loads(result.stdout)["frequencies_Hz"] == pytest.approx(exact, rel=1e-2)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["modes.json", "modes.vtu"]
 
 

