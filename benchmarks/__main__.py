@@ -18,6 +18,7 @@ PAGES = {
     "docs/reports/omissions.md": ("motion", "rings", "curtains"),
     "docs/reports/every_ring.md": ("disk", "let_go", "cell", "generic", "starts", "hooks", "growth"),
     "docs/measured/steel.md": ("steel",),
+    "docs/measured/scaling.md": ("scaling",),
     "docs/reports/numbers.md": ("readme",),
 }
 """Sections of every page. A section is `measure` of the module of that name, in its page's folder if there is one."""

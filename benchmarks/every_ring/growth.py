@@ -3,7 +3,9 @@
 import multiprocessing
 import resource
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 from benchmarks.every_ring.cases import SHEETS
@@ -23,7 +25,8 @@ STARTS = ("slack", "disk")
 
 def measure(full: bool) -> Section:
     """The section."""
-    rows = [_alone(k, space, start) for start, space, k in product(STARTS, (False, True), FULL if full else QUICK)]
+    each = product(STARTS, (False, True), FULL if full else QUICK)
+    rows = [alone(partial(_solved, k, space, start)) for start, space, k in each]
     forms = {"potential, N mm": ".4f", "KKT residual": "at_most", "s": ".1f", "s of wall time": ".1f", "MB": ".0f"}
     text = (
         "Squares hung by two corners at their full distance, from the slack weave and guided by the disk, each in a "
@@ -37,10 +40,10 @@ def measure(full: bool) -> Section:
     return Section("Time and memory", text, (table("Squares of growing size", rows, forms),), (), conclusion)
 
 
-def _alone(k: int, space: bool, start: str) -> Row:
+def alone(solved: Callable[[], Row]) -> Row:
     """The row of a process of its own, so that its memory is that of this case."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_solved, (k, space, start))
+        return pool.apply(solved)
 
 
 def _solved(k: int, space: bool, start: str) -> Row:

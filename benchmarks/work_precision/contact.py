@@ -17,7 +17,7 @@ from rve.geometry.circles import are_linked, foot_on_circle, local_minima
 REACH = 1.0
 SAME = 0.1
 """A minimum of the reference counts as found if a point on ring A lies closer to it than this."""
-ERROR, BATCH = "largest error of the gap / r1", "us per pair in a batch of 1000"
+ERROR, BATCH = "largest error of the gap / r1", "us per pair"
 
 
 @dataclass(frozen=True)
@@ -165,10 +165,9 @@ def searches(full: bool) -> dict[str, dict[str, Search]]:
 
 
 def random_rows(full: bool) -> list[Row]:
-    """All methods on random linked pairs, in a batch and one at a time."""
+    """All methods on random linked pairs."""
     pairs = random_pairs(1000)
     reference = golden_section(pairs)
-    some = [pairs.take(np.array([i])) for i in range(20)]
 
     def judge(found: Found, seconds: float) -> Row:
         got = score(found, reference)
@@ -179,10 +178,7 @@ def random_rows(full: bool) -> list[Row]:
 
     rows: list[Row] = []
     for name, settings in searches(full).items():
-        batch = ladder(name, {setting: partial(search, pairs) for setting, search in settings.items()}, judge)
-        one_by_one = {setting: lambda search=search: [*map(search, some)] for setting, search in settings.items()}
-        alone = ladder(name, one_by_one, lambda _, seconds: {"us per pair alone": 1e6 * seconds / len(some)})
-        rows += [row | one for row, one in zip(batch, alone, strict=True)]
+        rows += ladder(name, {setting: partial(search, pairs) for setting, search in settings.items()}, judge)
     return rows
 
 
@@ -223,6 +219,6 @@ def measure(full: bool) -> Section:
     every = curves(rows, "method", "_error", "_s")
     diagram = Diagram("contact", title, "largest error of a gap found / r1", "s per pair", every)
     note = "Reference: minima by 4096 samples and golden sections, which share no code with Newton's search."
-    forms = {ERROR: "decade 1e-13", BATCH: ".3g", "us per pair alone": ".3g"}
+    forms = {ERROR: "decade 1e-13", BATCH: ".3g"}
     tables = (table("1000 random linked pairs", rows, forms, note), table("Degenerate pairs", named))
     return Section("Contact search", TEXT, tables, (diagram,), conclusion)

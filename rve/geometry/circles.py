@@ -257,8 +257,7 @@ def _shoulders(rise: Array, fall: Array, can_reach: Flags, step: float) -> tuple
     """Pairs (k,) and angles (k,) between samples (n, m) where the slope keeps its sign but has its least size.
 
     rise, fall (n, m): differences to the next sample and from the one before. A minimum in a basin narrower than two
-    samples looks like that: one in 700 of random pairs within 0.9 r1 (docs/reports/stability.md counts what is
-    missed).
+    samples looks like that: one in 700 of random pairs within 0.9 r1.
     """
     size = np.abs(rise)
     least = (size <= np.roll(size, 1, axis=1)) & (size <= np.roll(size, -1, axis=1))
