@@ -9,8 +9,6 @@ from macro_fem.fem.assembly import gradient, internal_force, load_vector, stiffn
 from macro_fem.fem.discretization import ELEMENTS, discretize
 from macro_fem.fem.sparsity import sparsity
 
-SKFEM = {"P1": skfem.ElementTriP1, "P2": skfem.ElementTriP2}
-
 
 def distorted(n=4, amount=0.03, seed=0):
     mesh = skfem.MeshTri.init_tensor(np.linspace(0, 2, n + 1), np.linspace(0, 1, n))
@@ -39,7 +37,7 @@ def plain_stiffness(disc, A):
 def test_gradients_are_those_of_scikit_fem(element):
     mesh = distorted()
     disc = discretize(mesh, element)
-    basis = skfem.Basis(mesh, SKFEM[element](), intorder=4)
+    basis = skfem.Basis(mesh, ELEMENTS[element][0](), intorder=4)
     v = np.random.default_rng(1).standard_normal(disc.n_nodes)
     # Same degrees of freedom: the mass and gradient integrals agree at the order that is exact for both.
     fine = discretize(mesh, element, order=4)

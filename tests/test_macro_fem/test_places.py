@@ -221,8 +221,7 @@ FAMILY = np.degrees(np.arctan(RINGS.b_y_mm / RINGS.b_x_mm))
 
 
 @pytest.mark.parametrize(
-    ("shape", "hang"),
-    [*product(("rectangle", "outline"), (0.0, 90.0)), ("outline", 30.0), ("outline", -20.0)],
+    ("shape", "hang"), [*product(("rectangle", "outline"), (0.0, 90.0)), ("outline", 30.0), ("outline", -20.0)]
 )
 def test_inner_edges_follow_the_turned_weave(shape, hang):
     """Both diagonals of the weave's cell, 49 degrees from its x axis, turn with it counterclockwise."""
