@@ -82,29 +82,25 @@ class Contacts:
 
     def depth(self, x: Array) -> float:
         """How deep points of the curtain are inside balls, mm; 0 where none is."""
+        return max([0.0, *self._depths(x)])
+
+    def _depths(self, x: Array) -> list[float]:
+        """Largest depth of points of the curtain inside each ball, mm; negative where all are outside."""
         at = self.problem.disc.meeting.places(x[: self.n])
-        centres = x[self.n :]
-        return max(
-            [0.0]
-            + [b.radius - float(np.linalg.norm(at - c, axis=1).min()) for b, c in zip(self.balls, centres, strict=True)]
-        )
+        pairs = zip(self.balls, x[self.n :], strict=True)
+        return [ball.radius - float(np.linalg.norm(at - centre, axis=1).min()) for ball, centre in pairs]
 
     def check_start(self, x: Array) -> None:
-        """InputError for a ball that the curtain is inside of."""
-        at = self.problem.disc.meeting.places(x[: self.n])
-        for k, ball in enumerate(self.balls):
-            deep = ball.radius - float(np.linalg.norm(at - x[self.n + k], axis=1).min())
+        """InputError for a ball that the curtain, an obstacle or another ball is inside of."""
+        met = [(f" {ball.name}: the curtain", deep) for ball, deep in zip(self.balls, self._depths(x), strict=True)]
+        met += [
+            (": an obstacle or another body", -walls.gap(x).min(initial=0.0)) for walls in self._between(x[self.n :])
+        ]
+        for words, deep in met:
             if deep > TOUCHED * self.problem.mesh.size:
                 raise InputError(
-                    f"{self.problem.scene.source}: [[body]] {ball.name}: the curtain is {deep:.4g} mm inside it at the "
-                    f"start; put it farther away"
-                )
-        for walls in self._between(x[self.n :]):
-            deep = float((-walls.gap(x)).max(initial=0.0))
-            if deep > TOUCHED * self.problem.mesh.size:
-                raise InputError(
-                    f"{self.problem.scene.source}: [[body]]: one is {deep:.4g} mm inside an obstacle or another body "
-                    f"at the start; put it farther away"
+                    f"{self.problem.scene.source}: [[body]]{words} is {deep:.4g} mm inside it at the start; put it "
+                    f"farther away"
                 )
 
     def work(self, end: Stepped, x: Array) -> tuple[float, float]:

@@ -78,9 +78,8 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
     wind = {"pressure": 2.0, "direction": [0.0, 0.0, 1.0], "history": history}
     found, told = moved(FREE | {"load": {"wind": wind}, "motion": {"duration": begin + 0.06} | step})
     mass = 1e-9 * default_law().cell.areal_mass_kg_per_m2 * 400.0**2
-    n = found.frames[0].problem.disc.n_nodes
     masses = masses_of(found.frames[-1].problem, ())
-    momentum = float(masses @ found.frames[-1].moment.v[:n, 2])
+    momentum = float(masses @ found.frames[-1].moment.v[:, 2])
     assert momentum == pytest.approx(2e-6 * 400.0**2 * 0.02, rel=2e-2)  # pressure times area times mean time
     assert masses.sum() == pytest.approx(mass, rel=1e-9)
     assert told["work_N_mm"][-1] > 0.0
@@ -129,10 +128,9 @@ def test_a_history_draws_the_curtain_along_its_track():
 
 def test_solvers_at_rest_refuse_motion():
     scene = read_scene(SHEET | {"support": TOP, "motion": {"duration": 1.0}})
-    with pytest.raises(InputError, match=r"\[motion\]"):
-        macro_fem.solve(scene)
-    with pytest.raises(InputError, match=r"\[motion\]"):
-        ring_scene(scene)
+    for solve in (macro_fem.solve, ring_scene):
+        with pytest.raises(InputError, match=r"\[motion\]"):
+            solve(scene)
 
 
 def test_a_run_writes_its_files_and_goes_on_as_if_it_had_not_ended(tmp_path):
@@ -185,10 +183,9 @@ def test_another_scene_does_not_go_on(tmp_path):
     scene.write_text(LET_GO.replace("0.06", "0.02"))
     files.run_motion(scene, None, tmp_path / "out", picture=False)
     scene.write_text(LET_GO.replace("cells = 4", "cells = 5"))
-    with pytest.raises(InputError, match="another scene or law"):
-        files.run_motion(scene, None, tmp_path / "out", picture=False, goes_on=True)
-    with pytest.raises(InputError, match="there is no run"):
-        files.run_motion(scene, None, tmp_path / "none", picture=False, goes_on=True)
+    for out, says in (("out", "another scene or law"), ("none", "there is no run")):
+        with pytest.raises(InputError, match=says):
+            files.run_motion(scene, None, tmp_path / out, picture=False, goes_on=True)
 
 
 def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):

@@ -98,6 +98,7 @@ motion = {duration = 1.0, step = 2.0} -> longer than the duration
 motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
 motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]}
   -> inside it at the start
+motion.duration = 1.0; obstacle.kind = "floor"; body = {kind = "sphere", radius = 9, mass = 1, at = [0, 5, 99]} -> 4 mm
 motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history
 motion.duration = 1.0; mesh.element = "P2" -> motion needs P1
