@@ -39,6 +39,8 @@ START_GAP = 1e-3
 PROBE, SAME_STRAIN = 1e-4, 5e-3
 """Complementarity mu at which a path is compared with the state that is known, and the difference of strains up to
 which it leads there."""
+PROBE_PATIENCE = 5
+"""Iterations without progress after which mu is lowered there: paths that wander hold up the batch."""
 PROBE_STEPS = 50
 """Iterations, beyond the 50 that every dead load gets, after which a path to mu = PROBE is left; few take as many."""
 MIN_GAIN = 0.5
@@ -169,7 +171,8 @@ def follow_promising(S: Array, E: Array, mesh: LoadedCell, start: Pose) -> tuple
     contact (lam > gap) takes mu from the work at the end, to first order.
     """
     once = replace(mesh.options, attempts=1)
-    probe = replace(once, mu_end=PROBE, tolerance=PROBE, max_iterations=min(PROBE_STEPS, once.max_iterations))
+    probe = replace(once, mu_end=PROBE, tolerance=PROBE, patience=min(PROBE_PATIENCE, once.patience))
+    probe = replace(probe, max_iterations=min(PROBE_STEPS, once.max_iterations))
     path = solve_dead(S, mesh.dead, probe, start)
     short = E - mesh.strain(path.pose)
     far = np.abs(short).max(axis=1) > SAME_STRAIN

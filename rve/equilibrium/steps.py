@@ -49,7 +49,7 @@ def newton_direction(
     broken = ~(np.isfinite(K).all(axis=(1, 2)) & np.isfinite(rhs).all(axis=1))
     K[broken], rhs[broken] = np.eye(m), 0.0  # no step: the case stalls and is tried again from another start
     lowest = np.linalg.eigvalsh(0.5 * (K + K.transpose(0, 2, 1)))[:, 0]
-    noise = 1e-15 * np.abs(K).max(axis=(1, 2))
+    noise = 1e-16 * np.abs(K).max(axis=(1, 2))
     shift = np.where(lowest <= noise, 1.2 * np.abs(lowest) + np.maximum(1e-10, noise), 0.0)
     dq = np.zeros((n, m))
     todo = np.arange(n)
