@@ -25,8 +25,8 @@ STARTS = ("slack", "disk")
 
 def measure(full: bool) -> Section:
     """The section."""
-    each = product(STARTS, (False, True), FULL if full else QUICK)
-    rows = [alone(partial(_solved, k, space, start)) for start, space, k in each]
+    each = product(FULL if full else QUICK, (False, True), STARTS)
+    rows = [alone(partial(_solved, *one)) for one in each]
     forms = {"potential, N mm": ".4f", "KKT residual": "at_most", "s": ".1f", "s of wall time": ".1f", "MB": ".0f"}
     text = (
         "Squares hung by two corners at their full distance, from the slack weave and guided by the disk, each in a "

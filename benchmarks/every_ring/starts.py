@@ -56,12 +56,9 @@ def _row(sheet: int, k: int, count: int, space: bool) -> Row:
     good = np.array(potential)[np.array(status) == "converged"]
     row = {"scene": SHEETS[sheet].key, "rings": len(rings.mesh.X), "centres": "space" if space else "plane"}
     row |= {"starts": count, "status": outcomes(status), "links as woven": intact, "least gap, r1": min(0.0, *gaps)}
-    row |= {
-        "best, %": 100.0 * good.min(),
-        "spread, %": 100.0 * np.ptp(good),
-        "standard deviation, %": 100.0 * good.std(),
-    }
-    return row | {"own start above the best, %": 100.0 * (own.potential / scale - good.min())}
+    row |= {"best, %": 100.0 * good.min(), "spread, %": 100.0 * np.ptp(good)}
+    above = 100.0 * (own.potential / scale - good.min())
+    return row | {"standard deviation, %": 100.0 * good.std(), "own start above the best, %": above}
 
 
 def problem_of(rings: RingScene, space: bool) -> Problem:

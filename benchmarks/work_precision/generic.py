@@ -1,10 +1,9 @@
-"""The locked cell as a nonlinear programme for solvers that know nothing of rings: SLSQP and trust-constr.
+"""The locked cell as a nonlinear programme for a solver that knows nothing of rings: SLSQP.
 
-They maximise S:E over the nine coordinates with all gaps >= 0 and analytic first derivatives. S is the second
-Piola-Kirchhoff load of the answer, given to them because a fixed Cauchy load has no potential.
+It maximises S:E over the nine coordinates with all gaps >= 0 and analytic first derivatives. S is the second
+Piola-Kirchhoff load of the answer, given to it because a fixed Cauchy load has no potential.
 """
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -107,16 +106,9 @@ class Programme:
         return full
 
 
-def solve_with(method: str, programme: Programme, q0: Array, tolerance: float) -> Array:
-    """The answer (9,) from q0 (9,); `tolerance` on the loss (SLSQP), or on the gradient and the barrier."""
-    options = {"ftol": tolerance, "maxiter": 1000}
-    if method == "trust-constr":  # with the default radius 1 its first step leaves the weave
-        ends = {"gtol": tolerance, "barrier_tol": tolerance, "xtol": 1e-12}
-        options = ends | {"maxiter": 400, "initial_tr_radius": 0.02}
+def slsqp(programme: Programme, q0: Array, tolerance: float) -> Array:
+    """The answer (9,) from q0 (9,) by SciPy's sequential quadratic programmes; `tolerance` on the loss."""
     bound = NonlinearConstraint(lambda q: programme.gaps(q)[0], 0.0, np.inf, jac=lambda q: programme.gaps(q)[1])
-    given: dict[str, Any] = {"jac": programme.slope, "constraints": [bound], "bounds": [BOX] * 9, "options": options}
-    return np.asarray(minimize(programme.loss, q0, method=method, **given).x)
-
-
-SOLVERS = {name: partial(solve_with, name) for name in ("SLSQP", "trust-constr")}
-"""Sequential quadratic programmes and the barrier method of SciPy."""
+    given: dict[str, Any] = {"jac": programme.slope, "constraints": [bound], "bounds": [BOX] * 9}
+    options = {"ftol": tolerance, "maxiter": 1000}
+    return np.asarray(minimize(programme.loss, q0, method="SLSQP", options=options, **given).x)

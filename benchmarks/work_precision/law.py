@@ -156,16 +156,15 @@ def measure(full: bool) -> Section:
 
 
 def diagrams(spaced: Sequence[Row], kinds: Sequence[Row]) -> tuple[Diagram, ...]:
-    """Error against rows, numbers, and evaluation time."""
+    """Error against rows, and against evaluation time."""
     by_rows = tuple(
         replace(curve, label=f"{curve.label}: {label}")
         for label, what in (("mean of h", H_MEAN), ("largest of E", E_MOST))
         for curve in curves(spaced, "_group", what, "rows")
     )
-    by_size, by_time = (curves(kinds, "law", H_MEAN, what) for what in ("numbers", "us per point"))
+    by_time = curves(kinds, "law", H_MEAN, "us per point")
     return (
         Diagram("law_rows", "Refined law: error against rows of the table", "error", "rows of the table", by_rows),
-        Diagram("law_size", "Kinds of law: error against numbers", "mean error of h", "numbers in the law", by_size),
         Diagram("law_time", "Kinds of law: error against time", "mean error of h", "us per point", by_time),
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.work_precision.generic import SOLVERS, Programme
+from benchmarks.work_precision.generic import Programme, slsqp
 from benchmarks.work_precision.rve import ERROR, extrapolated, problem, runs
 from rve.geometry.kinematics import second_pk
 from rve.geometry.pose import deformation
@@ -45,5 +45,5 @@ def test_the_programme_is_the_same_cell_and_load(given, case):
     ahead, behind = other.gaps(q + step)[0], other.gaps(q - step)[0]
     np.testing.assert_allclose((ahead - behind)[smooth], 2.0 * (slope @ step)[smooth], atol=2e-10)
     assert other.loss(q + step) - other.loss(q - step) == pytest.approx(2.0 * other.slope(q) @ step, abs=1e-11)
-    found = SOLVERS["SLSQP"](other, q + 1e-3, 1e-14)
+    found = slsqp(other, q + 1e-3, 1e-14)
     assert other.loss(found) == pytest.approx(other.loss(q), abs=1e-7)
