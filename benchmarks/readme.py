@@ -1,7 +1,6 @@
-"""README's numbers.
+"""README's numbers: rings, law and curtain in one run on one core.
 
-Rings, law and curtain in one run on one core. Times are processor times, the least of several runs; for curtains they
-are wall times of one run.
+Times are processor times, the least of several runs; for curtains they are wall times of one run.
 """
 
 import tempfile
