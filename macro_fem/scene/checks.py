@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from macro_fem.scene.moving import Thrown
+from macro_fem.scene.moving import Thrown, scaled
 from macro_fem.scene.obstacles import Body, is_flat
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
-from macro_fem.scene.tables import NO_MOVE, LiveLoad, Wind, in_3d
+from macro_fem.scene.tables import NO_MOVE, LiveLoad, Timed, Wind, in_3d
 from rve.common import InputError
 
 if TYPE_CHECKING:
@@ -66,6 +66,8 @@ def _over_time(scene: Scene) -> Iterator[str]:
         for (before, _), (after, _) in pairwise(history):
             if after <= before:
                 yield f"{item.where} history: {after:g} s does not come after {before:g} s"
+        if isinstance(item, Timed) and history and scaled(item, 0.5) == item:
+            yield f"{item.where} history: has no effect without a move or load that it scales"
     if scene.motion is not None and scene.load.steps > 1:
         yield f"[load] steps = {scene.load.steps}: has no effect in motion, use history"
 

@@ -81,7 +81,7 @@ class Track(Support, kind="track"):
         for key, unset in () if self.has_hooks else (("capacity", None), ("rings_per_hook", 1)):
             if getattr(self, key) != unset:
                 self.refuse(f"{key} = {getattr(self, key):g}: has no effect without pitch, that of the runners")
-        if self.side == "end" and self.drawn == 1.0:
+        if self.side == "end" and self.drawn == 1.0 and not self.history:
             self.refuse("side = 'end': has no effect with drawn = 1")
 
     @property

@@ -116,7 +116,7 @@ def test_balls_fall_on_a_floor_and_strike_each_other():
 
 def test_a_history_draws_the_curtain_along_its_track():
     track = {"kind": "track", "radius": 600.0, "fullness": 1.3, "height": 500.0, "count": 5, "drawn": 1.0}
-    drawing = track | {"history": [[0.0, 1.0], [0.2, 0.5]]}
+    drawing = track | {"history": [[0.0, 1.0], [0.2, 0.5]], "side": "end"}
     scene = read_scene(SHEET | {"support": drawing, "motion": {"duration": 0.2, "step": 0.02}})
     assert scene_at(scene, 0.1).support[0].drawn == pytest.approx(0.75)
     found = solve_motion(scene, default_law())

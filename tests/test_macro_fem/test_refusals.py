@@ -101,6 +101,7 @@ motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50
 motion.duration = 1.0; obstacle.kind = "floor"; body = {kind = "sphere", radius = 9, mass = 1, at = [0, 5, 99]} -> 4 mm
 motion.duration = 1.0; support = {kind = "top", history = [[1.0, 0.0], [0.5, 1.0]]} -> does not come after
 motion.duration = 1.0; support = {kind = "top", history = [[0.0, nan]]} -> history
+motion.duration = 1.0; support = {kind = "top", history = [[0.0, 0.0], [1.0, 1.0]]} -> without a move
 motion.duration = 1.0; mesh.element = "P2" -> motion needs P1
 support = {kind = "top", release = 0.1} -> has no effect without [motion]
 """
