@@ -11,9 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 import macro_fem
+from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
 from macro_fem.many.size import search
+from rve import Cell, solve_table, with_rings
 from rve.common.errors import InputError
 
 HOOKS = """
@@ -76,9 +78,6 @@ def test_a_combination_scales_every_kind_of_load():
     drag = [found.summary["wind"] for found in (answer, answer.combinations[0][1])]
     assert drag[1][0]["drag_N"] / drag[0][0]["drag_N"] == pytest.approx(1.5, rel=0.05)  # on another shape
     assert row["status"] == "converged"
-
-
-def test_combinations_of_every_ring_are_refused():
     with pytest.raises(InputError, match="every ring"):
         solve(hung(combination=(Combination("a"),)), macro_fem.EveryRing())
 
@@ -105,6 +104,14 @@ def test_a_pitch_finer_than_the_mesh_takes_more_cells():
     found = macro_fem.largest_that_holds(scene, None, "pitch", (50.0, 110.0), 0.1)
     assert [row.status for row in found.curve] == ["converged"] * len(found.curve)
     assert found.value == pytest.approx(110.0)
+
+
+@pytest.mark.slow
+def test_a_wire_is_sized_with_the_law_of_its_table():
+    cell = Cell(r2=0.8)
+    found = macro_fem.largest_that_holds(hung(), macro_fem.OnDemand(cell), "r2", (0.5, 0.8), 0.1)
+    told = solve(hung(), fit(with_rings(solve_table(cell), cell)).law).summary
+    assert (found.value, found.factor) == (0.8, pytest.approx(told["weakest_factor"], rel=1e-9))
 
 
 def test_the_largest_pitch_divides_the_edge_and_the_next_one_does_not_hold(tmp_path):

@@ -40,11 +40,10 @@ def test_the_words_agree_with_the_work(plain):
 
 
 def test_limits_and_further_attempts_are_told():
-    """A pull at 25 degrees leaves the strain free; at r1/r2 = 20 a nearly uniaxial load takes further attempts."""
-    free = said(solve_table(Cell(), ([25.0, 30.0], [0.0, 30.0])))
-    assert free["limits"]["used"]
-    assert free["limits"]["why"].startswith("1 of 2 ")
-    slow = solve_table(Cell(5.0, 0.25), ([45.0], [0.005]))
+    """A pull at 25 degrees leaves the strain free; at r1/r2 = 50 nearly uniaxial loads take further attempts."""
+    free = said(solve_table(Cell(), ([25.0, 30.0], [0.0, 30.0])))["limits"]
+    assert (free["used"], free["why"][:7]) == (True, "1 of 2 ")
+    slow = solve_table(Cell(5.0, 0.1), ([30.0, 0.0, 20.0], [0.001, 0.005, 0.002]))
     assert slow.converged.all()
     assert said(slow)["attempts"]["used"]
 
