@@ -136,13 +136,14 @@ def check_numbers(solution):
 
 
 def check_agreement(found):
-    """Potentials: clarabel's and ours overlap, the elastic one is lower by at most what rings store."""
+    """Potentials: clarabel's and ours overlap, unless it stops short; the elastic one is lower by what rings store."""
     rigid, elastic = (found[kind] for kind in KINDS)
     total, size = scale_of(rigid)
     slack = 1e-7 * total * size
     if rigid.status == "converged":
         other = curtain_by_clarabel(rigid.problem)
-        assert max(rigid.dual, other.dual) <= min(rigid.primal, other.primal) + slack + 1e-6 * abs(rigid.primal)
+        apart = [other.dual - rigid.primal, rigid.dual - other.primal][: 1 if other.status == "stalled" else 2]
+        assert max(apart) <= slack + 1e-6 * abs(rigid.primal)
         assert elastic.dual <= rigid.primal + slack
         assert elastic.primal >= rigid.dual - 1.1 * stored(rigid) - slack  # between its rows d is known to a tenth
 
