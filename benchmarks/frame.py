@@ -79,7 +79,7 @@ def table(title: str, rows: Sequence[Row], forms: Mapping[str, str] = MappingPro
     >>> table("Runs", rows, {"error": "decade"}).rows
     (('1', '3e-05'), ('2', '-'))
     """
-    heads = _heads(max(rows, key=len, default=forms))
+    heads = max(map(_heads, rows), key=len, default=_heads(forms))
     if unknown := {*forms, *(head for row in rows for head in _heads(row))} - {*heads}:
         raise ValueError(f"table '{title}': no columns {sorted(unknown)} among {heads}")
     cells = tuple(tuple(shown(row.get(head), forms.get(head, ".3g")) for head in heads) for row in rows)
