@@ -17,7 +17,7 @@ SECTION = Section("Rings", "Some *text*.", (table("Runs", [{"method": "a | b", "
 def test_rows_make_a_table_with_dashes_for_what_a_failed_run_lacks():
     rows = [
         {"method": "a", "error": 1e-20, "ok": np.True_, "s": 2.0},
-        {"method": "b"} | dict.fromkeys(["_1", "_2", "_3", "_4"]),
+        {"method": "b", "_": 0, "_x": 1, "_y": 2, "_z": 3},
     ]
     made = table("Runs", rows, {"error": "decade 1e-12", "s": ".1f"})
     assert made.columns == ("method", "error", "ok", "s")
