@@ -33,8 +33,6 @@ _TURNED = np.array([-1.0, -1.0, 1.0])
 _ROUNDING = 1e-7
 MOST_ITERATIONS = 60
 """In symmetric coordinates; 40 do for all but a few cases, which are better off with all coordinates then."""
-LONGER = 2.5
-"""Steps are longer by this factor in symmetric coordinates, where fewer states are to slide into."""
 SOFT = 1e-8
 """A stiffness above minus this, in units of s r1^2, is none to round-off: the load leaves the strain free there."""
 
@@ -104,8 +102,7 @@ def solve_equilibrium_symmetric(s: Array, equations: Equations, options: DirectO
         return solve_equilibrium(s, equations, options)
     unit = unit_loads(s)
     half = symmetric_equations(equations, symmetry)
-    most = min(MOST_ITERATIONS, options.max_iterations)
-    once = replace(options, attempts=1, max_iterations=most, step=min(LONGER * options.step, 0.5))
+    once = replace(options, attempts=1, max_iterations=min(MOST_ITERATIONS, options.max_iterations))
     part = follow(unit, half, once, symmetric_start(equations.weave, symmetry, len(s)))
     found = expand_symmetric(part, symmetry, equations, unit, options.reach)
     is_solved = is_confirmed(found, half, equations, unit, options.tolerance)

@@ -36,9 +36,9 @@ def test_cells_from_the_jamming_limit_to_thin_wire(weave, ratio, missed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ex.RIMS)
-def test_loads_at_the_boundary_of_the_tensile_cone(name):
-    assert_ends(ex.rim_row(name, 10.0), 48)
+@pytest.mark.parametrize(("name", "ratio"), [(name, ratio) for name in ex.RIMS for ratio in (10.0, 50.0)])
+def test_loads_at_the_boundary_of_the_tensile_cone(name, ratio):
+    assert_ends(ex.rim_row(name, ratio), 48)
 
 
 @pytest.mark.slow
