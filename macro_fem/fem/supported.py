@@ -140,8 +140,9 @@ class SupportedFem:
         if not matrix.shape[0]:
             return lambda b: np.zeros(0)
         for shift in SHIFTS:
-            shifted = matrix.copy()
+            shifted = matrix
             if shift:
+                shifted = matrix.copy()
                 shifted.setdiag((1.0 + shift) * matrix.diagonal())
             solve = self.factorizer(shifted)
             if callable(solve):

@@ -49,6 +49,8 @@ SMOOTH = 2e-2
 """Up to this part of the stored energy what averaged gradients lack is the error of the mesh, which is taken off."""
 ALIKE = 2e-2
 """Relative difference of frequencies that count as one."""
+SQUARE = [[0, 1], [1, 2]]
+"""Places in triples (11, 12, 22) of the components of their tensors."""
 GRAVITY = 9810.0
 """mm/s2."""
 ROUNDING = 1e-9
@@ -146,7 +148,7 @@ def _roughness(solution: CurtainSolution, shapes: Array) -> Array:
     Z. Zhang and A. Zhou, doi 10.1137/050640588).
     """
     disc, S = solution.problem.disc, solution.problem.disc.cell_mean(solution.S)
-    S = disc.cell_area[:, None, None] * np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)
+    S = disc.cell_area[:, None, None] * S[:, SQUARE]
     slope = np.einsum("kcna,cni->ckai", shapes[:, disc.cell_dofs], disc.grad[: disc.n_cells])
     each = np.repeat(slope[:, None], 3, axis=1)
     away = mean_at_corners(disc.cell_dofs, each, disc.cell_area)[disc.cell_dofs] - each
@@ -166,7 +168,7 @@ def _across(solution: CurtainSolution) -> sparse.csc_matrix:
 def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     """The geometric stiffness, N/mm, and consistent and lumped masses, N s2/mm, (n_nodes, n_nodes)."""
     problem, disc, S = solution.problem, solution.problem.disc, solution.S
-    A = np.stack([S[:, [0, 1]], S[:, [1, 2]]], axis=1)[:, None, :, None, :]
+    A = S[:, SQUARE][:, None, :, None, :]
     pattern = sparsity(disc, 1, np.ones(disc.n_nodes, bool))
     lumped, mesh = sparse.diags(nodal_masses(problem)), sparse.diags(mesh_masses(problem))
     unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][0]()))
@@ -179,7 +181,7 @@ def _constraints(solution: CurtainSolution, T: sparse.csc_matrix) -> sparse.csr_
     disc, F, S = solution.problem.disc, solution.F, solution.S
     size = S[:, 0] + S[:, 2]
     q = np.flatnonzero(size > CARRIES * size.max(initial=0.0))
-    P = F[q] @ np.stack([S[q][:, [0, 1]], S[q][:, [1, 2]]], axis=1)
+    P = F[q] @ S[q][:, SQUARE]
     values = np.einsum("naB,nkB->nka", P, disc.grad[q])
     values = values / np.sqrt((values**2).sum(axis=(1, 2)))[:, None, None]
     column = 3 * disc.dofs[q][:, :, None] + np.arange(3)
