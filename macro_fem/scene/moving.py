@@ -16,6 +16,8 @@ from rve.common import Typed
 
 Kind = TypeVar("Kind", bound=Timed)
 Speed = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Span = Annotated[float, Meta(ge=1e-9, le=1e6)]
+"""Seconds; inertia over much shorter ones is beyond what numbers hold."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,8 @@ class Motion(Typed):
     `scheme`: "bdf2" is of second order, "euler" loses energy and is for settling.
     """
 
-    duration: Annotated[float, Meta(gt=0.0, le=1e6)]
-    step: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
+    duration: Span
+    step: Span | None = None
     accuracy: Annotated[float, Meta(ge=1e-8, le=1.0)] = 1e-3
     start: Literal["hung", "reference"] = "hung"
     damping: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0

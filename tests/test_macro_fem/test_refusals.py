@@ -95,6 +95,7 @@ motion.duration = 0.1; support = [] -> nothing holds
 motion = {} -> duration
 motion.duration = nan -> [motion] duration = nan
 motion = {duration = 1.0, step = 2.0} -> longer than the duration
+motion = {duration = 1e-300} -> expected a number >= 1e-09
 motion.duration = 1.0; body = {kind = "sphere", radius = 50, mass = -1, at = [50, 50, 9]} -> mass = -1
 motion.duration = 1.0; solver.space = true; body = {kind = "sphere", radius = 50, mass = 1, at = [50, 50, 9]}
   -> inside it at the start
