@@ -107,7 +107,7 @@ def find_step(program: Program, state: ConeState, now: Measure, least_gap: float
     """
     try:
         newton = _Newton(program, state, now)
-    except ArithmeticError:  # no pivot order works: double precision is exhausted
+    except (ArithmeticError, np.linalg.LinAlgError):  # no pivot order works: double precision is exhausted
         return None
     unit = Vectors(np.ones(len(program.c)), np.zeros_like(state.s.tail))
     mu = mean_product(program, state)

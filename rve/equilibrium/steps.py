@@ -55,13 +55,23 @@ def newton_direction(
     todo = np.arange(n)
     for _ in range(14):
         shifted = K[todo] + shift[todo, None, None] * np.eye(m)
-        dq[todo] = np.linalg.solve(shifted, rhs[todo, :, None])[..., 0]
+        dq[todo] = _solve(shifted, rhs[todo])
         todo = todo[np.abs(dq[todo]).max(axis=1) > step[todo]]
         if not len(todo):
             break
         first = 0.017 / step[todo] * np.linalg.norm(rhs[todo], axis=1)
         shift[todo] = np.maximum(first, 2.5 * shift[todo])
     return dq, np.where(present, target - ratio * np.matmul(system.G, dq[..., None])[..., 0], 0.0)
+
+
+def _solve(K: Array, b: Array) -> Array:
+    """x (n, m) of K x = b; zero, no step, where rounding leaves K singular, as it does on some processors."""
+    try:
+        return np.asarray(np.linalg.solve(K, b[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        if len(K) == 1:
+            return np.zeros_like(b)
+        return np.concatenate([_solve(K[i : i + 1], b[i : i + 1]) for i in range(len(K))])
 
 
 def admitted_share(room: Array, change: Array) -> Array:
@@ -113,8 +123,8 @@ class Valley:
             reached = np.take_along_axis(contacts.gap, distance.argmin(axis=2), axis=2).reshape(predicted.shape)
             known = np.isfinite(distance.min(axis=2)).reshape(predicted.shape)
             short = np.where(known, predicted - reached, 0.0)
-            push = np.matmul(G.transpose(0, 2, 1), (self.ratio[rows] * short)[..., None])
-            back = np.clip(np.linalg.solve(self.K[rows], push)[..., 0], -LARGEST_CORRECTION, LARGEST_CORRECTION)
+            push = np.matmul(G.transpose(0, 2, 1), (self.ratio[rows] * short)[..., None])[..., 0]
+            back = np.clip(_solve(self.K[rows], push), -LARGEST_CORRECTION, LARGEST_CORRECTION)
             pose = moved(pose, equations.displacement(back, pose))
             contacts = equations.contacts(pose, reach)
         return pose, contacts

@@ -71,7 +71,9 @@ def test_loads_of_any_size_need_scaled_units():
     for size in (1e-8, 1e8):
         scaled = solve_equilibrium(size * s, TEN)
         np.testing.assert_allclose(scaled.pose.lattice, plain.pose.lattice, atol=1e-9)
-    assert follow(1e8 * s, TEN, DirectOptions(attempts=1)).status[0] == "stalled"
+    sizes = np.append(10.0 ** np.arange(4, 16), 1.0)  # rounding leaves some of their matrices singular
+    status = follow(sizes[:, None] * s, TEN, DirectOptions(attempts=1)).status.tolist()
+    assert status == [*["stalled"] * 12, "converged"]
 
 
 @pytest.mark.parametrize(("ratio", "load"), [(3.9, (20.0, 30.0)), (10.0, (20.0, -20.0))], ids=["jammed", "pushed"])
