@@ -28,6 +28,7 @@ def main() -> None:
 
 
 AT_REST = "--continue: is for a scene with [motion]"
+NO_MOMENTS = "--animation: every ring is solved in one step; it is for a scene with [motion]"
 _goes_on = click.option(
     "--continue", "goes_on", is_flag=True, help="With [motion]: go on from the end of the run in --out."
 )
@@ -148,7 +149,7 @@ def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: b
 
     Exit code 0: found; 1: the curtain at rest has not converged; 2: bad input.
     """
-    from macro_fem.motion.mode_files import run_modes
+    from macro_fem.motion.modes import run_modes
 
     answer(run_modes(scene, law_path, out, number=number, picture=picture), always=True)
 
@@ -201,8 +202,9 @@ _ring_options = options(
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
+@click.option("--animation", is_flag=True, help="Draw rings in motion as motion.gif.")
 @_goes_on
-def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, **how: Any) -> None:
+def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animation: bool, **how: Any) -> None:
     """Solve SCENE ring by ring and write summary.json, rings.vtu and rings.png, or motion.csv, motion.pvd, motion.png.
 
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
@@ -215,12 +217,12 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, **how: A
     say(*default_law_lines(law_path))
     plane = () if how["space"] else ("--plane",)
     if load_scene(scene).motion is not None:
-        summary = run_ring_motion(scene, law_path, out, goes_on=goes_on, **how)
+        summary = run_ring_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
         _answer_or_go_on(summary, "rings", scene, law_path, *plane, "--out", out)
         return
-    if goes_on:
-        raise InputError(AT_REST)
+    if goes_on or animation:
+        raise InputError(AT_REST if goes_on else NO_MOMENTS)
     summary = run_rings(scene, law_path, out, **how)
     say(*every_ring_lines(summary, out))
     answer(summary)

@@ -121,23 +121,27 @@ class DrawnRings:
         ax.autoscale_view()
         return ax
 
-    def draw(self, plotter: Plotter | None = None) -> Plotter:
-        """Draw the rings in space: tori where there are few, else centre lines. The plotter, by default a new one."""
+    def draw(self, plotter: Plotter | None = None, scale: Scale | None = None, box: Array | None = None) -> Plotter:
+        """Draw the rings in space: tori where there are few, else centre lines. The plotter, by default a new one.
+
+        scale: colours of forces, and box (2, 3): what the camera sees, by default those of these rings.
+        """
         plotter = new_plotter() if plotter is None else plotter
-        scale = NO_FORCE if self.force is None else force_scale(self.force)
-        values = {} if self.force is None else {force_scale(self.force).label: self.force}
+        scale = scale or force_scale(np.zeros(1) if self.force is None else self.force)
+        values = {} if self.force is None else {scale.label: self.force}
+        colours = scale if values else NO_FORCE
         count = len(self.centre)
         if count <= MOST_TUBES:
-            add(plotter, "rings", self.tori(20, 6, **values), scale)
+            add(plotter, "rings", self.tori(20, 6, **values), colours)
         else:
             points = int(np.clip(MOST_POINTS // count, 8, ALONG))
             mesh = lines(self.closed_circles(points))
             for name, numbers in values.items():
                 mesh[name] = np.repeat(numbers, points + 1)
-            add(plotter, "rings", mesh, scale, line_width=2)
+            add(plotter, "rings", mesh, colours, line_width=2)
         for name, centre, radius in self.balls:
             add_body(plotter, name, ball(radius, centre), smooth_shading=True)
-        look(plotter, THREE_QUARTERS)
+        look(plotter, THREE_QUARTERS, box=box)
         return plotter
 
     def draw_close_up(self, at: int, sheet_normal: Array) -> Plotter:

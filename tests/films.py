@@ -5,11 +5,11 @@ from PIL import Image
 
 
 def film_of(path):
-    """Number of frames of a GIF, and the share of pixels that change from the first one to the last."""
+    """Number of frames of a GIF, and the share of pixels below its title that change from the first one to the last."""
     with Image.open(path) as film:
         assert film.format == "GIF"
         frames = []
         for number in (0, film.n_frames - 1):
             film.seek(number)
             frames.append(np.asarray(film.convert("RGB")).astype(int))
-        return film.n_frames, (np.abs(frames[0] - frames[1]).max(axis=-1) > 40).mean()
+        return film.n_frames, (np.abs(frames[0] - frames[1]).max(axis=-1) > 40)[len(frames[0]) // 8 :].mean()

@@ -78,13 +78,10 @@ class Contacts:
 
     def misses(self, x: Array) -> bool:
         """Whether points without a half-space are inside a ball at the end x (n, d) of a step."""
-        return self.depth(x) > TOUCHED * self.problem.mesh.size + 1e-7 * self.way if np.isfinite(self.way) else False
+        allowed = TOUCHED * self.problem.mesh.size + 1e-7 * self.way
+        return bool(np.isfinite(self.way)) and max(self.depths(x), default=0.0) > allowed
 
-    def depth(self, x: Array) -> float:
-        """How deep points of the curtain are inside balls, mm; 0 where none is."""
-        return max([0.0, *self._depths(x)])
-
-    def _depths(self, x: Array) -> list[float]:
+    def depths(self, x: Array) -> list[float]:
         """Largest depth of points of the curtain inside each ball, mm; negative where all are outside."""
         at = self.problem.disc.meeting.places(x[: self.n])
         pairs = zip(self.balls, x[self.n :], strict=True)
@@ -92,7 +89,7 @@ class Contacts:
 
     def check_start(self, x: Array) -> None:
         """InputError for a ball that the curtain, an obstacle or another ball is inside of."""
-        met = [(f" {ball.name}: the curtain", deep) for ball, deep in zip(self.balls, self._depths(x), strict=True)]
+        met = [(f" {ball.name}: the curtain", deep) for ball, deep in zip(self.balls, self.depths(x), strict=True)]
         met += [
             (": an obstacle or another body", -walls.gap(x).min(initial=0.0)) for walls in self._between(x[self.n :])
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +11,36 @@ import numpy as np
 
 from homogenize import default_law, load_law, with_material
 from macro_fem.curtain import is_elastic
-from macro_fem.fem.assembly import load_vector
+from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.cells import padded
 from macro_fem.motion.account import Account
 from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
 from macro_fem.motion.scheme import Moment
-from macro_fem.motion.series import Kept, Series, named, row_of, run_series, summary_of
-from macro_fem.motion.stage import Stage, scene_at
-from macro_fem.motion.views import as_solution, write_views
-from macro_fem.output import strength
+from macro_fem.motion.series import (
+    PANELS,
+    Kept,
+    Series,
+    chosen,
+    named,
+    row_of,
+    run_series,
+    summary_of,
+    write_moving,
+)  # fmt: skip
+from macro_fem.motion.stage import Stage, let_go, scene_at
+from macro_fem.output import plots, strength
 from macro_fem.output.files import write_vtu
-from macro_fem.output.pictures import Pictures
+from macro_fem.output.pictures import Pictures, figures
+from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, drawn
 from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.schema import load_scene
+from macro_fem.scene.tables import Item, Support
+from macro_fem.solution import CurtainSolution, InnerForces
+from macro_fem.solvers.status import Evidence
 from rve.common import Array
+from rve.common.drawing.plane import save_figure
+from rve.common.drawing.space import new_plotter, save_picture
 
 FIELDS = ("P", "S", "supports", "relative_gap")
 """What motion.npz has of each frame beside its moment and account."""
@@ -49,8 +66,10 @@ def run_motion(
         stage = Stage(scene, own, build_mesh(scene_at(scene, 0.0), own.cell))
         each = zip(moments, accounts, *(kept[name] for name in FIELDS), strict=True)
         return [
-            MotionFrame(moment, P, S, account, supports, float(gap), stage.at(moment.t)[0], None)
-            for moment, account, P, S, supports, gap in each
+            MotionFrame(
+                moment=moment, account=account, problem=stage.at(moment.t)[0], **dict(zip(FIELDS, more, strict=True))
+            )
+            for moment, account, *more in each
         ]
 
     series = Series(
@@ -93,3 +112,40 @@ def summarize_motion(run: MotionRun, rows: Array) -> dict[str, Any]:
         "element": last.problem.disc.element,
         "law": last.problem.law.name,
     }
+
+
+def as_solution(run: MotionRun, frame: MotionFrame) -> CurtainSolution:
+    """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
+
+    Its load is what line loads and supports balance: outer forces, pushes, and those of inertia.
+    """
+    problem, n = frame.problem, frame.problem.disc.n_nodes
+    gone = let_go(run.scene, frame.moment.t)
+    kept: list[Item] = [item for number, item in enumerate(problem.scene.support) if number not in gone]
+    kept += [item for item in problem.scene.items if not isinstance(item, Support)]
+    for ball, place in zip(run.bodies, frame.moment.x[n:], strict=True):
+        kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
+    scene = replace(problem.scene, items=tuple(kept))
+    force = internal_force(problem.disc, frame.P) - frame.supports
+    told = replace(problem, scene=scene, force=force, walls=None, winds=())
+    inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
+    return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, run.wall_s)
+
+
+def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wanted: Pictures) -> None:
+    """Write the wanted pictures into `folder`."""
+
+    def told(some: Sequence[MotionFrame]) -> Titled:
+        return [(f"{one.moment.t:.3f} s", as_solution(run, one)) for one in some]
+
+    title = run.scene.source.stem
+    write_moving(folder, title, frames, wanted, lambda some: drawn(told(some)), lambda some: figures(told(some)))
+    steps = told(chosen(frames, PANELS))
+    if wanted.picture and run.scene.in_space:
+        view, plotter = PictureFrame.of([one for _, one in steps]), new_plotter(len(steps))
+        for panel, (_, solution) in enumerate(steps):
+            plotter.subplot(0, panel)
+            draw_curtain(solution, plotter, view)
+        save_picture(folder / "motion.png", plotter, "at " + ", ".join(words for words, _ in steps))
+    elif wanted.picture:
+        save_figure(folder / "motion.png", plots.side_by_side(steps))

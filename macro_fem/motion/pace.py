@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from macro_fem.motion.account import Account
 from macro_fem.motion.scheme import Moment, predicted
-from macro_fem.scene.moving import Ball, Motion
+from macro_fem.motion.stage import let_go, scene_at
+from macro_fem.scene.moving import Ball, Motion, Thrown
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
 from rve.common import InputError, tell
@@ -41,36 +42,24 @@ class MotionStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Pace:
-    """How a run goes on: moments before the frame's own, `before` for BDF2 and `last` for the guess of the next step,
-    None where there is none; `most`, the largest kinetic energy so far, N mm; `h`, the next step, s."""
+    """How a run goes on: the next step `h`, s; the moment before the frame's own, None at the start; `most`, the
+    largest kinetic energy so far, N mm; and whether the next step is Euler's, as at the start."""
 
     h: float
-    before: Moment | None = None
     last: Moment | None = None
     most: float = 0.0
+    is_euler: bool = True
 
 
-UNPACED = Pace(0.0)
-"""Of a frame by itself."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Frame:
+    """What a run knows of a moment: places and velocities, the energy account, how the run goes on from it, and how
+    many iterations the step took."""
 
-
-class Frame(Protocol):
-    """What a run knows of a moment: places and velocities, the energy account, and how it goes on."""
-
-    @property
-    def moment(self) -> Moment:
-        """Places and velocities."""
-
-    @property
-    def account(self) -> Account:
-        """Energies, work and losses."""
-
-    @property
-    def pace(self) -> Pace:
-        """How the run goes on."""
-
-    def paced(self, pace: Pace) -> Self:
-        """The frame, from which the run goes on like this."""
+    moment: Moment
+    account: Account
+    pace: Pace = Pace(0.0)
+    iterations: int = 0
 
 
 F = TypeVar("F", bound=Frame)
@@ -133,20 +122,27 @@ def first_step(motion: Motion) -> float:
 def stepped(scene: Scene, start: F, advance: Advance[F], size: float, what: str) -> Iterator[F]:
     """The frames from `start` to the end of the duration; size of what moves in mm; `what` is told to move.
 
-    Steps end where a support lets go, after which the first one is Euler's. Steps without a length of their own also
-    end at the times of histories: long ones at rest would pass a gust unseen.
+    What hangs at rest stays there until something changes. Steps end where a support lets go, after which the first one
+    is Euler's. Steps without a length of their own also end at the times of histories: long ones at rest would pass a
+    gust unseen.
     """
     motion, frame = motion_of(scene), start
     near = 1e-9 * motion.duration
     releases = {item.release for item in scene.support if item.release is not None}
     stops = releases | ({t for item in scene.of(Timed) for t, _ in item.history} if motion.step is None else set())
+
+    def advanced(frame: F, before: Moment | None, h: float) -> F:
+        if not _is_at_rest(scene, frame, h):
+            return advance(frame, before, h)
+        return replace(frame, moment=replace(frame.moment, t=frame.moment.t + h), iterations=0)
+
     yield frame
     while (t := frame.moment.t) < motion.duration - near:
         tell(f"{what} in motion, {t:.4g} of {motion.duration:.4g} s", t / motion.duration)
         if any(abs(t - release) <= near for release in releases):
-            frame = frame.paced(replace(frame.pace, before=None))
+            frame = replace(frame, pace=replace(frame.pace, is_euler=True))
         left = min([motion.duration, *(stop for stop in stops if stop > t + near)]) - t
-        frame = accurate_frame(motion, frame, advance, size, left)
+        frame = accurate_frame(motion, frame, advanced, size, left)
         yield frame
 
 
@@ -154,7 +150,7 @@ def accurate_frame(motion: Motion, frame: F, advance: Advance[F], size: float, l
     """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
     least = SMALLEST * first_step(motion)
     now, pace = frame.moment, frame.pace
-    h, before = pace.h, pace.before
+    h, before = pace.h, None if pace.is_euler else pace.last
     while True:
         h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
         following = advance(frame, before, h)
@@ -171,7 +167,18 @@ def accurate_frame(motion: Motion, frame: F, advance: Advance[F], size: float, l
                 continue
             after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
         most = max(pace.most, following.account.kinetic)
-        return following.paced(Pace(after, None if is_impact or motion.scheme == "euler" else now, now, most))
+        is_euler = is_impact or motion.scheme == "euler"
+        return replace(following, pace=Pace(after, now, most, is_euler))
+
+
+def _is_at_rest(scene: Scene, frame: Frame, h: float) -> bool:
+    """Whether a step h leaves the answer at rest, because nothing else acts at its end than at its start."""
+    t = frame.moment.t
+    has_moved = frame.pace.most > 0.0 or frame.moment.v.any()
+    if has_moved or motion_of(scene).start != "hung" or scene.of(Thrown):
+        return False
+    before, after = ((scene_at(scene, at).items, let_go(scene, at)) for at in (t, t + h))
+    return before == after
 
 
 def _is_impact(start: Frame, end: Frame, most: float) -> bool:

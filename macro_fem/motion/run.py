@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from macro_fem.fem.assembly import gradient, internal_force
 from macro_fem.fem.cells import in_space_of
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
 from macro_fem.motion.contact import Contacts
-from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
+from macro_fem.motion.pace import Failed, Frame, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import Stage, forces_at, masses_of, scene_at, stored_energy, weights_of
 from macro_fem.motion.step import Moving, Stepped, solve_step
@@ -29,25 +29,17 @@ REST = 10.0
 """mm that nodes at rest may go in a step before balls are looked at again."""
 
 
-@dataclass(frozen=True, eq=False)
-class MotionFrame:
-    """Positions and velocities of nodes and bodies, line loads P (nq, d, 2) in N/mm, the energy account, forces
-    of the supports on the curtain (n_nodes, d) in N, and the relative gap and half-spaces of the step."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MotionFrame(Frame):
+    """A curtain of nodes and bodies: line loads P (nq, d, 2) and S (nq, 3) in N/mm, forces of the supports on it
+    (n_nodes, d) in N, and the relative gap and half-spaces of the step."""
 
-    moment: Moment
     P: Array
     S: Array
-    account: Account
     supports: Array
-    relative_gap: float
+    relative_gap: float = 0.0
     problem: CurtainProblem
-    cones: Cones | None
-    iterations: int = 0
-    pace: Pace = UNPACED
-
-    def paced(self, pace: Pace) -> MotionFrame:
-        """The frame, from which the run goes on like this."""
-        return replace(self, pace=pace)
+    cones: Cones | None = None
 
 
 MotionRun = Run[MotionFrame]
@@ -69,7 +61,7 @@ def motion_frames(scene: Scene, law: MembraneLaw, start: MotionFrame | None = No
     mesh = build_mesh(scene_at(scene, 0.0), law.cell)
     stage = Stage(scene, law, mesh)
     if start is None:
-        start = _first_frame(scene, law, mesh, stage).paced(Pace(first_step(motion)))
+        start = _first_frame(scene, law, mesh, stage, Pace(first_step(motion)))
 
     def advance(frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
         return _next_frame(stage, motion, frame, before, h)
@@ -77,7 +69,7 @@ def motion_frames(scene: Scene, law: MembraneLaw, start: MotionFrame | None = No
     yield from stepped(scene, start, advance, mesh.size, f"{mesh.mesh.t.shape[1]} cells")
 
 
-def _first_frame(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, stage: Stage) -> MotionFrame:
+def _first_frame(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, stage: Stage, pace: Pace) -> MotionFrame:
     """The curtain at rest at t = 0, hung or in its reference state, and the bodies."""
     assert scene.motion is not None
     balls = scene.of(Ball)
@@ -112,7 +104,10 @@ def _first_frame(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, stage: Stage
         potential=-float((weights_of(problem, balls) * place).sum()),
         stored=stored,
     )
-    return MotionFrame(Moment(0.0, place, v), P, S, account, forces, 0.0, problem, cones)
+    moment = Moment(0.0, place, v)
+    return MotionFrame(
+        moment=moment, account=account, pace=pace, P=P, S=S, supports=forces, problem=problem, cones=cones
+    )
 
 
 def _next_frame(stage: Stage, motion: Motion, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
@@ -144,11 +139,16 @@ def _next_frame(stage: Stage, motion: Motion, frame: MotionFrame, before: Moment
     held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))
     worked = Worked(held, end.pushes, inner, stored, *contacts.work(end, now.x))
     account = next_account(frame.account, moving.mass, change, now, forces, end.x, worked)
-    moment = Moment(now.t + h, end.x, change.velocity(end.x))
-    gap = end.result.evidence.gap
-    n = problem.disc.n_nodes
     return MotionFrame(
-        moment, P, end.result.S, account, held[:n], gap, problem, end.result.cones, end.result.iterations
+        moment=Moment(now.t + h, end.x, change.velocity(end.x)),
+        account=account,
+        iterations=end.result.iterations,
+        P=P,
+        S=end.result.S,
+        supports=held[:n],
+        relative_gap=end.result.evidence.gap,
+        problem=problem,
+        cones=end.result.cones,
     )
 
 

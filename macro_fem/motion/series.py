@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
+import subprocess
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import Any, Generic
+from typing import TYPE_CHECKING, Any, Generic
 from zipfile import BadZipFile
 
 import numpy as np
@@ -16,12 +18,18 @@ from homogenize import MembraneLaw
 from macro_fem.motion.account import Account
 from macro_fem.motion.pace import F, Pace, Run, motion_of
 from macro_fem.motion.scheme import Moment
-from macro_fem.motion.views import chosen
 from macro_fem.output.files import collection
+from macro_fem.output.pictures import Pictures
 from macro_fem.scene.schema import Scene
 from rve.common import Array, InputError, csv_text, json_text, tell
+from rve.common.drawing.page import write_moments
+from rve.common.drawing.space import save_animation
 from rve.common.files import atomic_path, check_out_job, job, versions, write_text
 from rve.common.meshes import write_mesh_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter
 
 RECORD, KEPT = "summary.json", "motion.npz"
 COLUMNS = (
@@ -30,6 +38,8 @@ COLUMNS = (
     "relative_gap",
 )
 """Columns of motion.csv; support_force_N is the size of the sum of the forces of all supports."""
+MOST_SHOWN, PANELS, IMAGES = 200, 4, 48
+"""Moments at most in the series of VTUs, in motion.png, and in motion.gif and motion.html."""
 IMPULSES = (
     "rings that lock do so by impulses: forces and line loads are those over each step divided by its length, and grow "
     'with shorter steps where something is struck; kind = "elastic" under [solver] gives forces'
@@ -83,6 +93,38 @@ def run_series(series: Series[F], out: Path, inputs: Sequence[Path | None], *, g
         series.write_views(folder, run, shown)
         write_text(folder / RECORD, json_text(summary))
     return summary
+
+
+def chosen(frames: Sequence[F], most: int = MOST_SHOWN) -> list[F]:
+    """At most so many frames, at times as even as the steps are, the first and the last among them."""
+    t = np.array([frame.moment.t for frame in frames])
+    which = np.arange(len(t))
+    if len(t) > most:
+        which = np.unique(np.abs(t[:, None] - np.linspace(t[0], t[-1], most)).argmin(axis=0))
+    return [frames[int(k)] for k in which]
+
+
+def write_moving(
+    folder: Path,
+    title: str,
+    frames: Sequence[F],
+    wanted: Pictures,
+    drawn: Callable[[Sequence[F]], Iterable[tuple[str, Plotter]]],
+    figures: Callable[[Sequence[F]], Iterable[Figure]],
+) -> None:
+    """Write motion.html, whose moments `drawn` draws, and motion.gif of `figures`, as far as they are wanted.
+
+    motion.mp4 beside motion.gif where ffmpeg is installed.
+    """
+    some = chosen(frames, IMAGES)
+    if wanted.html:
+        write_moments(folder / "motion.html", drawn(some), title)
+    if wanted.animation:
+        save_animation(folder / "motion.gif", figures(some))
+        if ffmpeg := shutil.which("ffmpeg"):
+            even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
+            words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")
+            subprocess.run(words, check=False)
 
 
 def row_of(frame: Any, x: Array, share: Array, supports: Array, gap: float) -> list[float]:
@@ -166,12 +208,11 @@ def account_error(rows: Array) -> float:
 def _write_kept(path: Path, series: Series[F], frames: Sequence[F], rows: Array) -> None:
     """Write what a run goes on from: frames, the last one of the run at the end, and the rows of all steps."""
     pace, moments = frames[-1].pace, [one.moment for one in frames]
-    kept: Kept = {"of": np.array(_checksum(series)), "rows": rows, "pace": np.array([pace.h, pace.most])}
+    kept: Kept = {"of": np.array(_checksum(series)), "rows": rows, "pace": np.array([pace.h, pace.most, pace.is_euler])}
     kept |= {name: np.array([getattr(one, name) for one in moments]) for name in ("t", "x", "v")}
     kept["account"] = np.array([astuple(one.account) for one in frames])
-    for name, moment in (("before", pace.before), ("last", pace.last)):
-        if moment is not None:
-            kept |= {f"{name}_t": np.array(moment.t), f"{name}_x": moment.x, f"{name}_v": moment.v}
+    if pace.last is not None:
+        kept |= {f"last_{name}": np.array(getattr(pace.last, name)) for name in ("t", "x", "v")}
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **kept, **series.pack(frames))
 
@@ -191,11 +232,8 @@ def read_kept(path: Path, series: Series[F]) -> tuple[list[F], list[Any]]:
     if of != _checksum(series):
         raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
     frames = series.unpack(kept, moments, accounts)
-    before, last = (
-        Moment(float(kept[f"{name}_t"]), kept[f"{name}_x"], kept[f"{name}_v"]) if f"{name}_t" in kept else None
-        for name in ("before", "last")
-    )
-    frames[-1] = frames[-1].paced(Pace(float(pace[0]), before, last, float(pace[1])))
+    last = Moment(float(kept["last_t"]), kept["last_x"], kept["last_v"]) if "last_t" in kept else None
+    frames[-1] = replace(frames[-1], pace=Pace(float(pace[0]), last, float(pace[1]), bool(pace[2])))
     return frames, list(rows)
 
 

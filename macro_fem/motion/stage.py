@@ -1,4 +1,4 @@
-"""What acts on a curtain in motion at a moment: its supports and obstacles, weights, winds relative to the mesh."""
+"""What acts on a curtain in motion at a moment: supports, obstacles, masses lumped at the nodes, weights, winds."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.curtain import is_alike
 from macro_fem.drag import senses, wind_density, with_wind
+from macro_fem.fem.assembly import load_vector
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.masses import TONNE, nodal_masses
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.step import Forces
 from macro_fem.problem import CurtainProblem, make_problem
-from macro_fem.scene.loads import nodal_forces
+from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.moving import Ball, Thrown, at_time
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.tables import Timed, Wind
+from macro_fem.scene.tables import Bar, Timed, Wind
 from macro_fem.solvers.cones import green_strain
-from rve.common import Array
+from rve.common import Array, InputError
+
+TONNE = 1e-3
+"""N s2/mm per kg: with lengths in mm and forces in N."""
 
 
 def scene_at(scene: Scene, t: float) -> Scene:
@@ -61,6 +64,24 @@ class Stage:
                 self.fem = with_loose_nodes(problem.fem, count)
             self.problem, self.released = problem, released
         return self.problem, self.fem
+
+
+def nodal_masses(problem: CurtainProblem) -> Array:
+    """Masses (n_nodes,) of the mesh and of the bars in its edges, N s2/mm; InputError for P2."""
+    scene, disc, mesh, mass = problem.scene, problem.disc, problem.mesh, mesh_masses(problem)
+    for bar in scene.of(Bar):
+        shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
+        mass = mass + TONNE * bar.mass * shares / shares.sum()
+    return np.asarray(mass)
+
+
+def mesh_masses(problem: CurtainProblem) -> Array:
+    """Masses (n_nodes,) of the mesh alone, N s2/mm; InputError as for `nodal_masses`."""
+    scene, disc = problem.scene, problem.disc
+    if disc.element != "P1":
+        raise InputError(f"{scene.source}: [mesh] element = {disc.element!r}: motion needs P1")
+    per_area = areal_mass(scene, problem.law.cell)[0] * PER_MM2 * TONNE
+    return np.asarray(per_area * load_vector(disc, np.array([1.0]))[:, 0])
 
 
 def masses_of(problem: CurtainProblem, balls: tuple[Ball, ...]) -> Array:

@@ -65,13 +65,11 @@ FIRST_GAP = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Stepped:
-    """The end of a step: positions x (n, d), the solver's record, its half-spaces, by how much they still turned."""
+    """The end of a step: positions x (n, d), the solver's record, its half-spaces."""
 
     x: Array
     result: PathResult
     walls: Walls | None
-    rounds: int = 1
-    turned: float = 0.0
 
     @property
     def pushes(self) -> Array:
@@ -94,21 +92,20 @@ def solve_step(
     load = fem.gather(forces.dead + forces.live)
     path = PathOptions(gap=moving.gap, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
     place, walls = x, None if tangents is None else tangents(x)
-    rounds = 0
-    while True:
-        rounds += 1
+    for rounds in range(1, ROUNDS + 1):
         terms = Terms(moving.compliance, walls=walls, inertia=inertia)
         result = solve_path(fem, moving.law, load, fem.unknowns(place), moving.size, path, terms)
         place = fem.positions(result.z)
-        if walls is None or tangents is None or not result.converged:
-            return Stepped(place, result, walls, rounds)
+        if walls is None or tangents is None or not result.converged or rounds == ROUNDS:
+            break
         anew = tangents(place)
         assert anew is not None
         turned = float(result.wall_forces @ np.linalg.norm(anew.normal - walls.normal, axis=1))
         turned /= float(np.abs(result.wall_forces).sum() + np.abs(load).sum() + inertia.force_scale)
-        if turned < SETTLED or rounds == ROUNDS:
-            return Stepped(place, result, walls, rounds, turned)
+        if turned < SETTLED:
+            break
         walls, path = anew, replace(path, cones=result.cones)
+    return Stepped(place, result, walls)
 
 
 def inertia_of(moving: Moving, change: Difference, forces: Forces) -> Inertia:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from macro_fem.output import plots
 from macro_fem.output.space_view import Titled, draw_curtain, drawn, title
@@ -14,6 +15,9 @@ from rve.common import InputError, check_out_file, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
 from rve.common.drawing.plane import save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NO_GIF = "leave out --animation"
 
@@ -75,7 +79,7 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
         save_figure(picture, plots.panels(last))
     if wanted.animation:
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{title(step)}" for step in steps]
-        write_animation(folder / f"{wanted.stem}.gif", list(zip(shares, steps, strict=True)))
+        space.save_animation(folder / f"{wanted.stem}.gif", figures(list(zip(shares, steps, strict=True))))
 
 
 def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
@@ -84,9 +88,8 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
     write_page(path, draw_curtain(solution), title(solution))
 
 
-def write_animation(path: Path, steps: Titled) -> None:
-    """Write the curtain at each step as GIF, with one scale of colours and one camera."""
-    in_space = steps[0][1].problem.scene.in_space
-    space.save_animation(
-        path, (space.compose(one, words) for words, one in drawn(steps)) if in_space else plots.frames(steps)
-    )
+def figures(steps: Titled) -> Iterator[Figure]:
+    """The curtain at each step as a figure, with one scale of colours and one camera."""
+    if not steps[0][1].problem.scene.in_space:
+        return plots.frames(steps)
+    return (space.compose(one, words) for words, one in drawn(steps))

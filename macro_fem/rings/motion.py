@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account
-from macro_fem.motion.masses import TONNE
-from macro_fem.motion.pace import UNPACED, Failed, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
+from macro_fem.motion.pace import Failed, Frame, MotionStatus, Pace, Run, collected, first_step, motion_of, stepped
 from macro_fem.motion.scheme import Moment, difference
-from macro_fem.motion.stage import let_go, relative_wind, scene_at
+from macro_fem.motion.stage import TONNE, let_go, relative_wind, scene_at
 from macro_fem.motion.step import Forces
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
@@ -33,21 +32,12 @@ NEAR = 1e-6
 """Rings within this part of r1 of where supports hold them are there."""
 
 
-@dataclass(frozen=True, eq=False)
-class RingFrame:
-    """The rings at a moment: places and velocities (2 n + b, 3), the rings with their contacts, the energy account,
-    and how many iterations the step took."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RingFrame(Frame):
+    """Rings, at places and with velocities (2 n + b, 3), with their contacts, and what was asked of them."""
 
-    moment: Moment
     rings: FiniteSolution
-    account: Account
     asked: RingScene
-    iterations: int = 0
-    pace: Pace = UNPACED
-
-    def paced(self, pace: Pace) -> RingFrame:
-        """The frame, from which the run goes on like this."""
-        return replace(self, pace=pace)
 
 
 RingRun = Run[RingFrame]
@@ -107,7 +97,7 @@ def ring_frames(scene: Scene, who: EveryRing, start: RingFrame | None = None) ->
     if start is None:
         after = JUST_AFTER * motion.duration  # supports that let go at t = 0 hold nothing then
         rings = _hung(first, who) if motion.start == "hung" else _slack(stage.at(after), who.space)
-        start = first_ring_frame(stage, rings).paced(Pace(first_step(motion)))
+        start = replace(first_ring_frame(stage, rings), pace=Pace(first_step(motion)))
     size = float(np.hypot(*np.ptp(first.mesh.X, axis=0)))
     yield from stepped(scene, start, advance, size, f"{len(start.rings.centre)} rings")
 
@@ -151,7 +141,7 @@ def first_ring_frame(stage: RingStage, rings: FiniteSolution) -> RingFrame:
     v = np.concatenate([np.zeros((n, 3)), np.array([ball.velocity for ball in stage.balls]).reshape(-1, 3)])
     potential = -float((stage.weights(asked) * places).sum())
     kinetic = kinetic_energy(stage.masses(asked)[n // 2 :], v[n:])
-    return RingFrame(Moment(0.0, places, v), rings, Account(kinetic, potential), asked)
+    return RingFrame(moment=Moment(0.0, places, v), account=Account(kinetic, potential), rings=rings, asked=asked)
 
 
 def next_ring_frame(
@@ -186,4 +176,5 @@ def next_ring_frame(
     worked = Worked(np.concatenate([rings.reaction, none]), end.pushes, moved=moved, touched=end.touched)
     x = ring_places(rings)
     account = next_account(frame.account, np.append(mass[:n], mass), change, now, forces, x, worked)
-    return RingFrame(Moment(now.t + h, x, change.velocity(x)), rings, account, asked, rings.iterations)
+    moment = Moment(now.t + h, x, change.velocity(x))
+    return RingFrame(moment=moment, account=account, iterations=rings.iterations, rings=rings, asked=asked)

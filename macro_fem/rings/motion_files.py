@@ -12,9 +12,18 @@ import numpy as np
 from homogenize import default_law, load_law
 from macro_fem.motion.account import Account
 from macro_fem.motion.scheme import Moment
-from macro_fem.motion.series import Kept, Series, named, row_of, run_series, summary_of
+from macro_fem.motion.series import (
+    PANELS,
+    Kept,
+    Series,
+    chosen,
+    named,
+    row_of,
+    run_series,
+    summary_of,
+    write_moving,
+)  # fmt: skip
 from macro_fem.motion.stage import scene_at
-from macro_fem.motion.views import IMAGES, PANELS, chosen
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.motion import RingFrame, RingRun, RingStage, solve_ring_motion
@@ -22,8 +31,9 @@ from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import Scene, load_scene
 from rve import RingContacts, slack_rings, with_bodies
 from rve.common import Array
-from rve.common.drawing.page import write_moments
 from rve.common.drawing.plane import new_figure, save_figure
+from rve.common.drawing.space import compose, new_plotter
+from rve.drawn import force_scale
 
 if TYPE_CHECKING:
     from pyvista import Plotter
@@ -38,6 +48,7 @@ def run_ring_motion(
     out: Path,
     *,
     picture: bool = True,
+    animation: bool = False,
     html: bool = False,
     goes_on: bool = False,
     **how: Any,
@@ -47,7 +58,8 @@ def run_ring_motion(
 
     how: space and start of `EveryRing`.
     """
-    Pictures(picture, html=html, stem="motion").check()
+    wanted = Pictures(picture, animation, html, stem="motion")
+    wanted.check()
     scene = load_scene(scene_path)
     law = default_law() if law_path is None else load_law(law_path)
     who = EveryRing(law, **how)
@@ -55,8 +67,10 @@ def run_ring_motion(
     def write_views(folder: Path, run: RingRun, shown: Sequence[RingFrame]) -> None:
         if picture:
             _save_panels(folder / "motion.png", chosen(shown, PANELS))
-        if html:
-            write_moments(folder / "motion.html", _drawn(chosen(shown, IMAGES)), scene.source.stem)
+        title = scene.source.stem
+        write_moving(
+            folder, title, shown, wanted, _drawn, lambda some: (compose(one, words) for words, one in _drawn(some))
+        )
 
     series = Series(
         scene,
@@ -125,7 +139,7 @@ def _unpack(
             wall_force=forces[n:],
             kkt_residual=float(residual),
         )
-        frames.append(RingFrame(moment, rings, account, asked))
+        frames.append(RingFrame(moment=moment, account=account, rings=rings, asked=asked))
     return frames
 
 
@@ -144,8 +158,12 @@ def _save_panels(path: Path, frames: Sequence[RingFrame]) -> None:
 
 
 def _drawn(frames: Sequence[RingFrame]) -> Iterator[tuple[str, Plotter]]:
-    """A plotter at each moment."""
-    for frame in frames:
-        plotter = frame.rings.drawn.draw(None)
-        yield f"{frame.moment.t:.3f} s", plotter
-        plotter.close()
+    """A plotter, the same one, with the rings at each moment, by one scale and with one camera."""
+    rings, plotter = [frame.rings.drawn for frame in frames], new_plotter()
+    points = np.concatenate([one.centre for one in rings])
+    box = np.stack([points.min(axis=0) - rings[0].r1, points.max(axis=0) + rings[0].r1])
+    force = np.concatenate([one.force for one in rings if one.force is not None] or [np.zeros(1)])
+    for frame, one in zip(frames, rings, strict=True):
+        yield f"{frame.moment.t:.3f} s", one.draw(plotter, force_scale(force), box)
+        plotter.clear_actors()
+    plotter.close()

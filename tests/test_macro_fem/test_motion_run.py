@@ -52,6 +52,14 @@ def moved(tables):
     return found, dict(zip(COLUMNS, rows.T, strict=True))
 
 
+def test_rest_stays_rest_until_something_acts():
+    wind = {"pressure": 20.0, "direction": [0.0, 0.0, -1.0], "history": [[0.02, 0.0], [0.04, 1.0]]}
+    found, told = moved({"support": TOP, "load": {"wind": [wind]}, "motion": {"duration": 0.04, "step": 0.01}})
+    assert [frame.iterations > 0 for frame in found.frames] == [False, False, False, True, True]
+    assert np.array_equal(found.frames[2].moment.x, found.frames[0].moment.x)
+    assert told["mean_z_mm"][-1] < -0.1
+
+
 @pytest.mark.parametrize("release", [0.0, 0.015])
 def test_a_sheet_let_go_falls_freely(release):
     """Also from a release between steps: one of them ends there."""

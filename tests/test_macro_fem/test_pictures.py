@@ -50,7 +50,7 @@ def test_a_page_of_a_curtain(hammock, plane, tmp_path):
         plane.write_html(tmp_path)
 
 
-@pytest.mark.parametrize("kind", ["plane", pytest.param("hammock", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["plane", "hammock"])
 def test_a_picture_and_a_film_with_a_frame_per_load_step(kind, request, tmp_path):
     request.getfixturevalue(kind).save(tmp_path, animation=True)
     assert {"curtain.png", "curtain.gif", "summary.json"} <= {file.name for file in tmp_path.iterdir()}

@@ -10,10 +10,9 @@ from click.testing import CliRunner
 
 from homogenize import default_law
 from macro_fem.cli import main
-from macro_fem.motion.masses import TONNE
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.series import COLUMNS, account_error
-from macro_fem.motion.stage import scene_at
+from macro_fem.motion.stage import TONNE, scene_at
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.motion import RingStage, first_ring_frame, next_ring_frame, solve_ring_motion
 from macro_fem.rings.motion_files import ring_row
@@ -22,6 +21,7 @@ from macro_fem.scene.schema import read_scene
 from rve import slack_rings
 from rve.common.drawing.space import parts
 from rve.common.errors import InputError
+from tests.films import film_of
 
 G = 9810.0
 CELL = default_law().cell
@@ -187,7 +187,7 @@ def test_rings_with_motion_writes_its_files(tmp_path):
         f'[curtain]\nwidth = {W}\nheight = {H}\n[[support]]\nkind = "top"\n[[support]]\nkind = "point"\n'
         f"at = [0.0, 0.0]\nmove = [0.0, 1.0]\nrelease = 0.002\n[motion]\nduration = 0.01\nstep = 0.002\n"
     )
-    result = CliRunner().invoke(main, ["rings", str(scene), "--out", str(out), "--plane"])
+    result = CliRunner().invoke(main, ["rings", str(scene), "--out", str(out), "--plane", "--animation"])
     assert result.exit_code == 0, result.output
     summary = json.loads((out / "summary.json").read_text())
     assert (summary["status"], summary["links_intact"]) == ("converged", True)
@@ -195,8 +195,11 @@ def test_rings_with_motion_writes_its_files(tmp_path):
     rows = list(csv.reader((out / "motion.csv").read_text().splitlines()))
     assert tuple(rows[0]) == COLUMNS
     assert len(rows) == 7
-    names = ("summary.json", "motion.csv", "motion.pvd", "motion.png", "motion.npz")
-    assert {one.name for one in out.iterdir()} == {*names, *(f"motion_{k:04d}.vtu" for k in range(6))}
+    frames, changed = film_of(out / "motion.gif")
+    assert (frames, changed > 1e-3) == (6, True)
+    names = ("summary.json", "motion.csv", "motion.pvd", "motion.png", "motion.npz", "motion.gif")
+    written = {one.name for one in out.iterdir()} - {"motion.mp4"}  # where ffmpeg is installed
+    assert written == {*names, *(f"motion_{k:04d}.vtu" for k in range(6))}
 
 
 def test_a_run_of_rings_goes_on_as_if_it_had_not_ended(tmp_path):

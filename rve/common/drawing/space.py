@@ -169,6 +169,7 @@ def compose(plotter: Plotter, title: str) -> Figure:
     figure = Figure(figsize=(6.8 * panels, 7.6), dpi=130)
     figure.set_layout_engine("constrained", h_pad=0.1)
     ax = figure.subplots()
+    plotter.render()  # a screenshot alone shows what was last rendered
     ax.imshow(np.asarray(plotter.screenshot(return_img=True)), interpolation="antialiased")
     ax.set_axis_off()
     figure.suptitle(title, fontsize=15 if panels > 1 else 12)
