@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,15 +121,16 @@ class DrawnRings:
         ax.autoscale_view()
         return ax
 
-    def draw(self, plotter: Plotter | None = None, scale: Scale | None = None, box: Array | None = None) -> Plotter:
+    def draw(self, plotter: Plotter | None = None, series: Sequence[DrawnRings] = ()) -> Plotter:
         """Draw the rings in space: tori where there are few, else centre lines. The plotter, by default a new one.
 
-        scale: colours of forces, and box (2, 3): what the camera sees, by default those of these rings.
+        series: the rings at several moments, which share colours and camera.
         """
         plotter = new_plotter() if plotter is None else plotter
-        scale = scale or force_scale(np.zeros(1) if self.force is None else self.force)
-        values = {} if self.force is None else {scale.label: self.force}
-        colours = scale if values else NO_FORCE
+        forces = [one.force for one in series or (self,) if one.force is not None]
+        scale = force_scale(np.concatenate(forces)) if forces else None
+        values = {} if self.force is None or scale is None else {scale.label: self.force}
+        colours = scale if values and scale else NO_FORCE
         count = len(self.centre)
         if count <= MOST_TUBES:
             add(plotter, "rings", self.tori(20, 6, **values), colours)
@@ -141,6 +142,10 @@ class DrawnRings:
             add(plotter, "rings", mesh, colours, line_width=2)
         for name, centre, radius in self.balls:
             add_body(plotter, name, ball(radius, centre), smooth_shading=True)
+        box = None
+        if series:
+            places = np.concatenate([one.centre for one in series])
+            box = np.stack([places.min(axis=0) - self.r1, places.max(axis=0) + self.r1])
         look(plotter, THREE_QUARTERS, box=box)
         return plotter
 

@@ -33,7 +33,6 @@ from rve import RingContacts, slack_rings, with_bodies
 from rve.common import Array
 from rve.common.drawing.plane import new_figure, save_figure
 from rve.common.drawing.space import compose, new_plotter
-from rve.drawn import force_scale
 
 if TYPE_CHECKING:
     from pyvista import Plotter
@@ -160,10 +159,7 @@ def _save_panels(path: Path, frames: Sequence[RingFrame]) -> None:
 def _drawn(frames: Sequence[RingFrame]) -> Iterator[tuple[str, Plotter]]:
     """A plotter, the same one, with the rings at each moment, by one scale and with one camera."""
     rings, plotter = [frame.rings.drawn for frame in frames], new_plotter()
-    points = np.concatenate([one.centre for one in rings])
-    box = np.stack([points.min(axis=0) - rings[0].r1, points.max(axis=0) + rings[0].r1])
-    force = np.concatenate([one.force for one in rings if one.force is not None] or [np.zeros(1)])
     for frame, one in zip(frames, rings, strict=True):
-        yield f"{frame.moment.t:.3f} s", one.draw(plotter, force_scale(force), box)
+        yield f"{frame.moment.t:.3f} s", one.draw(plotter, rings)
         plotter.clear_actors()
     plotter.close()
