@@ -114,8 +114,14 @@ def draw_curtain(
 def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
     """A plotter, the same one, with the curtain at each step on one scale and with one camera."""
     frame, plotter = PictureFrame.of([one for _, one in steps]), new_plotter()
+    box = frame.room
     for words, solution in steps:
-        yield words, draw_curtain(solution, plotter, frame)
+        draw_curtain(solution, plotter, frame)
+        if words == steps[0][0]:  # the camera sees what is around the first step, and where the curtain goes
+            seen = np.vstack([frame.room, np.reshape(plotter.renderer.bounds, (3, 2)).T])
+            box = np.stack([seen.min(axis=0), seen.max(axis=0)])
+        look(plotter, THREE_QUARTERS, box=box)
+        yield words, plotter
         plotter.clear_actors()
     plotter.close()
 
