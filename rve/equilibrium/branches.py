@@ -29,6 +29,8 @@ SAMPLE = 4
 """One in so many rows, and every row of rank one, is also solved as a dead load: independent starts."""
 ROUNDS = 6
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
+STUCK, DETOURS = 2, 12
+"""Rounds after which mixtures are also looked for by so many steps in a row that do not lower their gain."""
 MOVED = 1e-6
 """Strain by which a state must differ from the old one of its row to be another state."""
 UNDECIDED = "below"
@@ -89,6 +91,7 @@ def largest_rows(
     known = _further_states(rows, mesh) if is_larger else _dead_states(rows, mesh)
     rows = _fill(rows, found.status, s, known, mesh)
     for count in range(ROUNDS):
+        detours = DETOURS if count >= STUCK else 0
         bad, states = _contradicted(rows, known, mesh)
         if not len(bad):
             break
@@ -100,7 +103,7 @@ def largest_rows(
         else:
             best = largest(S, mesh, states)
         known = known.join([best.states.with_images(mesh)])
-        rows, new, done, more = _solve_from_rivals(rows, s, bad, states.join([known]), mesh)
+        rows, new, done, more = _solve_from_rivals(rows, s, bad, states.join([known]), mesh, detours)
         known = known.join([more.with_images(mesh)])
         found = found.put(done, new)
         changed[done] = True
@@ -158,7 +161,7 @@ def _missing_work(S: Array, E: Array, states: KnownStates) -> Array:
 
 
 def _solve_from_rivals(
-    rows: RowStates, s: Array, bad: Index, known: KnownStates, mesh: LoadedCell
+    rows: RowStates, s: Array, bad: Index, known: KnownStates, mesh: LoadedCell, detours: int
 ) -> tuple[RowStates, Equilibrium, Index, KnownStates]:
     """The rows `bad` solved again from the best mixtures of known states; equilibria of the rows that are solved now,
     and their numbers; the states that were reached on the way.
@@ -168,7 +171,7 @@ def _solve_from_rivals(
     state that was reached, or from the largest share if that is where it came from.
     """
     old, s = rows.E[bad], s[bad]
-    mixtures = [best_mixture(each, known.E, mesh) for each in s]
+    mixtures = [best_mixture(each, known.E, mesh, detours) for each in s]
     lead = known.pose.take(np.array([one[0] for one in mixtures]))
 
     def climbing(new: Equilibrium) -> tuple[Flags, Array, Flags]:
@@ -208,7 +211,8 @@ def balance_works(
     for the rows owner (q,); equilibria `before` (k,) stay where no load S* is found.
 
     S is that of the mixture of strains under which they do the same work, and all states follow it; narrow gaps keep a
-    state on its branch where it would join another. The equilibrium is that of the largest share.
+    state on its branch where it would join another. States that join all the same count once. The equilibrium is that
+    of the largest share.
     """
     first, members = np.unique(owner, return_index=True)[1], [np.flatnonzero(owner == i) for i in range(len(s))]
     E, S, fine = mesh.strain(pose), np.zeros((len(s), 3)), np.zeros(len(s), dtype=bool)
@@ -222,6 +226,9 @@ def balance_works(
     for _ in range(BALANCE_STEPS):
         left = []
         for i in open_:
+            own = members[i]
+            other = [not (np.abs(E[own[:k]] - E[own[k]]).max(axis=1) < MOVED).any() for k in range(len(own))]
+            members[i] = own[other] if sum(other) > 1 else own  # two that have become one state count once
             shares = equal_shares(s[i], E[members[i]], mesh)
             if shares is None:
                 continue
@@ -253,19 +260,20 @@ def balance_works(
     return found.take(first), S, fine, KnownStates(found.pose.take(ended), S[owner[ended]], E[ended])
 
 
-def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> list[int]:
+def best_mixture(s: Array, E: Array, mesh: LoadedCell, detours: int = 0) -> list[int]:
     """Up to three of the strains E (m, 3), the largest share first, whose mixture of equal works under its S is nearest
     to the answer of the Cauchy load s (3,): where no other does more work under S, it is the answer among mixtures.
 
-    Descent: the state of most work under S joins the mixture, or replaces some of it, as long as that lowers its gain.
+    Descent: the state of most work under S joins the mixture, or replaces some of it, as long as that lowers its gain,
+    and so many times in a row where it does not.
     """
-    chosen: list[int] = []
-    lack, rival = np.inf, int(np.argmax((s * WEIGHT) @ E.T))
+    chosen, answer, visited, waited = list[int](), list[int](), set[frozenset[int]](), 0
+    least, rival = np.inf, int(np.argmax((s * WEIGHT) @ E.T))
     while True:
-        best = lack - GAIN
+        best = np.inf if detours else least - GAIN
         for some in [kept for size in range(3) for kept in combinations(chosen, size)]:
             members = [rival, *some]
-            w = equal_shares(s, E[members], mesh)
+            w = None if frozenset(members) in visited else equal_shares(s, E[members], mesh)
             if w is None:
                 continue
             S = mesh.conjugate((w @ E[members])[None], s[None])[0]
@@ -273,9 +281,14 @@ def best_mixture(s: Array, E: Array, mesh: LoadedCell) -> list[int]:
             gain = float(works.max() - w @ works[members])
             if gain < best:
                 best, mixture, ahead = gain, [members[k] for k in np.argsort(-w)], int(works.argmax())
-        if not best < lack - GAIN:
-            return chosen
-        lack, chosen, rival = best, mixture, ahead
+        is_lower = best < least - GAIN
+        waited = 0 if is_lower else waited + 1
+        if waited > detours or not np.isfinite(best):
+            return answer
+        visited.add(frozenset(mixture))
+        if is_lower:
+            least, answer = best, mixture
+        chosen, rival = mixture, ahead
 
 
 def equal_shares(s: Array, E: Array, mesh: LoadedCell) -> Array | None:
