@@ -86,7 +86,8 @@ def _section(
     head = textwrap.wrap(title, 90)
     page.text(0.08, y, "\n".join(head), size=10, weight="bold", va="top", color=colour, linespacing=1.25)
     y -= 0.006 + 0.0148 * len(head)
-    text = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="    ")]
+    wrapped = ([line] if is_table else textwrap.wrap(line, WIDTH, subsequent_indent="    ") for line in lines)
+    text = [part for parts in wrapped for part in parts]
     family = "monospace" if is_table else "sans-serif"
     page.text(0.08, y, "\n".join(text), size=7.5, family=family, va="top", linespacing=1.25)
     return y - 0.0128 * len(text) - 0.01
@@ -112,11 +113,12 @@ def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str
     largest = sorted(points, key=lambda row: -row[0])[: 2 * MOST_ROWS]
     shown = sorted(largest, key=lambda row: (row[1], row[2], -row[3]))
     rows = [
-        f"{name:<8}{x:>7.0f}{h:>7.0f}{size:>9.3g}  ({', '.join(f'{part:.3g}' for part in force)})"
+        f"{name:<8}{x:>6.0f}{h:>6.0f}{size:>8.3g}  ({', '.join(f'{part:.3g}' for part in force)})"
         for size, name, x, h, force in shown
     ]
     half = (len(rows) + 1) // 2
-    columns = [f"{left:<54}{right}".rstrip() for left, right in zip(rows[:half], [*rows[half:], ""], strict=False)]
+    wide = max(map(len, rows), default=0) + 3
+    columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip(rows[:half], [*rows[half:], ""], strict=False)]
     head = "Forces of supports" + ("" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}")
     yield f"{head} (N; place in the flat sheet, mm)", columns, True
     notes = [summary["support_forces_note"], summary["line_load_warning"]]

@@ -102,8 +102,8 @@ class DrawnRings:
         triangles = quads[..., [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
         meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), file_format="stl", binary=True)
 
-    def plot(self, ax: Axes | None = None, *, width: float = 0.7) -> Axes:
-        """Centre lines of the rings seen along z, on `ax` or axes of their own."""
+    def plot(self, ax: Axes | None = None, *, width: float = 0.7, series: Sequence[DrawnRings] = ()) -> Axes:
+        """Centre lines of the rings seen along z, on `ax` or axes of their own; series: as of `draw`."""
         from matplotlib.collections import LineCollection
         from matplotlib.patches import Circle
 
@@ -111,7 +111,7 @@ class DrawnRings:
         grey = "0.5" if self.force is None else None  # any colour that is given would hide those of the forces
         drawn = LineCollection(list(self.closed_circles(ALONG)[:, :, :2]), linewidths=width, colors=grey)
         if self.force is not None:
-            scale = force_scale(self.force)
+            scale = force_scale(np.concatenate([one.force for one in series or (self,) if one.force is not None]))
             drawn.set(array=np.maximum(self.force, scale.low), cmap=scale.colour_map(), norm=scale.norm())
             scale.add_bar(ax, shrink=0.75, pad=0.02)
         ax.add_collection(drawn)

@@ -40,7 +40,7 @@ from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.status import Evidence
 from rve.common import Array
 from rve.common.drawing.plane import save_figure
-from rve.common.drawing.space import new_plotter, save_picture
+from rve.common.drawing.space import THREE_QUARTERS, look, new_plotter, save_picture
 
 FIELDS = ("P", "S", "supports", "relative_gap")
 """What motion.npz has of each frame beside its moment and account."""
@@ -146,6 +146,10 @@ def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wan
         for panel, (_, solution) in enumerate(steps):
             plotter.subplot(0, panel)
             draw_curtain(solution, plotter, view)
+        ends = np.reshape([one.bounds for one in plotter.renderers], (-1, 3, 2))
+        for panel in range(len(steps)):
+            plotter.subplot(0, panel)
+            look(plotter, THREE_QUARTERS, box=np.stack([ends[:, :, 0].min(axis=0), ends[:, :, 1].max(axis=0)]))
         save_picture(folder / "motion.png", plotter, "at " + ", ".join(words for words, _ in steps))
     elif wanted.picture:
         save_figure(folder / "motion.png", plots.side_by_side(steps))

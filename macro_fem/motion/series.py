@@ -239,8 +239,11 @@ def read_kept(path: Path, series: Series[F]) -> tuple[list[F], list[Any]]:
 
 def _checksum(series: Series[F]) -> str:
     """A checksum of the scene without its duration and place, and of what answers."""
-    told = replace(series.scene, motion=replace(motion_of(series.scene), duration=1e6), source=Path())
-    return hashlib.sha256(f"{told!r} {series.name}".encode()).hexdigest()
+    scene = series.scene
+    told = replace(scene, motion=replace(motion_of(scene), duration=1e6), source=Path())
+    times = [(getattr(item, "history", ()), getattr(item, "release", None)) for item in scene.items]  # not in a repr
+    mesh = scene.mesh_file.read_bytes() if scene.mesh_file else b""
+    return hashlib.sha256(f"{told!r} {times} {series.name}".encode() + mesh).hexdigest()
 
 
 def named(law: MembraneLaw) -> str:

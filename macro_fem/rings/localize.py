@@ -98,7 +98,8 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     rings = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
     force = largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
-    number = int(np.argmax(curtain.line_load))
+    among = np.arange(len(curtain.line_load)) if options.window is None else used
+    number = int(among[np.argmax(curtain.line_load[among])])
     pose, load = solved(np.array([number]))
     turn = turns(curtain, np.array([number]), pose.E, axes)[0]
     worst = WorstCell(number, str(pose.status[0]), cell_forces(load[0], cell, how.direct), turn)

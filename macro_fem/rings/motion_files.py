@@ -151,8 +151,9 @@ def ring_row(frame: RingFrame) -> list[float]:
 def _save_panels(path: Path, frames: Sequence[RingFrame]) -> None:
     figure = new_figure(5.2 * len(frames), 6.0)
     axes = figure.subplots(1, len(frames), squeeze=False, sharex=True, sharey=True)[0]
-    for ax, frame in zip(axes, frames, strict=True):
-        frame.rings.drawn.plot(ax).set_title(f"{frame.moment.t:.3f} s", fontsize=11)
+    rings = [frame.rings.drawn for frame in frames]
+    for ax, frame, one in zip(axes, frames, rings, strict=True):
+        one.plot(ax, series=rings).set_title(f"{frame.moment.t:.3f} s", fontsize=11)
     save_figure(path, figure)
 
 

@@ -366,10 +366,11 @@ def test_rings_of_a_curtain_from_the_command_line(hung, tmp_path):
 
 
 def test_a_window_and_the_picture(hung, tmp_path):
-    result = run(hung / "curtain.vtu", "--out", tmp_path, "--window", "0,20,40,60", "--tubes")
+    result = run(hung / "curtain.vtu", "--out", tmp_path, "--window", "0,0,40,40", "--tubes")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "rings.png").read_bytes()[:4] == b"\x89PNG"
     summary = json.loads((tmp_path / "localize.json").read_text())
+    assert summary["worst_cell"]["reference_mm"] == pytest.approx([20.0, 20.0], abs=20.0)  # in the window
     points = meshio.read(tmp_path / "rings.vtu").points
     assert len(points) == summary["rings"] * ALONG * AROUND
     assert points[:, 0].max() < 60.0

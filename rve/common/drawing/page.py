@@ -66,6 +66,8 @@ def write_moments(path: AnyPath, moments: Iterable[tuple[str, Plotter]], title: 
         bounds.append(np.reshape(plotter.renderers[0].bounds, (3, 2)))
         scene = scene or _scene(plotter)
     low, high = np.min(bounds, axis=0)[:, 0], np.max(bounds, axis=0)[:, 1]
+    room = 0.02 * float((high - low).max())  # plotly cuts off what lies on the end of an axis, as a ground does
+    low, high = low - room, high + room
     for own, k in zip("xyz", AXES, strict=True):
         scene[f"{own}axis"]["range"] = [low[k], high[k]]
     steps = [
