@@ -12,7 +12,6 @@ one beside another and its mirror image.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from rve.equilibrium.dead_load import MARGINS, LoadedCell, follow_promising, ran
 from rve.equilibrium.interior_point import Equilibrium, unit_loads
 from rve.equilibrium.largest_work import GAIN, KnownStates, Largest, balanced, climbed, largest, states_beyond
 from rve.equilibrium.limits import strain_is_unique
+from rve.equilibrium.mixtures import MOVED, best_mixture, equal_shares
 from rve.geometry.pose import Pose, start_pose
 
 SAMPLE = 4
@@ -31,14 +31,10 @@ ROUNDS = 6
 """Rounds of restarts at most; a row that still contradicts a known state has the status "below"."""
 STUCK, DETOURS = 2, 12
 """Rounds after which mixtures are also looked for by so many steps in a row that do not lower their gain."""
-MOVED = 1e-6
-"""Strain by which a state must differ from the old one of its row to be another state."""
 UNDECIDED = "below"
 """Branch of a row between two rounds whose pose is that of its last rival."""
-BALANCE_STEPS, SHARE_STEPS = 8, 30
-"""Steps of Newton's method for the load S* of coexisting states, and for the shares of given strains."""
-PART = 1e-7
-"""Change of shares by which their derivatives are taken as differences."""
+BALANCE_STEPS = 8
+"""Steps of Newton's method for the load S* of coexisting states."""
 WORK_TOLERANCE, LOAD_TOLERANCE = 1e-10, 1e-6
 """Differences of the works S*:E at unit trace, and of S* from that of the mixture, below which states are in balance;
 after `BALANCE_STEPS` equal works are enough."""
@@ -258,54 +254,3 @@ def balance_works(
         fine[open_] = [equal(i) and equal_shares(s[i], E[members[i]], mesh) is not None for i in open_]
     ended = np.flatnonzero(found.status == "converged")
     return found.take(first), S, fine, KnownStates(found.pose.take(ended), S[owner[ended]], E[ended])
-
-
-def best_mixture(s: Array, E: Array, mesh: LoadedCell, detours: int = 0) -> list[int]:
-    """Up to three of the strains E (m, 3), the largest share first, whose mixture of equal works under its S is nearest
-    to the answer of the Cauchy load s (3,): where no other does more work under S, it is the answer among mixtures.
-
-    Descent: the state of most work under S joins the mixture, or replaces some of it, as long as that lowers its gain,
-    and so many times in a row where it does not.
-    """
-    chosen, answer, visited, waited = list[int](), list[int](), set[frozenset[int]](), 0
-    least, rival = np.inf, int(np.argmax((s * WEIGHT) @ E.T))
-    while True:
-        best = np.inf if detours else least - GAIN
-        for some in [kept for size in range(3) for kept in combinations(chosen, size)]:
-            members = [rival, *some]
-            w = None if frozenset(members) in visited else equal_shares(s, E[members], mesh)
-            if w is None:
-                continue
-            S = mesh.conjugate((w @ E[members])[None], s[None])[0]
-            works = E @ (S * WEIGHT)
-            gain = float(works.max() - w @ works[members])
-            if gain < best:
-                best, mixture, ahead = gain, [members[k] for k in np.argsort(-w)], int(works.argmax())
-        is_lower = best < least - GAIN
-        waited = 0 if is_lower else waited + 1
-        if waited > detours or not np.isfinite(best):
-            return answer
-        visited.add(frozenset(mixture))
-        if is_lower:
-            least, answer = best, mixture
-        chosen, rival = mixture, ahead
-
-
-def equal_shares(s: Array, E: Array, mesh: LoadedCell) -> Array | None:
-    """Positive shares (k,) of the strains E (k, 3) that all do the same work under the S of their mixture and the
-    Cauchy load s (3,), by Newton's method; None where there are none, and for strains that are the same."""
-    k = len(E)
-    w, loads = np.full(k, 1.0 / k), np.tile(s, (k, 1))
-    if k == 1 or any(np.abs(a - b).max() < MOVED for a, b in combinations(E, 2)):
-        return w if k == 1 else None
-    for _ in range(SHARE_STEPS):
-        near = w + PART * np.column_stack([-np.sign(np.arange(k)), np.eye(k)[:, 1:]])
-        short = (mesh.conjugate(near @ E, loads) * WEIGHT) @ (E[1:] - E[0]).T
-        step = np.linalg.lstsq((short[1:] - short[0]).T / PART, -short[0], rcond=None)[0]
-        step = np.append(-step.sum(), step)
-        if np.abs(step).max() < 1e-12:
-            return w
-        w = w + min(1.0, 0.9 / max((-step / w).max(), 1e-300)) * step
-        if w.min() < 1e-6:
-            break
-    return None

@@ -5,9 +5,9 @@ import pytest
 
 from rve.common.tensor import WEIGHT, double_dot, dyad, mirror
 from rve.directions import grid
-from rve.equilibrium.branches import best_mixture, equal_shares
 from rve.equilibrium.dead_load import LoadedCell
 from rve.equilibrium.interior_point import DirectOptions
+from rve.equilibrium.mixtures import best_mixture, equal_shares
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
 from rve.geometry.kinematics import deformation_gradient, second_pk
