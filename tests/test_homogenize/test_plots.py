@@ -3,12 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
 from homogenize.cli import main
 from homogenize.fitting.rows import rows_from_table
 from homogenize.io import DEFAULT_LAW, default_law
-from homogenize.laws.pictures import locking_surface
+from homogenize.laws.pictures import locking_surface, strength_loads
 from rve.table import read_table
 
 TABLE = Path(__file__).parent / "data" / "table190.csv"
@@ -20,14 +21,22 @@ def test_rows_lie_on_the_drawn_surface():
     assert np.abs(locking_surface(default_law(), 0.5 * (E[:, 0] - E[:, 2]), E[:, 1]) - E).max() < 1e-10
 
 
+def test_drawn_strength_is_that_of_the_law():
+    law = default_law()
+    used, lines = (law.strength.utilisation, law.strength.collapse_utilisation), law.plot_strength(500.0)[2].lines
+    for limit, S, line in zip(used, strength_loads(law.strength, 500.0), lines[:2], strict=True):
+        along, across = line.get_data()
+        drawn = np.vstack([S.reshape(-1, 3), np.column_stack([along, 0.0 * along, across])])
+        assert limit(drawn, 500.0) == pytest.approx(1.0)
+
+
 def test_pictures_are_written(tmp_path):
     words = ["plot", str(DEFAULT_LAW), "--table", str(TABLE), "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(main, words)
     assert run.exit_code == 0, run.output
-    files = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert files == ["errors.png", "pictures.json", "sections.png", "strains.png", "surface.png"]
-    pictures = [name for name in files if name.endswith(".png")]
-    assert all((tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
+    files = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    assert sorted(files) == ["errors.png", "pictures.json", "sections.png", "strains.png", "surface.png"]
+    assert all(files[name].startswith(b"\x89PNG") for name in files if name.endswith(".png"))
     law = tmp_path / "out" / "surface.png"  # a law of this name is not overwritten by the picture
     law.write_bytes(DEFAULT_LAW.read_bytes())
     over = CliRunner().invoke(main, ["plot", str(law), "--table", str(TABLE), "--out", str(tmp_path / "out")])

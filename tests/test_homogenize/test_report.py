@@ -38,7 +38,6 @@ def test_held_out_error_is_that_of_laws_that_have_not_seen_the_row(ellipsoid):
     assert report.held_out is not None
     assert 1e-4 < report.held_out.maximum < 0.1
     assert report.held_out == held_out_misfit(rows, outer_law)
-    finer = rows_of(ellipsoid, disc_grid(10, 40))
-    assert held_out_misfit(finer, outer_law).mean < 0.4 * report.held_out.mean
+    assert held_out_misfit(rows_of(ellipsoid, disc_grid(10, 40)), outer_law).mean < 0.4 * report.held_out.mean
     assert report.below == 0.0
     assert report.above < 1e-12

@@ -53,8 +53,7 @@ def test_one_outlier_is_named(row, size):
 
 
 def test_the_slack_is_the_plain_double_loop(rows):
-    rng = np.random.default_rng(5)
-    E = rows.E + rng.normal(scale=0.01, size=rows.E.shape)
+    E = rows.E + np.random.default_rng(5).normal(scale=0.01, size=rows.E.shape)
     noisy = LockedRows(rows.S, E, double_dot(rows.S, E), rows.unique, rows.source)
     S2, E2 = np.vstack([rows.S, mirror(rows.S)]), np.vstack([E, mirror(E)])
     worst = min(double_dot(S2[i], E2[i] - E2[j]) for i in range(len(S2)) for j in range(len(S2)))

@@ -31,8 +31,7 @@ def asked(S):
 
 @pytest.fixture(scope="module")
 def table():
-    E = Ellipsoid().strain(S)
-    found = table_of(2.0 * S, E)
+    found = table_of(2.0 * S, Ellipsoid().strain(S))
     provenance = found.provenance | {"material": STEEL}
     compliance = np.tile(D / WEIGHT[:, None], (len(S), 1, 1))
     return replace(found, compliance=compliance, strength=asked(S), provenance=provenance)
@@ -56,8 +55,7 @@ def test_rows_are_exact_and_size_counts_once(strength):
 
 
 def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(strength):
-    rng = np.random.default_rng(3)
-    v = rng.normal(size=(200, 2, 2))
+    v = np.random.default_rng(3).normal(size=(200, 2, 2))
     loads = np.einsum("nki,nkj->nij", v, v)
     loads = np.stack([loads[:, 0, 0], loads[:, 0, 1], loads[:, 1, 1]], axis=1)
     found = strength.utilisation(loads)
@@ -117,8 +115,7 @@ def test_a_law_file_keeps_it(table, law, strength, tmp_path):
     net.save(tmp_path / "net.json")  # the strength is that of the table, whatever the kind of law
     assert load_law(tmp_path / "net.json").strength.to_dict() == strength.to_dict()
     # the law's own stiffness is that of the rings, too
-    along = double_dot(S, (law.compliance @ S.T).T)
-    assert strength.compliance_along(S) == pytest.approx(along, rel=1e-6)
+    assert strength.compliance_along(S) == pytest.approx(double_dot(S, (law.compliance @ S.T).T), rel=1e-6)
 
 
 def test_the_command_prints_both_loads(law, tmp_path):

@@ -38,8 +38,7 @@ def chain_frequencies(span: float, links: int = 300) -> np.ndarray:
     """Frequencies in Hz of an inextensible chain of LENGTH between two points on one level: along and across it."""
     a = brentq(lambda a: 2.0 * a * np.sinh(span / (2.0 * a)) - LENGTH, span / 20.0, 1e6)
     s = np.linspace(-0.5, 0.5, links + 1) * LENGTH
-    x = np.column_stack([a * np.arcsinh(s / a), np.sqrt(a * a + s * s)])
-    edge = np.diff(x, axis=0)
+    edge = np.diff(np.column_stack([a * np.arcsinh(s / a), np.sqrt(a * a + s * s)]), axis=0)
     length = np.linalg.norm(edge, axis=1)
     k = G * np.hypot(a, 0.5 * (s[1:] + s[:-1])) / length
     D = np.diff(np.eye(links + 1), axis=0)
@@ -62,6 +61,7 @@ def test_frequencies_of_a_slack_catenary_are_those_of_its_chain():
     found = find_modes(hung, 6)
     assert found.frequencies_Hz == pytest.approx(chain_frequencies(900.0), rel=2e-3)
     assert found.shapes.shape == (6, hung.problem.disc.n_nodes, 3)
+    assert np.array_equal(find_modes(hung, 6).shapes, found.shapes)  # signs and bases as well
     assert np.linalg.norm(found.shapes, axis=2).max(axis=1) == pytest.approx(1.0)
 
 

@@ -55,8 +55,7 @@ def test_largest_step_ends_on_the_boundary(seed):
 
 
 def test_roots_square_to_their_tensor_also_at_rank_one():
-    rng = np.random.default_rng(3)
-    a = rng.normal(size=(50, 2, 2))
+    a = np.random.default_rng(3).normal(size=(50, 2, 2))
     full = np.einsum("nij,nkj->nik", a, a)
     full[:25] = np.einsum("ni,nj->nij", a[:25, 0], a[:25, 0])
     S = np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1]], axis=-1)

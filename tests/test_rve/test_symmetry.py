@@ -97,8 +97,7 @@ def test_pairs_are_halved():
     assert len(symmetry_of(FOUR_IN_ONE).kept) == 14
     assert symmetry_of(SIX_IN_ONE).middle == (0, 1)
     assert symmetry_of(supercell(FOUR_IN_ONE, 2, 1)) is None
-    tilted = replace(FOUR_IN_ONE, start_centres=FOUR_IN_ONE.start_centres * 1.1)
-    assert symmetry_of(tilted) is None
+    assert symmetry_of(replace(FOUR_IN_ONE, start_centres=FOUR_IN_ONE.start_centres * 1.1)) is None
 
 
 def test_the_limit_of_iterations_holds_in_symmetric_coordinates():
