@@ -1,19 +1,23 @@
-"""Half-spaces of a step: obstacles at their places at its end, and bodies with mass."""
+"""Half-spaces of a step: obstacles at their places at its end, and bodies with mass; and of small motions."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 
 from macro_fem.fem.discretization import Points
 from macro_fem.motion.step import Stepped
 from macro_fem.problem import CurtainProblem, meeting_points, placed_obstacles, tangent_walls
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.obstacles import PlacedObstacle
+from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError
 
 REACH = 2.0
 """Points farther from a ball than this many times the way that they may go in a step get no half-space."""
+TURN = 1e-6
+"""Step over the size of the curtain in which normals of obstacles are seen to turn."""
 
 
 class Contacts:
@@ -118,3 +122,27 @@ class Contacts:
             moved += float(push @ (offset - old.offset(own.normal)))
             touched += float(push @ (old.gap(own.at.places(x)) - (own.offset - offset)))
         return moved, touched
+
+
+def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Of small motions w of the nodes in space (3 n_nodes,): rows normal.w of the points that obstacles push, by more
+    than this part of the largest push, and the matrix of pushes times how the normals turn there, N/mm."""
+    problem, walls, force = solution.problem, solution.problem.walls, solution.wall_forces
+    n = 3 * problem.disc.n_nodes
+    if walls is None or not (force > carries * force.max(initial=0.0)).any():
+        return sparse.csr_matrix((0, n)), sparse.csr_matrix((n, n))
+    which = np.flatnonzero(force > carries * force.max())
+    walls, force = walls.take(which), force[which]
+    column, values = walls.entries()
+    values = values / np.linalg.norm(values, axis=1)[:, None]
+    row = np.repeat(np.arange(len(which)), column.shape[1])
+    rows = sparse.csr_matrix((values.ravel(), (row, column.ravel())), shape=(len(which), n))
+    turn, at, step = np.zeros((len(which), 3, 3)), walls.at.places(solution.x), TURN * problem.mesh.size
+    for one in placed_obstacles(problem):
+        own = np.flatnonzero(walls.owner == one.number)
+        for axis, way in enumerate(step * np.eye(3)):
+            turn[own, :, axis] = (one.normal(at[own] + way) - one.normal(at[own] - way)) / (2.0 * step)
+    node, share = walls.at.node, walls.at.share
+    row = np.repeat(np.arange(len(which)), node.shape[1])
+    G = sparse.kron(sparse.csr_matrix((share.ravel(), (row, node.ravel())), shape=(len(which), n // 3)), sparse.eye(3))
+    return rows, sparse.csr_matrix(G.T @ sparse.block_diag(force[:, None, None] * turn) @ G)

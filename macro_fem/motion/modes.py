@@ -6,7 +6,8 @@ the locked state itself stores nothing, and the kinetic energy of the masses:
     K w = omega^2 M w,   K the geometric stiffness of S,   M the masses of mesh and bars.
 
 A curtain in its plane is asked for motions across it, one component per node. In space w has three components and keeps
-to the tangent of the locked surface, S:(F^T grad w) = 0 at every point that carries load. Eigenpairs next to a shift
+to the tangent of the locked surface, S:(F^T grad w) = 0 at every point that carries load; what an obstacle pushes
+stays on it, whose curvature takes from K. Eigenpairs next to a shift
 below zero by Lanczos' method (scipy's `eigsh`).
 
 Meshes make frequencies too large; of smooth shapes that is known and taken off (`SMOOTH`).
@@ -23,7 +24,7 @@ Files: modes.json, the shapes in modes.vtu and as modes.png.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +41,11 @@ from macro_fem.fem.assembly import stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
 from macro_fem.fem.sparsity import sparsity
+from macro_fem.motion.contact import pushed_points
 from macro_fem.motion.stage import mesh_masses, nodal_masses, scene_at
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.schema import load_scene
+from macro_fem.scene.supports import build_supports
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError, NotConverged, check_out_job, job, json_text, versions, write_text
 from rve.common.drawing.scale import Scale
@@ -52,19 +55,19 @@ from rve.common.meshes import write_mesh_file
 CARRIES = 1e-6
 """Points with a larger part of the largest line load than this are held on the locked surface."""
 SHIFT = 1e-2
-"""The shift is minus this part of g over the size, squared frequencies of a pendulum of that length."""
-SLACK_HZ = 1e-3
+"""The shift is minus this part of the mean line load, times twice the area over mass and size squared: about g over the
+size of a curtain that hangs."""
+SLACK_HZ = 2e-3
 """Frequencies below this part of that pendulum's are those of slack parts."""
 RESOLVED = 0.9
 """Consistent over lumped kinetic energy of a shape that the mesh resolves: 1 for a smooth one, 1/4 for the roughest."""
 SMOOTH = 2e-2
 """Up to this part of the stored energy what averaged gradients lack is the error of the mesh, which is taken off."""
-ALIKE = 2e-2
-"""Relative difference of frequencies that count as one."""
+ALIKE, EXACT = 2e-2, {2: 2e-3, 3: 1e-2}
+"""Relative difference of frequencies that count as one; and of those of smooth shapes, which are that exact, in the
+plane and in space, where the locked surface stiffens the mesh."""
 SQUARE = [[0, 1], [1, 2]]
 """Places in triples (11, 12, 22) of the components of their tensors."""
-GRAVITY = 9810.0
-"""mm/s2."""
 ROUNDING = 1e-9
 """Compliance of constraints relative to the stiffness: what repeats itself stays solvable."""
 RECORD = "modes.json"
@@ -105,42 +108,46 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
         raise NotConverged(
             f"the curtain at rest ended as {solution.status}, so that it has no modes: {solution.message}"
         )
-    in_space = solution.problem.fem.d == 3
+    in_space, exact = solution.problem.fem.d == 3, EXACT[solution.problem.fem.d]
     T = solution.problem.fem.T if in_space else _across(solution)
     each = (sparse.kron(A, sparse.eye(3)) if in_space else A for A in _of_one_component(solution))
     K, M, lumped = (sparse.csc_matrix(T.T @ A @ T) for A in each)
     n = M.shape[0]
-    C = _constraints(solution, T) if in_space else sparse.csr_matrix((0, n))
-    most = (n - C.shape[0]) // 2
+    C, most = sparse.csr_matrix((0, n)), n // 2
+    if in_space:
+        pushed, curvature = pushed_points(solution, CARRIES)
+        K, C = sparse.csc_matrix(K - T.T @ curvature @ T), sparse.vstack([_constraints(solution, T), pushed @ T])
+        many = max(0, pushed.shape[0] - len(np.unique(pushed.indices // 3)))  # rows beside each other repeat themselves
+        most = (n - C.shape[0] + many) // 2
     if not 1 <= number <= most:
         raise InputError(f"number = {number}: a mesh of this size tells from 1 to {max(most, 0)} modes")
-    pendulum = GRAVITY / solution.problem.mesh.size
+    pendulum = _pendulum(solution)
     sigma = -SHIFT * pendulum
     inverse = LinearOperator((n, n), matvec=_solver(K - sigma * M, C), dtype=np.float64)
     asked, least = min(most, 3 * number + 8), SLACK_HZ**2 * pendulum
     while True:
         square, shape = eigsh(K, asked, M, sigma=sigma, OPinv=inverse, v0=np.linspace(1.0, 2.0, n), tol=1e-12)
-        order = np.argsort(square)
-        square, shape = square[order], shape[:, order]
+        is_taut = square > least
+        square, shape = square[is_taut], shape[:, is_taut]
         ratio = (shape * (M @ shape)).sum(axis=0) / (shape * (lumped @ shape)).sum(axis=0)
-        told = _distinct(square, (square > least) & (ratio > RESOLVED))
-        if len(told[0]) > number or asked == most:
+        shapes = (T @ shape).T.reshape(len(square), -1, 3 if in_space else 1)
+        if not in_space:
+            shapes = np.concatenate([np.zeros((*shapes.shape[:2], 2)), shapes], axis=2)
+        rough = _roughness(solution, shapes)
+        is_smooth = rough < SMOOTH
+        frequency = np.sqrt(square * (1.0 - np.where(is_smooth, rough, 0.0))) / (2.0 * np.pi)
+        first, multiplicity = _distinct(frequency, is_smooth, ratio > RESOLVED, exact)
+        if len(first) > number or asked == most:
             break
         asked = min(most, 2 * asked)
-    is_coarse = len(told[0]) < number
+    is_coarse = len(first) < number
     if is_coarse:
-        told = _distinct(square, square > least)
-    frequency, first, multiplicity = (one[:number] for one in told)
-    if len(frequency) < number:
-        raise InputError(f"number = {number}: this mesh tells {len(frequency)} distinct modes, use more cells")
-    shapes = (T @ shape[:, first]).T.reshape(number, -1, 3 if in_space else 1)
-    if not in_space:
-        shapes = np.concatenate([np.zeros((*shapes.shape[:2], 2)), shapes], axis=2)
+        first, multiplicity = _distinct(frequency, is_smooth, ratio > 0.0, exact)
+    first, multiplicity = first[:number], multiplicity[:number]
+    if len(first) < number:
+        raise InputError(f"number = {number}: this mesh tells {len(first)} distinct modes, use more cells")
+    frequency, shapes = frequency[first], shapes[first]
     shapes = shapes / np.linalg.norm(shapes, axis=2).max(axis=1)[:, None, None]
-    rough = _roughness(solution, shapes)
-    frequency = frequency * np.sqrt(1.0 - np.where(rough < SMOOTH, rough, 0.0))
-    order = np.argsort(frequency)
-    frequency, multiplicity, shapes = frequency[order], multiplicity[order], shapes[order]
     left_out = (
         f"motion of slack parts, and motion that {'leaves the locked surface' if in_space else 'stays in its plane'}"
     )
@@ -148,12 +155,34 @@ def find_modes(solution: CurtainSolution, number: int = 6) -> Modes:
     return Modes(frequency, multiplicity, shapes, solution, left_out)
 
 
-def _distinct(square: Array, kept: np.ndarray) -> tuple[Array, np.ndarray, np.ndarray]:
-    """Distinct frequencies in Hz of the squared circular ones that are kept, where each is first, and how often."""
+def _distinct(frequency: Array, is_smooth: np.ndarray, kept: np.ndarray, exact: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the frequencies that are kept are distinct, ascending, and how many share each.
+
+    Smooth shapes tell theirs apart, rough ones count to those beside them.
+    """
     which = np.flatnonzero(kept)
-    frequency = np.sqrt(square[which]) / (2.0 * np.pi)
-    first = np.flatnonzero(np.diff(frequency, prepend=0.0) > ALIKE * frequency)
-    return frequency[first], which[first], np.diff(np.append(first, len(which)))
+    lead: list[int] = []
+    of: dict[int, int] = {}
+    for k in which[np.lexsort((frequency[which], ~is_smooth[which]))].tolist():
+        others = lead if is_smooth[k] else list(of)
+        away = np.abs(frequency[k] / frequency[others] - 1.0)
+        is_new = not others or away.min() > (exact if is_smooth[k] else ALIKE)
+        of[k] = k if is_new else of[others[int(away.argmin())]]
+        lead += [k] if is_new else []
+    lead.sort(key=lambda k: float(frequency[k]))
+    return np.array(lead, int), np.array([list(of.values()).count(k) for k in lead], int)
+
+
+def _pendulum(solution: CurtainSolution) -> float:
+    """The scale of squared frequencies, 1/s2; InputError for a curtain without mass or line loads."""
+    problem, S = solution.problem, solution.S
+    mass, weight = nodal_masses(problem).sum(), problem.disc.weight
+    if not mesh_masses(problem).any():
+        raise InputError(f"{problem.scene.source}: [curtain] areal_mass = 0: a curtain without mass has no modes")
+    carried = float(weight @ (S[:, 0] + S[:, 2])) / problem.mesh.size
+    if carried <= solution.noise:
+        raise InputError(f"{problem.scene.source}: [load]: no line loads hold the curtain, so that it has no modes")
+    return 2.0 * carried / float(mass * problem.mesh.size)
 
 
 def _roughness(solution: CurtainSolution, shapes: Array) -> Array:
@@ -174,8 +203,10 @@ def _roughness(solution: CurtainSolution, shapes: Array) -> Array:
 
 def _across(solution: CurtainSolution) -> sparse.csc_matrix:
     """The matrix (n_nodes, n) from unknowns to nodes of motions across the plane."""
-    supports = solution.problem.supports
-    fixed = np.asarray(supports.mask.any(axis=1))
+    problem = solution.problem
+    supports, solver = problem.supports, replace(problem.scene.solver, space=True)
+    scene = replace(problem.scene, solver=solver)
+    fixed = build_supports(scene, problem.mesh, problem.disc, 1.0, frozenset()).mask[:, 2]
     T = sparse.csc_matrix(sparse.eye(len(fixed)) if supports.bars is None else supports.bars)
     return T[:, np.flatnonzero(~fixed & (np.diff(T.indptr) > 0))]
 
