@@ -13,16 +13,13 @@ from macro_fem.scene.schema import read_scene
 from rve.common.errors import InputError
 
 G, LENGTH = 9810.0, 1000.0
+WEIGHTLESS = {"width": 60.0, "height": LENGTH, "areal_mass": 0.0}
 
 
 def strip(rows: int, *, kind: str = "rigid", **more):
     """A strip of 1 m hung along the grain, with about this many rows of nodes along it, at rest."""
-    tables = {
-        "curtain": {"width": 2.0 * LENGTH / rows, "height": LENGTH},
-        "mesh": {"cells": 2},
-        "support": {"kind": "top"},
-        "solver": {"kind": kind},
-    }
+    tables = {"curtain": {"width": 2.0 * LENGTH / rows, "height": LENGTH}, "mesh": {"cells": 2}}
+    tables |= {"support": {"kind": "top"}, "solver": {"kind": kind}}
     return solve_scene(read_scene(tables | more), default_law())
 
 
@@ -76,7 +73,27 @@ def test_a_heavy_bar_makes_a_strip_a_string_under_tension():
     assert np.abs(found / string - 1.0).min() < 5e-3
 
 
+def test_shapes_stay_off_obstacles_and_free_where_no_support_holds_them():
+    wind, wall = {"pressure": 20.0, "direction": [0.0, 0.0, -1.0]}, {"kind": "wall", "facing": [0.0, 0.0, 1.0]}
+    pressed = find_modes(strip(16, load={"wind": wind}, obstacle=wall), 2)
+    assert np.abs(pressed.shapes[:, :, 2]).max() < 1e-9 < np.abs(pressed.shapes[:, :, 0]).max()
+    half = strip(16, support=[{"kind": "top"}, {"kind": "edge", "edge": "left", "held": "x"}])
+    left = half.problem.disc.nodes[:, 0] < 1e-6
+    assert np.abs(find_modes(half, 1).shapes[0, left, 2]).max() > 0.9  # as with space = true
+
+
+def test_frequencies_go_with_the_root_of_gravity_and_close_ones_are_told_apart():
+    weak = find_modes(strip(32, load={"gravity": 9.81e-8}), 1).frequencies_Hz[0]
+    assert weak == pytest.approx(0.25e-4 * jn_zeros(0, 1)[0] * np.sqrt(G / LENGTH) / np.pi, rel=1e-3)
+    bar, curtain = {"bar": {"mass": 0.05}}, {"width": 60.0, "height": LENGTH}
+    hung = strip(64, curtain=curtain, mesh={"cells": 4}, load=bar, kind="elastic")
+    assert find_modes(hung, 1).frequencies_Hz[0] == pytest.approx(0.553944, rel=1e-3)  # a chain and bar, by J0 and Y0
+
+
 @pytest.mark.parametrize("number", [0, -1, 10**6])
 def test_senseless_numbers_of_modes_are_refused(number):
     with pytest.raises(InputError, match="number = "):
         find_modes(strip(16), number)
+    for more in ({"load": {"gravity": 0.0}}, {"curtain": WEIGHTLESS, "load": {"bar": {"mass": 1.0}}}):
+        with pytest.raises(InputError, match="has no modes"):
+            find_modes(strip(16, **more))
