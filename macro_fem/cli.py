@@ -136,6 +136,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     found = largest_that_holds(load_scene(scene), on_demand or law, asked["vary"], ends, asked["factor"])
     if out is not None:
         found.save(out, picture=picture)
+    say(*filter(None, [found.note]), err=True)
     answer(found.record, always=True)
 
 

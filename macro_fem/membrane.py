@@ -173,7 +173,8 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
     """The order sheet of a solved curtain for summary.json, lengths in mm.
 
     Width and height are those of the sheet pulled along its grain, the reference state of the law. `cells` and `rings`
-    are areas over the area of a cell of the weave, rounded, None for a law without rings. `hooks` counts the points
+    are areas over the area of a cell of the weave, rounded; they, weave and radii are None for a law without rings, and
+    the material where the law does not tell the strength of rings. `hooks` counts the points
     that are held one by one, `hook_pitch_mm` is their distance along the mesh, None where there is no row of them.
     """
     corners = solution.problem.mesh.mesh.p
@@ -187,16 +188,18 @@ def order(solution: CurtainSolution, summary: dict[str, Any]) -> dict[str, Any]:
         "mass_kg": summary["mass_kg"],
         "hooks": sum(one["nodes_held"] for one in single),
         "hook_pitch_mm": next((one["pitch_mm"] for one in single if "pitch_mm" in one), None),
+        "material": summary["ring_material"],
         "covers_width_mm": float(np.ptp(solution.x[:, 0])),
         "lowest_point_mm": summary["lowest_point_mm"],
     }
 
 
-def _counts(area: float, summary: dict[str, Any]) -> dict[str, int | None]:
-    """Cells and rings on an area in mm2."""
+def _counts(area: float, summary: dict[str, Any]) -> dict[str, Any]:
+    """The rings and their weave, and how many cells and rings are on an area in mm2."""
     try:
         cell = read_told(summary, "").cell("")
     except InputError:  # a law without rings, or of a weave that is not known
-        return {"cells": None, "rings": None}
+        return dict.fromkeys(("cells", "rings", "weave", "r1_mm", "r2_mm"))
     cells = area / (summary["rings"]["b_x_mm"] * summary["rings"]["b_y_mm"] * math.prod(cell.weave.repeat))
-    return {"cells": round(cells), "rings": round(cells * cell.weave.classes)}
+    kind = {"weave": cell.weave.name, "r1_mm": cell.r1, "r2_mm": cell.r2}
+    return {"cells": round(cells), "rings": round(cells * cell.weave.classes)} | kind

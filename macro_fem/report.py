@@ -56,9 +56,11 @@ def write_report(
     plot_line_loads(solution, shape).legend().remove()
     shape.set_title("")
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
-    verdict = holds_line(summary) if summary["status"] == "converged" else f"{summary['status']}: {summary['message']}"
+    solved = summary["status"] == "converged"
+    verdict = holds_line(summary) if solved else f"{summary['status']}: {summary['message']}"
+    colour = BLUE if solved and (summary["weakest_factor"] or 1.0) >= 1.0 else VERMILION
     # The first sentence says whether it holds; the second page has the rest.
-    _section(first, 0.945, "; ".join(verdict.split("; ")[:2]), [], colour=BLUE)
+    _section(first, 0.945, "; ".join(verdict.split("; ")[:2]), [], colour)
     height = f"mean height {summary['mean_height_mm']:.1f} mm"
     _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
     second, y = _page(name, 2), 0.93

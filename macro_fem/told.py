@@ -52,8 +52,8 @@ def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
     """How a curtain in motion ended, and its peaks."""
     return [
         f"{summary['status']}: {summary['message']}",
-        f"{summary['reached_s']:g} s in {summary['steps']} steps, peak support force "
-        f"{summary['peak_support_force_N']:.4g} N at {summary['peak_support_force_at_s']:.4g} s, lowest point "
+        f"{summary['reached_s']:g} s in {summary['steps']} steps, forces of all supports add up to at most "
+        f"{summary['peak_support_force_N']:.4g} N, at {summary['peak_support_force_at_s']:.4g} s; lowest point "
         f"{summary['lowest_point_mm']:.3f} mm, {summary['wall_s']:.2f} s; written to {out}",
     ]
 
@@ -113,12 +113,17 @@ def hooks_lines(summary: dict[str, Any]) -> list[str]:
 
 
 def order_lines(record: dict[str, Any]) -> list[str]:
-    """The order sheet in three lines."""
-    rings = "" if record["rings"] is None else f"{record['rings']} rings in {record['cells']} cells, "
+    """The order sheet in lines."""
+    rings = "" if record["rings"] is None else f"{record['rings']} rings in {record['cells']} cells of the weave, "
     pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
+    kind = []
+    if record["weave"] is not None:
+        across, wire, metal = 2.0 * record["r1_mm"], 2.0 * record["r2_mm"], record["material"] or "material not known"
+        kind = [f"  {record['weave']}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
     return [
         f"order: mesh of {record['mesh_width_mm']:g} x {record['mesh_height_mm']:g} mm, width by height, pulled along "
         "its grain",
+        *kind,
         f"  {rings}{record['mass_kg']:.4g} kg; {record['hooks']} single points to hang by{pitch}",
         f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm",
     ]

@@ -174,7 +174,7 @@ class DrawnRings:
         side = np.cross(up, front)
         from_below = 2.2 * up - 0.6 * side - 4.2 * front  # and from the side: one sees how the rings lie
         seen = close.centre  # the ring that bears most is often in a corner of the mesh
-        look(plotter, from_below, up, 0.85 * np.stack([seen.min(axis=0), seen.max(axis=0)]) + 0.15 * seen.mean(axis=0))
+        look(plotter, from_below, up, np.stack([seen.min(axis=0) - self.r1, seen.max(axis=0) + self.r1]))
         return plotter
 
 

@@ -58,9 +58,8 @@ def test_the_wheel_alone_makes_table_law_and_curtain(dist, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(place)}
 
     def run(*arguments):
-        done = subprocess.run(
-            [sys.executable, "-m", *map(str, arguments)], cwd=tmp_path, env=environment, capture_output=True, text=True
-        )
+        command = [sys.executable, "-m", *map(str, arguments)]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

@@ -20,12 +20,17 @@ from rve import solve_table, with_rings
 from rve.common import InputError, csv_text, job, json_text, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
 
-VARY = ("pitch", "mass", "speed", "r2")
+UNITS = {"pitch": "mm", "mass": "kg", "speed": "m/s", "r2": "mm"}
 """What may be varied: the distance of hooks or runners, the mass of bars, the speed of the wind, the wire of rings."""
 COARSE, MOST = 5, 12
 """Values of the first round, and most values between the last one of them that holds and the next."""
 CLOSE = 2e-3
 """A factor this close above the one asked for, or a gap between values of this part of the range, ends the search."""
+RINGS_NOT_JUDGED = (
+    "the law does not tell the strength of rings, so that the factor is that of hooks or runners alone: make the table "
+    "with rve table --rings, in Python rve.with_rings(table, cell), and fit it again"
+)
+"""What is said where only hooks have been judged."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Size:
     weakest: str | None
     factor_asked: float
     curve: tuple[Row, ...]
+    note: str | None = None
+    """Why the rings are not judged: `factor` is then that of hooks and runners alone. None where they are."""
 
     @property
     def record(self) -> dict[str, Any]:
@@ -108,7 +115,8 @@ def largest_that_holds(
     found = rows[best]
     assert found.factor is not None
     curve = tuple(rows[value] for value in sorted(rows))
-    return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve)
+    note = RINGS_NOT_JUDGED if found.safety_factor is None else None
+    return Size(vary, best, found.safety_factor, found.factor, found.weakest, factor, curve, note)
 
 
 def search(use: Callable[[float], float], values: Sequence[float], *, between: bool) -> float | None:
@@ -181,8 +189,8 @@ def _changed(scene: Scene, vary: str, value: float) -> Scene:
             return bool(getattr(item, "has_hooks", False))
         return isinstance(item, Bar) if vary == "mass" else isinstance(item, Wind) and item.speed is not None
 
-    if vary not in VARY:
-        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARY)}")
+    if vary not in UNITS:
+        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(UNITS)}")
     if not any(map(has, scene.items)):
         what = {"pitch": "hooks or runners", "mass": "bar", "speed": "wind with a speed"}[vary]
         raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
@@ -197,12 +205,12 @@ def _changed(scene: Scene, vary: str, value: float) -> Scene:
 def _draw(path: Path, size: Size) -> None:
     """The factor over the value."""
     known = [row for row in size.curve if row.factor is not None]
-    ax = new_axes(6.4, 4.0)
+    ax, unit = new_axes(6.4, 4.0), UNITS[size.vary]
     ax.plot([row.value for row in known], [row.factor or 0.0 for row in known], "o-", color="#1f3a5f", ms=4)
     ax.axhline(size.factor_asked, color="#bd1f01", lw=1.0, label=f"factor {size.factor_asked:g}")
-    ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g}")
-    unit = {"pitch": "mm", "mass": "kg", "speed": "m/s", "r2": "mm"}[size.vary]
-    ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives", ylim=(0.0, None))
+    ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g} {unit}")
+    top = 1.1 * max(size.factor_asked, *(row.factor or 0.0 for row in known))
+    ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives", ylim=(0.0, top))
     ax.legend(frameon=False)
     ax.grid(alpha=0.3)
     save_figure(path, ax.figure)

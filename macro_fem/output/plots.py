@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.output import strength
+from macro_fem.output.arrows import LOAD, point_loads
 from macro_fem.output.files import corner_positions
-from macro_fem.output.space_view import Titled, line_load_scale, title
+from macro_fem.output.space_view import LONGEST, Titled, line_load_scale, title
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError
 from rve.common.drawing.plane import new_axes, new_figure
@@ -37,6 +38,7 @@ def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale:
     scale = line_load_scale([solution]) if scale is None else scale
     ax = _plot_field(solution, values[:, 0], scale, ax)
     _directions(solution, (values, direction), scale, ax)
+    _loads(solution, ax)
     _legend(ax)
     width, tall = np.ptp(solution.problem.disc.nodes[:, :2], axis=0)
     told = title(solution)
@@ -61,7 +63,7 @@ def panels(solution: CurtainSolution) -> Figure:
 
     extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
     figure = new_figure(10.4, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
-    axes = figure.subplots(1, 2)
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
     plot_line_loads(solution, axes[0])
     _colour(solution, solution.state(), axes[1], cmap=ListedColormap(STATE_COLOURS), vmin=0.0, vmax=2.0)
     _legend(axes[1], [Patch(color=c, label=name) for c, name in zip(STATE_COLOURS, STATE_NAMES, strict=True)])
@@ -107,7 +109,7 @@ def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) ->
     from matplotlib.collections import LineCollection
 
     mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, corner_positions(solution)[:, :2]
-    ax.tripcolor(corners[:, 0], corners[:, 1], mesh.t.T, facecolors=values, **style)
+    ax.tripcolor(corners[:, 0], corners[:, 1], mesh.t.T, facecolors=values, edgecolors="face", lw=0.3, **style)
     outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
     dashes: Any = (0, (4, 3))
     ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=dashes, label="before deformation"))
@@ -147,6 +149,19 @@ def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale
     tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
     ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))
     ax.plot([], [], color="black", lw=1.2, label="direction of this load")
+
+
+def _loads(solution: CurtainSolution, ax: Axes) -> None:
+    """Loads at points as arrows, the longest a part of the size of the mesh."""
+    at, force = (part[:, :2] for part in point_loads(solution))
+    longest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
+    if longest > 0.0:
+        size = LONGEST * solution.problem.mesh.size
+        ax.update_datalim(at + size * force / longest)
+        ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
+        told = f"load at a point, up to {longest:.3g} N"
+        ax.quiver(*at.T, *force.T, color=LOAD, ec="white", lw=0.5, zorder=6, label=told, **ends)
+        ax.autoscale_view()
 
 
 def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:

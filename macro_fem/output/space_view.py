@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
+from macro_fem.output.arrows import FORCES
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
 from macro_fem.scene.support_kinds import Hooks
@@ -34,15 +35,13 @@ from rve.common.drawing.space import (
 if TYPE_CHECKING:
     from pyvista import Plotter, PolyData
 
-HELD, TRACK, REACTION, PUSH = "#1f4e79", "#4a4f57", "#d7263d", "#e07b00"
+HELD, TRACK = "#1f4e79", "#4a4f57"
 GROUND, SHADOW, FIGURE = "#ebedf0", "#cdd2d8", "#8d96a1"
-LEAST_FOR_PERSON = 800.0
+LEAST_FOR_PERSON = 1000.0
 """Scenes of this size in mm and larger are shown beside a person, smaller ones beside a bar of a round length."""
 PERSON_MM = 1750.0
 LIGHT = np.array([0.3, -1.0, -0.45])
 """Direction of the light that throws the shadow: from the left, above and the front."""
-MOST_ARROWS = 14
-"""Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""
 LONGEST, LEAST_ARROW = 0.16, 0.04
 """Length of the largest force's arrow over the size of the scene; forces below this part of it have no arrow."""
 SHRUNK, REACH = 0.003, 0.25
@@ -62,25 +61,34 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
 @dataclass(frozen=True, eq=False)
 class PictureFrame:
     """What pictures of a series share: colours, box (2, 3) of the curtain in mm, size of the box in mm, length of
-    arrows in mm/N, and y of the lowest tip of an arrow in mm."""
+    arrows in mm/N, largest forces in N of supports, obstacles and loads, y of the lowest tip of an arrow in mm, and box
+    (2, 3) of what stands on the ground beside the curtain in mm."""
 
     scale: Scale
     room: Array
     size: float
     arrow: float
+    largest: tuple[float, ...]
     lowest: float
+    around: Array
 
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
-        both = [forces(step) for step in steps for forces in (pulls, pushes)]
-        at, force = (np.concatenate(parts) for parts in zip(*both, strict=True))
+        each = [[forces(step) for step in steps] for _, _, forces in FORCES]
+        at, force = (np.concatenate(parts) for parts in zip(*(one for kind in each for one in kind), strict=True))
+        sizes = [np.linalg.norm(np.concatenate([one for _, one in kind]), axis=1) for kind in each]
         points = np.concatenate([padded(corner_positions(step)) for step in steps])
         room = np.stack([points.min(axis=0), points.max(axis=0)])
         size = float(np.linalg.norm(room[1] - room[0]))
-        arrow = LONGEST * size / max(float(np.linalg.norm(force, axis=1).max(initial=0.0)), 1e-300)
+        largest = tuple(float(one.max(initial=0.0)) for one in sizes)
+        arrow = LONGEST * size / max(*largest, 1e-300)
         lowest = float((at + arrow * force)[:, 1].min(initial=room[0, 1] - 0.06 * size))
-        return cls(line_load_scale(steps), room, size, arrow, lowest)
+        frame = cls(line_load_scale(steps), room, size, arrow, largest, lowest, room)
+        bodies = [obstacle_mesh(*one, frame, lowest) for step in steps for one in moved_obstacles(step)]
+        bounds = [np.reshape(one.bounds, (3, 2)).T for one in bodies if one is not None]
+        both = np.concatenate([room, *bounds])
+        return replace(frame, around=np.stack([both.min(axis=0), both.max(axis=0)]))
 
 
 def draw_curtain(
@@ -103,9 +111,10 @@ def draw_curtain(
         if mesh is not None:
             style = {"opacity": 0.35} if isinstance(item, Wall) else {}
             add_body(plotter, item.name, mesh, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
-    for name, colour, (at, force) in (("supports", REACTION, pulls(solution)), ("obstacles", PUSH, pushes(solution))):
+    for (name, colour, forces), largest in zip(FORCES, frame.largest, strict=True):
+        at, force = forces(solution)
         shown = arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
-        add(plotter, f"force of {name}, longest {np.linalg.norm(force, axis=1).max(initial=0.0):.3g} N", shown, colour)
+        add(plotter, f"{name}, longest {largest:.3g} N", shown, colour)
     _add_surroundings(plotter, curtain, frame, ground)
     look(plotter, direction)
     return plotter
@@ -141,45 +150,6 @@ def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     shown = surface(padded(corner_positions(solution)), cells)
     shown[scale.label] = mean_at_corners(cells, each, solution.problem.disc.cell_area)
     return shown
-
-
-def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
-    """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up."""
-    groups: list[np.ndarray] = []
-    taken = np.zeros(len(solution.x), bool)
-    for held in solution.problem.supports.held:
-        nodes = held.nodes[~taken[held.nodes]]
-        taken[nodes] = True
-        groups += halved(padded(solution.x), nodes, MOST_ARROWS if len(held.facets) else len(nodes))
-    return _summed_up(solution, solution.reactions, groups)
-
-
-def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
-    """Places (k, 3) and forces (k, 3) of obstacles on the curtain, summed up."""
-    size = np.linalg.norm(solution.pushes, axis=1)
-    nodes = np.flatnonzero(size > 1e-6 * size.max(initial=0.0))
-    return _summed_up(solution, solution.pushes, halved(padded(solution.x), nodes, MOST_ARROWS))
-
-
-def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
-    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
-
-    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
-    [[1], [2, 0]]
-    """
-    if most < 2 or len(nodes) < 2:
-        return [nodes] if len(nodes) else []
-    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
-    first, half = most // 2, len(order) // 2
-    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
-
-
-def _summed_up(solution: CurtainSolution, forces: Array, groups: list[np.ndarray]) -> tuple[Array, Array]:
-    """The middle and the sum of the nodal forces (n_nodes, d) of each group."""
-    x, forces = padded(solution.x), padded(forces)
-    size = np.linalg.norm(forces, axis=1) + 1e-300
-    at = [np.average(x[nodes], axis=0, weights=size[nodes]) for nodes in groups]
-    return np.reshape(at, (-1, 3)), np.reshape([forces[nodes].sum(axis=0) for nodes in groups], (-1, 3))
 
 
 def moved_obstacles(solution: CurtainSolution) -> list[tuple[Obstacle, Array]]:
@@ -252,14 +222,18 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     shadow.points[:, 1] = ground
     box, size = frame.room, frame.size
     foot = np.array([box[0, 0], ground, box[1, 2] + 0.05 * size])
-    if float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON:
+    is_large = float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON
+    if is_large:
         add(plotter, "person, 1.75 m", person(foot - [0.4 * PERSON_MM, 0.0, 0.0]), FIGURE)
     else:
         length = rounded_up(0.12 * size)
         ends = foot + np.array([[0.0, 0.006 * size, 0.0], [length, 0.006 * size, 0.0]])
         add(plotter, f"bar of {length:g} mm", lines(ends[None]), FIGURE, line_width=9)
     add(plotter, "_shadow", shadow, SHADOW, **FLAT)
-    x0, x1, _, _, z0, z1 = plotter.renderer.bounds
+    thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
+    beside = foot - [[0.5 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]
+    corners = np.concatenate([frame.around, thrown, beside])
+    (x0, _, z0), (x1, _, z1) = corners.min(axis=0), corners.max(axis=0)
     middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.12 * size
     floor = pyvista.Plane(center=middle, direction=(0.0, 1.0, 0.0), i_size=z1 - z0 + room, j_size=x1 - x0 + room)
     add(plotter, "_ground", floor, GROUND, **FLAT)

@@ -113,7 +113,10 @@ def reason(law: HungLaw) -> str | None:
     """Why the utilisation under a law is not known; None if it is."""
     known = strength_of_law(law.own)
     if known is None:
-        return "the law was made without it: make its table with rve table --rings and fit it again"
+        return (
+            "the law was made without it: make its table with rve table --rings, in Python with rve.with_rings, and "
+            "fit it again"
+        )
     if known.material.yield_N_per_mm2 is None:
         return f"{known.material.name} has no yield stress: make the table with rve table --rings --yield"
     return None if law.cell is not None else "the law has no cell to average the line load over"

@@ -11,9 +11,8 @@ LAWS = {"ring": ring_net(ring_cell(5.0, 0.5, 11.0, 12.646069623526)), "abstract"
 
 def random_loads(rng, n):
     """Positive semidefinite triples of unit trace, every third of rank one."""
-    S = dyad(rng.normal(size=(n, 2))) + rng.uniform(size=(n, 1)) * (np.arange(n) % 3 > 0)[:, None] * dyad(
-        rng.normal(size=(n, 2))
-    )
+    S, share = dyad(rng.normal(size=(n, 2))), rng.uniform(size=(n, 1)) * (np.arange(n) % 3 > 0)[:, None]
+    S = S + share * dyad(rng.normal(size=(n, 2)))
     return S / trace(S)[:, None]
 
 

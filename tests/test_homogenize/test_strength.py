@@ -71,9 +71,8 @@ def test_between_rows_it_is_symmetric_homogeneous_and_as_wrong_as_reported(stren
 
 def test_a_chiral_weave_has_its_own_strength_on_either_side(table):
     """Rows at S and at its mirror image differ: neither stands for the other."""
-    chiral = replace(
-        table, strength=asked(S) * (1.0 + 0.5 * S[:, 1:2]), provenance=table.provenance | {"weave": "6-in-1"}
-    )
+    weave = table.provenance | {"weave": "6-in-1"}
+    chiral = replace(table, strength=asked(S) * (1.0 + 0.5 * S[:, 1:2]), provenance=weave)
     found = strength_of_table(chiral)
     assert found.utilisation(S) == pytest.approx(chiral.strength[:, 0] / 400.0, rel=1e-9)
     assert found.error.first_yield_max < 0.1

@@ -64,9 +64,8 @@ def test_compiled_material_gives_our_numbers(tmp_path, ellipsoid):
     rows = rows_of(ellipsoid, disc_grid(5, 20))
     law = polyhedral_law(*refined_half_spaces(rows), hessian / [[1.0], [2.0], [1.0]])
     (tmp_path / "umat.f").write_text(umat_source(law, "test"))
-    (tmp_path / "driver.f90").write_text(
-        DRIVER.replace("\n     1 ", " &\n ").replace("COUNT_COL", "L").replace("I,K,COUNT\n", "I,K,L,COUNT\n")
-    )
+    driver = DRIVER.replace("\n     1 ", " &\n ").replace("COUNT_COL", "L").replace("I,K,COUNT\n", "I,K,L,COUNT\n")
+    (tmp_path / "driver.f90").write_text(driver)
     command = [
         "gfortran",
         "-O1",

@@ -56,9 +56,8 @@ def test_linear_stress_makes_hanging_strips_exact(ring_like, scene_tables, hang,
 
 
 def test_corner_supports_and_point_loads_are_bounded_too(ring_like, scene_tables):
-    fine_tables = scene_tables(
-        mesh={"cells": 16}, support={"kind": "corners"}, load={"point": {"at": [50.0, 0.0], "force": [0.02, -0.02]}}
-    )
+    load = {"point": {"at": [50.0, 0.0], "force": [0.02, -0.02]}}
+    fine_tables = scene_tables(mesh={"cells": 16}, support={"kind": "corners"}, load=load)
     fine = solve_scene(read_scene(fine_tables), ring_like)
     gaps = []
     for cells in (4, 8):

@@ -125,10 +125,8 @@ def test_half_the_step_is_half_the_live_load(ring_like, scene_tables, kind):
     half = {**LIVE[kind], "force": [0.5 * f for f in LIVE[kind]["force"]]}
     answers = []
     for load, factor in (({kind: LIVE[kind]}, 0.5), ({kind: half}, 1.0), ({kind: LIVE[kind]}, 1.0)):
-        tables = scene_tables(
-            mesh={"cells": 4}, support={"kind": "top", "gather": 0.9}, load=load, solver={"stabilising_tension": 0.0}
-        )
-        solution = solve_problem(posed(tables, ring_like, factor))
+        more = {"support": {"kind": "top", "gather": 0.9}, "solver": {"stabilising_tension": 0.0}}
+        solution = solve_problem(posed(scene_tables(mesh={"cells": 4}, load=load, **more), ring_like, factor))
         answers.append(bound(solution, factor))
         scale = np.abs(solution.problem.force).sum() * 100.0
     stepped, halved, full = answers

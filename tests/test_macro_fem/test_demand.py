@@ -63,9 +63,7 @@ def known_rings(monkeypatch):
 
 def square(support="corners", cells=4, **tables):
     kind = {"kind": support} if isinstance(support, str) else support
-    return read_scene(
-        {"curtain": {"width": 100.0, "height": 100.0}, "mesh": {"cells": cells}, "support": kind} | tables
-    )
+    return read_scene({"curtain": {"width": 100, "height": 100}, "mesh": {"cells": cells}, "support": kind} | tables)
 
 
 def interval(found):

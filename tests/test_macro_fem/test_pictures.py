@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import macro_fem
-from macro_fem.output.space_view import pulls
+from macro_fem.output.arrows import pulls
+from macro_fem.output.space_view import drawn
+from rve.common.drawing.space import parts
 from rve.common.errors import InputError
 from tests.films import film_of
 
@@ -12,7 +14,7 @@ HAMMOCK = {
     "curtain": {"width": 240, "height": 300},
     "mesh": {"cells": 6},
     "support": [{"kind": "edge", "edge": "top"}, {"kind": "edge", "edge": "bottom", "move": [0, 260, 150]}],
-    "load": {"steps": 2},
+    "load": {"steps": 2, "point": {"at": [120, 100], "force": [0, 0, 9]}},
 }
 PLANE = {
     "curtain": {"width": 100, "height": 80},
@@ -40,12 +42,18 @@ def test_arrows_of_supports_add_up_to_the_load(hammock):
     assert on_edges.max() < 1e-9
 
 
+def test_pictures_of_a_series_share_the_ground_and_the_names_of_forces(hammock):
+    steps = drawn([("half", hammock.steps[0]), ("all", hammock.steps[1])])
+    first, last = [{name: part[0].bounds for name, part in parts(one).items()} for _, one in steps]
+    assert (list(first), first["_ground"]) == (list(last), last["_ground"])
+
+
 def test_a_page_of_a_curtain(hammock, plane, tmp_path):
     for result, name in ((hammock, "space.html"), (plane, "plane.html")):
         result.write_html(tmp_path / name)
         text = (tmp_path / name).read_text(encoding="utf-8")
         assert '"name":"held' in text.replace('": "', '":"')
-        assert "longest" in text
+        assert ("load at a point, longest 9 N" in text) == (result is hammock)
     with pytest.raises(InputError, match="is a folder"):
         plane.write_html(tmp_path)
 

@@ -1,6 +1,7 @@
 """Nodes are where a scene holds and loads points; supports report their forces there."""
 
 import json
+import re
 from itertools import product
 
 import meshio
@@ -107,9 +108,8 @@ def test_a_point_leaves_the_curtain_exact():
     for at in ([13.1, 22.3], [21.7, 9.2], [28.3, 31.2]):
         load = {"point": {"at": at, "force": [0.0, 0.0]}}
         top = {"kind": "top", "gather": 0.7}
-        solution = solve_scene(
-            scene(top, load=load, mesh={"cells": 8}, solver={"stabilising_tension": 0.0}, **curtain), diagonal_net()
-        )
+        asked = scene(top, load=load, mesh={"cells": 8}, solver={"stabilising_tension": 0.0}, **curtain)
+        solution = solve_scene(asked, diagonal_net())
         assert has_node(solution.problem.mesh, at)
         assert solution.mean_height() == pytest.approx(NET_MEAN_HEIGHT, abs=1e-5)
 
@@ -118,7 +118,7 @@ def test_a_point_leaves_the_curtain_exact():
     ("at", "words"),
     [
         ([130.0, 40.0], r"\[130.0, 40.0\]: is 30.* mm away from the curtain, whose nearest node is at \(100, "),
-        ([50.0, 0.3], r"\[50.0, 0.3\]: gets no node without a flat cell, the nearest one is .* mm away at \("),
+        ([50.0, 0.3], r"\[50.0, 0.3\]: gets no node without a flat cell, the nearest one is .* mm away at \["),
         ([50.0, 40.0], r"\[50.0, 40.0\]: is 10.* mm away from the curtain"),
     ],
     ids=["outside", "at the rim", "in the hole"],
@@ -132,13 +132,20 @@ def test_points_without_a_node_are_told_with_the_nearest(at, words):
             build_mesh(scene(point, load=load, mesh={"cells": 10}, holes=holes), None)
 
 
+def test_the_place_that_is_advised_has_a_node():
+    sheet = {"mesh": {"cells": 7}, "width": 1000.0 / 3.0, "height": 1000.0 / 7.0}
+    with pytest.raises(InputError, match="ask for that place") as told:
+        build_mesh(scene({"kind": "point", "at": [0.0, 142.8568]}, **sheet), None)
+    advised = json.loads(re.search(r"away at (\[.*?\])", str(told.value))[1])
+    build_mesh(scene({"kind": "point", "at": advised}, **sheet), None)
+
+
 def test_hooks_are_evenly_spaced_along_an_arch():
     turn = np.linspace(0.0, np.pi, 41)
     arch = [[-50.0, -60.0], [50.0, -60.0], *np.column_stack([50.0 * np.cos(turn), 50.0 * np.sin(turn)]).tolist()]
     support = {"kind": "hooks", "pitch": 13.0}
-    problem = make_problem(
-        one := scene(support, shape="outline", outline=arch, mesh={"cells": 14}), LAW, build_mesh(one, None)
-    )
+    one = scene(support, shape="outline", outline=arch, mesh={"cells": 14})
+    problem = make_problem(one, LAW, build_mesh(one, None))
     held = problem.supports.held[0]
     at = problem.disc.nodes[held.nodes]
     assert len(at) == round(50.0 * np.pi / 13.0) + 1
@@ -268,9 +275,7 @@ def test_the_pitch_that_fits_is_told(tmp_path, keys, count, asked):
     (tmp_path / "scene.toml").write_text(
         f"[curtain]\nwidth = 3000\nheight = 500\n[mesh]\ncells = 24\n[support]\nkind = 'hooks'\n{keys}\n"
     )
-    found = CliRunner().invoke(
-        main, ["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--no-picture"]
-    )
+    found = CliRunner().invoke(main, ["run", f"{tmp_path}/scene.toml", "--out", f"{tmp_path}/out", "--no-picture"])
     assert found.exit_code == 0, found.output
     (hooks,) = json.loads((tmp_path / "out" / "summary.json").read_text())["support_forces"]
     assert hooks["pitch_mm"] == pytest.approx(3000.0 / (count - 1))

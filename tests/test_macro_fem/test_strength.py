@@ -316,8 +316,6 @@ def test_elastic_curtains_follow_the_material():
 
 
 def test_a_material_needs_a_law_that_knows_its_own():
-    scene = read_scene(
-        {"curtain": {"width": 40.0, "height": 40.0}, "support": {"kind": "top"}, "material": {"yield": 400.0}}
-    )
+    scene = read_scene({"curtain": {"width": 40, "height": 40}, "support": {"kind": "top"}, "material": {"yield": 400}})
     with pytest.raises(InputError, match="needs a law that knows the material of its rings; make the table again"):
         solve(scene, replace(default_law(), strength=None))

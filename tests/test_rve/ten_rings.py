@@ -28,9 +28,8 @@ WIRE = 0.1
 KIND, SHIFT = FOUR_IN_ONE.rings[:, 0], FOUR_IN_ONE.rings[:, 1:]
 """Class (n,) and lattice shift (n, 2) of every ring."""
 N = len(KIND)
-ONE, TWO, THREE, FOUR = (
-    int(np.flatnonzero((FOUR_IN_ONE.rings == (0, *shift)).all(axis=1))[0]) for shift in ((0, 0), (1, 0), (0, 1), (1, 1))
-)
+SHIFTS = ((0, 0), (1, 0), (0, 1), (1, 1))
+ONE, TWO, THREE, FOUR = (int(np.flatnonzero((FOUR_IN_ONE.rings == (0, *one)).all(axis=1))[0]) for one in SHIFTS)
 """Numbers of the rings 1, 2, 3, 4 of the paper's Fig. 1."""
 
 

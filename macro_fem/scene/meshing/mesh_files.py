@@ -144,8 +144,12 @@ def read_outline(path: Path) -> dict[str, Any]:
     return {"outline": rings[0], "holes": rings[1:]}
 
 
+STRAIGHT = 1e-9
+"""Sine of the turn at nodes of the boundary that are corners of an outline; less is rounding of a straight side."""
+
+
 def write_outline(path: Path, mesh: Any) -> None:
-    """Write the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
+    """Write the corners of the boundary of a scikit-fem mesh, mm, as closed polylines of a DXF file."""
     require("ezdxf", "cad", "--dxf", "leave it out")
     import ezdxf
     import ezdxf.units
@@ -153,8 +157,10 @@ def write_outline(path: Path, mesh: Any) -> None:
     document = ezdxf.new(units=ezdxf.units.MM)
     document.layers.add("CURTAIN")
     for loop in boundary_loops(mesh):
-        document.modelspace().add_lwpolyline(
-            mesh.p[:, loop.nodes].T.tolist(), close=True, dxfattribs={"layer": "CURTAIN"}
-        )
+        points = mesh.p[:, loop.nodes].T
+        before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
+        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        corners = points[(np.abs(cross(before, after)) > STRAIGHT * lengths) | ((before * after).sum(axis=1) < 0.0)]
+        document.modelspace().add_lwpolyline(corners.tolist(), close=True, dxfattribs={"layer": "CURTAIN"})
     with atomic_path(path) as temporary:
         document.saveas(temporary)

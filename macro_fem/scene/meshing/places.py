@@ -155,8 +155,8 @@ def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: 
     sound = [change for change in changes if change.sine >= LEAST_SINE]
     if not sound:
         raise InputError(
-            f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at ({x:g}, {y:g}); ask for "
-            f"that place, or use another number of cells"
+            f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at [{x:.12g}, {y:.12g}]; "
+            f"ask for that place, or use another number of cells"
         )
     return max(sound, key=lambda change: (not change.turns, change.sine))
 
