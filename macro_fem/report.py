@@ -13,7 +13,7 @@ from macro_fem.output.plots import plot_line_loads
 from macro_fem.output.weakest import holds_line, links
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.solution import CurtainSolution
-from macro_fem.told import combination_lines, order_lines
+from macro_fem.told import combination_lines, governing_line, order_lines
 from rve.common import atomic_path, checksum
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
 
@@ -58,9 +58,14 @@ def write_report(
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     solved = summary["status"] == "converged"
     verdict = holds_line(summary) if solved else f"{summary['status']}: {summary['message']}"
-    colour = BLUE if solved and (summary["weakest_factor"] or 1.0) >= 1.0 else VERMILION
+    factors = [one["weakest_factor"] for one in (summary, summary.get("envelope", summary))]
+    solved = solved and all(row["status"] == "converged" for row in summary.get("combinations", ()))
+    colour = BLUE if solved and all(one is None or one >= 1.0 for one in factors) else VERMILION
     # The first sentence says whether it holds; the second page has the rest.
-    _section(first, 0.945, "; ".join(verdict.split("; ")[:2]), [], colour)
+    first_words = "; ".join(verdict.split("; ")[:2])
+    if "envelope" in summary:
+        first_words = f"{governing_line(summary)}; without its factors: {first_words.split('; ')[0]}"
+    _section(first, 0.945, first_words, [], colour)
     height = f"mean height {summary['mean_height_mm']:.1f} mm"
     _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
     second, y = _page(name, 2), 0.93
@@ -122,11 +127,15 @@ def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str
     wide = max(map(len, rows), default=0) + 3
     columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip(rows[:half], [*rows[half:], ""], strict=False)]
     head = "Forces of supports" + ("" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}")
-    yield f"{head} (N; place in the flat sheet, mm)", columns, True
+    yield f"{head}: x and y in the flat sheet, mm; size and components, N", columns, True
     notes = [summary["support_forces_note"], summary["line_load_warning"]]
     yield "Assumptions and limits", [*LIMITS, *filter(None, notes)], False
     versions = ", ".join(f"{key} {value}" for key, value in summary["versions"].items())
     yield "Versions and files", [versions, *(f"{one.name}: SHA-256 {checksum(one)}" for one in inputs)], False
+
+
+def _vector(parts: Iterable[float]) -> str:
+    return f"({', '.join(f'{part:g}' for part in parts)})"
 
 
 def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
@@ -159,8 +168,8 @@ def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     winds = ((one.speed, "m/s") if one.speed is not None else (one.pressure, "N/m2") for one in scene.of(Wind))
     loads = ["Loads: weight", *(f"bar of {one.mass:g} kg on {one.edge}" for one in scene.of(Bar))]
     loads += [f"wind of {value:g} {unit}" for value, unit in winds]
-    loads += [f"{list(one.force)} N at {list(one.at)}" for one in forces]
-    loads += [f"{list(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
+    loads += [f"{_vector(one.force)} N at {_vector(one.at)}" for one in forces]
+    loads += [f"{_vector(one.force)} N/mm on {one.edge}" for one in scene.of(EdgeLoad)]
     ax.text(0.0, 1.04, "Flat sheet, mm. " + ", ".join(loads), transform=ax.transAxes, size=8, wrap=True)
     ax.set(xlim=(x0 - off, x1 + 2 * off), ylim=(y0 - 2 * off, y1 + 1.8 * off), aspect="equal")
     ax.axis("off")

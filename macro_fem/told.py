@@ -139,7 +139,21 @@ def combination_lines(summary: Mapping[str, Any]) -> list[str]:
             f"combination {row['name']} ({named or 'all loads as they are'}): {row['status']}, "
             f"largest force {row['largest_force_N']:.4g} N{holds}"
         )
-    return [*lines, f"governing combination: {summary['envelope']['governing']}"] if lines else []
+    return [*lines, governing_line(summary)] if lines else []
+
+
+def governing_line(summary: Mapping[str, Any]) -> str:
+    """The combination that governs, and whether the curtain holds under it, as far as that is known.
+
+    >>> governing_line({"envelope": {"governing": "ultimate", "weakest_factor": 0.9, "weakest": "hook capacity"}})
+    'governing combination: ultimate, does not hold, factor 0.9 (hook capacity)'
+    """
+    most, rows = summary["envelope"], summary.get("combinations", ())
+    factor, text = most["weakest_factor"], f"governing combination: {most['governing']}"
+    if failed := [row["name"] for row in rows if row["status"] != "converged"]:
+        return f"{text}; no answer for {', '.join(failed)}"
+    holds = "" if factor is None else f", {'holds' if factor >= 1.0 else 'does not hold'}, factor {factor:.3g}"
+    return f"{text}{holds} ({most['weakest']})" if holds else text
 
 
 def interval_line(summary: dict[str, Any]) -> str:

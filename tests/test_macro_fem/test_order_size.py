@@ -15,6 +15,7 @@ from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
 from macro_fem.many.size import search
+from macro_fem.told import governing_line
 from rve import Cell, grid, solve_table, with_rings
 from rve.common.errors import InputError
 
@@ -56,6 +57,8 @@ def test_factors_scale_forces_of_a_shape_that_stays():
     assert own["weakest_factor"] == pytest.approx(summary["weakest_factor"] / 1.5, rel=1e-5)
     envelope = summary["envelope"]
     assert envelope["governing"] == "all"
+    assert governing_line(summary).startswith("governing combination: all, does not hold, factor 0.8")
+    assert governing_line(summary | {"combinations": [own | {"status": "infeasible"}]}).endswith("no answer for all")
     assert envelope["weakest_factor"] == own["weakest_factor"] < light["weakest_factor"]
     weight = 9.81 * (summary["mass_kg"] + 0.5 * 2.0)
     (_, found) = answer.combinations[1]
