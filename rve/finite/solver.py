@@ -33,6 +33,8 @@ _PRODUCT = 10.0
 """Sum of force times gap over links times mean force that is enough, over the last mu."""
 _CALM = 0.5
 """It falls once the decrement of Newton's method is below this part of mu per ring."""
+_SLIDING, _DAMPED = 1e-5, 0.1
+"""But not below the first mu while a pair is damped by the second: its rings slide, and gain little for the damping."""
 _LIFT = 30.0
 """Factor on mu where the iterates do not settle at it."""
 _TRIES = 3
@@ -84,14 +86,14 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
                 break
             if task.inertia is not None:
                 # A time step needs no more damping here; whether its matrix is positive definite shows without it.
-                none = np.zeros(len(state.local))
-                state = replace(state, damping=0.0, local=none, convex=none)
+                state = replace(state, damping=0.0, local=0.0 * state.local, convex=0.0 * state.convex)
         if has_arrived and is_last and merit < least:
             least, finest = merit, state
         pace = pace.after(merit, history[-1].decrement if history else -1.0)
         # Calm: the last step of Newton's method at this mu could have gained next to nothing.
         gain = history[-1].decrement if history and history[-1].mu == state.mu else -1.0
-        is_calm = not is_last and 0.0 <= gain < _CALM * state.mu * len(task.force)
+        is_sliding = state.mu <= _SLIDING and task.inertia is None and state.local.max(initial=0.0) >= _DAMPED
+        is_calm = not is_last and not is_sliding and 0.0 <= gain < _CALM * state.mu * len(task.force)
         if has_arrived and is_calm and part < parts:
             part += 1
             task = replace(task, at=start.x + (whole - start.x) * part / parts)
@@ -116,8 +118,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
             status = "stalled" if has_arrived else "out-of-reach"
             break
     best = finest if np.isfinite(least) and status != "converged" else state
-    residual = max(kkt(best, gradients(best.touching), task))
-    return Found(best.touching, best.force, status, residual, tuple(history))
+    return Found(best.touching, best.force, status, max(kkt(best, gradients(best.touching), task)), tuple(history))
 
 
 @dataclass(frozen=True)
