@@ -33,8 +33,9 @@ _PRODUCT = 10.0
 """Sum of force times gap over links times mean force that is enough, over the last mu."""
 _CALM = 0.5
 """It falls once the decrement of Newton's method is below this part of mu per ring."""
-_SLIDING, _DAMPED = 1e-5, 0.1
-"""But not below the first mu while a pair is damped by the second: its rings slide, and gain little for the damping."""
+_SLIDING, _DAMPED, _SLIDES = 1e-5, 0.1, 4
+"""But over a floor not below the first mu while a pair is damped by the second: its rings slide, and gain little for
+the damping. So for that many lifts; without a floor damped pairs are folds, which the next mu passes in fewer steps."""
 _LIFT = 30.0
 """Factor on mu where the iterates do not settle at it."""
 _TRIES = 3
@@ -67,6 +68,7 @@ def solve_near(task: Task, touching: Touching, force: Array, options: FiniteOpti
 def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Found:
     """The equilibrium, held rings moved in so many parts, each once the rings are calm."""
     start, whole, part = state.touching.placed, task.at, 1
+    slides = _SLIDES if start.walls and task.inertia is None else 0
     task = replace(task, at=start.x + (whole - start.x) / parts) if parts > 1 else task
     factorize = Factorizer()
     history: list[Record] = []
@@ -92,7 +94,7 @@ def _solve(task: Task, state: State, options: FiniteOptions, parts: int) -> Foun
         pace = pace.after(merit, history[-1].decrement if history else -1.0)
         # Calm: the last step of Newton's method at this mu could have gained next to nothing.
         gain = history[-1].decrement if history and history[-1].mu == state.mu else -1.0
-        is_sliding = state.mu <= _SLIDING and task.inertia is None and state.local.max(initial=0.0) >= _DAMPED
+        is_sliding = pace.lifts < slides and state.mu <= _SLIDING and state.local.max(initial=0.0) >= _DAMPED
         is_calm = not is_last and not is_sliding and 0.0 <= gain < _CALM * state.mu * len(task.force)
         if has_arrived and is_calm and part < parts:
             part += 1
