@@ -57,7 +57,7 @@ def support_forces(moving: Moving, change: Difference, forces: Forces, end: Step
     inner (n, d): B^T (w P+).
     """
     v = change.velocity(end.x)
-    rest = moving.mass[:, None] * (change.acceleration(end.x) + forces.damping * v) + inner
+    rest = moving.mass[:, None] * change.acceleration(end.x) + (forces.damping * moving.mass)[:, None] * v + inner
     rest = rest - forces.dead - forces.live - end.pushes
     if forces.drag is not None:
         rest = rest + (forces.drag @ v[:, :, None])[:, :, 0]
@@ -92,9 +92,9 @@ def next_account(
     """The account after a step of masses (n,) from `now` to positions x (n, d)."""
     dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)
     live = forces.live if forces.drag is None else forces.live - (forces.drag @ v[:, :, None])[:, :, 0]
-    kinetic = kinetic_energy(mass, v)
-    damped = 2.0 * change.h * forces.damping * kinetic
-    dashpot = forces.damping * float((mass[:, None] * v * dx).sum())
+    kinetic, resist = kinetic_energy(mass, v), forces.damping * mass
+    damped = 2.0 * change.h * kinetic_energy(resist, v)
+    dashpot = float((resist[:, None] * v * dx).sum())
     contact = worked.moved - float((worked.pushes * dx).sum())
     return Account(
         kinetic=kinetic,

@@ -20,6 +20,7 @@ from macro_fem.scene.moving import Ball, Thrown, at_time
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Bar, Timed, Wind
+from macro_fem.scene.wind import breeze
 from macro_fem.solvers.cones import green_strain
 from rve.common import Array, InputError
 
@@ -111,27 +112,29 @@ def forces_at(problem: CurtainProblem, balls: tuple[Ball, ...], now: Moment, dam
         live[:n] = still.force - dead[:n]
         drag = np.zeros((len(dead), 3, 3))
         for wind in problem.winds:
-            one = replace(problem, winds=(wind,))
+            one = replace(problem, winds=(breeze(wind),))
             pressed = with_wind(still, wind_density(one, now.x[:n], senses(one))).force - still.force
             own, block = relative_wind(wind, pressed, now.v[:n])
             live[:n] += own
             drag[:n] += block
     else:
         live[:n] = problem.force - dead[:n]
-    return Forces(dead, live, drag, damping)
+    resist = np.where(np.arange(len(dead)) < n, damping, 0.0)  # not of bodies
+    return Forces(dead, live, drag, resist)
 
 
 def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
     """The force (n, 3) of a wind on still nodes, and the blocks C (n, 3, 3) of -C v that the velocity relative to the
-    wind adds: (U - v.w) |U - v_n.w| / U^2 of the force, with the speed U along w and the last velocities v_n.
+    wind adds: (U - v.w) |U - v_n.w| / W^2 of the `force` (n, 3) of `breeze(wind)`, with the speed U along w, W that of
+    the breeze, and the last velocities v_n.
 
     Of wind that follows, whose force is not along w, the last velocities count alone.
     """
     none = np.zeros((len(force), 3, 3))
-    if not wind.speed:
+    if wind.speed is None:
         return force, none
-    U, w = 1e3 * wind.speed, unit(wind.direction)
-    share = np.abs(U - v @ w) / U
+    U, W, w = 1e3 * wind.speed, 1e3 * (breeze(wind).speed or 1.0), unit(wind.direction)
+    share = np.abs(U - v @ w) / W
     if wind.follows:
-        return (share * (U - v @ w) / U)[:, None] * force, none
-    return share[:, None] * force, (share / U)[:, None, None] * force[:, :, None] * w
+        return (share * (U - v @ w) / W)[:, None] * force, none
+    return (share * U / W)[:, None] * force, (share / W)[:, None, None] * force[:, :, None] * w

@@ -29,13 +29,13 @@ class Forces:
     """What acts on the nodes (n, d) at the end of a step, N.
 
     dead: weight; live: other loads that do not depend on the velocity. drag: symmetric blocks C (n, d, d) in N s/mm of
-    forces -C v that belong to `live`; damping: 1/s, of forces -damping M v.
+    forces -C v that belong to `live`; damping (n,) or one for all: 1/s, of forces -damping M v.
     """
 
     dead: Array
     live: Array
     drag: Array | None = None
-    damping: float = 0.0
+    damping: Array | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from macro_fem.motion.stage import TONNE, let_go, relative_wind, scene_at
 from macro_fem.motion.step import Forces
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
+from macro_fem.scene.loads import PER_MM2, areal_mass
 from macro_fem.scene.moving import Ball
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
@@ -66,8 +67,9 @@ class RingStage:
         return self.last
 
     def masses(self, asked: RingScene) -> Array:
-        """Masses (n + b,) of rings, with bars, and balls, N s2/mm."""
-        return TONNE * np.append(asked.mass, [ball.mass for ball in self.balls])
+        """Masses (2 n + b,) of what `ring_places` are the places of, N s2/mm: bars move with rings and do not turn."""
+        own = areal_mass(asked.scene, asked.info)[0] * PER_MM2 * asked.mesh.area
+        return TONNE * np.concatenate([asked.mass, own, [ball.mass for ball in self.balls]])
 
     def weights(self, asked: RingScene) -> Array:
         """Weights (2 n + b, 3) of what `ring_places` are the places of, N."""
@@ -140,7 +142,7 @@ def first_ring_frame(stage: RingStage, rings: FiniteSolution) -> RingFrame:
     places, n = ring_places(rings), 2 * len(asked.mass)
     v = np.concatenate([np.zeros((n, 3)), np.array([ball.velocity for ball in stage.balls]).reshape(-1, 3)])
     potential = -float((stage.weights(asked) * places).sum())
-    kinetic = kinetic_energy(stage.masses(asked)[n // 2 :], v[n:])
+    kinetic = kinetic_energy(stage.masses(asked), v)
     return RingFrame(moment=Moment(0.0, places, v), account=Account(kinetic, potential), rings=rings, asked=asked)
 
 
@@ -150,13 +152,15 @@ def next_ring_frame(
     """The frame after a step h, or after its two halves where it is not solved; Failed where these are not either."""
     now, asked = frame.moment, stage.at(frame.moment.t + h)
     change = difference(now, before, h)
-    mass, damped, n = stage.masses(asked), damping * change.beta_h, len(asked.mass)
-    weight = mass * (1.0 + damped) / change.beta_h**2
+    mass, n = stage.masses(asked), len(asked.mass)
+    resist = np.where(np.arange(len(mass)) < 2 * n, damping, 0.0)  # not of balls
+    damped = change.beta_h * resist[:, None]
+    weight = mass * (1.0 + damped[:, 0]) / change.beta_h**2
     aim = (change.x_hat + damped * change.X) / (1.0 + damped)
     force = asked.force.copy()
     for wind, blown in asked.winds:
         own, block = relative_wind(wind, blown, now.v[:n])
-        force += own - (block @ now.v[:n, :, None])[:, :, 0] - blown
+        force += own - (block @ now.v[:n, :, None])[:, :, 0] - (0.0 if wind.speed == 0.0 else blown)
     end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *stage.bodies))
     rings = end.rings
     if rings.status != "converged":
@@ -168,13 +172,13 @@ def next_ring_frame(
             )
         half = next_ring_frame(stage, damping, frame, before, 0.5 * h, halvings - 1)
         return next_ring_frame(stage, damping, half, now, 0.5 * h, halvings - 1)
-    none, dead = np.zeros((len(mass), 3)), stage.weights(asked)
+    none, dead = np.zeros((len(mass) - n, 3)), stage.weights(asked)
     live = np.concatenate([force - dead[:n], none])
-    forces = Forces(dead, live, None, damping)
+    forces = Forces(dead, live, None, resist)
     way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
     moved = sum(float(push @ wall.unit) * d for push, wall, d in zip(rings.wall_force, asked.walls, way, strict=False))
     worked = Worked(np.concatenate([rings.reaction, none]), end.pushes, moved=moved, touched=end.touched)
     x = ring_places(rings)
-    account = next_account(frame.account, np.append(mass[:n], mass), change, now, forces, x, worked)
+    account = next_account(frame.account, mass, change, now, forces, x, worked)
     moment = Moment(now.t + h, x, change.velocity(x))
     return RingFrame(moment=moment, account=account, iterations=rings.iterations, rings=rings, asked=asked)

@@ -26,6 +26,7 @@ from macro_fem.scene.shapes import MeshFile, Rectangle
 from macro_fem.scene.sites import Sliding, edge_nodes
 from macro_fem.scene.supports import build_supports, pin_sliding, told
 from macro_fem.scene.tables import Bar, Wind, in_3d
+from macro_fem.scene.wind import breeze
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteMesh, FiniteOptions, FiniteSolution, HalfSpace, cell_of_sides, solve_table
 from rve.common import Array, InputError
@@ -46,8 +47,8 @@ class RingScene:
     groups: name of each support and the rings (k,) that it holds; a ring that several hold counts for the first.
     mass (n,): in kg, with that of bars. walls: half-spaces that the rings stay out of. pins: rings held along
     directions in which the supports let the mesh slide, so that it does not; they carry no force. winds: those with a
-    speed, and their forces (n, 3) in N, part of `force`. notes: what of the scene was changed to fit the rings. info:
-    radii and reference cell of the rings.
+    speed, and the forces (n, 3) in N of `breeze`, part of `force` unless the speed is 0. notes: what of the scene was
+    changed to fit the rings. info: radii and reference cell of the rings.
     """
 
     scene: Scene
@@ -193,7 +194,7 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
     winds = []
     for wind in (one for one in scene.of(Wind) if one.speed is not None):
         blown = np.zeros((n, 3))
-        np.add.at(blown, ring, load_vector(disc, wind_per_area(wind, scene, info)))
+        np.add.at(blown, ring, load_vector(disc, wind_per_area(breeze(wind), scene, info)))
         winds.append((wind, blown))
     held, at = np.zeros((n, 3), bool), padded(mesh.X)
     for axis in range(scene.d):

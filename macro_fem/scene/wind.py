@@ -18,6 +18,7 @@ that they share. `macro_fem.drag` counts them on the present shape.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -40,6 +41,11 @@ def dynamic_pressure(wind: Wind) -> float:
     """rho v^2 / 2 of a wind with a speed, N/mm2."""
     assert wind.speed is not None
     return 0.5e-6 * (AIR_DENSITY if wind.air_density is None else wind.air_density) * wind.speed**2
+
+
+def breeze(wind: Wind) -> Wind:
+    """The wind, or one of 1 m/s in place of one whose speed is 0 now, in whose still air the mesh moves."""
+    return replace(wind, speed=1.0) if wind.speed == 0.0 else wind
 
 
 def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:

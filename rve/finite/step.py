@@ -124,10 +124,10 @@ def step_rings(
 ) -> RingStep:
     """The rings after a time step from `start`, under forces (n, 3) in N, coordinates held as in `FiniteMesh.solve`.
 
-    weight (n + b,): W of rings and balls, mass over the square of the step for Euler's method, N/mm; aim (2 n + b, 3):
-    y_hat, where `ring_places` would be without forces, mm. Nothing need hold the mesh. walls: as many as at the start,
-    half-spaces where they are at the end, balls from where they are at the start. A step that has not converged has its
-    status.
+    weight (2 n + b,): W of what `ring_places` are the places of, mass over the square of the step for Euler's method,
+    N/mm; aim (2 n + b, 3): y_hat, where these would be without forces, mm. Nothing need hold the mesh. walls: as many
+    as at the start, half-spaces where they are at the end, balls from where they are at the start. A step that has not
+    converged has its status.
     """
     return _step(Problem(start.mesh, force, held, at, start.is_space, tuple(walls)), start, weight, aim, STEP, PATHS)
 
@@ -143,19 +143,18 @@ def _step(
     """`step_rings` to the supports and half-spaces of a problem."""
     began = time.perf_counter()
     mesh, r1, n = start.mesh, start.mesh.cell.r1, len(start.centre)
-    both = np.concatenate([weight[:n], weight])
-    inert = both[:, None] * np.abs(aim - ring_places(start))
+    inert = weight[:, None] * np.abs(aim - ring_places(start))
     load = float(np.abs(problem.force).sum() + np.abs([wall.load for wall in problem.walls]).sum() + inert.sum())
     load = max(load, _STILL * r1 * float(weight.sum()))
     task, unit = problem.task(load)
     # Of short steps places to round-off leave more.
-    tolerance = max(options.tolerance, np.finfo(float).eps * float(both @ np.abs(aim).max(axis=1)) / load)
+    tolerance = max(options.tolerance, np.finfo(float).eps * float(weight @ np.abs(aim).max(axis=1)) / load)
     # Points beside soft minima would come and go from step to step, and inertia holds what they are for.
     radius, none = gyration_radius(mesh.cell), np.zeros((len(problem.walls), 3))
     loose = n + np.flatnonzero([isinstance(wall, RoundBody) for wall in problem.walls])
     place, normal = (np.concatenate([part, none]) for part in (aim[:n] / r1, aim[n : 2 * n] / radius))
-    heavy, turning = (np.append(weight[:n], none[:, 0]) for _ in range(2))
-    heavy[loose], place[loose] = weight[n:], aim[2 * n :] / r1
+    heavy, turning = (np.append(part, none[:, 0]) for part in (weight[:n], weight[n : 2 * n]))
+    heavy[loose], place[loose] = weight[2 * n :], aim[2 * n :] / r1
     inertia = RingInertia(heavy * r1 / unit, place, turning * radius**2 / (unit * r1), normal)
     task = replace(task, inertia=inertia, beside=False)
     placed = replace(problem, walls=start.walls).placed(start.centre, start.normal)
@@ -171,7 +170,7 @@ def _step(
     closed = np.maximum(np.where(own >= 0, touching.gap[own], options.reach) - con.gap, 0.0)
     pushes = unit * spread(con, gradients(con), found.force)
     torque = r1 * rotation(rings.normal, pushes[:n, 3:])
-    drawn = weight[:n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
+    drawn = weight[n : 2 * n] * (rings.normal * (radius * rings.normal - aim[n : 2 * n])).sum(axis=1)
     axes = cross(torque, rings.normal) / radius + drawn[:, None] * rings.normal
     every = np.concatenate([pushes[:n, :3], axes, pushes[loose, :3]])
     return RingStep(rings, every, unit * r1 * float(found.force @ closed))
@@ -186,13 +185,13 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - r2) for wall, p in planes)
     start = replace(problem, walls=cut)
     rings = found = _without_forces(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
-    size = np.linalg.norm(problem.force, axis=1)
+    size = np.tile(np.linalg.norm(problem.force, axis=1), 2)
     load = np.maximum(size, size.mean())  # masses times 1 mm/s2: on the way to rest they may be any
-    share, v, energy = 1.0, np.zeros((2 * len(load), 3)), 0.0
+    share, v, energy = 1.0, np.zeros((len(load), 3)), 0.0
     own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
     history: tuple[Record, ...] = ()
     for number in range(MOST_STEPS):
-        tell(f"{len(load)} rings on their way to rest, step {number + 1}")
+        tell(f"{placed.rings} rings on their way to rest, step {number + 1}")
         way = np.where(problem.held, problem.at - rings.centre, 0.0)
         planes_now = flat(rings.walls)
         walls_way = np.array([to.offset - now.offset for to, now in zip(ends, planes_now, strict=True)])
@@ -209,7 +208,7 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
             share, v = SHORTER * share, np.zeros_like(v)
             continue
         rings, moved = end, ring_places(end) - places
-        kinetic = float((np.tile(load, 2)[:, None] * moved**2).sum()) / h**2
+        kinetic = float((load[:, None] * moved**2).sum()) / h**2
         is_past = kinetic < energy
         v, energy = (0.0 * v, 0.0) if is_past else (moved / h, kinetic)
         if part == 1.0 and (is_past or np.abs(moved).max() < CALM * r1):

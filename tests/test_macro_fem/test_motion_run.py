@@ -24,6 +24,7 @@ from macro_fem.motion.series import COLUMNS, account_error
 from macro_fem.motion.stage import masses_of, scene_at
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import read_scene
+from macro_fem.scene.wind import wind_pressure
 from rve.common.errors import InputError
 
 G = 9810.0
@@ -90,6 +91,18 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
     assert told["work_N_mm"][-1] > 0.0
 
 
+def test_still_air_after_a_gust_slows_the_sheet():
+    """1/v grows by k t, where the gust of speed U presses with k U^2 times the mass."""
+    wind = {"speed": 10.0, "direction": [0.0, 0.0, 1.0], "history": [[0.0, 1.0], [0.02, 1.0], [0.021, 0.0]]}
+    motion = {"duration": 0.12, "step": 1e-3, "start": "reference"}
+    found, told = moved(FREE | {"load": {"gravity": 0.0, "wind": wind}, "motion": motion})
+    late = np.searchsorted(told["t_s"], 0.03)
+    slowness = 1.0 / np.gradient(told["mean_z_mm"], told["t_s"])[[late, -2]]
+    problem = found.frames[0].problem
+    k = wind_pressure(problem.winds[0], problem.law.cell) * 400.0**2 / masses_of(problem, ()).sum() / 1e4**2
+    assert np.diff(slowness)[0] == pytest.approx(k * (told["t_s"][-2] - told["t_s"][late]), rel=1e-3)
+
+
 @pytest.mark.parametrize("step", [{"step": 0.01}, {}])
 def test_a_wall_that_sets_off_at_once_takes_the_sheet_along(step):
     """Differences over the kinks of its history would throw the sheet ahead, with up to 4/3 of its speed."""
@@ -122,7 +135,8 @@ def test_balls_fall_on_a_floor_and_strike_each_other():
     ball = {"kind": "sphere", "radius": 50.0, "mass": 1.0, "at": [0.0, 0.0, 300.0], "velocity": [1000.0, 0.0, 0.0]}
     other = ball | {"mass": 0.5, "at": [195.0, 0.0, 300.0], "velocity": [0.0, 0.0, 0.0]}
     free = FREE | {"obstacle": {"kind": "floor", "height": -55.0}}
-    found, _ = moved(free | {"body": [ball, other], "motion": {"duration": 0.2, "step": 0.01, "start": "reference"}})
+    motion = {"duration": 0.2, "step": 0.01, "start": "reference", "damping": 3.0}  # of the mesh, not of balls
+    found, _ = moved(free | {"body": [ball, other], "motion": motion})
     x, v = found.frames[-1].moment.x[-2:], found.frames[-1].moment.v[-2:]
     assert x[:, 1] == pytest.approx(-5.0)  # at rest on the floor
     assert v[:, 0] == pytest.approx(1000.0 / 1.5, rel=1e-2)  # together, as tautening
