@@ -81,13 +81,7 @@ class Worked:
 
 
 def next_account(
-    last: Account,
-    mass: Array,
-    change: Difference,
-    now: Moment,
-    forces: Forces,
-    x: Array,
-    worked: Worked,
+    last: Account, mass: Array, change: Difference, now: Moment, forces: Forces, x: Array, worked: Worked
 ) -> Account:
     """The account after a step of masses (n,) from `now` to positions x (n, d)."""
     dx, v, a = x - now.x, change.velocity(x), change.acceleration(x)

@@ -100,9 +100,7 @@ def _first_frame(scene: Scene, law: MembraneLaw, mesh: CurtainMesh, stage: Stage
     mass = masses_of(problem, balls)
     stored = stored_energy(problem, problem.fem.gradient(problem.fem.unknowns(x))) if is_elastic(problem.scene) else 0.0
     account = Account(
-        kinetic=kinetic_energy(mass, v),
-        potential=-float((weights_of(problem, balls) * place).sum()),
-        stored=stored,
+        kinetic=kinetic_energy(mass, v), potential=-float((weights_of(problem, balls) * place).sum()), stored=stored
     )
     moment = Moment(0.0, place, v)
     return MotionFrame(

@@ -80,12 +80,7 @@ class Stepped:
 
 
 def solve_step(
-    moving: Moving,
-    change: Difference,
-    forces: Forces,
-    x: Array,
-    cones: Cones | None,
-    tangents: Tangents | None = None,
+    moving: Moving, change: Difference, forces: Forces, x: Array, cones: Cones | None, tangents: Tangents | None = None
 ) -> Stepped:
     """The end of a step from positions x (n, d), by the half-spaces `cones` of the step before."""
     fem, inertia = moving.fem, inertia_of(moving, change, forces)

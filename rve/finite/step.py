@@ -46,8 +46,8 @@ ROUGH_PATHS = ((1e-4, 1e-4),)
 """Those of a step on the way to rest."""
 LONGEST = 0.4
 """Way in r1 of the fastest ring without contacts in one step, and of a held ring or a half-space."""
-SHORTER, LONGER = 0.5, 1.3
-"""Factors on this way after a step that fails, which is taken anew, and after one that does not."""
+SHORTER, LONGER, LEAST = 0.5, 1.3, 1e-6
+"""Factors on this way after a step that fails, which is taken anew, and after one that does not; and the least one."""
 CALM = 0.02
 """Way of a ring in a step, in r1, below which the equilibrium is looked for though the rings still fall."""
 MOST_STEPS = 400
@@ -105,11 +105,12 @@ def with_bodies(rings: FiniteSolution, bodies: Sequence[RoundBody]) -> FiniteSol
     return replace(rings, walls=walls, wall_force=wall_force, contacts=contacts)
 
 
-def _without_forces(problem: Problem, centre: Array, normal: Array) -> FiniteSolution:
-    """Rings with these centres (n, 3) in mm and normals (n, 3), without forces."""
+def _without_forces(problem: Problem, centre: Array, normal: Array, status: str = "converged") -> FiniteSolution:
+    """Rings with these centres (n, 3) in mm and normals (n, 3), without forces: at rest, or none of the load borne."""
     task, unit = problem.task(1.0)
     touching = task.find(problem.placed(centre, normal), STEP.reach)
-    return as_solution(problem, task, Found(touching, np.zeros(len(touching.gap)), "converged", 0.0, ()), unit, 0.0)
+    found = Found(touching, np.zeros(len(touching.gap)), status, float(status != "converged"), ())
+    return as_solution(problem, task, found, unit, 0.0)
 
 
 def step_rings(
@@ -184,12 +185,12 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
     planes = zip(ends, placed.x[placed.rings :], strict=True)
     cut = tuple(replace(wall, offset=r1 * float(wall.unit @ p) - r2) for wall, p in planes)
     start = replace(problem, walls=cut)
-    rings = found = _without_forces(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
+    rings = _without_forces(start, r1 * placed.x[: placed.rings], placed.normal[: placed.rings])
     size = np.tile(np.linalg.norm(problem.force, axis=1), 2)
     load = np.maximum(size, size.mean())  # masses times 1 mm/s2: on the way to rest they may be any
     share, v, energy = 1.0, np.zeros((len(load), 3)), 0.0
     own = replace(options, first=REST_MU, retries=REST_RETRIES, max_iterations=REST_ITERATIONS)
-    history: tuple[Record, ...] = ()
+    found, part, history = None, 0.0, tuple[Record, ...]()
     for number in range(MOST_STEPS):
         tell(f"{placed.rings} rings on their way to rest, step {number + 1}")
         way = np.where(problem.held, problem.at - rings.centre, 0.0)
@@ -206,6 +207,8 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
         history += end.history
         if end.status != "converged":
             share, v = SHORTER * share, np.zeros_like(v)
+            if share < LEAST:
+                break
             continue
         rings, moved = end, ring_places(end) - places
         kinetic = float((load[:, None] * moved**2).sum()) / h**2
@@ -220,6 +223,9 @@ def rest_by_motion(problem: Problem, options: FiniteOptions) -> FiniteSolution:
             if found.status == "converged":
                 break
         share = min(1.0, LONGER * share)
+    if found is None:  # the motion has never come near to rest
+        status = "iterations" if part == 1.0 else "out-of-reach"
+        found = _without_forces(replace(problem, walls=tuple(flat(rings.walls))), rings.centre, rings.normal, status)
     return replace(found, wall_s=time.perf_counter() - began, history=history)
 
 

@@ -228,11 +228,7 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Cel
 
 
 def solve(
-    s: Array,
-    equations: Equations,
-    options: StewartTrinkleOptions | None = None,
-    *,
-    history: bool = False,
+    s: Array, equations: Equations, options: StewartTrinkleOptions | None = None, *, history: bool = False
 ) -> Settled:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
 

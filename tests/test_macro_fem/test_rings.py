@@ -246,6 +246,14 @@ def test_a_damped_motion_comes_to_rest_with_many_folds():
     assert found.contacts.min_gap_mm > -1e-9
 
 
+def test_a_motion_to_supports_that_the_rings_cannot_reach_says_so():
+    over = ring_scene(scene(2, 2, support=[{"kind": "top"}, {"kind": "edge", "edge": "bottom", "move": [0.0, -60.0]}]))
+    found = over.solve(space=True, options=FiniteOptions(by_motion=True))
+    assert found.status == "out-of-reach"
+    assert 0.0 < found.way_left_mm < 60.0
+    assert np.isinf(found.kkt_residual)
+
+
 def test_a_motion_ends_where_the_path_does_with_its_floor():
     """A small sheet hung by its corners over a floor that carries a part of it."""
     over = scene(2, 2, obstacle=[{"kind": "floor", "height": 4.0}])
