@@ -21,7 +21,7 @@ def put(picture: Path, path: Path) -> None:
     """The picture in a file of the documentation, of 1,200 pixels and 256 colours, which are a tenth of its bytes."""
     whole = Image.open(picture).convert("RGB")
     small = whole.resize((1200, round(1200 * whole.height / whole.width)), Image.Resampling.LANCZOS)
-    small.quantize(256).save(path, optimize=True)
+    small.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=4).save(path, optimize=True)  # keeps colours of small parts
 
 
 def main() -> None:

@@ -165,15 +165,16 @@ def _loads(solution: CurtainSolution, ax: Axes) -> None:
 
 
 def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
-    """Of the chosen points (n, 2), the first one in each of about `number` squares around all points.
+    """Of the chosen points (n, 2), the one in the middle of each of about `number` squares around all points.
 
     >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
-    [0, 2]
+    [1, 2]
     """
     low = points.min(axis=0)
     side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
-    square = np.floor((points[chosen] - low) / side).astype(np.int64)
-    return np.sort(chosen[np.unique(square, axis=0, return_index=True)[1]])
+    place = (points[chosen] - low) / side
+    order = np.linalg.norm(place % 1.0 - 0.5, axis=1).argsort(kind="stable")
+    return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
 
 
 def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
