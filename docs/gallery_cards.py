@@ -32,12 +32,12 @@ def numbers(told: dict[str, Any]) -> str:
 
 def moving(told: dict[str, Any]) -> list[str]:
     """What a card says of the summary of a curtain in motion."""
+    most, at = told["peak_support_force_N"], told["peak_support_force_at_s"]
     said = [
         f"{told['reached_s']:.3g} s in {told['steps']} steps",
         f"lowest point at last {told['lowest_point_mm']:.0f} mm",
-        f"all supports together at most {told['peak_support_force_N']:.0f} N",
+        f"all supports together at most {most:.0f} N, at {at:.2f} s",
     ]
-    said[-1] += f", at {told['peak_support_force_at_s']:.2f} s"
     said += [f"{one['body']} leaves with {norm(one['velocity_mm_per_s']) / 1000:.2g} m/s" for one in told["bodies"]]
     return [*said, f"energy account within {told['account_error']:.0e}"]
 

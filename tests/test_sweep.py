@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import meshio
@@ -16,7 +18,7 @@ from click.testing import CliRunner
 from homogenize.io import DEFAULT_LAW
 from macro_fem.cli import main as macro_fem
 from rve.cli import main as rve
-from rve.common.commands.sweeps import Ended, sweep
+from rve.common.commands.sweeps import Ended, SweepItem, _end_with_parent, run_item, sweep
 from rve.sweep import table_items
 from tests.squares import write_square
 
@@ -139,6 +141,19 @@ def test_a_stopped_sweep_ends_and_keeps_what_is_finished(tmp_path, number, code,
     assert errors.count("\n") == 1
     assert 0 < len(list(tmp_path.glob("*.csv"))) < 24
     assert not list(tmp_path.glob(".part-*"))
+
+
+def test_an_idle_worker_that_is_told_to_end_says_nothing(capfd):
+    """A command has run in it before, which listens to the same signal."""
+    before = active_children()
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
+        item = SweepItem("worker", "rve", ("support", "--S", "1,0"), Path("none"))
+        assert pool.submit(run_item, item).result().code == 2
+        (worker,) = set(active_children()) - set(before)
+        worker.terminate()
+        worker.join(20.0)
+    assert worker.exitcode == 0
+    assert capfd.readouterr().err == ""
 
 
 def test_what_a_worker_has_written_elsewhere_has_failed(tmp_path, monkeypatch):

@@ -8,10 +8,13 @@ import pytest
 
 from benchmarks.every_ring import let_go
 from benchmarks.every_ring.brute import least_gap, linked_pairs, minima_of
+from benchmarks.every_ring.cases import SHEETS
 from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.hooks import peak
+from benchmarks.every_ring.starts import random_start
 from macro_fem import Motion
 from macro_fem.rings.motion import solve_ring_motion
+from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh, pulled_ring
 from rve.common.materials import STEEL
 from rve.ring.section import Ring
@@ -44,6 +47,16 @@ def test_413_rings_let_go_at_a_corner_pass_the_steps_whose_contacts_split_and_me
     assert (run.status, len(run.frames)) == ("converged", 15)
     assert all(frame.rings.contacts.links_intact and frame.rings.contacts.min_gap_mm > 0.0 for frame in run.frames)
     assert max(abs(frame.account.balance - run.frames[0].account.balance) for frame in run.frames) < 1e-8
+
+
+def test_random_starts_are_admissible_and_differ():
+    rings = ring_scene(SHEETS[0].scene(1, 4))
+    woven = {(int(a), int(b)) for a, b in rings.mesh.linked}
+    first, second = (random_start(rings, True, seed) for seed in (1, 2))
+    for placed in (first, second):
+        assert least_gap(placed.x, placed.normal, 1.0, 0.1) > 0.0
+        assert linked_pairs(placed.x, placed.normal, 1.0) == woven
+    assert np.abs(first.x - second.x).max() > 0.1
 
 
 def test_a_ring_of_a_chain_bears_what_a_ring_pulled_by_two_opposed_forces_does():

@@ -86,7 +86,9 @@ def test_a_gust_pushes_as_its_history_says(begin, step):
     history = [[begin, 0.0], [begin + 0.02, 1.0], [begin + 0.04, 0.0]]
     wind = {"pressure": 2.0, "direction": [0.0, 0.0, 1.0], "history": history}
     found, told = moved(FREE | {"load": {"wind": wind}, "motion": {"duration": begin + 0.06} | step})
-    momentum = float(masses_of(found.frames[-1].problem, ()) @ found.frames[-1].moment.v[:, 2])
+    masses = masses_of(found.frames[-1].problem, ())
+    assert masses.sum() == pytest.approx(1e-9 * default_law().cell.areal_mass_kg_per_m2 * 400.0**2, rel=1e-9)
+    momentum = float(masses @ found.frames[-1].moment.v[:, 2])
     assert momentum == pytest.approx(2e-6 * 400.0**2 * 0.02, rel=2e-2)  # pressure times area times mean time
     assert told["work_N_mm"][-1] > 0.0
 
