@@ -61,14 +61,14 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     Exit code 0: converged; 1: files are written, and status and message say what is wrong (not converged, or taut:
     supports at the largest stretch of the mesh); 2: bad input.
     """
-    from macro_fem.demand.options import begin_with, ring_options
+    from macro_fem.demand.options import ring_options
     from macro_fem.job import run_scene
     from macro_fem.scene.schema import load_scene
     from macro_fem.told import curtain_lines, default_law_lines, motion_lines
 
     drawn = {name: more.pop(name) for name in ("picture", "animation", "html")}
-    table, report, dxf = (more.pop(name) for name in ("table", "report", "dxf"))
-    asked = begin_with(ring_options(**more), law_path, table)
+    report, dxf = (more.pop(name) for name in ("report", "dxf"))
+    asked = ring_options(law=law_path, **more)
     if load_scene(scene).motion is None:
         if goes_on:
             raise InputError(AT_REST)
@@ -120,7 +120,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     Exit code 0: found; 2: bad input, or no value holds.
     """
     from homogenize import interval_or_law
-    from macro_fem.demand.options import begin_with, ring_options
+    from macro_fem.demand.options import ring_options
     from macro_fem.many.size import largest_that_holds
     from macro_fem.scene.schema import load_scene
     from rve.common.errors import require
@@ -130,7 +130,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
         check_out_job(out, "size.json", inputs=[scene, law_path])
         if picture:
             require("matplotlib", "plots", "size.png", "ask for --no-picture")
-    on_demand = begin_with(ring_options(rings), law_path, None)
+    on_demand = ring_options(rings, law_path)
     law = interval_or_law(law_path) if law_path is not None and on_demand is None else None
     ends = asked["low"], asked["high"]
     found = largest_that_holds(load_scene(scene), on_demand or law, asked["vary"], ends, asked["factor"])

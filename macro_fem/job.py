@@ -20,7 +20,7 @@ from macro_fem.bounds.adapt import admissible_problem
 from macro_fem.bounds.adapt import levels as refined_levels
 from macro_fem.combinations import combined
 from macro_fem.curtain import solve_problem
-from macro_fem.demand.options import DemandOptions, OnDemand
+from macro_fem.demand.options import OnDemand
 from macro_fem.membrane import MembraneSolution
 from macro_fem.output.pictures import Pictures
 from macro_fem.problem import make_problem
@@ -120,8 +120,8 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     if kept.folder is not None:
         note = f"answers of the rings are kept in {kept.folder}, and the same command goes on from there"
     with noted_if_stopped(note):
-        answers = solve_on_demand(bounded, cell, DemandOptions(who.accuracy), known=who.interval(), cache=kept)
-        found = with_strength(answers, cell, kept)
+        answers = solve_on_demand(bounded, cell, who.accuracy, known=who.interval(), cache=kept)
+        found = with_strength(answers)
         early = _steps(bounded, found.law.inner, scene.load.steps - 1)
     return MembraneSolution(bounded, (*early, found.level.solution), (found.level,), found)
 

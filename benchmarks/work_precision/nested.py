@@ -22,7 +22,6 @@ from macro_fem.bounds.adapt import admissible_problem
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import first_directions, rounded
 from macro_fem.demand.loop import solve_on_demand
-from macro_fem.demand.options import DemandOptions
 from macro_fem.demand.rings import Rings
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, read_scene
@@ -109,7 +108,7 @@ def on_demand(cell: Cell, cells: int, accuracy: float) -> tuple[float, int, floa
 
     The run refines its mesh as well; its law is then used on the mesh of the others, half-way between both bounds.
     """
-    found = solve_on_demand(scene(cells), cell, DemandOptions(accuracy))
+    found = solve_on_demand(scene(cells), cell, accuracy)
     info: CellInfo | None = found.law.law.cell
     law = law_interval(found.law.rows, cell=info)
     heights = [curtain(one, cells).mean_height() for one in (law.inner, law.outer)]

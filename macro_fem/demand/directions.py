@@ -9,10 +9,9 @@ from rve.common import Array
 
 DIGITS = 9
 """Digits of a direction: nearer ones are one question."""
-BIN = 0.02
-"""Width in the disc within which stresses count as one direction."""
-RIM = 0.02
-"""Directions nearer to the rim than this are asked on it first: wrinkled meshes carry loads of rank one."""
+BIN, RIM = 0.02, 0.02
+"""Width in the disc within which stresses count as one direction; directions nearer to the rim than this are asked on
+it first: wrinkled meshes carry loads of rank one."""
 APART = 0.5
 """A question keeps this part of its distance to the nearest known direction free of other questions of its round."""
 SAME = 1e-4
@@ -58,17 +57,19 @@ def widest(x: Array, part: Array, known: Array, most: int, is_mirrored: bool) ->
     x, part = x[there], part[there]
     if is_mirrored:
         x, known = _folded(x), _folded(known)
-    centre, weight = _binned(x, part)
-    chosen: list[Array] = []
-    free = np.zeros(0)
+    square = np.unique(np.floor(x / BIN).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    weight = np.asarray(np.bincount(square, part), float)
+    centre = np.column_stack([np.bincount(square, part * one) / weight for one in x.T])
+    chosen, free = list[Array](), list[float]()
     for i in np.argsort(-weight, kind="stable"):
         point = _placed(centre[i], known)
         distance = _least_distance(point, known)
-        taken = np.array(chosen).reshape(-1, 2)
-        is_near = (np.hypot(*(taken - point).T) < np.maximum(free, APART * distance)).any()
+        is_near = any(
+            np.hypot(*(one - point)) < max(radius, APART * distance) for one, radius in zip(chosen, free, strict=True)
+        )
         if distance >= SAME and not is_near and len(chosen) < most:
             chosen.append(point)
-            free = np.append(free, APART * distance)
+            free.append(APART * distance)
     return np.array(chosen).reshape(-1, 2)
 
 
@@ -88,16 +89,6 @@ def between(known: Array, most: int, is_mirrored: bool) -> Array:
 
 def _folded(x: Array) -> Array:
     return np.column_stack([x[:, 0], np.abs(x[:, 1])])
-
-
-def _binned(x: Array, part: Array) -> tuple[Array, Array]:
-    """Mean direction (k, 2) and sum of parts (k,) of the stresses in every square of the disc that holds some."""
-    key = np.floor(x / BIN).astype(np.int64)
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.ravel()
-    total = np.asarray(np.bincount(group, part), float)
-    mean = np.column_stack([np.bincount(group, part * x[:, k]) / total for k in range(2)])
-    return mean, total
 
 
 def _placed(x: Array, known: Array) -> Array:

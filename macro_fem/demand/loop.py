@@ -22,7 +22,7 @@ from macro_fem.bounds.adapt import Level, admissible_problem, mark, with_cones_o
 from macro_fem.bounds.interval import Loads, bound, loads_of
 from macro_fem.curtain import solve_problem
 from macro_fem.demand.directions import between, first_directions, widest
-from macro_fem.demand.options import DEMAND, DemandOptions
+from macro_fem.demand.options import ACCURACY
 from macro_fem.demand.rings import GAIN, Rings
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
@@ -63,10 +63,8 @@ SENTENCES = {
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part.
-
-    The lower one is nan in turns that only asked the rings.
-    """
+    """One turn: triangles, rows known, ring problems solved and read so far, bounds and their law's part; the lower
+    bound is nan in turns that only asked the rings."""
 
     cells: int
     rows: int
@@ -111,25 +109,27 @@ class Demand:
 def solve_on_demand(
     scene: Scene,
     cell: Cell,
-    options: DemandOptions = DEMAND,
+    accuracy: float = ACCURACY,
     *,
     known: LawInterval | None = None,
     cache: Cache = NO_CACHE,
+    most_cells: int = 30_000,
+    most_solves: int = 3_000,
+    most_turns: int = 60,
 ) -> Demand:
-    """The curtain of a scene of these rings at its full load, its interval narrowed to `options.accuracy`.
+    """The curtain of a scene of these rings at its full load, its interval narrowed to `accuracy`, see `OnDemand`.
 
-    known: what is known of the rings to begin with. The answer is the last admissible curtain, whose potential is the
-    upper end of the interval. InputError if the scene makes no sense or its supports are out of reach.
+    known: what is known of the rings to begin with; most_...: limits of triangles, ring problems and turns at which the
+    run gives up. The answer is the last admissible curtain, whose potential is the upper end of the interval.
+    InputError if the scene makes no sense or its supports are out of reach.
     """
     began, rings = time.perf_counter(), Rings(cell, cache, known)
-    if known is None:
-        rings.ask(first_directions(rings.is_mirrored))
-        rings.settle()
-    mesh, law, turns = build_mesh(scene, rings.info), rings.law(), list[Turn]()
+    law = rings.law() if known is not None else rings.learn(first_directions(rings.is_mirrored))
+    mesh, turns = build_mesh(scene, rings.info), list[Turn]()
     last: CurtainSolution | None = None
     level: Level | None = None
     share, ended = FIRST_GAP, ("turn_limit", SENTENCES["turn_limit"])
-    while len(turns) < options.most_turns:
+    while len(turns) < most_turns:
         with part_of(_line(mesh, rings, level), 0.0, 1.0):
             solution, law = _hang(scene, rings, mesh, law, last, LOST if level is None else 0)
         if solution.status != "converged":
@@ -139,9 +139,9 @@ def solve_on_demand(
             ended = "curtain_limit", SENTENCES["curtain_limit"].format(why=solution.message)
             break
         scale = _scale(solution)
-        allowed = LAW_SHARE * max(options.accuracy * scale, share * scale)
+        allowed = LAW_SHARE * max(accuracy, share) * scale
         before, inner = len(rings.x), law.inner
-        law = _narrow(rings, law, solution, allowed, options.most_solves)
+        law = _narrow(rings, law, solution, allowed, most_solves)
         part = _loads(solution, law, inner).law_part
         is_known = part <= AGAIN * allowed or len(rings.x) == before
         if is_known:
@@ -154,9 +154,9 @@ def solve_on_demand(
         if not is_known:
             continue
         level = new if level is None or new.bounds.status == "converged" else level
-        status = _find_end(new, turns, options)
+        status = _find_end(new, turns, accuracy, most_cells)
         if status is not None:
-            why: dict[str, Any] = {"cells": options.most_cells, "solves": options.most_solves, "failed": rings.failed}
+            why: dict[str, Any] = {"cells": most_cells, "solves": most_solves, "failed": rings.failed}
             why |= {"law": float(new.bounds.law_part or 0.0) / scale, "bound": new.bounds.status, "raised": law.raised}
             # then some h are not the largest work
             status = "contradiction" if status == "converged" and law.raised > GAIN else status
@@ -166,7 +166,7 @@ def solve_on_demand(
         mesh = refine(mesh, mark(level.bounds.error))
     if level is None:
         raise InputError(f"{scene.source}: no bounds after {len(turns)} turns; ask for less accuracy")
-    return Demand(level, law, rings, tuple(turns), options.accuracy, *ended)
+    return Demand(level, law, rings, tuple(turns), accuracy, *ended)
 
 
 def _scale(solution: CurtainSolution) -> float:
@@ -190,9 +190,7 @@ def _hang(
             return solution, law
         tries -= 1
         x = _widest(rings, _loads(solution, law, law.inner), QUESTIONS)
-        rings.ask(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
-        rings.settle()
-        law = rings.law()
+        law = rings.learn(np.vstack([x, between(np.vstack([rings.x, x]), QUESTIONS, rings.is_mirrored)]))
 
 
 def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: float, most: int) -> LawInterval:
@@ -207,9 +205,7 @@ def _narrow(rings: Rings, law: LawInterval, solution: CurtainSolution, allowed: 
         x = _widest(rings, loads, min(QUESTIONS, left))
         if not len(x):
             break
-        rings.ask(x)
-        rings.settle()
-        law = rings.law()
+        law = rings.learn(x)
     return law
 
 
@@ -224,9 +220,9 @@ def _loads(solution: CurtainSolution, law: LawInterval, inner: MembraneLaw) -> L
     return loads_of(problem.disc.weight, problem.law.in_weave(solution.S), inner, law.outer)
 
 
-def _find_end(level: Level, turns: Sequence[Turn], options: DemandOptions) -> str | None:
+def _find_end(level: Level, turns: Sequence[Turn], accuracy: float, most_cells: int) -> str | None:
     """The status if this was the last turn."""
-    bounds, target = level.bounds, options.accuracy * _scale(level.solution)
+    bounds, target = level.bounds, accuracy * _scale(level.solution)
     if bounds.status != "converged":
         return "bound_limit"
     if bounds.gap <= target:
@@ -234,7 +230,7 @@ def _find_end(level: Level, turns: Sequence[Turn], options: DemandOptions) -> st
     is_idle = len(turns) > 1 and turns[-1].rows == turns[-2].rows
     if is_idle and float(bounds.law_part or 0.0) > 0.5 * max(bounds.gap, target):
         return "law_limit"
-    return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > options.most_cells else None
+    return "mesh_limit" if turns[-1].cells + 3 * len(mark(bounds.error)) > most_cells else None
 
 
 def _line(mesh: CurtainMesh, rings: Rings, level: Level | None) -> str:

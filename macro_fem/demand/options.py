@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +12,23 @@ from rve import WEAVES, Cell
 from rve.common import InputError, shown
 from rve.common.rings import check_ring_size
 
-LEAST_ACCURACY, MOST_ACCURACY = 1e-5, 0.5
+ACCURACY, LEAST_ACCURACY, MOST_ACCURACY = 5e-3, 1e-5, 0.5
+"""Of a run by default, and the range of what may be asked for."""
 
 
 @dataclass(frozen=True)
-class DemandOptions:
-    """accuracy: width of the interval over total load times height, which for a curtain under its weight alone is that
-    of the mean height over the height. The rest are limits at which a run gives up; InputError for values out of range.
+class OnDemand:
+    """These rings are asked for the law where the curtain needs it, until the interval of the answer is no wider than
+    `accuracy` times total load times height, which for a curtain under its weight alone is that of the mean height.
+
+    known: what is known to begin with, an interval of laws or the file of a law or table (CSV) that tells one; cache:
+    the folder where answers of the rings are kept. InputError for an accuracy out of range.
     """
 
-    accuracy: float = 5e-3
-    most_cells: int = 30_000
-    most_solves: int = 3_000
-    most_turns: int = 60
+    cell: Cell
+    accuracy: float = ACCURACY
+    known: LawInterval | Path | None = None
+    cache: str | Path | None = None
 
     def __post_init__(self) -> None:
         if not LEAST_ACCURACY <= self.accuracy <= MOST_ACCURACY:
@@ -32,25 +36,6 @@ class DemandOptions:
                 f"accuracy = {self.accuracy:g}: must lie between {LEAST_ACCURACY:g} and {MOST_ACCURACY:g}, the width "
                 "of the interval over the height"
             )
-
-
-DEMAND = DemandOptions()
-"""The defaults."""
-
-
-@dataclass(frozen=True)
-class OnDemand:
-    """These rings are asked for the law where the curtain needs it, until the interval of the answer is no wider than
-    `accuracy` times the height.
-
-    known: what is known to begin with, an interval of laws or the file of a law or table (CSV) that tells one; cache:
-    the folder where answers of the rings are kept.
-    """
-
-    cell: Cell
-    accuracy: float = DEMAND.accuracy
-    known: LawInterval | Path | None = None
-    cache: str | Path | None = None
 
     def interval(self) -> LawInterval | None:
         """What is known to begin with; InputError for a law without rows."""
@@ -62,8 +47,11 @@ class OnDemand:
         return self.known
 
 
-def ring_options(rings: str | None, **given: Any) -> OnDemand | None:
-    """The rings that are asked, None if no radii are given; the rest as the command line has it.
+def ring_options(
+    rings: str | None, law: Path | None = None, table: Path | None = None, **given: Any
+) -> OnDemand | None:
+    """The rings that are asked, None if no radii are given; the rest as the command line has it. A law or table is what
+    is known to begin with.
 
     Answers are kept in $XDG_CACHE_HOME/ring-mesh, by default ~/.cache/ring-mesh, unless told otherwise. InputError for
     radii, weave or grain that make no mesh, and for options that need --rings.
@@ -75,6 +63,9 @@ def ring_options(rings: str | None, **given: Any) -> OnDemand | None:
     if rings is None:
         for name, value in told.items():
             raise InputError(f"--{name.replace('_', '-')} = {value}: belongs to --rings R1,R2")
+    if table is not None and (law is not None or rings is None):
+        raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
+    if rings is None:
         return None
     if "cache" in told and "no_cache" in told:
         raise InputError("--cache and --no-cache contradict each other: give one")
@@ -85,14 +76,7 @@ def ring_options(rings: str | None, **given: Any) -> OnDemand | None:
     base = os.environ.get("XDG_CACHE_HOME", "")
     kept = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ring-mesh"
     folder = None if "no_cache" in told else told.get("cache", kept)
-    return OnDemand(cell, told.get("accuracy", DEMAND.accuracy), cache=folder)
-
-
-def begin_with(asked: OnDemand | None, law: Path | None, table: Path | None) -> OnDemand | None:
-    """The rings asked, with the law or table that is known to begin with."""
-    if table is not None and (law is not None or asked is None):
-        raise InputError(f"--table = {table}: is what a run with --rings begins with, instead of --law")
-    return None if asked is None else replace(asked, known=law if table is None else table)
+    return OnDemand(cell, told.get("accuracy", ACCURACY), law if table is None else table, folder)
 
 
 def radii(text: str) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from macro_fem.demand.loop import Demand
 from macro_fem.demand.rings import Rings
 from macro_fem.output.strength import critical_load
 from rve import Cell, cauchy_of, solve_table, with_rings
-from rve.common import Cache, InputError, tell
+from rve.common import InputError, tell
 from rve.common.tensor import disc, eigenvalues, trace
 
 LOOKS = 4
@@ -21,12 +21,12 @@ NEAR = 0.01
 """Directions of the unit disc nearer than this to a known one are not asked for."""
 
 
-def with_strength(found: Demand, cell: Cell, cache: Cache) -> Demand:
-    """`found` with a law that knows the strength of its rings, of the cell's material; as it is if none can be made.
+def with_strength(found: Demand) -> Demand:
+    """`found` with a law that knows the strength of its rings, of their material; as it is if none can be made.
 
     It is exact at the directions that were asked, and at that of the largest utilisation of the curtain.
     """
-    rows = found.law.rows
+    rows, cell = found.law.rows, found.rings.cell
     strength = strength_of_rows(rows, cell)
     for _ in range(LOOKS):
         tell(f"asking the rings for their strength, {len(strength.S)} loads known")
@@ -41,7 +41,7 @@ def with_strength(found: Demand, cell: Cell, cache: Cache) -> Demand:
         images = known * [1.0, -1.0] if rows.is_mirrored else known
         if np.hypot(*(np.vstack([known, images]) - x).T).min() < NEAR:
             break
-        asked = Rings(cell, cache)
+        asked = Rings(cell, found.rings.cache)
         asked.ask(x)
         found.rings.solves += asked.solves
         found.rings.hits += asked.hits

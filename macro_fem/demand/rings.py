@@ -20,15 +20,13 @@ from rve.common.tensor import WEIGHT, disc, double_dot, from_disc, mirror
 
 Beside = tuple[tuple[float, float], ...]
 """Directions that a direction was solved with, whose locked states were starts."""
-FORMAT = "ring-mesh support value"
-VERSION = 3
-"""Raised when the same direction would be answered differently, so that older files are no longer read."""
+FORMAT, VERSION = "ring-mesh support value", 3
+"""Of kept answers; raised when the same direction would be answered differently, so that older files are not read."""
 NOT_ASKED = ("r1", "r2", "density", "material", "weave")
 """Fields of a cell that enter by name and ratio, or not at all."""
-ROUNDING = 1e-9
-"""By how much h of a kept answer may differ from S:E, which it is computed as."""
-GAIN = 1e-8
-"""Work at unit trace by which a strain must exceed another row's own to contradict it; round-off leaves 1e-12."""
+ROUNDING, GAIN = 1e-9, 1e-8
+"""By how much h of a kept answer may differ from S:E, which it is computed as; and work at unit trace by which a strain
+must exceed another row's own to contradict it. Round-off leaves 1e-12."""
 ROUNDS = 6
 """How often rows that others contradict are asked again."""
 SAME_RINGS = 1e-6
@@ -77,10 +75,7 @@ class Rings:
         return law_interval(self.rows, cell=self.info)
 
     def ask(self, x: Array) -> None:
-        """Ask for the directions x (n, 2), one after the other.
-
-        Every answer is kept as soon as it is there: a run that is killed loses the one in flight.
-        """
+        """Ask for the directions x (n, 2), one after the other; each answer is kept as soon as it is there."""
         x = rounded(x)
         for number, one in enumerate(x):
             tell(f"asking the rings, {self.solves} solved, {len(x) - number} to go", number / len(x))
@@ -92,32 +87,30 @@ class Rings:
                 self.rows = row if self.rows is None else self.rows.join([row])
         self.x = np.vstack([self.x, x])
 
-    def settle(self) -> None:
-        """Ask again until no row's strain does more work under the load of another row than that row's own.
+    def learn(self, x: Array) -> LawInterval:
+        """What is known of the law with the answers to the directions x (n, 2), settled."""
+        self.ask(x)
+        self.settle()
+        return self.law()
 
-        A row for which one does is asked again beside the load of that strain, whose locked states are then starts; no
-        later than after ROUNDS of this, or one without any gain.
+    def settle(self) -> None:
+        """Ask again until no row's strain does more work under the load of another row than that row's own: that row is
+        asked beside the load of the strain, whose locked states are then starts. Ends after a round without gain.
         """
         for _ in range(ROUNDS if self.count else 0):
             assert self.rows is not None
             before = self.rows.h
             for i, j, x in contradictions(self.rows):
-                self._ask_beside(i, (*self.beside.get(j, ()), x))
+                old = self.beside.get(i, ())
+                self.beside[i] = tuple(dict.fromkeys((*old, *self.beside.get(j, ()), x)))
+                if len(self.beside[i]) == len(old):
+                    continue
+                own = self.rows.take(np.array([i]))
+                row = self._answer(rounded(disc(own.S))[0], self.beside[i])
+                if row is not None and row.h[0] > own.h[0]:
+                    self.rows = self.rows.put(np.array([i]), replace(own, h=row.h, E=row.E))
             if (self.rows.h - before).max() < GAIN:
                 break
-
-    def _ask_beside(self, i: int, others: Beside) -> None:
-        """Row i asked again beside other directions; it stays as it was if nothing better is found."""
-        assert self.rows is not None
-        old = self.beside.get(i, ())
-        beside = (*old, *(x for x in dict.fromkeys(others) if x not in old))
-        if len(beside) == len(old):
-            return
-        self.beside[i] = beside
-        own = self.rows.take(np.array([i]))
-        row = self._answer(rounded(disc(own.S))[0], beside)
-        if row is not None and row.h[0] > own.h[0]:
-            self.rows = self.rows.put(np.array([i]), replace(own, h=row.h, E=row.E))
 
     def _answer(self, x: Array, beside: Beside = ()) -> LockedRows | None:
         """The row of the direction x (2,), from the cache or from the rings; None if they found no locked state."""

@@ -19,7 +19,7 @@ from macro_fem.curtain import solve_problem
 from macro_fem.demand import rings as rings_module
 from macro_fem.demand.directions import first_directions, widest
 from macro_fem.demand.loop import solve_on_demand
-from macro_fem.demand.options import DemandOptions, OnDemand
+from macro_fem.demand.options import OnDemand
 from macro_fem.demand.ring_strength import strength_of_rows, with_strength
 from macro_fem.demand.rings import Rings, contradictions, question
 from macro_fem.job import solve
@@ -123,7 +123,7 @@ def test_more_rows_narrow_the_interval_from_both_sides():
 
 def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
     scene = square(cells=4)
-    found = solve_on_demand(scene, Cell(), DemandOptions(0.02))
+    found = solve_on_demand(scene, Cell(), 0.02)
     low, high = interval(found)
     scale = np.abs(found.level.solution.problem.force).sum() * 100.0
     assert found.status == "converged"
@@ -140,7 +140,7 @@ def test_the_interval_of_exactly_known_rings_holds_their_answer(known_rings):
 
 def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
     scene = square("top", cells=3, curtain={"width": 100.0, "height": 100.0, "weave_angle": "y"})
-    found = solve_on_demand(scene, Cell(), DemandOptions(1e-3))
+    found = solve_on_demand(scene, Cell(), 1e-3)
     first = len(first_directions(True))
     x = disc(np.array(known_rings))
     assert found.status == "converged"
@@ -149,19 +149,19 @@ def test_what_is_asked_is_where_the_curtain_is_stressed(known_rings):
 
 
 def test_a_law_that_is_known_is_where_the_run_begins(known_rings):
-    found = solve_on_demand(square(cells=4), Cell(), DemandOptions(0.05), known=KNOWN)
+    found = solve_on_demand(square(cells=4), Cell(), 0.05, known=KNOWN)
     assert found.status == "converged"
     assert found.rings.solves == 0
     assert found.rings.count == len(KNOWN.rows)
     with pytest.raises(InputError, match="r2, b_x and b_y"):
-        solve_on_demand(square(), Cell(5.0, 0.4), DemandOptions(0.05), known=KNOWN)
+        solve_on_demand(square(), Cell(5.0, 0.4), 0.05, known=KNOWN)
 
 
 def test_two_runs_with_one_cache_give_the_same_answer(known_rings, tmp_path):
-    cache, options = Cache(tmp_path / "rings"), DemandOptions(0.05)
-    first = solve_on_demand(square(), Cell(), options, cache=cache)
+    cache = Cache(tmp_path / "rings")
+    first = solve_on_demand(square(), Cell(), 0.05, cache=cache)
     count = len(known_rings)
-    second = solve_on_demand(square(), Cell(), options, cache=cache)
+    second = solve_on_demand(square(), Cell(), 0.05, cache=cache)
     assert count == len(known_rings) == first.rings.solves
     assert first.rings.hits == 0
     assert second.rings.solves == 0
@@ -203,20 +203,19 @@ def test_rows_that_keep_contradicting_each_other_are_no_converged_answer(known_r
         return found
 
     monkeypatch.setattr(rings_module, "support", support)
-    found = solve_on_demand(square(), Cell(), DemandOptions(0.2))
+    found = solve_on_demand(square(), Cell(), 0.2)
     assert found.status == "contradiction"
     assert "largest work" in found.message
 
 
 def test_limits_are_named(known_rings):
-    scale = DemandOptions(1e-3)
-    mesh = solve_on_demand(square(), Cell(), replace(scale, most_cells=100))
+    mesh = solve_on_demand(square(), Cell(), 1e-3, most_cells=100)
     assert mesh.status == "mesh_limit"
     assert "100 triangles" in mesh.message
-    law = solve_on_demand(square(), Cell(), replace(scale, most_solves=12))
+    law = solve_on_demand(square(), Cell(), 1e-3, most_solves=12)
     assert law.status in ("law_limit", "mesh_limit")
     assert law.rings.solves == 12
-    turns = solve_on_demand(square(), Cell(), replace(scale, most_turns=2))
+    turns = solve_on_demand(square(), Cell(), 1e-3, most_turns=2)
     assert turns.status == "turn_limit"
     assert len(turns.turns) == 2
 
@@ -226,7 +225,7 @@ def test_supports_that_no_state_reaches_are_refused_after_the_rings_were_asked_m
         {"kind": "edge", "edge": "top", "gather": 1.9}, curtain={"width": 100.0, "height": 100.0, "weave_angle": "x"}
     )
     with pytest.raises(InputError, match="support"):
-        solve_on_demand(far, Cell(), DemandOptions(0.1))
+        solve_on_demand(far, Cell(), 0.1)
     assert len(known_rings) > len(first_directions(True)) + 16
 
 
@@ -370,7 +369,7 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_the_interval_of_real_rings_holds_the_answer_of_the_finest_law_and_mesh(name, tmp_path_factory):
     scene = SCENES[name]
-    found = solve_on_demand(scene, Cell(), DemandOptions(0.03), cache=Cache(tmp_path_factory.getbasetemp() / "c"))
+    found = solve_on_demand(scene, Cell(), 0.03, cache=Cache(tmp_path_factory.getbasetemp() / "c"))
     assert found.status == "converged"
     assert found.law.raised < 1e-8
     low, high = interval(found)
@@ -404,12 +403,12 @@ def test_the_factor_on_demand_is_that_of_the_finest_law():
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", [Cell(5.0, 0.5, WEAVES["6-in-1"]), Cell(5.0, 0.2, grain="x")], ids=["6-in-1", "thin"])
 def test_other_weaves_and_radii_go_from_rings_to_curtain(cell):
-    found = solve_on_demand(square(cells=3), cell, DemandOptions(0.06))
+    found = solve_on_demand(square(cells=3), cell, 0.06)
     assert found.status == "converged"
     assert found.law.raised < 1e-8
     low, high = interval(found)
     assert low < high
     assert found.law.rows.is_mirrored == cell.weave.is_mirrored
-    told = summary(with_strength(found, cell, NO_CACHE).level.solution)
+    told = summary(with_strength(found).level.solution)
     assert told["strength_note"] == MEANING
     assert told["safety_factor"] > 0.0
