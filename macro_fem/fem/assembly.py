@@ -1,4 +1,4 @@
-"""Gradients, nodal forces and stiffness matrices of a membrane, without a loop over cells.
+"""Gradients, nodal forces and stiffness matrices of a membrane, and where the entries of these go: no loop over cells.
 
 The gradients are taken in the coordinates of the reference element, where they are the same numbers for every cell, so
 that the sums over quadrature points and nodes are small dense matrix products. Entries reach their place in the matrix
@@ -11,12 +11,11 @@ the reference state is always plane. Component slices such as F[:, 0, 1] of retu
 Example:
     >>> import skfem
     >>> from macro_fem.fem.discretization import discretize
-    >>> from macro_fem.fem.sparsity import sparsity
     >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P1")
     >>> x = disc.nodes * [1.1, 1.0]
     >>> bool(np.allclose(gradient(disc, x), [[1.1, 0.0], [0.0, 1.0]]))
     True
-    >>> pattern = sparsity(disc, d=2, free=np.repeat(disc.nodes[:, 0] > 0.0, 2))
+    >>> pattern = SparsityPattern.of(disc, d=2, free=np.repeat(disc.nodes[:, 0] > 0.0, 2))
     >>> A = np.broadcast_to(np.eye(4).reshape(2, 2, 2, 2), (disc.n_points, 2, 2, 2, 2))
     >>> pattern.full(stiffness(disc, pattern, A)).shape
     (24, 24)
@@ -24,11 +23,92 @@ Example:
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
-from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.sparsity import SparsityPattern, component_pairs
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from macro_fem.fem.discretization import Discretization, Index
 from rve.common import Array
+
+
+@dataclass(frozen=True, eq=False)
+class SparsityPattern:
+    """Where the entries of symmetric matrices on n free unknowns go: their lower triangle, by columns.
+
+    number (n_nodes * d,): the free unknown of each flat number, -1 where it is held; d: components per node.
+    keys (nnz,): column times n plus row of each stored entry, ascending.
+    slot (n_entries, n_cells): place in the data of each packed entry of a cell, nnz for "held" and "left out". Packed
+    are the blocks (i, k), i >= k, of components in the order of `component_pairs`, each with all pairs of nodes; of a
+    block with i = k one half is left out.
+    """
+
+    number: Index
+    d: int
+    n: int
+    keys: Index
+    slot: Index
+
+    @classmethod
+    def of(cls, disc: Discretization, d: int, free: NDArray[Any], loose: int = 0) -> SparsityPattern:
+        """The pattern of stiffness matrices on the components marked by `free` (n_nodes, d) or flat.
+
+        The last `loose` nodes belong to no cell and are coupled with all others.
+        """
+        free, nodes = np.ravel(free), disc.cell_dofs.T
+        number, n = np.where(free, np.cumsum(free) - 1, -1), int(free.sum())
+        nowhere, keys = n * n, []
+        for k, l in component_pairs(d):
+            i, j = number[d * nodes[:, None] + k], number[d * nodes[None, :] + l]
+            low, high = np.minimum(i, j), np.maximum(i, j)
+            is_out = (low < 0) | ((k == l) & (i < j))
+            keys.append(np.where(is_out, nowhere, low * n + high).ravel())
+        last = number[len(number) - d * loose :]
+        low, high = np.minimum.outer(number, last), np.maximum.outer(number, last)
+        keys.append((low * n + high)[low >= 0])
+        found, slot = np.unique(np.concatenate([*keys, [nowhere]]), return_inverse=True)
+        cells = slot[: len(keys[0]) * len(component_pairs(d))].reshape(-1, disc.n_cells)
+        return cls(number, d, n, found[:-1], cells)
+
+    @property
+    def nnz(self) -> int:
+        """Stored entries of the lower triangle."""
+        return len(self.keys)
+
+    def scatter(self, packed: Array) -> Array:
+        """Data (nnz,) of the lower triangle from the packed entries (n_entries, n_cells) of all cells."""
+        summed = np.bincount(self.slot.ravel(), weights=packed.ravel(), minlength=self.nnz + 1)
+        return np.asarray(summed[: self.nnz], dtype=np.float64)
+
+    def place(self, row: Index, column: Index) -> Index:
+        """Places in the data of entries (...) by their flat numbers: -1 above the diagonal and where one is held.
+
+        The others must be entries of the pattern.
+        """
+        i, j = self.number[row], self.number[column]
+        return np.where((j >= 0) & (i >= j), np.searchsorted(self.keys, j * self.n + i), -1)
+
+    def full(self, data: Array) -> sparse.csc_matrix:
+        """Both triangles as a sparse matrix (what SuperLU and conjugate gradients read)."""
+        numbered, source = self._mirror
+        return sparse.csc_matrix((data[source], numbered.indices, numbered.indptr), shape=(self.n, self.n))
+
+    @cached_property
+    def _mirror(self) -> tuple[sparse.csc_matrix, Index]:
+        """A matrix of both triangles, and the place in the data of the lower one of each of its entries."""
+        column, row = np.divmod(self.keys, self.n)
+        lower = sparse.csc_matrix((np.arange(1.0, self.nnz + 1.0), (row, column)), shape=(self.n, self.n))
+        both = (lower + sparse.tril(lower, -1).T).tocsc()
+        both.sort_indices()
+        return both, both.data.astype(np.int64) - 1
+
+
+def component_pairs(d: int) -> list[tuple[int, int]]:
+    """The blocks (i, k), i >= k, in the order of the packed entries."""
+    return [(i, k) for i in range(d) for k in range(i + 1)]
 
 
 def gradient(disc: Discretization, v: Array) -> Array:

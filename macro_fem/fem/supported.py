@@ -13,10 +13,9 @@ from functools import cached_property, partial
 import numpy as np
 from scipy import sparse
 
-from macro_fem.fem.assembly import gradient, internal_force, stiffness
+from macro_fem.fem.assembly import SparsityPattern, gradient, internal_force, stiffness
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.fem.sparsity import SparsityPattern, sparsity
 from rve.common import Array
 from rve.common.numeric.factor import Factorizer, Solve
 
@@ -75,11 +74,6 @@ class SupportedFem:
         return in_space_of(self.disc.nodes, self.d)
 
     @property
-    def size(self) -> float:
-        """Diagonal of the box around the reference state, mm."""
-        return float(np.hypot(*np.ptp(self.disc.nodes, axis=0)))
-
-    @property
     def weight(self) -> Array:
         """Reference area of each point (nq,), mm2."""
         return self.disc.weight
@@ -88,7 +82,7 @@ class SupportedFem:
     def pattern(self) -> SparsityPattern:
         """Where matrix entries go: on the free unknowns, or on all of them if ties must be applied afterwards."""
         free = self.free if self.tie is None else np.ones_like(self.free)
-        return sparsity(self.disc, self.d, free, self.loose)
+        return SparsityPattern.of(self.disc, self.d, free, self.loose)
 
     def positions(self, z: Array) -> Array:
         """x (n_nodes, d)."""

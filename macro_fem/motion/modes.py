@@ -37,10 +37,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from homogenize import default_law, load_law
 from macro_fem.curtain import solve_scene
 from macro_fem.elastic_forces import forces_by, with_forces
-from macro_fem.fem.assembly import stiffness
+from macro_fem.fem.assembly import SparsityPattern, stiffness
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.fem.discretization import ELEMENTS
-from macro_fem.fem.sparsity import sparsity
 from macro_fem.motion.contact import pushed_points
 from macro_fem.motion.stage import mesh_masses, nodal_masses, scene_at
 from macro_fem.output.files import corner_positions
@@ -215,7 +214,7 @@ def _of_one_component(solution: CurtainSolution) -> tuple[sparse.spmatrix, ...]:
     """The geometric stiffness, N/mm, and consistent and lumped masses, N s2/mm, (n_nodes, n_nodes)."""
     problem, disc, S = solution.problem, solution.problem.disc, solution.S
     A = S[:, SQUARE][:, None, :, None, :]
-    pattern = sparsity(disc, 1, np.ones(disc.n_nodes, bool))
+    pattern = SparsityPattern.of(disc, 1, np.ones(disc.n_nodes, bool))
     lumped, mesh = sparse.diags(nodal_masses(problem)), sparse.diags(mesh_masses(problem))
     unit = skfem.models.poisson.mass.assemble(skfem.CellBasis(problem.mesh.mesh, ELEMENTS[disc.element][0]()))
     per_area = mesh_masses(problem).sum() / disc.cell_area.sum()

@@ -5,9 +5,8 @@ import pytest
 import skfem
 from skfem.helpers import dot, grad
 
-from macro_fem.fem.assembly import gradient, internal_force, load_vector, stiffness
+from macro_fem.fem.assembly import SparsityPattern, gradient, internal_force, load_vector, stiffness
 from macro_fem.fem.discretization import ELEMENTS, discretize
-from macro_fem.fem.sparsity import sparsity
 
 
 def distorted(n=4, amount=0.03, seed=0):
@@ -60,7 +59,7 @@ def test_forces_and_stiffness_are_plain_sums(element, d):
     A = symmetric_tangents(rng, disc.n_points, d)
     K = plain_stiffness(disc, A)
     free = rng.random((disc.n_nodes, d)) < 0.7
-    pattern = sparsity(disc, d, free)
+    pattern = SparsityPattern.of(disc, d, free)
     data = stiffness(disc, pattern, A)
     np.testing.assert_allclose(pattern.full(data).toarray(), K[np.ix_(free.ravel(), free.ravel())], atol=1e-12)
 
