@@ -139,7 +139,7 @@ def table(
     from rve.common.rings import Joint
     from rve.equilibrium.interior_point import DirectOptions
     from rve.more_columns import RingOptions, with_rings
-    from rve.paper.table import solve_table_stewart_trinkle
+    from rve.paper.stewart_trinkle import solve_table_stewart_trinkle
     from rve.solve import solve_table
     from rve.table import check_out_table, write_table
 
@@ -260,7 +260,7 @@ def sweep(
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 def study(out: Path) -> None:
     """Reproduce the paper's Figs. 9-17 for this implementation, and set its published figures beside ours."""
-    from rve.study.comparison import RECORD, comparison, markdown, run
+    from rve.paper.study import RECORD, comparison, markdown, run
 
     found = run(out)
     say(markdown(comparison(found)).rstrip())

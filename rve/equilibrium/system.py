@@ -20,7 +20,7 @@ import numpy as np
 from rve.common import Array, Rows
 from rve.geometry.contacts import CellContacts, find_contacts
 from rve.geometry.distance import distance_gradient, distance_hessian
-from rve.geometry.pose import Pose, pair_maps, reduction, ring_normals
+from rve.geometry.pose import Pose, pair_maps, place_maps, reduction, turns_of
 from rve.geometry.weave import Weave
 
 _TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -105,19 +105,17 @@ def lattice_load(pose: Pose, s: Array) -> tuple[Array, Array]:
 
 def mass_matrix(weave: Weave, wire: float) -> Array:
     """Mass matrix of the generalised velocities, (m_full, m_full), for rings of unit mass and r1 = 1."""
-    k, dims = weave.start_centres.shape
-    turns = 4 + dims * (k - 1)
-    M = np.zeros((turns + 3 * k, turns + 3 * k))
-    inertia = 0.5 + 0.625 * wire**2  # of a torus about a diameter; the axial one weighs no coordinate
-    for ring, i, j in weave.rings:
-        way = np.zeros((dims, len(M)))
-        way[:2, :2], way[:2, 2:4] = i * np.eye(2), j * np.eye(2)
-        if ring > 0:
-            way[:, 4 + dims * (ring - 1) : 4 + dims * ring] += np.eye(dims)
-        M += way.T @ way
-        rows = slice(turns + 3 * ring, turns + 3 * ring + 3)
-        M[rows, rows] += inertia * np.eye(3)
+    way = place_maps(weave, weave.rings)
+    M = np.einsum("rxi,rxj->ij", way, way)
+    for ring in weave.rings[:, 0]:
+        turns = turns_of(weave, ring)
+        M[turns, turns] += inertia(wire) * np.eye(3)
     return M
+
+
+def inertia(wire: float) -> float:
+    """Of a torus of unit mass and r1 = 1 about a diameter; the axial one weighs no coordinate."""
+    return 0.5 + 0.625 * wire**2
 
 
 def mirror_modes(weave: Weave) -> Array:
@@ -184,29 +182,32 @@ class Equations:
             v[:, 4] += 0.5 * i * y[:, 0] * y[:, 2]
         return v
 
-    def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
-        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
-        n = len(s)
-        T = reduction(pose)
-        m = T.shape[2]
-        minima = contacts.minima
+    def gap_derivatives(
+        self, pose: Pose, contacts: CellContacts, T: Array, lam: Array, least: float
+    ) -> tuple[Array, Array]:
+        """Gap gradients G (n, c, m) on the reduced coordinates, 0 in empty slots, and the sum (n, m, m) of the second
+        derivatives of gaps times their forces lam (n, p, SLOTS) where these are above `least`; T is reduction(pose)."""
+        minima, m = contacts.minima, T.shape[2]
         case, pair = np.divmod(minima.pair, len(self.weave.pairs))
-        g = distance_gradient(minima)
         LT = np.matmul(self.maps[pair], T[case])
         G = np.zeros((*contacts.present.shape, m))
-        G[contacts.present] = np.matmul(g[:, None, :], LT)[:, 0]
-        G = G.reshape(n, -1, m)
-
-        f, J = self.load.force(pose, T, s)
-        r = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0]
-        force = lam[contacts.present]
-        works = force > (-1.0 if self.idle_curvature else IDLE)
-        bent = np.flatnonzero(works)
-        H = distance_hessian(minima.take(bent), *ring_normals(pose, self.weave, case[bent], pair[bent]), 1.0)
+        G[contacts.present] = np.matmul(distance_gradient(minima)[:, None, :], LT)[:, 0]
+        force, bend = lam[contacts.present], np.zeros((len(T), m, m))
+        bent = np.flatnonzero(force > least)
+        na, nb = (pose.normals[case[bent], ring] for ring in self.weave.pairs[pair[bent], :2].T)
+        H = distance_hessian(minima.take(bent), na, nb, 1.0)
         LTHLT = np.matmul(np.matmul(LT[bent].transpose(0, 2, 1), H), LT[bent])
         cases, first = np.unique(case[bent], return_index=True)
         if len(cases):
-            J[cases] += np.add.reduceat(force[bent, None, None] * LTHLT, first, axis=0)
+            bend[cases] = np.add.reduceat(force[bent, None, None] * LTHLT, first, axis=0)
+        return G.reshape(len(T), -1, m), bend
+
+    def assemble(self, pose: Pose, contacts: CellContacts, lam: Array, s: Array) -> System:
+        """Residual, derivatives and gradients at a pose for contact forces lam (n, p, SLOTS) and loads s (n, ...)."""
+        n, T = len(s), reduction(pose)
+        f, J = self.load.force(pose, T, s)
+        G, bend = self.gap_derivatives(pose, contacts, T, lam, -1.0 if self.idle_curvature else IDLE)
+        r, J = f + np.matmul(lam.reshape(n, 1, -1), G)[:, 0], J + bend
         # The share of each contact force in the force on a1 and a2.
         flat = np.einsum("nps,npsx->npx", lam, contacts.normal[..., :2])
         on_lattice = np.concatenate(

@@ -105,18 +105,31 @@ def reduction(pose: Pose) -> Array:
     return T
 
 
+def place_maps(weave: Weave, rings: Index) -> Array:
+    """Matrices (n, 2 or 3, m_full) from generalised velocities to those of the centres of rings (n, 3): class, i, j."""
+    k, dims = weave.start_centres.shape
+    maps = np.zeros((len(rings), dims, 4 + dims * (k - 1) + 3 * k))
+    for own, (ring, i, j) in zip(maps, rings, strict=True):
+        own[:2, :2], own[:2, 2:4] = i * np.eye(2), j * np.eye(2)
+        if ring > 0:
+            own[:, 4 + dims * (ring - 1) : 4 + dims * ring] = np.eye(dims)
+    return maps
+
+
+def turns_of(weave: Weave, ring: int) -> slice:
+    """Where the rotation of a ring is among the generalised velocities."""
+    k, dims = weave.start_centres.shape
+    first = 4 + dims * (k - 1) + 3 * ring
+    return slice(first, first + 3)
+
+
 def pair_maps(weave: Weave) -> Array:
     """Matrices L (p, 9, m_full) from generalised velocities to (d, theta_a, theta_b) of each pair of rings."""
-    k, dims = weave.start_centres.shape
-    turns = 4 + dims * (k - 1)
-    L = np.zeros((len(weave.pairs), 9, turns + 3 * k))
-    eye = np.eye(3)
-    for p, (a, b, i, j) in enumerate(weave.pairs):
-        L[p, :2, :2], L[p, :2, 2:4] = i * eye[:2, :2], j * eye[:2, :2]
-        for ring, sign, rows in ((a, -1.0, slice(3, 6)), (b, 1.0, slice(6, 9))):
-            if ring > 0:
-                L[p, :dims, 4 + dims * (ring - 1) : 4 + dims * ring] += sign * eye[:dims, :dims]
-            L[p, rows, turns + 3 * ring : turns + 3 * ring + 3] = eye
+    first, there = weave.pairs[:, :1], place_maps(weave, weave.pairs[:, 1:])
+    L = np.zeros((len(first), 9, there.shape[2]))
+    L[:, : there.shape[1]] = there - place_maps(weave, np.pad(first, ((0, 0), (0, 2))))
+    for own, (a, b, _, _) in zip(L, weave.pairs, strict=True):
+        own[3:6, turns_of(weave, a)] = own[6:, turns_of(weave, b)] = np.eye(3)
     return L
 
 
@@ -127,9 +140,3 @@ def pair_geometry(pose: Pose, weave: Weave) -> tuple[Array, Array, Array]:
     d[..., : pose.centres.shape[2]] = pose.centres[:, b] - pose.centres[:, a]
     d[..., :2] += i[:, None] * pose.a1[:, None] + j[:, None] * pose.a2[:, None]
     return d, pose.normals[:, a], pose.normals[:, b]
-
-
-def ring_normals(pose: Pose, weave: Weave, case: Index, pair: Index) -> tuple[Array, Array]:
-    """Normals (m, 3) of ring a and ring b of m pairs, each given by its case and its row in `weave.pairs`."""
-    a, b = weave.pairs[pair, :2].T
-    return pose.normals[case, a], pose.normals[case, b]

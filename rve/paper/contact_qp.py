@@ -1,32 +1,12 @@
-"""Compliant contact over one step: a small strictly convex quadratic programme per load case, solved in batches.
-
-With displacements w (m), gap gradients G and stiffnesses k of the contacts, the linear complementarity problem
-
-    A w = b + G^T lam,    0 <= lam  _|_  gap + G w + lam/k >= 0
-
-is the optimality condition of min 1/2 w^T A w - b^T w + 1/2 sum k min(gap + G w, 0)^2: without constraints, convex and
-piecewise quadratic. Newton's method on it changes the set of working contacts and ends after finitely many sets, with a
-line search from any start (Qi and Sun 1993, doi 10.1007/BF01581275). Slots without a contact have k = 0; arrays keep
-one shape for every batch, so that results do not depend on the other cases, to the bit.
-"""
+"""Compliant contact over one step: a small strictly convex quadratic programme per load case, solved in batches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rve.common import Array, Rows
-
-
-@dataclass(frozen=True)
-class ContactStep:
-    """Displacements w (n, m), contact forces lam (n, c) >= 0; whether converged (n,)."""
-
-    w: Array
-    lam: Array
-    converged: NDArray[np.bool_]
+from rve.common import Array, Flags, Rows
 
 
 def _times(matrix: Array, vector: Array) -> Array:
@@ -35,7 +15,13 @@ def _times(matrix: Array, vector: Array) -> Array:
 
 @dataclass(frozen=True)
 class Programme(Rows):
-    """Contact steps of n cases: A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and stiffness k (n, c)."""
+    """Contact steps of n cases: A (n, m, m) positive definite, b (n, m), G (n, c, m), gap and stiffness k (n, c), 0 for
+    slots without a contact. Displacements w and forces lam obey
+
+        A w = b + G^T lam,    0 <= lam  _|_  gap + G w + lam/k >= 0,
+
+    which is where 1/2 w^T A w - b^T w + 1/2 sum k min(gap + G w, 0)^2 is least.
+    """
 
     A: Array
     b: Array
@@ -44,18 +30,20 @@ class Programme(Rows):
     k: Array
 
     def energy(self, w: Array) -> Array:
-        """The convex function that the step minimises, (n,)."""
+        """The function that the step minimises, (n,)."""
         pressed = np.minimum(self.gap + _times(self.G, w), 0.0)
         smooth = 0.5 * (w * _times(self.A, w)).sum(axis=1) - (self.b * w).sum(axis=1)
         return np.asarray(smooth + 0.5 * (self.k * pressed**2).sum(axis=1))
 
 
-def solve_contact_step(programme: Programme, *, max_iterations: int = 60) -> ContactStep:
-    """Solution of the contact steps; a case that has not converged after `max_iterations` says so in the result.
+def solve_contact_step(programme: Programme, *, max_iterations: int = 60) -> tuple[Array, Array, Flags]:
+    """Displacements w (n, m) and forces lam (n, c) >= 0 of the contact steps, and which have converged, (n,).
+
+    Newton's method changes the set of working contacts and ends after finitely many, with a line search from any start
+    (Qi and Sun 1993, doi 10.1007/BF01581275). No case depends on the others, to the bit.
 
     >>> one = np.ones((1, 1))
-    >>> step = solve_contact_step(Programme(one[:, None], -2 * one, one[:, None], 0 * one, 3 * one))
-    >>> step.w, step.lam
+    >>> solve_contact_step(Programme(one[:, None], -2 * one, one[:, None], 0 * one, 3 * one))[:2]
     (array([[-0.5]]), array([[1.5]]))
     """
     w, todo = np.zeros(programme.b.shape), np.arange(len(programme.b))
@@ -74,12 +62,10 @@ def solve_contact_step(programme: Programme, *, max_iterations: int = 60) -> Con
         if not len(todo):
             break
     lam = np.maximum(-programme.k * (programme.gap + _times(programme.G, w)), 0.0)
-    return ContactStep(w, lam, converged)
+    return w, lam, converged
 
 
-def _searched(
-    programme: Programme, w: Array, target: Array, working: NDArray[np.bool_]
-) -> tuple[Array, NDArray[np.bool_]]:
+def _searched(programme: Programme, w: Array, target: Array, working: Flags) -> tuple[Array, Flags]:
     """The point reached from w towards `target`, and whether it is the minimum."""
     G, gap, k = programme.G, programme.gap, programme.k
     after = gap + _times(G, target)

@@ -1,8 +1,4 @@
-"""The paper's rings in motion: options, mass and damping matrices, energies, and the residual of eq. (9).
-
-Scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time stays in seconds. Velocities are those of the
-rings, v = T(q) u.
-"""
+"""The paper's rings in motion: options, mass and damping, energies, and the residual of eq. (9)."""
 
 from __future__ import annotations
 
@@ -13,8 +9,9 @@ import numpy as np
 from msgspec import Meta
 
 from rve.common import Array, Index, Typed
-from rve.equilibrium.system import Equations
+from rve.equilibrium.system import Equations, inertia
 from rve.geometry.contacts import CellContacts
+from rve.geometry.pose import place_maps, turns_of
 from rve.geometry.weave import Weave
 
 MOST = 1e15
@@ -59,15 +56,15 @@ class StewartTrinkleOptions(Typed):
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Matrices of the motion in scaled units.
+    """The motion in scaled units: length r1, line load s_hat, hence energy s_hat r1^2; time in seconds.
 
-    mass (m_full, m_full) in s2; damping (m_full, m_full) in s; decay (m_full,): damping over mass of each velocity in
-    1/s; ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2,
-    m_full): from the velocities to those of every ring's centre.
+    weave: of the rings; mass (m_full, m_full) in s2; decay (m_full,): damping over mass of each velocity in 1/s;
+    ring_mass: one ring's in s2; stiffness (p,): of each pair of rings, without unit; ring_maps (rings, 2, m_full): from
+    the velocities to those of every ring's centre. Velocities v (n, m_full) are those of the rings, T(q) u.
     """
 
+    weave: Weave
     mass: Array
-    damping: Array
     decay: Array
     ring_mass: float
     stiffness: Array
@@ -75,58 +72,49 @@ class Dynamics:
 
     @staticmethod
     def of(equations: Equations, options: StewartTrinkleOptions) -> Dynamics:
-        """The matrices of a cell with these options."""
-        size, k = len(equations.mass), equations.weave.classes
-        wire, r1 = equations.wire, options.r1_mm
+        """The motion of a cell with these options."""
+        weave, wire, r1 = equations.weave, equations.wire, options.r1_mm
         ring_mass = options.density * 2.0 * np.pi**2 * r1**3 * wire**2 / options.load
-        turns = np.arange(size) >= 2 + 2 * k
-        inertia = 0.5 + 0.625 * wire**2
-        turning = options.rotational_damping / (options.load * r1**2 * ring_mass * inertia)
-        decay = np.where(turns, turning, options.damping / (options.load * ring_mass))
-        mass = ring_mass * equations.mass
-        stiffness = options.stiffness / options.load * np.maximum(copies(equations.weave), 1)
-        maps = np.zeros((len(equations.weave.rings), 2, size))
-        kind, i, j = equations.weave.rings.T
-        own = np.flatnonzero(kind)
-        for x in range(2):
-            maps[:, x, x], maps[:, x, 2 + x] = i, j
-            maps[own, x, 2 + 2 * kind[own] + x] = 1.0
-        return Dynamics(mass, mass * decay, decay, ring_mass, stiffness, maps)
+        turning = options.rotational_damping / (options.load * r1**2 * ring_mass * inertia(wire))
+        is_turn = np.arange(len(equations.mass)) >= turns_of(weave, 0).start
+        decay = np.where(is_turn, turning, options.damping / (options.load * ring_mass))
+        stiffness = options.stiffness / options.load * np.maximum(copies(weave), 1)
+        maps = place_maps(weave, weave.rings)
+        return Dynamics(weave, ring_mass * equations.mass, decay, ring_mass, stiffness, maps)
 
+    @property
+    def damping(self) -> Array:
+        """Damping matrix (m_full, m_full) in s."""
+        return self.mass * self.decay
 
-def largest_motion(v: Array, weave: Weave, dynamics: Dynamics) -> Array:
-    """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""
-    speed = np.einsum("rxm,nm->nrx", dynamics.ring_maps, v)
-    spin = v[:, 2 + 2 * weave.classes :].reshape(len(v), weave.classes, 3)
-    return np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1)))
+    def largest_motion(self, v: Array) -> Array:
+        """Largest speed of a ring's centre (r1/s) or of its rotation (rad/s), (n,)."""
+        speed = np.einsum("rxm,nm->nrx", self.ring_maps, v)
+        spin = v[:, turns_of(self.weave, 0).start :].reshape(len(v), self.weave.classes, 3)
+        return np.sqrt(np.maximum((speed**2).sum(axis=2).max(axis=1), (spin**2).sum(axis=2).max(axis=1)))
+
+    def kinetic_energy(self, v: Array) -> Array:
+        """Kinetic energy of all rings, (n,)."""
+        return 0.5 * (v * np.matmul(v[:, None, :], self.mass)[:, 0]).sum(axis=1)
+
+    def energy(self, contacts: CellContacts, v: Array) -> Array:
+        """Elastic energy of the penetrating contacts, and kinetic energy, (n,)."""
+        pressed = np.where(contacts.present, np.minimum(contacts.gap, 0.0), 0.0)
+        return 0.5 * (self.stiffness[:, None] * pressed**2).sum(axis=(1, 2)) + self.kinetic_energy(v)
+
+    def weighted_load(self, v_new: Array, v: Array, h: Array, load: Array) -> Array:
+        """R of eq. (9) over all rings, (n,), with the contact and constraint forces of the step.
+
+        By (6) their sum with the load is M (v+ - v)/h + D v+; the load on corners 1-4 is +-(f1 + f2)/2, +-(f1 - f2)/2.
+        """
+        y = (v_new - v) / h[:, None] + self.decay * v_new
+        top = (y * np.matmul(y[:, None, :], self.mass)[:, 0]).sum(axis=1)
+        return np.sqrt(top * self.ring_mass / (load**2).sum(axis=1))
 
 
 def copies(weave: Weave) -> Index:
-    """How many times each pair of `weave.pairs` occurs among the rings that carry mass, (p,): in parallel, their
-    contact stiffnesses add.
-    """
+    """How often each pair of `weave.pairs` occurs among the rings that carry mass, (p,): their stiffnesses add."""
     rings = {tuple(ring) for ring in weave.rings.tolist()}
     return np.array(
         [sum(c == a and (b, x + i, y + j) in rings for c, x, y in rings) for a, b, i, j in weave.pairs.tolist()]
     )
-
-
-def contact_energy(contacts: CellContacts, stiffness: Array) -> Array:
-    """Elastic energy of the penetrating contacts, (n,)."""
-    pressed = np.where(contacts.present, np.minimum(contacts.gap, 0.0), 0.0)
-    return 0.5 * (stiffness[:, None] * pressed**2).sum(axis=(1, 2))
-
-
-def kinetic_energy(v: Array, dynamics: Dynamics) -> Array:
-    """Kinetic energy of all rings, (n,)."""
-    return 0.5 * (v * np.matmul(v[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
-
-
-def weighted_load(v_new: Array, v: Array, h: Array, load: Array, dynamics: Dynamics) -> Array:
-    """R of eq. (9) over all rings, (n,), with the contact and constraint forces of the step.
-
-    By (6) their sum with the load is M (v+ - v)/h + D v+; the load on the corners 1-4 is +-(f1 + f2)/2, +-(f1 - f2)/2.
-    """
-    y = (v_new - v) / h[:, None] + dynamics.decay * v_new
-    top = (y * np.matmul(y[:, None, :], dynamics.mass)[:, 0]).sum(axis=1)
-    return np.sqrt(top * dynamics.ring_mass / (load**2).sum(axis=1))

@@ -4,36 +4,29 @@ Each step solves the linear implicit equations of Stewart and Trinkle (doi 10.10
 the velocity at its end: inertia, damping, the line load at its beginning and compliant unilateral contacts linearised
 there. This is the periodic form: bilateral constraints (4), (5) and the supports are eliminated, v = T(q) u has 9 free
 numbers. Ring velocities, not u, are carried from step to step, so the centrifugal terms of the curved coordinates are
-in M (T u - v). Gyroscopic torques w x I w vanish and are left out: frictionless contacts never spin a torus about its
-own axis, and about its diameters all moments of inertia are equal. `tests/test_rve/ten_rings.py` is the reference form
-with every constraint written out.
-
-Options, units and matrices are in `rve.paper.dynamics`.
+in M (T u - v). Gyroscopic torques vanish: frictionless contacts never spin a torus about its own axis.
+`tests/test_rve/ten_rings.py` is the reference form with every constraint written out.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rve.common import Array, Flags, Index, Rows, tell, way
-from rve.equilibrium.interior_point import unit_loads
+from rve.equilibrium.interior_point import DirectOptions, Equilibrium, unit_loads
 from rve.equilibrium.system import Equations, lattice_load
+from rve.geometry.cell import Cell
 from rve.geometry.contacts import CellContacts, find_contacts
-from rve.geometry.distance import distance_gradient, distance_hessian
-from rve.geometry.pose import Pose, moved, reduction, ring_normals, start_pose
+from rve.geometry.pose import Pose, moved, reduction, start_pose
 from rve.paper.contact_qp import Programme, solve_contact_step
-from rve.paper.dynamics import (
-    Dynamics,
-    StewartTrinkleOptions,
-    contact_energy,
-    kinetic_energy,
-    largest_motion,
-    weighted_load,
-)
+from rve.paper.dynamics import Dynamics, StewartTrinkleOptions
+from rve.solve import BLOCK, checked_angles, locked_states, reference_sides, table_provenance, table_rows
+from rve.table import StrainTable
 
 ROUND_OFF = 1e-13
 """Rise of the energy in s_hat r1^2 that counts as none: some twenty forces of order 1 times round-offs of a gap."""
@@ -42,28 +35,8 @@ NO_STEP = 1e300
 
 
 @dataclass(frozen=True)
-class CellMotion(Rows):
-    """Cases under way: row in the result, line load s (n, 3) of unit size, pose, contacts and their forces lam in the
-    last step, ring velocities v (n, m_full) in r1/s and rad/s, next time step h, time, accepted and rejected steps, R
-    of the last step.
-    """
-
-    row: Index
-    s: Array
-    pose: Pose
-    contacts: CellContacts
-    lam: Array
-    v: Array
-    h: Array
-    time: Array
-    steps: Index
-    rejected: Index
-    R: Array
-
-
-@dataclass(frozen=True)
 class History:
-    """Accepted steps in long form, one row each: case, time (s) at the end of the step, h (s).
+    """Accepted steps, one row each: case, time (s) at the end of the step, h (s).
 
     lattice (m, 3) = x2, y3, t in r1; R; kinetic energy in kg mm2/s2 = 1e-6 J; rise: change of the total energy over the
     step in s_hat r1^2, never above ROUND_OFF; side: contacts that press between rings that do not interlink.
@@ -80,34 +53,29 @@ class History:
 
 
 @dataclass(frozen=True)
-class Settled(Rows):
-    """Where the rings came to rest.
+class CellMotion(Rows):
+    """Rings in motion, or come to rest.
 
-    pose: n poses in r1; contacts and lam (n, p, SLOTS) in s_hat r1, summed over the copies of a pair in the ten rings;
-    R (n,); steps, rejected (n,): accepted steps and those tried with too large h; time (n,): sum of h in s; status
-    (n,): "converged", "step-limit" or "time-step"; history: only when asked for.
+    row: in the result; s (n, 3): line load of unit size; pose: in r1; contacts and their forces lam (n, p, SLOTS) in
+    the last step, in s_hat r1, summed over the copies of a pair in the ten rings; v (n, m_full): ring velocities in
+    r1/s and rad/s; h: next time step; time (n,): sum of h in s; steps, rejected (n,): accepted steps and those tried
+    with too large h; R (n,) of the last step; status (n,): "" under way, then "converged", "step-limit" or "time-step";
+    history: at the end, only when asked for.
     """
 
+    row: Index
+    s: Array
     pose: Pose
     contacts: CellContacts
     lam: Array
-    R: Array
+    v: Array
+    h: Array
+    time: Array
     steps: Index
     rejected: Index
-    time: Array
+    R: Array
     status: NDArray[np.str_]
     history: History | None = None
-
-
-def gap_gradients(pose: Pose, contacts: CellContacts, equations: Equations) -> Array:
-    """Derivative of every gap with respect to the reduced coordinates, (n, p * SLOTS, m); 0 in empty slots."""
-    minima = contacts.minima
-    case, pair = np.divmod(minima.pair, len(equations.weave.pairs))
-    T = reduction(pose)
-    rows = np.matmul(distance_gradient(minima)[:, None, :], np.matmul(equations.maps[pair], T[case]))[:, 0]
-    G = np.zeros((*contacts.present.shape, T.shape[2]))
-    G[contacts.present] = rows
-    return G.reshape(len(G), -1, T.shape[2])
 
 
 @dataclass(frozen=True)
@@ -125,42 +93,29 @@ class _Frozen(Rows):
     bend: Array
 
 
-def geometric_stiffness(pose: Pose, contacts: CellContacts, equations: Equations, stiffness: Array) -> Array:
-    """Positive part of the contact curvature -sum lam d2gap/dq2 with the elastic forces of the pose, (n, m, m).
+def _freeze(motion: CellMotion, equations: Equations, options: StewartTrinkleOptions, dynamics: Dynamics) -> _Frozen:
+    con, T = motion.contacts, reduction(motion.pose)
+    n = len(T)
+    k = np.where(con.present, dynamics.stiffness[:, None], 0.0)
+    gap = np.where(con.present, con.gap, 0.0)
+    G, bend = equations.gap_derivatives(motion.pose, con, T, np.maximum(-k * gap, 0.0), 0.0)
+    bend = geometric_stiffness(-bend, T, equations) if options.curvature else np.zeros(bend.shape)
+    energy, load = dynamics.energy(con, motion.v), lattice_load(motion.pose, motion.s)[0]
+    return _Frozen(T, G, load, gap.reshape(n, -1), k.reshape(n, -1), energy, bend)
+
+
+def geometric_stiffness(bend: Array, T: Array, equations: Equations) -> Array:
+    """Positive part of the contact curvature bend (n, m, m) = -sum lam d2gap/dq2; T (n, m_full, m) by `reduction`.
 
     It grows without bound where two minima merge: there the contact point runs along the ring and the linearised gap
     holds for a tiny step only. Part of the Hessian of the contact energy, so an implicit step may have it.
     """
-    minima = contacts.minima
-    case, pair = np.divmod(minima.pair, len(equations.weave.pairs))
-    lam = np.maximum(-stiffness[pair] * contacts.gap[contacts.present], 0.0)
-    work = np.flatnonzero(lam > 0.0)
-    T = reduction(pose)
-    H = distance_hessian(minima.take(work), *ring_normals(pose, equations.weave, case[work], pair[work]), 1.0)
-    LT = np.matmul(equations.maps[pair[work]], T[case[work]])
-    bend = np.zeros((len(T), T.shape[2], T.shape[2]))
-    np.add.at(bend, case[work], -lam[work, None, None] * np.matmul(np.matmul(LT.transpose(0, 2, 1), H), LT))
     # The positive part depends on what is orthogonal: the kinetic energy decides, it knows no coordinates.
     L = np.linalg.cholesky(np.matmul(T.transpose(0, 2, 1), np.matmul(equations.mass, T)))
     half = np.linalg.solve(L, np.linalg.solve(L, bend).transpose(0, 2, 1))
     value, vector = np.linalg.eigh(0.5 * (half + half.transpose(0, 2, 1)))
     root = np.matmul(L, vector * np.sqrt(np.maximum(value, 0.0))[:, None, :])
     return np.matmul(root, root.transpose(0, 2, 1))
-
-
-def _freeze(motion: CellMotion, equations: Equations, dynamics: Dynamics, curvature: bool) -> _Frozen:
-    con = motion.contacts
-    n = len(con.gap)
-    slots = con.present.reshape(n, -1)
-    k = np.where(con.present, dynamics.stiffness[:, None], 0.0).reshape(n, -1)
-    gap = np.where(slots, con.gap.reshape(n, -1), 0.0)
-    load, _ = lattice_load(motion.pose, motion.s)
-    total = contact_energy(con, dynamics.stiffness) + kinetic_energy(motion.v, dynamics)
-    T = reduction(motion.pose)
-    bend = np.zeros((n, T.shape[2], T.shape[2]))
-    if curvature:
-        bend = geometric_stiffness(motion.pose, con, equations, dynamics.stiffness)
-    return _Frozen(T, gap_gradients(motion.pose, con, equations), load, gap, k, total, bend)
 
 
 def advanced(
@@ -172,7 +127,7 @@ def advanced(
     the corners, do not rise above round-off; links stay intact and no coordinate moves too far. A case whose step falls
     below h_min keeps its place with h = 0.
     """
-    frozen = _freeze(motion, equations, dynamics, options.curvature)
+    frozen = _freeze(motion, equations, options, dynamics)
     h, rise, rejected = motion.h.copy(), np.zeros(len(motion.row)), motion.rejected.copy()
     after, todo = replace(motion, lam=np.zeros(motion.lam.shape)), np.arange(len(h))
     while len(todo):
@@ -202,17 +157,15 @@ def _tried(
     force = np.matmul(motion.v[:, None, :], dynamics.mass)[:, 0] / h[:, None]
     force[:, :4] += start.load
     b = np.matmul(Tt, force[..., None])[..., 0]
-    step = solve_contact_step(Programme(A, b, start.G, start.gap, start.k))
-    v = np.matmul(T, step.w[..., None])[..., 0] / h[:, None]
-    pose = moved(motion.pose, step.w)
+    w, lam, is_solved = solve_contact_step(Programme(A, b, start.G, start.gap, start.k))
+    v = np.matmul(T, w[..., None])[..., 0] / h[:, None]
+    pose = moved(motion.pose, w)
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     way = np.concatenate([pose.a1 - motion.pose.a1, pose.a2 - motion.pose.a2], axis=1)
-    work = (start.load * way).sum(axis=1)
-    total = contact_energy(contacts, dynamics.stiffness) + kinetic_energy(v, dynamics)
-    change = total - start.energy - work
-    near = h * largest_motion(v, equations.weave, dynamics) <= options.largest_move
-    good = step.converged & contacts.links_intact & (change <= ROUND_OFF) & near
-    R, lam = weighted_load(v, motion.v, h, start.load, dynamics), step.lam.reshape(motion.lam.shape)
+    change = dynamics.energy(contacts, v) - start.energy - (start.load * way).sum(axis=1)
+    near = h * dynamics.largest_motion(v) <= options.largest_move
+    good = is_solved & contacts.links_intact & (change <= ROUND_OFF) & near
+    R, lam = dynamics.weighted_load(v, motion.v, h, start.load), lam.reshape(motion.lam.shape)
     return replace(motion, pose=pose, contacts=contacts, lam=lam, v=v, R=R), change, good
 
 
@@ -223,13 +176,13 @@ def begin(s: Array, equations: Equations, options: StewartTrinkleOptions) -> Cel
     contacts = find_contacts(pose, equations.weave, equations.wire, options.reach)
     zero, none = np.zeros(n), np.zeros(n, dtype=int)
     v, lam = np.zeros((n, len(equations.mass))), np.zeros(contacts.gap.shape)
-    h, R = np.full(n, options.h_max), np.full(n, NO_STEP)
-    return CellMotion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R)
+    h, R, status = np.full(n, options.h_max), np.full(n, NO_STEP), np.full(n, "", dtype="<U16")
+    return CellMotion(np.arange(n), unit_loads(s), pose, contacts, lam, v, h, zero, none, none, R, status)
 
 
 def solve(
     s: Array, equations: Equations, options: StewartTrinkleOptions | None = None, *, history: bool = False
-) -> Settled:
+) -> CellMotion:
     """Poses in which the rings come to rest under Cauchy line loads s (n, 3) of any size, only their direction counts.
 
     Starts at rest from the slack pose of the weave. Nothing is raised for a case that does not converge; its status is
@@ -251,7 +204,7 @@ def solve(
         tell(f"motion of {len(s)} cells, {len(motion.row)} under way", 1.0 - (1.0 - here) * len(motion.row) / len(s))
         motion, h, rise = advanced(motion, equations, options, dynamics)
         if history:
-            kinetic = kinetic_energy(motion.v, dynamics) * options.load * options.r1_mm**2
+            kinetic = dynamics.kinetic_energy(motion.v) * options.load * options.r1_mm**2
             side = (motion.lam[:, ~equations.weave.linked] > 0.0).sum(axis=(1, 2))
             log.append((motion.row, motion.time, h, motion.pose.lattice, motion.R, kinetic, rise, side))
         out = (options.tolerance > motion.R) | (motion.steps >= options.max_steps) | (h == 0.0)
@@ -261,5 +214,34 @@ def solve(
     end = ended[0].join(ended[1:])
     end = end.take(np.argsort(end.row))
     status = np.where(options.tolerance > end.R, "converged", np.where(end.h == 0.0, "time-step", "step-limit"))
-    columns = (end.pose, end.contacts, end.lam, end.R, end.steps, end.rejected, end.time, status.astype("<U16"))
-    return Settled(*columns, History(*map(np.concatenate, zip(*log, strict=True))) if history else None)
+    steps = History(*map(np.concatenate, zip(*log, strict=True))) if history else None
+    return replace(end, status=status.astype("<U16"), history=steps)
+
+
+def solve_table_stewart_trinkle(
+    cell: Cell, loads: tuple[ArrayLike, ArrayLike], options: StewartTrinkleOptions | None = None
+) -> StrainTable:
+    """The strain-load table of a cell under load directions (alpha, beta) in degrees, each (n,), by the paper's scheme
+    at its contact stiffness.
+
+    Strains refer to the rigid reference cell and differ from rigid ones in proportion to load over stiffness; minimum
+    gaps are negative. `unique` and `states` are those of the direct solver; where `unique` is 0, E is where the motion
+    ends. `iterations` are accepted steps. Radius and density come from the cell.
+    Raises InputError for angles that are not finite, NotConverged if there is no reference cell.
+    """
+    options = replace(options or StewartTrinkleOptions(), r1_mm=cell.r1, density=cell.density)
+    began = time.perf_counter()
+    alpha, beta = checked_angles(*loads)
+    sides = reference_sides(cell, DirectOptions())
+    states = locked_states(alpha, beta, cell, DirectOptions())
+    tensile = states.found.status != "compressive"
+    s = np.where(tensile[:, None], states.s, np.array([0.0, 0.0, 1.0]))
+    equations = Equations.of(cell.weave, cell.wire)
+    parts = [solve(s[i : i + BLOCK], equations, options) for i in range(0, len(s), BLOCK)]
+    rest = parts[0].join(parts[1:])
+    status = np.where(tensile, rest.status, "compressive")
+    found = Equilibrium(rest.pose, rest.lam, rest.contacts, rest.R, rest.steps, status, rest.rejected + 1)
+    table = table_rows(alpha, beta, cell, found, states.unique, sides)
+    provenance = table_provenance(cell, DirectOptions(), sides, status, time.perf_counter() - began)
+    provenance |= {"method": "stewart-trinkle", "options": asdict(options), "simulated_s": float(rest.time.sum())}
+    return replace(table, provenance=provenance, states=states)

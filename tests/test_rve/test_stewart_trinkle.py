@@ -13,7 +13,7 @@ from rve.geometry.pose import strain_of
 from rve.geometry.weave import FOUR_IN_ONE
 from rve.paper import stewart_trinkle as st
 from rve.paper.dynamics import Dynamics, StewartTrinkleOptions, copies
-from rve.paper.table import solve_table_stewart_trinkle
+from rve.paper.stewart_trinkle import solve_table_stewart_trinkle
 from rve.solve import solve_table
 
 EQUATIONS = Equations.of(FOUR_IN_ONE, 0.1)

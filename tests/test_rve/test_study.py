@@ -8,8 +8,8 @@ import pytest
 
 from rve.common.progress import heard_by
 from rve.directions import grid
+from rve.paper import study
 from rve.paper.stewart_trinkle import ROUND_OFF, StewartTrinkleOptions
-from rve.study import comparison as study
 
 PICTURES = [f"fig_{n:02d}.png" for n in (9, 10, 11, 12, 13, 14, 15, 16, 17)]
 

@@ -1,7 +1,4 @@
-"""The paper's study for our implementation: 190 load cases by its own scheme, and its published figures beside ours.
-
-`run` writes tables (CSV, Markdown) and pictures into one folder; `rve.study.figures` draws them.
-"""
+"""The paper's study for our implementation: 190 load cases by its own scheme, and its published figures beside ours."""
 
 from __future__ import annotations
 
@@ -10,16 +7,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rve.common import AnyPath, Array, check_out_job, csv_text, job, json_text, require, versions, write_text
+from rve.common import AnyPath, Array, Index, check_out_job, csv_text, job, json_text, require, versions, write_text
 from rve.directions import grid
 from rve.equilibrium.system import Equations
 from rve.geometry.cell import Cell
-from rve.geometry.kinematics import cauchy_line_load
-from rve.geometry.pose import Pose, strain_of
+from rve.geometry.kinematics import cauchy_line_load, lattice_strain
+from rve.geometry.pose import strain_of
 from rve.paper.dynamics import StewartTrinkleOptions
-from rve.paper.stewart_trinkle import History, Settled, solve
+from rve.paper.stewart_trinkle import CellMotion, History, solve
 from rve.solve import solve_table
 from rve.table import StrainTable
 
@@ -31,17 +28,15 @@ KINKED = ((0.0, 0.0), (45.0, 90.0))
 
 @dataclass(frozen=True)
 class Study:
-    """Load cases solved by both methods.
+    """Load cases solved by both methods: rows of the direct solver, and rings that came to rest by the paper's scheme.
 
-    s (n, 3): their line loads; table: the direct solver's rows; rest, history: the paper's scheme; sides: of the rigid
-    reference cell in r1, to which strains of both refer; wall_s: seconds of the scheme and of the direct solver.
+    sides: of the rigid reference cell in r1, to which strains of both refer; wall_s: seconds of the scheme and of the
+    direct solver.
     """
 
-    cell: Cell
-    s: Array
     table: StrainTable
     options: StewartTrinkleOptions
-    rest: Settled
+    rest: CellMotion
     history: History
     sides: tuple[float, float]
     wall_s: tuple[float, float]
@@ -56,11 +51,10 @@ class Study:
         rows = np.flatnonzero((self.table.alpha_deg == alpha_deg) & (self.table.beta_deg == beta_deg))
         return int(rows[0]) if len(rows) else None
 
-    def path(self, case: int) -> tuple[NDArray[np.intp], Array]:
+    def path(self, case: int) -> tuple[Index, Array]:
         """Rows of the history that belong to a case, (m,), and its strains there, (m, 3)."""
         rows = np.flatnonzero(self.history.case == case)
-        none = np.zeros((len(rows), 0, 2))
-        return rows, strain_of(Pose(self.history.lattice[rows], none, none), self.sides)
+        return rows, lattice_strain(self.history.lattice[rows], self.sides)[0]
 
     def side_contact_times(self, case: int) -> tuple[float, float]:
         """Times in s from which, for good, one and all of the final contacts between rings that do not interlink press.
@@ -76,22 +70,18 @@ class Study:
         return float(times[one]), float(times[all_])
 
 
-def solve_study(
-    alpha_deg: ArrayLike, beta_deg: ArrayLike, cell: Cell | None = None, options: StewartTrinkleOptions | None = None
-) -> Study:
-    """Solve the cases by the paper's scheme, with history, and by the direct solver, for interlacing along y."""
-    cell = cell or Cell()
-    options = options or StewartTrinkleOptions(r1_mm=cell.r1, density=cell.density)
-    alpha, beta = np.asarray(alpha_deg, dtype=float), np.asarray(beta_deg, dtype=float)
-    s = cauchy_line_load(alpha, beta)
+def solve_study(alpha_deg: ArrayLike, beta_deg: ArrayLike, options: StewartTrinkleOptions | None = None) -> Study:
+    """Solve the cases of the paper's cell by its scheme, with history, and by the direct solver."""
+    cell, options = Cell(), options or StewartTrinkleOptions()
     began = time.perf_counter()
-    table = solve_table(cell, (alpha, beta))
+    table = solve_table(cell, (alpha_deg, beta_deg))
     between = time.perf_counter()
+    s = cauchy_line_load(table.alpha_deg, table.beta_deg)
     rest = solve(s, Equations.of(cell.weave, cell.wire), options, history=True)
     ended = time.perf_counter()
     assert rest.history is not None
     sides = table.provenance["b_x_mm"] / cell.r1, table.provenance["b_y_mm"] / cell.r1
-    return Study(cell, s, table, options, rest, rest.history, sides, (ended - between, between - began))
+    return Study(table, options, rest, rest.history, sides, (ended - between, between - began))
 
 
 def comparison(study: Study) -> list[tuple[str, str, str, str]]:
@@ -143,11 +133,43 @@ def markdown(rows: list[tuple[str, str, str, str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
+def run(
+    out_dir: AnyPath,
+    alpha_deg: ArrayLike | None = None,
+    beta_deg: ArrayLike | None = None,
+    options: StewartTrinkleOptions | None = None,
+) -> Study:
+    """Solve the study and write it into `out_dir`, which is made if need be: cases.csv, history_*.csv, comparison.md,
+    study.json and the pictures fig_09.png to fig_17.png. Returns what was solved.
+
+    Without angles these are the paper's 190 cases: about two minutes on one core.
+    All files appear together, and what they replace is gone (`rve.common.files`). InputError when matplotlib is
+    missing or the folder cannot be made or written, before anything is solved.
+    """
+    from rve.paper.figures import draw_all
+
+    require("matplotlib", "plots", "the study")
+    check_out_job(out_dir, RECORD)
+    alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
+    study = solve_study(alpha, beta, options)
+    rows = comparison(study)
+    record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
+    with job(out_dir, RECORD) as folder:
+        write_text(folder / "cases.csv", _cases_csv(study))
+        for pair in KINKED:
+            case = study.case(*pair)
+            if case is not None:
+                write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", _history_csv(study, case))
+        write_text(folder / "comparison.md", markdown(rows))
+        write_text(folder / RECORD, json_text(record))
+        draw_all(study, Path(folder))
+    return study
+
+
 def _cases_csv(study: Study) -> str:
     """One line per case: steps, times, residual, strains of both methods."""
-    header = (
-        "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22,E11_direct,E12_direct,E22_direct,unique"
-    )
+    header = "case,alpha_deg,beta_deg,steps,rejected,time_s,R,status,E11,E12,E22"
+    header += ",E11_direct,E12_direct,E22_direct,unique"
     rest, table = study.rest, study.table
     direct = np.where(np.isfinite(table.E), table.E.astype(object), "")
     columns = [table.alpha_deg, table.beta_deg, rest.steps, rest.rejected, rest.time, rest.R, rest.status]
@@ -162,36 +184,3 @@ def _history_csv(study: Study, case: int) -> str:
     values = np.column_stack([h.time[rows], h.h[rows], E, h.R[rows], h.kinetic[rows], h.side[rows]])
     header = "time_s,h_s,E11,E12,E22,R,kinetic_kg_mm2_per_s2,side_contacts"
     return csv_text(header.split(","), values.tolist())
-
-
-def run(
-    out_dir: AnyPath,
-    alpha_deg: ArrayLike | None = None,
-    beta_deg: ArrayLike | None = None,
-    options: StewartTrinkleOptions | None = None,
-) -> Study:
-    """Solve the study and write it into `out_dir`, which is made if need be: cases.csv, history_*.csv, comparison.md,
-    study.json and the pictures fig_09.png to fig_17.png. Returns what was solved.
-
-    Without angles these are the paper's 190 cases: about two minutes on one core.
-    All files appear together, and what they replace is gone (`rve.common.files`). InputError when matplotlib is
-    missing or the folder cannot be made or written, before anything is solved.
-    """
-    from rve.study.figures import draw_all
-
-    require("matplotlib", "plots", "the study")
-    check_out_job(out_dir, RECORD)
-    alpha, beta = grid() if alpha_deg is None or beta_deg is None else (alpha_deg, beta_deg)
-    study = solve_study(alpha, beta, None, options)
-    rows = comparison(study)
-    record = {"options": asdict(study.options), "comparison": [list(row) for row in rows], "versions": versions()}
-    with job(out_dir, RECORD) as folder:
-        write_text(folder / "cases.csv", _cases_csv(study))
-        for pair in KINKED:
-            case = study.case(*pair)
-            if case is not None:
-                write_text(folder / f"history_{pair[0]:g}_{pair[1]:g}.csv", _history_csv(study, case))
-        write_text(folder / "comparison.md", markdown(rows))
-        write_text(folder / RECORD, json_text(record))
-        draw_all(study, Path(folder))
-    return study

@@ -10,9 +10,10 @@ import numpy as np
 
 from rve.common import Array, tell
 from rve.common.drawing.plane import BLUE, GREEN, VERMILION, new_axes, new_figure, save_figure, shade, viridis
+from rve.geometry.cell import Cell
+from rve.paper.study import KINKED, Study
 from rve.plots import draw_case
 from rve.solve import solve_table
-from rve.study.comparison import KINKED, Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,9 +40,9 @@ def in_space(study: Study, values: Array, names: tuple[str, ...], sheet: Array |
     return fig
 
 
-def locked_cell(study: Study, alpha_deg: float, beta_deg: float) -> Any:
+def locked_cell(alpha_deg: float, beta_deg: float) -> Any:
     """Figs. 10 to 12: the locked cell under a load."""
-    return draw_case(solve_table(study.cell, ([alpha_deg], [beta_deg]))).figure
+    return draw_case(solve_table(Cell(), ([alpha_deg], [beta_deg]))).figure
 
 
 def strains(study: Study) -> Figure:
@@ -66,7 +67,7 @@ def strains(study: Study) -> Figure:
 
 def steps(study: Study) -> Figure:
     """Fig. 15: accepted steps of each case."""
-    ax, number = new_axes(8.0, 4.2), np.arange(1, len(study.s) + 1)
+    ax, number = new_axes(8.0, 4.2), np.arange(1, len(study.table) + 1)
     good = study.rest.status == "converged"
     for rows, mark, colour, label in ((good, "o", BLUE, "converged"), (~good, "x", "black", "not converged")):
         if rows.any():
@@ -117,10 +118,10 @@ def progress_of_two(study: Study) -> Figure | None:
 def draw_all(study: Study, folder: Path) -> None:
     """Draw every picture of the study into a folder."""
     pictures: dict[str, Callable[[], Figure | None]] = {
-        "fig_09": lambda: in_space(study, study.s, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat")),
-        "fig_10": lambda: locked_cell(study, 0.0, 90.0),
-        "fig_11": lambda: locked_cell(study, 0.0, 0.0),
-        "fig_12": lambda: locked_cell(study, 45.0, 0.0),
+        "fig_09": lambda: in_space(study, study.rest.s, ("s_xx / s_hat", "s_xy / s_hat", "s_yy / s_hat")),
+        "fig_10": lambda: locked_cell(0.0, 90.0),
+        "fig_11": lambda: locked_cell(0.0, 0.0),
+        "fig_12": lambda: locked_cell(45.0, 0.0),
         "fig_13": lambda: strains(study),
         "fig_14": lambda: in_space(study, study.E, NAMES, study.table.E),
         "fig_15": lambda: steps(study),

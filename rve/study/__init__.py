@@ -1,1 +1,0 @@
-"""The paper's study for this implementation: its load cases and figures."""
