@@ -33,6 +33,7 @@ from .scene.support_kinds import Hooks as Hooks
 from .scene.support_kinds import Point as Point
 from .scene.support_kinds import Rail as Rail
 from .scene.support_kinds import Top as Top
+from .scene.support_kinds import Track as Track
 from .scene.tables import Bar as Bar
 from .scene.tables import Combination as Combination
 from .scene.tables import EdgeLoad as EdgeLoad
@@ -41,6 +42,5 @@ from .scene.tables import PatchLoad as PatchLoad
 from .scene.tables import PointLoad as PointLoad
 from .scene.tables import Solver as Solver
 from .scene.tables import Wind as Wind
-from .scene.tracks import Track as Track
 from .solution import CurtainSolution as CurtainSolution
 from .solvers.status import Status as Status

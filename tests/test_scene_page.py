@@ -13,7 +13,8 @@ import macro_fem.scene.schema  # whose import makes all kinds known
 from macro_fem.scene.moving import Thrown
 from macro_fem.scene.obstacles import Obstacle
 from macro_fem.scene.shapes import Shape
-from macro_fem.scene.tables import LiveLoad, Support
+from macro_fem.scene.sites import Support
+from macro_fem.scene.tables import LiveLoad
 from rve.common.typed import typed, types_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "scenes.md"

@@ -30,7 +30,7 @@ from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization, Points, discretize
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.fem.supported import SupportedFem
-from macro_fem.scene.loads import components, disk_areas, weight_per_area, wind_per_area
+from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import Held, Sliding, sliding_nodes
@@ -163,15 +163,15 @@ def dead_and_live(
     if shaped is not None:
         force += load_vector(disc, np.tile(shaped, (3, 1)))
     for edge in scene.of(EdgeLoad):
-        force += traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * components(edge.force, scene))
+        force += traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
     cost = 0.0
     for point in scene.of(PointLoad):
-        part, extra = _spread_point(dual, law, np.array(point.at), factor * components(point.force, scene))
+        part, extra = _spread_point(dual, law, np.array(point.at), factor * scene.vector(point.force))
         force += part
         cost += extra
     for patch in scene.of(PatchLoad):  # as in P1: even within each triangle, by the area in the disk
         shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(patch.at), patch.radius)
-        even = shares[:, None] / shares.sum() * (factor * components(patch.force, scene))
+        even = shares[:, None] / shares.sum() * (factor * scene.vector(patch.force))
         force[2 * dual.facets.shape[1] :] += even
     return force, cost
 
@@ -219,9 +219,8 @@ def dual_problem(solution: CurtainSolution, factor: float, inward: float) -> Dua
                 whole[nodes] = mask[nodes].all(axis=1)
             else:
                 lines.append((nodes, held.slide))
-    none = Sliding.none(d)
-    sliding = sliding_nodes(lines, whole) if lines else none
-    supports = Supports(given.held, mask, positions, sliding, none, _bars(solution, dual))
+    sliding = sliding_nodes(lines, whole, d)
+    supports = Supports(given.held, mask, positions, sliding, Sliding.none(d), _bars(solution, dual))
     supports = pin_sliding(supports, dual.disc, force, scene.source)
     parts = Tethers(*(np.concatenate(part) for part in zip(*tethers, strict=True)))
     return DualProblem(dual, supports.fem(dual.disc), force, parts, cost, _walls(problem.walls, dual))

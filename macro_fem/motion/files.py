@@ -35,7 +35,8 @@ from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, draw
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
 from macro_fem.scene.schema import load_scene
-from macro_fem.scene.tables import Item, Support
+from macro_fem.scene.sites import Support
+from macro_fem.scene.tables import Item
 from macro_fem.solution import CurtainSolution, InnerForces
 from macro_fem.solvers.status import Evidence
 from rve.common import Array

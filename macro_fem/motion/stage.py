@@ -20,7 +20,7 @@ from macro_fem.scene.moving import Ball, Thrown, at_time
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Bar, Timed, Wind
-from macro_fem.scene.wind import breeze
+from macro_fem.scene.wind import BREEZE, breeze
 from macro_fem.solvers.cones import green_strain
 from rve.common import Array, InputError
 
@@ -133,7 +133,7 @@ def relative_wind(wind: Wind, force: Array, v: Array) -> tuple[Array, Array]:
     none = np.zeros((len(force), 3, 3))
     if wind.speed is None:
         return force, none
-    U, W, w = 1e3 * wind.speed, 1e3 * (breeze(wind).speed or 1.0), unit(wind.direction)
+    U, W, w = 1e3 * wind.speed, 1e3 * (wind.speed or BREEZE), unit(wind.direction)
     share = np.abs(U - v @ w) / W
     if wind.follows:
         return (share * (U - v @ w) / W)[:, None] * force, none

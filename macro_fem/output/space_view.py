@@ -12,9 +12,9 @@ from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
 from macro_fem.output.arrows import FORCES
 from macro_fem.output.files import corner_positions
 from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
-from macro_fem.scene.support_kinds import Hooks
+from macro_fem.scene.sites import edge_line
+from macro_fem.scene.support_kinds import Hooks, Track
 from macro_fem.scene.tables import in_3d
-from macro_fem.scene.tracks import Track, track_of
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
 from rve.common.drawing.scale import Scale, rounded_up
@@ -200,7 +200,7 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
     held_at: dict[str, list[Array]] = {}
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if isinstance(item, Track):
-            _, _, curve = track_of(item, problem.mesh, "track")
+            curve = item.curve(*edge_line(problem.mesh, "top", "track"), problem.mesh, "track")
             add(plotter, "track", lines(curve.at(np.linspace(0.0, curve.length, 200))[None]), TRACK, line_width=7)
         elif len(held.facets):
             edges.append(corners[mesh.facets[:, held.facets].T])

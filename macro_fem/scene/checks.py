@@ -12,6 +12,7 @@ import numpy as np
 from macro_fem.scene.moving import Thrown, scaled
 from macro_fem.scene.obstacles import Body, is_flat
 from macro_fem.scene.shapes import Disk, MeshFile, Rectangle
+from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import NO_MOVE, LiveLoad, Timed, Wind, in_3d
 from rve.common import InputError
 
@@ -126,6 +127,6 @@ def _lengths(scene: Scene) -> Iterator[tuple[str, float]]:
     elif not isinstance(curtain, MeshFile):
         name = "[curtain]" if isinstance(curtain, Rectangle) else "[curtain] outline: its"
         yield from zip((f"{name} width", f"{name} height"), np.ptp(curtain.corners(1), axis=0).tolist(), strict=True)
-    for item in scene.support:
-        if getattr(item, "pitch", None) is not None:
-            yield f"{item.where} pitch", item.pitch  # type: ignore[attr-defined]
+    for item in scene.of(Hanging):
+        if item.pitch is not None:
+            yield f"{item.where} pitch", item.pitch

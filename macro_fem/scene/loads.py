@@ -13,7 +13,7 @@ from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import point_node
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Vector, Wind, in_3d
+from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.scene.wind import check_drag, wind_pressure
 from rve.common import Array, InputError
 
@@ -32,7 +32,7 @@ def areal_mass(scene: Scene, cell: CellInfo | None) -> tuple[float, str]:
 
 def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
     """Weight of the curtain (d,) in N/mm2; InputError if its areal mass is not known."""
-    return areal_mass(scene, cell)[0] * np.array(scene.load.acceleration[: scene.d]) * PER_MM2
+    return areal_mass(scene, cell)[0] * scene.vector(scene.load.acceleration) * PER_MM2
 
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
@@ -55,24 +55,19 @@ def nodal_forces(
     dead = load_vector(disc, weight_per_area(scene, cell))
     for bar in scene.of(Bar):
         shares = edge_shares(mesh, disc, bar.edge, f"{scene.source}: [load.bar] edge")
-        dead += shares[:, None] / shares.sum() * bar.mass * np.array(scene.load.acceleration[: scene.d])
+        dead += shares[:, None] / shares.sum() * bar.mass * scene.vector(scene.load.acceleration)
     live = np.zeros_like(dead)
     for edge in scene.of(EdgeLoad):
         shares = edge_shares(mesh, disc, edge.edge, f"{scene.source}: [load.edge] edge")
-        live += shares[:, None] * components(edge.force, scene)
+        live += shares[:, None] * scene.vector(edge.force)
     for point in scene.of(PointLoad):
-        live[point_node(point.at, disc)] += components(point.force, scene)
+        live[point_node(point.at, disc)] += scene.vector(point.force)
     for patch in scene.of(PatchLoad):
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.of(Wind):
         check_drag(wind, cell, f"{scene.source}: [load.wind]")
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
-
-
-def components(v: Vector, scene: Scene) -> Array:
-    """A vector of a scene as an array (d,)."""
-    return np.array(in_3d(v)[: scene.d])
 
 
 def edge_shares(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> Array:
@@ -90,7 +85,7 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
             f"{scene.source}: [load.patch] at = {list(load.at)}, radius = {load.radius:g}: holds no cell of the curtain"
         )
     even = np.tile(shares / disc.cell_area, disc.n_quad)
-    return load_vector(disc, even[:, None] * components(load.force, scene) / shares.sum())
+    return load_vector(disc, even[:, None] * scene.vector(load.force) / shares.sum())
 
 
 def disk_areas(corners: Array, centre: Array, radius: float) -> Array:

@@ -7,23 +7,24 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from macro_fem.scene import support_kinds, tracks
+import numpy as np
+
+from macro_fem.scene import support_kinds
 from macro_fem.scene.checks import check_scene
 from macro_fem.scene.meshing.mesh_files import read_outline
 from macro_fem.scene.moving import Motion, Thrown
 from macro_fem.scene.obstacles import Obstacle, Start
 from macro_fem.scene.shapes import Mesh, MeshFile, Rectangle, Shape
-from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Support, leaves_plane
-from rve.common import InputError, Typed, as_html, read_toml, read_typed, refuse_unknown, shown
+from macro_fem.scene.sites import Support
+from macro_fem.scene.tables import MAX_ENTRIES, Combination, Item, LiveLoad, Load, Solver, Vector, in_3d, leaves_plane
+from rve.common import Array, InputError, Typed, as_html, read_toml, read_typed, refuse_unknown, shown
 from rve.common.materials import described
 
 Kind = TypeVar("Kind")
 PARTS: dict[str, type[Typed]] = {"mesh": Mesh, "load": Load, "solver": Solver, "start": Start, "motion": Motion}
 """Tables of a scene file that are one record."""
-LISTS: dict[str, type[Item]] = {"support": Support, "obstacle": Obstacle, "body": Thrown}
+LISTS: dict[str, type[Item]] = {"support": support_kinds.Support, "obstacle": Obstacle, "body": Thrown}
 """Lists of a scene file whose entries say their `kind`."""
-SUPPORT_MODULES = (support_kinds, tracks)
-"""Modules whose classes are kinds of supports; importing them makes the kinds known."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,10 @@ class Scene:
     def d(self) -> int:
         """Coordinates of a place: 2 in the plane, 3 in space."""
         return 3 if self.in_space else 2
+
+    def vector(self, v: Vector) -> Array:
+        """A vector of two or three components as an array (d,)."""
+        return np.array(in_3d(v)[: self.d])
 
     @classmethod
     def rectangle(cls, width: float, height: float, *, cells: int = 32, **curtain: Any) -> Scene:

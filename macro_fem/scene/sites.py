@@ -1,4 +1,4 @@
-"""Where supports hold the mesh: nodes on edges, at points and hooks, their places, and lines on which they slide.
+"""Supports, and where they hold the mesh: nodes on edges, at points and hooks, their places, and lines to slide on.
 
 A node that slides on a line along the unit vector e is at x = x_held + e s with one unknown s: a column of T. On a line
 along an axis the component is simply free, and needs no column. A node on two lines that cross, or on a line and held
@@ -8,21 +8,19 @@ as a whole by another support, is held.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import in_space_of
 from macro_fem.fem.discretization import Discretization
-from macro_fem.scene.meshing.edges import paths
-from macro_fem.scene.tables import NO_MOVE, Support, in_3d
+from macro_fem.scene.meshing.edges import Line, paths
+from macro_fem.scene.tables import NO_MOVE, Time, Timed
 from rve.common import Array, InputError
 
 if TYPE_CHECKING:
     from macro_fem.scene.meshing.mesh import CurtainMesh
     from macro_fem.scene.schema import Scene
-
 
 NONE = np.zeros(0, np.int64)
 PARALLEL = 1e-9
@@ -78,51 +76,105 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """The mesh and its discretization for one support, `number` in the scene."""
+    """The mesh and its discretization for support `number` of a scene, after `factor` of its move."""
 
     number: int
-    item: Support
     scene: Scene
     mesh: CurtainMesh
     disc: Discretization
+    factor: float
 
-    @property
-    def where(self) -> str:
-        """File and support, for messages."""
-        return f"{self.scene.source}: {self.item.where}"
 
-    @property
-    def move(self) -> Array:
-        """The move of the support (d,), mm."""
-        return np.array(in_3d(getattr(self.item, "move", NO_MOVE))[: self.scene.d])
+@dataclass(frozen=True, kw_only=True)
+class Support(Timed):
+    """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
 
-    def edge(self, name: str, where: str = "needs edge") -> tuple[np.ndarray, np.ndarray]:
+    kinds: ClassVar[dict[str, type[Any]]] = {}
+    table = "support"
+    one: ClassVar[str] = "point"
+    """What results call one of the points that it holds."""
+    release: Time | None = field(default=None, repr=False)
+
+    def hold(self, site: Site) -> Held:
+        """The nodes, components and positions that it holds at a site.
+
+        InputError if it asks for what has no effect, or for nodes that the mesh has not.
+        """
+        raise NotImplementedError
+
+    def _edge(self, site: Site, name: str = "top", key: str = "needs edge") -> tuple[np.ndarray, np.ndarray]:
         """Nodes (k,) and facets (m,) of a named edge; InputError if there is no such edge."""
-        where = f"{self.where} {where}"
-        return edge_nodes(self.mesh, self.disc, name, where), self.mesh.edge(name, where)
+        where = f"{site.scene.source}: {self.where} {key}"
+        return edge_nodes(site.mesh, site.disc, name, where), site.mesh.edge(name, where)
 
-    def hooks(self) -> np.ndarray:
-        """The nodes (k,) at hooks: corners of the mesh are the first nodes of every element."""
-        self.mesh.edge("top", f"{self.where} needs edge")
-        return self.mesh.hooks[self.number].nodes
-
-    def held(
-        self, name: str, nodes: np.ndarray, target: Array, factor: float, held: str = "both", facets: np.ndarray = NONE
+    def _held(
+        self, site: Site, name: str, nodes: np.ndarray, target: Array, held: str = "both", facets: np.ndarray = NONE
     ) -> Held:
         """The nodes (k,) held at places `target` (k, 2), moved; InputError for a gather that moves none of them."""
-        X, gather = self.disc.nodes[nodes], getattr(self.item, "gather", 1.0)
-        mask = np.tile([held == "both" or axis in held for axis in "xyz"[: self.scene.d]], (len(nodes), 1))
-        if gather != 1.0 and np.abs((target - X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * self.mesh.size:
+        scene, X, gather = site.scene, site.disc.nodes[nodes], getattr(self, "gather", 1.0)
+        mask = np.tile([held == "both" or axis in held for axis in "xyz"[: scene.d]], (len(nodes), 1))
+        if gather != 1.0 and np.abs((target - X)[mask[:, :2]]).max(initial=0.0) <= 1e-9 * site.mesh.size:
             raise InputError(
-                f"{self.scene.source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is"
+                f"{scene.source}: [support] gather = {gather:g}: has no effect on {name}, which it holds as it is"
             )
-        return Held(name, nodes, mask, in_space_of(target, self.scene.d) + factor * self.move, facets)
+        move = site.factor * scene.vector(getattr(self, "move", NO_MOVE))
+        return Held(name, nodes, mask, in_space_of(target, scene.d) + move, facets)
 
-    def gathered(self, nodes: np.ndarray, gather: float) -> Array:
-        """Places (k, 2) of nodes of the top edge, narrowed about the middle of the curtain."""
-        X, x = self.disc.nodes[nodes], self.mesh.mesh.p[0]
+    def _narrowed(self, site: Site, nodes: np.ndarray) -> Array:
+        """Places (k, 2) of nodes of the top edge, narrowed by `gather` about the middle of the curtain."""
+        X, x, gather = site.disc.nodes[nodes], site.mesh.mesh.p[0], getattr(self, "gather", 1.0)
         middle = 0.5 * (x.min() + x.max())
         return np.stack([middle + gather * (X[:, 0] - middle), X[:, 1]], axis=-1)
+
+
+class Hanging(Support):
+    """A support that may hold single points of the top edge, evenly spaced by its `pitch` or `count`."""
+
+    pitch: float | None
+    count: int | None
+
+    def check(self) -> None:
+        if self.pitch is not None and self.count is not None:
+            self.refuse(f"count = {self.count}: is not used together with pitch")
+
+    @property
+    def has_hooks(self) -> bool:
+        """Whether it holds single points."""
+        return self.pitch is not None or self.count is not None
+
+    def spaces(self, length: float) -> int:
+        """How many spaces between hooks fit an open line of this length, mm: the number nearest to `pitch`."""
+        if self.count is not None:
+            return self.count - 1
+        assert self.pitch is not None
+        return round(min(length / self.pitch, 1e9))
+
+    def hook_places(self, lines: list[Line], where: str) -> tuple[Array, float]:
+        """Places (k, 2) of hooks, even along each of the lines of the top edge, and their pitch, mm.
+
+        One is at each end. The pitch is the nearest one that fits, told for the longest line. InputError if it is
+        longer than the edge, or finer than its facets.
+        """
+        found, fitted = [], []
+        named = f"{where} count = {self.count}:" if self.pitch is None else f"{where} pitch = {self.pitch:g}:"
+        for line in lines:
+            length, sides = float(line.arc[-1]), len(line.arc) - 1
+            if self.pitch is not None and self.pitch > length * (1.0 + 1e-9):
+                raise InputError(f"{named} is wider than the top edge, {length:g} mm")
+            number = self.spaces(length) + (1 if line.is_closed and self.count is not None else 0)
+            if number > sides:
+                raise InputError(
+                    f"{named} is finer than the mesh, whose nodes on the top edge are {length / sides:g} mm apart; "
+                    "use more cells"
+                )
+            fitted.append((length, length / number))
+            found.append(line.at(np.linspace(0.0, length, number + 1)[: number if line.is_closed else None]))
+        return np.concatenate(found), max(fitted)[1]
+
+    def hooks(self, site: Site) -> np.ndarray:
+        """The nodes (k,) of its hooks."""
+        site.mesh.edge("top", f"{site.scene.source}: {self.where} needs edge")
+        return site.mesh.hooks[site.number].nodes
 
 
 def edge_nodes(mesh: CurtainMesh, disc: Discretization, name: str, where: str) -> np.ndarray:
@@ -144,14 +196,11 @@ def edge_line(mesh: CurtainMesh, name: str, where: str) -> tuple[np.ndarray, Arr
 
     InputError, which begins with `where`, if the edge is no single open line.
     """
-    points = mesh.mesh.p.T
-    pairs = mesh.mesh.facets[:, mesh.edge(name, where)].T
-    lines = paths(map(tuple, pairs), points)
-    if len(lines) != 1 or lines[0][0] == lines[0][-1]:
+    lines = paths(mesh.mesh.facets[:, mesh.edge(name, where)].T, mesh.mesh.p.T)
+    if len(lines) != 1 or lines[0].is_closed:
         what = "closed" if len(lines) == 1 else f"made of {len(lines)} pieces"
         raise InputError(f"{where} = {name!r}: is {what}, but a track or line needs an edge that is one open line")
-    steps = np.linalg.norm(np.diff(points[lines[0]], axis=0), axis=1)
-    return lines[0], np.concatenate([[0.0], np.cumsum(steps)])
+    return lines[0].nodes, lines[0].arc
 
 
 def placed_along(site: Site, line: np.ndarray, places: Array) -> tuple[np.ndarray, Array]:
@@ -159,21 +208,21 @@ def placed_along(site: Site, line: np.ndarray, places: Array) -> tuple[np.ndarra
 
     Nodes between two corners are half way between their places.
     """
-    points = site.mesh.mesh.p.T[line]
-    candidates = np.concatenate([points, 0.5 * (points[1:] + points[:-1])])
-    targets = np.concatenate([places, 0.5 * (places[1:] + places[:-1])])
-    distance, node = cKDTree(site.disc.nodes).query(candidates)
-    there = distance < 1e-9 * site.mesh.size
-    nodes, first = np.unique(node[there], return_index=True)
-    return nodes, targets[there][first]
+    mesh, nodes = site.mesh.mesh, line
+    if site.disc.element == "P2":
+        facets = mesh.p2f[:, line[:-1]].multiply(mesh.p2f[:, line[1:]]).argmax(axis=0)
+        nodes = np.concatenate([line, mesh.p.shape[1] + np.ravel(facets)])
+        places = np.concatenate([places, 0.5 * (places[1:] + places[:-1])])
+    order = np.argsort(nodes)
+    return nodes[order], places[order]
 
 
-def sliding_nodes(lines: list[tuple[np.ndarray, Array]], whole: np.ndarray) -> Sliding:
+def sliding_nodes(lines: list[tuple[np.ndarray, Array]], whole: np.ndarray, d: int) -> Sliding:
     """The nodes that slide: those of lines (nodes (k,), unit vector (d,)) that lie on no second, crossing one.
 
     Nodes held as a `whole` (n_nodes,) do not slide.
     """
-    way = np.zeros((len(whole), len(lines[0][1])))
+    way = np.zeros((len(whole), d))
     fixed = whole.copy()
     for nodes, e in lines:
         before = way[nodes]

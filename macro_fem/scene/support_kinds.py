@@ -3,27 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
-from macro_fem.scene.sites import Held, Site, edge_line, placed_along, point_node, sloping, unit_direction
+from macro_fem.scene.sites import (
+    Hanging,
+    Held,
+    Site,
+    Support,
+    edge_line,
+    placed_along,
+    point_node,
+    sloping,
+    unit_direction,
+)
 from macro_fem.scene.tables import (
     LEAST_MM,
+    MAX_CORNERS,
     NO_MOVE,
     Capacity,
+    Coordinate,
     Count,
+    Degrees,
     Factor,
     HeldAxes,
     Length,
     Name,
     Place,
     RingsPerHook,
-    Support,
+    Share,
     Vector,
     Way,
     in_3d,
     leaves_plane,
 )
+from macro_fem.scene.tracks import Curve, track_curve
+from rve.common import Array
+
+if TYPE_CHECKING:
+    from macro_fem.scene.meshing.mesh import CurtainMesh
 
 
 @dataclass(frozen=True)
@@ -36,9 +57,9 @@ class Corners(Support, kind="corners"):
     move: Way = NO_MOVE
     rings_per_hook: RingsPerHook = 1
 
-    def hold(self, site: Site, factor: float) -> Held:
-        nodes = site.edge("top")[0][[0, -1]]
-        return site.held("corners", nodes, site.gathered(nodes, self.gather), factor)
+    def hold(self, site: Site) -> Held:
+        nodes = self._edge(site)[0][[0, -1]]
+        return self._held(site, "corners", nodes, self._narrowed(site, nodes))
 
 
 @dataclass(frozen=True)
@@ -48,22 +69,22 @@ class Top(Support, kind="top"):
     gather: Factor = 1.0
     move: Way = NO_MOVE
 
-    def hold(self, site: Site, factor: float) -> Held:
-        nodes, facets = site.edge("top")
-        return site.held("top", nodes, site.gathered(nodes, self.gather), factor, facets=facets)
+    def hold(self, site: Site) -> Held:
+        nodes, facets = self._edge(site)
+        return self._held(site, "top", nodes, self._narrowed(site, nodes), facets=facets)
 
 
 @dataclass(frozen=True)
 class Rail(Support, kind="rail"):
     """The top edge held in height, and in space in z too, free to slide sideways."""
 
-    def hold(self, site: Site, factor: float) -> Held:
-        nodes, facets = site.edge("top")
-        return site.held("rail", nodes, site.disc.nodes[nodes], factor, "yz", facets)
+    def hold(self, site: Site) -> Held:
+        nodes, facets = self._edge(site)
+        return self._held(site, "rail", nodes, site.disc.nodes[nodes], "yz", facets)
 
 
 @dataclass(frozen=True)
-class Hooks(Support, kind="hooks"):
+class Hooks(Hanging, kind="hooks"):
     """Points of the top edge, held or sliding along a rail: one at each end, evenly spaced close to `pitch` mm.
 
     `count`: how many there are along each line of the edge, in place of a pitch. `capacity`: the force in N that a hook
@@ -82,12 +103,11 @@ class Hooks(Support, kind="hooks"):
     def check(self) -> None:
         if self.pitch is None and self.count is None:
             self.refuse("pitch: is missing; give it in mm, or the count of hooks")
-        if self.pitch is not None and self.count is not None:
-            self.refuse(f"count = {self.count}: is not used together with pitch")
+        super().check()
 
-    def hold(self, site: Site, factor: float) -> Held:
-        nodes = site.hooks()
-        return site.held("hooks", nodes, site.gathered(nodes, self.gather), factor, "yz" if self.sliding else "both")
+    def hold(self, site: Site) -> Held:
+        nodes = self.hooks(site)
+        return self._held(site, "hooks", nodes, self._narrowed(site, nodes), "yz" if self.sliding else "both")
 
 
 @dataclass(frozen=True)
@@ -125,27 +145,26 @@ class Edge(Support, kind="edge"):
             return f"along = {[list(point) for point in self.along]} leaves the plane"
         return super().space_reason
 
-    def hold(self, site: Site, factor: float) -> Held:
+    def hold(self, site: Site) -> Held:
+        nodes, facets = self._edge(site, self.edge, "edge")
         if self.along is not None:
-            return self._on_line(site, self.along, factor)
-        nodes, facets = site.edge(self.edge, "edge")
+            return self._on_line(site, self.along, facets)
         X = site.disc.nodes[nodes]
         centre = 0.5 * (X.min(axis=0) + X.max(axis=0))
-        return site.held(f"edge {self.edge}", nodes, centre + self.gather * (X - centre), factor, self.held, facets)
+        return self._held(site, f"edge {self.edge}", nodes, centre + self.gather * (X - centre), self.held, facets)
 
-    def _on_line(self, site: Site, along: tuple[Vector, Vector], factor: float) -> Held:
+    def _on_line(self, site: Site, along: tuple[Vector, Vector], facets: np.ndarray) -> Held:
         """The edge evenly between two points of a straight line in space, held or free to slide."""
-        d = site.scene.d
-        line, s = edge_line(site.mesh, self.edge, f"{site.where} edge")
-        first, last = (np.array(point[:d]) for point in along)
+        line, s = edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
+        first, last = map(site.scene.vector, along)
         nodes, places = placed_along(site, line, first + (s / s[-1])[:, None] * (last - first))
+        places += site.factor * site.scene.vector(self.move)
         e = unit_direction(last - first)
         mask = np.ones(places.shape, bool)
         if self.sliding and not sloping(e):
             mask[:, e != 0.0] = False
         slide = e if self.sliding and sloping(e) else None
-        facets = site.mesh.edge(self.edge, f"{site.where} edge")
-        return Held(f"edge {self.edge}", nodes, mask, places + factor * site.move, facets, slide)
+        return Held(f"edge {self.edge}", nodes, mask, places, facets, slide)
 
 
 @dataclass(frozen=True)
@@ -161,7 +180,81 @@ class Point(Support, kind="point"):
     def points(self) -> tuple[Vector, ...]:
         return (self.at,)
 
-    def hold(self, site: Site, factor: float) -> Held:
+    def hold(self, site: Site) -> Held:
         nodes = point_node(self.at, site.disc)
         name = f"point ({self.at[0]:g}, {self.at[1]:g})"
-        return site.held(name, nodes, site.disc.nodes[nodes], factor, self.held)
+        return self._held(site, name, nodes, site.disc.nodes[nodes], self.held)
+
+
+@dataclass(frozen=True)
+class Track(Hanging, kind="track"):
+    """The top edge on a curve in plan at the height y = `height`, that of the top edge by default.
+
+    Places along the track go with the arc length along the top edge, so that the mesh is gathered evenly. Between the
+    corners of the mesh a track is straight, which keeps bounds of the curtain rigorous.
+
+    The curve is `path`, a list of points [x, z], an arc of `radius` and `angle` (degrees; positive bulges towards the
+    viewer), or straight and as long as `fullness` says: mesh length of the top edge over length of the track. `pitch`:
+    distance of the runners along the mesh, `count`: how many there are; without both the whole edge is held. `drawn`:
+    the part of the track that the curtain covers, from its `side`. `capacity` and `rings_per_hook`: of each runner.
+    """
+
+    one = "runner"
+
+    path: Annotated[tuple[Place, ...], Meta(min_length=2, max_length=MAX_CORNERS)] | None = None
+    radius: Length | None = None
+    angle: Degrees | None = None
+    height: Coordinate | None = None
+    fullness: Factor | None = None
+    pitch: Length | None = None
+    count: Count | None = None
+    drawn: Share = 1.0
+    side: Literal["start", "end"] = "start"
+    capacity: Capacity | None = None
+    rings_per_hook: RingsPerHook = 1
+
+    def check(self) -> None:
+        if self.path is not None:
+            for key in ("radius", "angle"):
+                if getattr(self, key) is not None:
+                    self.refuse(f"{key} = {getattr(self, key):g}: is not used together with path")
+            for one, two in pairwise(self.path):
+                if one == two:
+                    self.refuse(f"path: holds [{one[0]:g}, {one[1]:g}] twice in a row")
+        elif self.fullness is None and (self.radius is None or self.angle is None):
+            missing = "radius" if self.radius is None else "angle"
+            self.refuse(f"{missing}: is missing; a track needs path, or radius and angle, or fullness")
+        if self.angle == 0.0:
+            self.refuse("angle = 0: makes no arc; leave it out for a straight track")
+        super().check()
+        for key, unset in () if self.has_hooks else (("capacity", None), ("rings_per_hook", 1)):
+            if getattr(self, key) != unset:
+                self.refuse(f"{key} = {getattr(self, key):g}: has no effect without pitch, that of the runners")
+        if self.side == "end" and self.drawn == 1.0 and not self.history:
+            self.refuse("side = 'end': has no effect with drawn = 1")
+
+    @property
+    def space_reason(self) -> str:
+        return "kind = 'track' leaves the plane"
+
+    def curve(self, line: np.ndarray, s: Array, mesh: CurtainMesh, where: str) -> Curve:
+        """Its curve for a top edge of corners `line` (k,) at the distances s (k,) from its left end."""
+        x, y = mesh.mesh.p[:, line]
+        return track_curve(self, s[-1], 0.5 * float(x.min() + x.max()), float(y.max()), where)
+
+    def hold(self, site: Site) -> Held:
+        where = f"{site.scene.source}: {self.where}"
+        line, s = edge_line(site.mesh, "top", f"{where} needs edge")
+        curve = self.curve(line, s, site.mesh, where)
+        if self.has_hooks:
+            nodes = self.hooks(site)
+            places = self.places(curve, np.linspace(0.0, s[-1], len(nodes)), s[-1])
+            return Held("track", nodes, np.ones(places.shape, bool), places)
+        nodes, places = placed_along(site, line, self.places(curve, s, s[-1]))
+        return Held("track", nodes, np.ones(places.shape, bool), places, site.mesh.edges["top"])
+
+    def places(self, curve: Curve, s: Array, edge_length: float) -> Array:
+        """Places (n, 3) on the track of material points at the distances s (n,) along the top edge, mm."""
+        covered = self.drawn * curve.length
+        start = 0.0 if self.side == "start" else curve.length - covered
+        return curve.at(start + covered * s / edge_length)

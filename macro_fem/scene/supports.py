@@ -83,12 +83,12 @@ def build_supports(
 
     InputError for supports that contradict each other, and bars on bent or held edges.
     """
-    items = [(number, item) for number, item in enumerate(scene.support) if number not in released]
-    held = tuple(item.hold(Site(number, item, scene, mesh, disc), factor) for number, item in items)
+    sites = [Site(number, scene, mesh, disc, factor) for number in range(len(scene.support)) if number not in released]
+    held = tuple(scene.support[site.number].hold(site) for site in sites)
     positions = in_space_of(disc.nodes, scene.d)
-    mask, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape)
-    done: list[Held] = []
-    for one in sorted(held, key=lambda one: one.slide is None):
+    mask, stiff, ways = np.zeros(positions.shape, bool), np.zeros(positions.shape, bool), np.zeros(positions.shape)
+    lines_first = sorted(held, key=lambda one: one.slide is None)
+    for number, one in enumerate(lines_first):
         here, target = np.zeros_like(mask), np.zeros_like(positions)
         here[one.nodes], target[one.nodes] = one.mask, one.positions
         away = np.where(here & mask, target - positions, 0.0)
@@ -96,33 +96,30 @@ def build_supports(
         if clash.any():
             node, axis = np.argwhere(clash)[0]
             x, y = disc.nodes[node]
-            other = next(other for other in reversed(done) if other.mask[other.nodes == node, axis].any())
+            before = reversed(lines_first[:number])
+            other = next(other for other in before if other.mask[other.nodes == node, axis].any())
             raise InputError(
                 f"{scene.source}: [support]: {other.name} and {one.name} hold the point ({x:g}, {y:g}) at different "
                 f"places, {'xyz'[axis]} = {positions[node, axis]:g} and {target[node, axis]:g} mm"
             )
         positions = np.where(here, target, positions)
         mask |= here
-        if one.slide is not None:
+        if one.slide is None:
+            stiff |= here
+        else:
             ways[one.nodes] = one.slide
-        done.append(one)
-    sliding = none = Sliding.none(scene.d)
+    partly = np.flatnonzero(ways.any(axis=1) & stiff.any(axis=1) & ~stiff.all(axis=1))
+    if len(partly):
+        x, y = disc.nodes[partly[0]]
+        raise InputError(
+            f"{scene.source}: [support]: another support holds some components of the point ({x:g}, {y:g}), which "
+            "slides on a sloping line; hold all of them there, or none"
+        )
     lines = [(one.nodes, one.slide) for one in held if one.slide is not None]
-    if lines:
-        stiff = np.zeros_like(mask)
-        for one in (one for one in held if one.slide is None):
-            stiff[one.nodes] |= one.mask
-        partly = np.flatnonzero(ways.any(axis=1) & stiff.any(axis=1) & ~stiff.all(axis=1))
-        if len(partly):
-            x, y = disc.nodes[partly[0]]
-            raise InputError(
-                f"{scene.source}: [support]: another support holds some components of the point ({x:g}, {y:g}), which "
-                "slides on a sloping line; hold all of them there, or none"
-            )
-        sliding = sliding_nodes(lines, np.asarray(stiff.all(axis=1)))
+    sliding = sliding_nodes(lines, np.asarray(stiff.all(axis=1)), scene.d)
     straight = [bar for bar in scene.of(Bar) if bar.straight]
     bars = _straight_bars(straight, scene, mesh, disc, mask) if straight else None
-    return Supports(held, mask, positions, sliding, none, bars)
+    return Supports(held, mask, positions, sliding, Sliding.none(scene.d), bars)
 
 
 def _straight_bars(
@@ -146,20 +143,14 @@ def straight_ties(lines: list[np.ndarray], X: Array) -> sparse.csc_matrix:
 
     Columns of nodes in between are empty.
     """
-    n = len(X)
-    tied = np.zeros(n, bool)
-    rows, columns, values = [], [], []
+    ties = sparse.eye(len(X), format="lil")
     for nodes in lines:
-        along = X[nodes[-1]] - X[nodes[0]]
-        s = (X[nodes] - X[nodes[0]]) @ along / (along @ along)
-        for weight, end in ((1.0 - s[1:-1], nodes[0]), (s[1:-1], nodes[-1])):
-            rows.append(nodes[1:-1])
-            columns.append(np.full(len(nodes) - 2, end))
-            values.append(weight)
-        tied[nodes[1:-1]] = True
-    own = np.flatnonzero(~tied)
-    entries = (np.concatenate([own, *rows]), np.concatenate([own, *columns]))
-    return sparse.coo_matrix((np.concatenate([np.ones(len(own)), *values]), entries), shape=(n, n)).tocsc()
+        first, inner, last = nodes[0], nodes[1:-1], nodes[-1]
+        along = X[last] - X[first]
+        s = (X[inner] - X[first]) @ along / (along @ along)
+        ties[inner, inner] = 0.0
+        ties[inner, first], ties[inner, last] = 1.0 - s, s
+    return ties.tocsc()
 
 
 def pin_sliding(supports: Supports, disc: Discretization, force: Array, source: object) -> Supports:

@@ -8,14 +8,11 @@ three components and are kept as given; a third one that is not 0 takes the curt
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
 from rve.common import Typed
-
-if TYPE_CHECKING:
-    from macro_fem.scene.sites import Held, Site
 
 MAX_CORNERS = 5_000
 """Most corners of the outline and its holes together; the work grows with their square."""
@@ -104,37 +101,6 @@ class Timed(Item):
     """An entry that `history` scales in scenes in motion: pairs of time and share (`macro_fem.scene.moving`)."""
 
     history: History = field(default=(), repr=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Support(Timed):
-    """What holds the curtain; in motion until `release`, s, where `history` scales `move` and `drawn`."""
-
-    kinds: ClassVar[dict[str, type[Any]]] = {}
-    table = "support"
-    one: ClassVar[str] = "point"
-    """What results call one of the points that it holds."""
-    release: Time | None = field(default=None, repr=False)
-
-    def hold(self, site: Site, factor: float) -> Held:
-        """The nodes, components and positions that it holds after `factor` of its move.
-
-        InputError if it asks for what has no effect, or for nodes that the mesh has not.
-        """
-        raise NotImplementedError
-
-    @property
-    def has_hooks(self) -> bool:
-        """Whether it holds single points of the top edge, evenly spaced by its `pitch` or `count`."""
-        return getattr(self, "pitch", None) is not None or getattr(self, "count", None) is not None
-
-    def spaces(self, length: float) -> int:
-        """How many spaces between hooks fit an open line of this length, mm: the number nearest to `pitch`."""
-        pitch, count = getattr(self, "pitch", None), getattr(self, "count", None)
-        if count is not None:
-            return int(count) - 1
-        assert pitch is not None
-        return round(min(length / pitch, 1e9))
 
 
 class LiveLoad(Timed):

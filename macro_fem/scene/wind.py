@@ -33,6 +33,8 @@ AIR_DENSITY = 1.25
 """kg/m3, the recommended value of EN 1991-1-4:2005, 4.5 (1), note 2."""
 SOLID = 4.0 / 3.0
 """C_D of a plate without holes."""
+BREEZE = 1.0
+"""m/s, the speed of `breeze` in still air; forces of moving nodes are this one's, scaled."""
 HALVINGS = 60
 """Halvings of the interval of u, after which it is known to rounding."""
 
@@ -44,8 +46,8 @@ def dynamic_pressure(wind: Wind) -> float:
 
 
 def breeze(wind: Wind) -> Wind:
-    """The wind, or one of 1 m/s in place of one whose speed is 0 now, in whose still air the mesh moves."""
-    return replace(wind, speed=1.0) if wind.speed == 0.0 else wind
+    """The wind, with the speed BREEZE in place of one that is 0 now, in whose still air the mesh moves."""
+    return wind if wind.speed is None else replace(wind, speed=wind.speed or BREEZE)
 
 
 def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:

@@ -8,7 +8,8 @@ import pytest
 from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_scene
 from macro_fem.scene.schema import read_scene
-from macro_fem.scene.tracks import Track, track_curve, track_places
+from macro_fem.scene.support_kinds import Track
+from macro_fem.scene.tracks import track_curve
 
 from .conftest import STRETCH_X
 
@@ -56,7 +57,7 @@ def test_what_is_open_follows_from_the_fullness():
 def test_a_drawn_curtain_covers_its_part_of_the_track(side):
     item = Track(path=((0.0, 0.0), (2000.0, 0.0)), drawn=0.4, side=side)
     curve = track_curve(item, 3000.0, 500.0, 2000.0, WHERE)
-    places = track_places(item, curve, np.array([0.0, 1500.0, 3000.0]), 3000.0)
+    places = item.places(curve, np.array([0.0, 1500.0, 3000.0]), 3000.0)
     begin = 0.0 if side == "start" else 1200.0
     assert places[:, 0] == pytest.approx([begin, begin + 400.0, begin + 800.0])
 

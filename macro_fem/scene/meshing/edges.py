@@ -11,7 +11,6 @@ an arch, both slopes of a gable. "bottom", "left" and "right" are found in the s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,12 +117,30 @@ def _following(points: Array, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.asarray(following)
 
 
-def paths(pairs: Iterable[tuple[int, int]], points: Array) -> list[np.ndarray]:
-    """Lines of nodes, each from its left end, made of pairs of neighbours; closed ones repeat their first node."""
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Neighbouring nodes (k,) with the points (k, 2) where they are and the distances `arc` (k,) from the first, mm."""
+
+    nodes: np.ndarray
+    points: Array
+    arc: Array
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it ends where it begins."""
+        return bool(self.nodes[0] == self.nodes[-1])
+
+    def at(self, s: Array) -> Array:
+        """Places (n, 2) at the distances s (n,) from the first node."""
+        return np.stack([np.interp(s, self.arc, column) for column in self.points.T], axis=-1)
+
+
+def paths(pairs: np.ndarray, points: Array) -> list[Line]:
+    """Lines of nodes, each from its left end, made of pairs (m, 2) of neighbours; closed ones repeat their first."""
     beside: dict[int, list[int]] = {}
-    for a, b in pairs:
-        beside.setdefault(int(a), []).append(int(b))
-        beside.setdefault(int(b), []).append(int(a))
+    for a, b in pairs.tolist():
+        beside.setdefault(a, []).append(b)
+        beside.setdefault(b, []).append(a)
 
     def by_place(node: int) -> tuple[float, float]:
         return float(points[node, 0]), float(points[node, 1])
@@ -138,7 +155,8 @@ def paths(pairs: Iterable[tuple[int, int]], points: Array) -> list[np.ndarray]:
             beside[ahead].remove(path[-1])
             path.append(ahead)
         if len(path) > 1:
-            found.append(np.array(path))
+            steps = np.linalg.norm(np.diff(points[path], axis=0), axis=1)
+            found.append(Line(np.array(path), points[path], np.concatenate([[0.0], np.cumsum(steps)])))
     return found
 
 

@@ -16,12 +16,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from homogenize import CellInfo
-from macro_fem.scene.meshing.edges import inherited_edges, named_edges
+from macro_fem.scene.meshing.edges import inherited_edges, named_edges, paths
 from macro_fem.scene.meshing.mesh_files import cut_in_four, read_mesh
 from macro_fem.scene.meshing.outline import mesh_outline
-from macro_fem.scene.meshing.places import hook_places, with_nodes_at
+from macro_fem.scene.meshing.places import with_nodes_at
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.shapes import MeshFile, Rectangle
+from macro_fem.scene.sites import Hanging
 from macro_fem.scene.tables import PatchLoad, Vector
 from rve.common import Array, InputError
 
@@ -77,11 +78,11 @@ def build_mesh(scene: Scene, cell: CellInfo | None) -> CurtainMesh:
     InputError if its outline or mesh file cannot be meshed, or a point lies off it or would need a flat cell.
     """
     mesh = _plain_mesh(scene, cell)
+    top = paths(mesh.mesh.facets[:, mesh.edges["top"]].T, mesh.mesh.p.T) if "top" in mesh.edges else []
     rows: dict[int, tuple[Array, float]] = {}
     for number, item in enumerate(scene.support):
-        if item.has_hooks and "top" in mesh.edges:
-            pairs = mesh.mesh.facets[:, mesh.edges["top"]].T
-            rows[number] = hook_places(mesh.mesh.p.T, pairs, item, f"{scene.source}: {item.where}")
+        if top and isinstance(item, Hanging) and item.has_hooks:
+            rows[number] = item.hook_places(top, f"{scene.source}: {item.where}")
     points = [(item.where, at) for item in scene.items for at in item.points]
     points += [("[load.patch]", patch.at) for patch in scene.of(PatchLoad) if patch.radius < mesh.longest_side]
     named: list[tuple[str, Vector]] = [
@@ -148,7 +149,7 @@ def columns(scene: Scene) -> int:
     curtain, cells = scene.curtain, scene.mesh.cells
     if not isinstance(curtain, Rectangle):
         return cells
-    between = [item.spaces(curtain.width) for item in scene.support if item.has_hooks]
+    between = [item.spaces(curtain.width) for item in scene.of(Hanging) if item.has_hooks]
     step = math.lcm(*(number for number in between if 1 <= number <= cells))
     return step * max(1, round(cells / step)) if step <= cells else cells
 

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import counterclockwise, cross
-from macro_fem.scene.meshing.edges import CORNER, facets_between, paths
-from macro_fem.scene.tables import Support
+from macro_fem.scene.meshing.edges import CORNER, facets_between
 from rve.common import Array, InputError
 
 SAME = 1e-9
@@ -56,33 +55,6 @@ class _Change:
     edge: tuple[int, int] | None
     turns: bool
     sine: float
-
-
-def hook_places(points: Array, pairs: np.ndarray, item: Support, where: str) -> tuple[Array, float]:
-    """Places (k, 2) of hooks on an edge of facets `pairs` (m, 2), even along each of its lines, and their pitch, mm.
-
-    One is at each end. The pitch is the nearest one that fits, told for the longest line. InputError if it is longer
-    than the edge, or finer than its facets.
-    """
-    found, fitted = [], []
-    pitch, count = getattr(item, "pitch", None), getattr(item, "count", None)
-    named = f"{where} count = {count}:" if pitch is None else f"{where} pitch = {pitch:g}:"
-    for path in paths(map(tuple, pairs), points):
-        line = points[path]
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        length, is_closed = float(arc[-1]), path[0] == path[-1]
-        if pitch is not None and pitch > length * (1.0 + 1e-9):
-            raise InputError(f"{named} is wider than the top edge, {length:g} mm")
-        number = item.spaces(length) + (1 if is_closed and count is not None else 0)
-        if number > len(path) - 1:
-            raise InputError(
-                f"{named} is finer than the mesh, whose nodes on the top edge are "
-                f"{length / (len(path) - 1):g} mm apart; use more cells"
-            )
-        fitted.append((length, length / number))
-        at = np.linspace(0.0, length, number + 1)[: number if is_closed else None]
-        found.append(np.stack([np.interp(at, arc, line[:, 0]), np.interp(at, arc, line[:, 1])], axis=-1))
-    return np.concatenate(found), max(fitted)[1]
 
 
 def with_nodes_at(
