@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.output.plots import plot_line_loads
-from macro_fem.output.weakest import holds_line, links
+from macro_fem.output.weakest import links
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
 from macro_fem.solution import CurtainSolution
-from macro_fem.told import combination_lines, governing_line, order_lines
+from macro_fem.told import combination_lines, order_lines, verdict
 from rve.common import atomic_path, checksum
 from rve.common.drawing.plane import BLUE, VERMILION, new_figure
 
@@ -56,16 +56,8 @@ def write_report(
     plot_line_loads(solution, shape).legend().remove()
     shape.set_title("")
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
-    solved = summary["status"] == "converged"
-    verdict = holds_line(summary) if solved else f"{summary['status']}: {summary['message']}"
-    factors = [one["weakest_factor"] for one in (summary, summary.get("envelope", summary))]
-    solved = solved and all(row["status"] == "converged" for row in summary.get("combinations", ()))
-    colour = BLUE if solved and all(one is None or one >= 1.0 for one in factors) else VERMILION
-    # The first sentence says whether it holds; the second page has the rest.
-    first_words = "; ".join(verdict.split("; ")[:2])
-    if "envelope" in summary:
-        first_words = f"{governing_line(summary)}; without its factors: {first_words.split('; ')[0]}"
-    _section(first, 0.945, first_words, [], colour)
+    words, holds = verdict(summary)
+    _section(first, 0.945, words, [], BLUE if holds else VERMILION)
     height = f"mean height {summary['mean_height_mm']:.1f} mm"
     _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
     second, y = _page(name, 2), 0.93
@@ -107,7 +99,7 @@ def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
     yield (
         "What gives first",
-        [*(f"{one.name}: {one.factor:.3g} times the load" for one in sorted(links(summary))), material],
+        [*(f"{one.name}: {one.factor:.3g} times the load" for one in links(summary)), material],
         False,
     )
     if "combinations" in summary:

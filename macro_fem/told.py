@@ -12,17 +12,15 @@ from rve.common.commands.command_line import feature_lines
 
 def default_law_lines(given: Path | None) -> list[str]:
     """Which rings are taken where no law is `given`."""
-    if given is not None:
-        return []
     from homogenize import default_law
 
+    if given is not None:
+        return []
     law = default_law()
     assert law.cell is not None
     assert law.strength is not None
-    return [
-        f"no --law: rings of r1 = {law.cell.r1_mm:g} mm and r2 = {law.cell.r2_mm:g} mm, 4-in-1, "
-        f"{law.strength.material.name} unless the scene has a [material]"
-    ]
+    rings = f"rings of r1 = {law.cell.r1_mm:g} mm and r2 = {law.cell.r2_mm:g} mm, 4-in-1"
+    return [f"no --law: {rings}, {law.strength.material.name} unless the scene has a [material]"]
 
 
 def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
@@ -60,12 +58,10 @@ def motion_lines(summary: dict[str, Any], out: Path) -> list[str]:
 
 def every_ring_lines(summary: dict[str, Any], out: Path) -> list[str]:
     """How a curtain solved ring by ring ended, and its numbers."""
-    if summary["status"] == "out-of-reach":
-        left = f"supports are up to {summary['way_left_mm']:.3f} mm from their places"
-    else:
-        left = (
-            f"largest contact force {summary['largest_contact_force_N']:.4g} N, residual {summary['kkt_residual']:.1e}"
-        )
+    left = f"supports are up to {summary['way_left_mm']:.3f} mm from their places"
+    if summary["status"] != "out-of-reach":
+        largest, residual = summary["largest_contact_force_N"], summary["kkt_residual"]
+        left = f"largest contact force {largest:.4g} N, residual {residual:.1e}"
     return [
         f"{summary['status']}: {summary['message']}",
         *summary["notes"],
@@ -103,12 +99,11 @@ def hooks_lines(summary: dict[str, Any]) -> list[str]:
     """
     lines = []
     for one in summary["support_forces"]:
-        if "pitch_mm" not in one:
-            continue
-        pitch, asked, count = one["pitch_mm"], one["pitch_asked_mm"], one["nodes_held"]
-        differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
-        note = f"; pitch = {asked:g} does not divide the edge, count = {count} asks for these" if differs else ""
-        lines.append(f"{one['support']}: {count}, {pitch:g} mm apart{note}")
+        if "pitch_mm" in one:
+            pitch, asked, count = one["pitch_mm"], one["pitch_asked_mm"], one["nodes_held"]
+            differs = asked is not None and abs(pitch - asked) > 1e-9 * asked
+            note = f"; pitch = {asked:g} does not divide the edge, count = {count} asks for these" if differs else ""
+            lines.append(f"{one['support']}: {count}, {pitch:g} mm apart{note}")
     return lines
 
 
@@ -145,15 +140,28 @@ def combination_lines(summary: Mapping[str, Any]) -> list[str]:
 def governing_line(summary: Mapping[str, Any]) -> str:
     """The combination that governs, and whether the curtain holds under it, as far as that is known.
 
-    >>> governing_line({"envelope": {"governing": "ultimate", "weakest_factor": 0.9, "weakest": "hook capacity"}})
+    >>> most = {"governing": "ultimate", "weakest_factor": 0.9, "weakest": "hook capacity"}
+    >>> governing_line({"envelope": most, "combinations": []})
     'governing combination: ultimate, does not hold, factor 0.9 (hook capacity)'
     """
-    most, rows = summary["envelope"], summary.get("combinations", ())
+    most = summary["envelope"]
     factor, text = most["weakest_factor"], f"governing combination: {most['governing']}"
-    if failed := [row["name"] for row in rows if row["status"] != "converged"]:
+    if failed := [row["name"] for row in summary["combinations"] if row["status"] != "converged"]:
         return f"{text}; no answer for {', '.join(failed)}"
-    holds = "" if factor is None else f", {'holds' if factor >= 1.0 else 'does not hold'}, factor {factor:.3g}"
-    return f"{text}{holds} ({most['weakest']})" if holds else text
+    if factor is None:
+        return text
+    return f"{text}, {'holds' if factor >= 1.0 else 'does not hold'}, factor {factor:.3g} ({most['weakest']})"
+
+
+def verdict(summary: dict[str, Any]) -> tuple[str, bool]:
+    """Whether the curtain holds, as a report begins; and whether nothing that is known says that it does not."""
+    solved = summary["status"] == "converged"
+    first, *more = (holds_line(summary) if solved else f"{summary['status']}: {summary['message']}").split("; ")
+    factors = [one["weakest_factor"] for one in (summary, summary.get("envelope", summary))]
+    holds = solved and all(one is None or one >= 1.0 for one in factors)
+    if "envelope" in summary:
+        return f"{governing_line(summary)}; without its factors: {first}", holds
+    return "; ".join([first, *more[:1]]), holds
 
 
 def interval_line(summary: dict[str, Any]) -> str:

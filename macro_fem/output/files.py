@@ -36,13 +36,12 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
 def summarize(solution: CurtainSolution) -> dict[str, Any]:
     """The numbers of a solution: lengths in mm, forces in N, line loads in N per mm of reference length.
 
-    Heights are y coordinates. `hang_deg` (angle of the weave) and `rings` (radii and cell of the law) are read by
-    `macro_fem localize`. Potentials are -sum force . displacement in N mm; their gap bounds the discrete error.
+    Heights are y coordinates, potentials -sum force . displacement in N mm; their gap bounds the discrete error.
     """
     problem = solution.problem
     disc = problem.disc
-    area, x, state = disc.cell_area, solution.x, solution.state()
-    parts = np.bincount(state, weights=area, minlength=3) / area.sum()
+    area, x = disc.cell_area, solution.x
+    parts = np.bincount(solution.state(), weights=area, minlength=3) / area.sum()
     per_area, mass_from = areal_mass(problem.scene, problem.law.cell)
     told, forces, in_space = strength.summary(solution), support_forces(solution), {}
     if problem.fem.d == 3:
@@ -82,7 +81,8 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
         "hang_deg": problem.scene.curtain.weave_angle,
         "rings": rings(problem.law.cell),
         **wind_summary(solution),
-        **{"areal_mass_kg_per_m2": per_area, "areal_mass_from": mass_from},
+        "areal_mass_kg_per_m2": per_area,
+        "areal_mass_from": mass_from,
         "mass_kg": per_area * PER_MM2 * float(area.sum()),
         "taut_area_fraction": float(parts[2]),
         "wrinkled_area_fraction": float(parts[1]),
@@ -94,9 +94,7 @@ def summarize(solution: CurtainSolution) -> dict[str, Any]:
 
 def rings(cell: CellInfo | None) -> dict[str, float] | None:
     """Radii and reference cell of the law, without its areal mass, which a scene may replace."""
-    if cell is None:
-        return None
-    return {key: value for key, value in asdict(cell).items() if key != "areal_mass_kg_per_m2"}
+    return None if cell is None else {key: value for key, value in asdict(cell).items() if key.endswith("_mm")}
 
 
 def is_mean_height(problem: CurtainProblem) -> bool:
@@ -112,8 +110,7 @@ def bounds_summary(level: Level) -> dict[str, Any]:
     Where weight is the only load the potential is the mean height, so that this is bounded too.
     """
     solution, bounds, problem = level.solution, level.bounds, level.solution.problem
-    total = float(np.abs(problem.force).sum())
-    mean = solution.mean_height()
+    total, mean = float(np.abs(problem.force).sum()), solution.mean_height()
     return {
         "status": bounds.status,
         "cells": problem.disc.n_cells,
@@ -149,14 +146,12 @@ def interval_summary(level: Level) -> dict[str, Any]:
 def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[dict[str, Any]]:
     """Rows of feature, used and why; `bounds`, `picture`: whether the curtain was bounded, is drawn."""
     problem, settling = solution.problem, solution.settling
-    scene, solver = problem.scene, problem.scene.solver
+    scene = problem.scene
     ties = ["a bar keeps an edge straight"] * any(bar.straight for bar in scene.of(Bar))
     ties += ["an edge slides on a sloping line"] * any(held.slide is not None for held in problem.supports.held)
     flat = "all loads and supports lie in the plane, and so does the answer"
-    rows = [
-        ("third-coordinate", bool(scene.space_reason), scene.space_reason or flat),
-        ("ties", bool(ties), " and ".join(ties) or "no straight bar and no sloping line"),
-    ]
+    rows = [("third-coordinate", bool(scene.space_reason), scene.space_reason or flat)]
+    rows.append(("ties", bool(ties), " and ".join(ties) or "no straight bar and no sloping line"))
     if problem.walls is not None:
         rows.append(("half-spaces-on-nodes", True, f"{len(problem.walls)} linear cones keep obstacles clear"))
     if settling is not None:
@@ -164,7 +159,7 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
         rows.append(("rounds", True, f"{settling.rounds} convex solves: bodies or wind on the present shape; {still}"))
     if solution.second_step is not None:
         rows.append(("elastic-forces", *solution.second_step))
-    asked = "[solver] bounds or adapt" if solver.is_bounded else "not asked for"
+    asked = "[solver] bounds or adapt" if scene.solver.is_bounded else "not asked for"
     rows.append(("bounds", bounds, f"{asked}: a second, equilibrated solution and an error map"))
     rows.append(("picture", picture, "curtain.png" if picture else "--no-picture"))
     return [{"feature": name, "used": used, "why": why} for name, used, why in rows]
@@ -172,10 +167,10 @@ def features(solution: CurtainSolution, *, bounds: bool, picture: bool) -> list[
 
 def write_series(folder: Path, steps: Sequence[CurtainSolution]) -> None:
     """curtain_0001.vtu and so on, one per load step, and curtain.pvd that lists them by the share of the load."""
-    names = [f"curtain_{number:04d}.vtu" for number in range(1, len(steps) + 1)]
-    for name, solution in zip(names, steps, strict=True):
+    entries = [(k / len(steps), 0, f"curtain_{k:04d}.vtu") for k in range(1, len(steps) + 1)]
+    for (_, _, name), solution in zip(entries, steps, strict=True):
         write_vtu(folder / name, solution)
-    write_text(folder / "curtain.pvd", collection([(k / len(steps), 0, name) for k, name in enumerate(names, 1)]))
+    write_text(folder / "curtain.pvd", collection(entries))
 
 
 def collection(entries: Sequence[tuple[float, int, str]]) -> str:
@@ -199,12 +194,11 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
     """The curtain for meshio: displacement, forces of supports, strain, stress, line loads, taut or slack per cell.
 
     Points are those of the reference state, to be warped by `displacement_mm`; `direction_1` is a direction in the
-    deformed state. `utilisation` is there where the strength of the rings is known. `extra` holds more cell
-    data (n_cells, ...), such as an error map.
+    deformed state; `extra` holds more cell data (n_cells, ...), such as an error map.
     """
     import meshio
 
-    mesh, disc = solution.problem.mesh.mesh, solution.problem.disc
+    problem, mesh, disc = solution.problem, solution.problem.mesh.mesh, solution.problem.disc
     values, direction = solution.principal()
     used = strength.utilisation(solution)
     data = {
@@ -219,20 +213,17 @@ def curtain_mesh(solution: CurtainSolution, extra: dict[str, Array] | None = Non
     }
     point_data = {
         meshes.DISPLACEMENT: padded(corner_positions(solution)) - padded(mesh.p.T),
-        "support_force_N": padded(corner_forces(solution.problem, solution.reactions)),
+        "support_force_N": padded(corner_forces(problem, solution.reactions)),
     }
-    if solution.problem.walls is not None:
-        point_data["obstacle_force_N"] = padded(corner_forces(solution.problem, solution.pushes))
+    if problem.walls is not None:
+        point_data["obstacle_force_N"] = padded(corner_forces(problem, solution.pushes))
     cells = [("triangle", counterclockwise(mesh.p.T, mesh.t.T))]
     each = {name: [np.asarray(values, dtype=float)] for name, values in data.items()}
     return meshio.Mesh(padded(mesh.p.T), cells, point_data, each)
 
 
 def corner_forces(problem: CurtainProblem, forces: Array) -> Array:
-    """Nodal forces (n_nodes, d) at the corners of the mesh (n_corners, d), with the same sum and moment.
-
-    A force at the middle of a side is shared equally between its ends.
-    """
+    """Nodal forces (n_nodes, d) at the corners of the mesh (n_corners, d); that of a middle is shared by both ends."""
     mesh = problem.mesh.mesh
     result = forces[: mesh.p.shape[1]].copy()
     if problem.disc.element == "P2":  # whose further nodes are the middles of facets

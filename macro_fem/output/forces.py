@@ -1,4 +1,4 @@
-"""Forces on a curtain: of supports in sum, at each point and as a table, of obstacles, and of what acts at points."""
+"""Forces on a curtain: of supports, of obstacles and at points; in sum, as tables, and as arrows for pictures."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ import numpy as np
 
 from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
+from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
 
 TOUCHES = 1e-6
 """A push below this part of the loads does not count as contact of its node."""
+LOAD = "#7b2cbf"
+MOST_ARROWS = 14
+"""Forces of a support along an edge, and of all obstacles, are summed up into this many arrows."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +56,16 @@ def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
-    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds.
+    """Force of each support on the curtain in N, in sum and at each of its nodes, and what it holds: "support_forces"
+    of summary.json.
 
-    A component held by two supports counts for the first, so that the forces of all points balance the loads.
-    `pitch_mm` is the distance of hooks or runners along the mesh, `pitch_asked_mm` what the scene asks for. `at_mm` is
-    the reference position, `place_mm`, in space, where the point is. `capacity_N` is that of each hook or runner of a
-    support by hooks or a track, None if none is stated.
+    A component held by two supports counts for the first, so that the forces of all points balance the loads;
     `nodes_held` and `length_held_mm` also count what an earlier support holds.
     """
     problem, reactions = solution.problem, solution.reactions
     taken = np.zeros(reactions.shape, bool)
     forces = []
     for number, (item, held) in enumerate(zip(problem.scene.support, problem.supports.held, strict=True)):
-        row = problem.mesh.hooks.get(number)
         own = np.zeros_like(taken)
         own[held.nodes] = held.mask
         own &= ~taken
@@ -78,7 +79,7 @@ def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
             found["largest_force_per_ring_N"] = largest / getattr(item, "rings_per_hook", 1)
         if hasattr(item, "capacity"):
             found["capacity_N"] = item.capacity
-        if row:
+        if row := problem.mesh.hooks.get(number):
             found |= {"pitch_mm": row.pitch, "pitch_asked_mm": getattr(item, "pitch", None)}
         nodes = held.nodes[own[held.nodes].any(axis=1)]
         points = [{name: values[node].tolist() for name, values in columns.items()} for node in nodes]
@@ -111,32 +112,24 @@ def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[
     return ("support_number", "support", "x_mm", "y_mm", "force_x_N", "force_y_N", *more), rows
 
 
-def pushes_of(solution: CurtainSolution, number: int) -> tuple[np.ndarray, Array]:
-    """Nodes (m,) that obstacle `number` of the scene may push, and its pushes (m, 3) on the curtain, N."""
-    walls = solution.problem.walls
+def pushes_of(solution: CurtainSolution, number: int) -> Array:
+    """Pushes (n_nodes, 3) of obstacle `number` of the scene on the nodes of the curtain, N."""
+    walls, n = solution.problem.walls, solution.problem.disc.n_nodes
     if walls is None:
-        return np.zeros(0, np.int64), np.zeros((0, 3))
-    own = walls.take(walls.owner == number)
-    nodes = np.unique(own.at.node[own.at.share != 0.0])
-    nodal = own.nodal(solution.wall_forces[walls.owner == number], solution.problem.disc.n_nodes)
-    return nodes, padded(nodal[nodes])
+        return np.zeros((n, 3))
+    own = walls.owner == number
+    return padded(walls.take(own).nodal(solution.wall_forces[own], n))
 
 
 def obstacle_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
     """Force of each obstacle on the curtain in N, how far it has moved, mm, and how many nodes touch it."""
     problem, lines = solution.problem, []
     for number, item in enumerate(problem.scene.obstacle):
-        _, push = pushes_of(solution, number)
+        push = pushes_of(solution, number)
         touching = np.linalg.norm(push, axis=1) > TOUCHES * float(np.abs(problem.force).sum())
-        lines.append(
-            {
-                "obstacle": item.name,
-                "kind": type(item).__name__.lower(),
-                "reaction_N": push.sum(axis=0).tolist(),
-                "displacement_mm": float(np.linalg.norm(problem.factor * np.array(in_3d(item.move)))),
-                "nodes_touched": int(np.count_nonzero(touching)),
-            }
-        )
+        line = {"obstacle": item.name, "kind": type(item).__name__.lower(), "reaction_N": push.sum(axis=0).tolist()}
+        line["displacement_mm"] = float(np.linalg.norm(problem.factor * np.array(in_3d(item.move))))
+        lines.append(line | {"nodes_touched": int(np.count_nonzero(touching))})
     return lines
 
 
@@ -153,3 +146,59 @@ def obstacle_summary(steps: Sequence[CurtainSolution]) -> dict[str, Any]:
         residuals = {name: getattr(settling, name) for name in ("rounds", "misfit", "complementarity", "asked")}
         found["settling"] = residuals | {"penetration_between_nodes_mm": settling.between_nodes_mm}
     return found
+
+
+def pulls(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of supports: those at points, and those of edges summed up."""
+    groups: list[np.ndarray] = []
+    taken = np.zeros(len(solution.x), bool)
+    for held in solution.problem.supports.held:
+        nodes = held.nodes[~taken[held.nodes]]
+        taken[nodes] = True
+        groups += halved(padded(solution.x), nodes, MOST_ARROWS if len(held.facets) else len(nodes))
+    return _summed_up(solution, solution.reactions, groups)
+
+
+def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of obstacles on the curtain, summed up."""
+    size = np.linalg.norm(solution.pushes, axis=1)
+    nodes = np.flatnonzero(size > 1e-6 * size.max(initial=0.0))
+    return _summed_up(solution, solution.pushes, halved(padded(solution.x), nodes, MOST_ARROWS))
+
+
+def point_loads(solution: CurtainSolution) -> tuple[Array, Array]:
+    """Places (k, 3) and forces (k, 3) of the loads at points and on patches."""
+    problem = solution.problem
+    loads: tuple[PointLoad | PatchLoad, ...] = (*problem.scene.of(PointLoad), *problem.scene.of(PatchLoad))
+    nodes = [int(point_node(one.at, problem.disc)[0]) for one in loads]
+    forces = np.reshape([in_3d(one.force) for one in loads], (-1, 3))
+    return padded(solution.x)[nodes], problem.factor * forces
+
+
+def halved(x: Array, nodes: np.ndarray, most: int) -> list[np.ndarray]:
+    """The nodes, of places x (n, 3), in at most `most` groups: halved along the longer extent again and again.
+
+    >>> [part.tolist() for part in halved(np.array([[3.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.arange(3), 2)]
+    [[1], [2, 0]]
+    """
+    if most < 2 or len(nodes) < 2:
+        return [nodes] if len(nodes) else []
+    order = nodes[np.argsort(x[nodes, np.ptp(x[nodes], axis=0).argmax()], kind="stable")]
+    first, half = most // 2, len(order) // 2
+    return [*halved(x, order[:half], first), *halved(x, order[half:], most - first)]
+
+
+def _summed_up(solution: CurtainSolution, forces: Array, groups: list[np.ndarray]) -> tuple[Array, Array]:
+    """The middle and the sum of the nodal forces (n_nodes, d) of each group."""
+    x, forces = padded(solution.x), padded(forces)
+    size = np.linalg.norm(forces, axis=1) + 1e-300
+    at = [np.average(x[nodes], axis=0, weights=size[nodes]) for nodes in groups]
+    return np.reshape(at, (-1, 3)), np.reshape([forces[nodes].sum(axis=0) for nodes in groups], (-1, 3))
+
+
+FORCES = (
+    ("force of supports", "#d7263d", pulls),
+    ("force of obstacles", "#e07b00", pushes),
+    ("load at a point", LOAD, point_loads),
+)
+"""Names, colours, and places with forces of the arrows."""

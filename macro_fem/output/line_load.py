@@ -9,9 +9,11 @@ it, in the reference state, that has this area: a disk inside, half a disk on an
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import skfem
 from scipy.spatial import cKDTree
 
 from macro_fem.fem.cells import triangle_areas
@@ -25,6 +27,8 @@ MOST_CUTS = 64
 """Pieces along a side of a cell; larger cells have one value over several averaging areas anyway."""
 WIDEST = 2.5
 """Averages reach no farther than this many radii of a disk of the same area, in corners of 60 degrees and more."""
+STEPS = np.linspace(0.0, 1.5, 7)
+"""Centres of averages along the line of a force, in radii of the average at its point."""
 LOCAL = 1.25
 """Line loads this many times their average over a cell change over less than a cell."""
 FINE = 0.25
@@ -46,9 +50,8 @@ class Extreme(NamedTuple):
 
 def summary(solution: CurtainSolution) -> dict[str, Any]:
     """The largest line loads for summary.json; averages are None for a law that has no cell."""
-    cell = solution.problem.law.cell
+    cell, peak = solution.problem.law.cell, largest(solution)
     area = None if cell is None else cell.b_x_mm * cell.b_y_mm
-    peak = largest(solution)
     mean = None if area is None else largest_mean(solution, area)
     return {
         "max_principal_line_load_N_per_mm": peak.value,
@@ -82,65 +85,64 @@ def warning(solution: CurtainSolution, peak: Extreme, mean: Extreme | None, area
 
 def largest(solution: CurtainSolution) -> Extreme:
     """The largest principal line load of any cell, and the middle of that cell."""
-    values, _ = solution.principal()
-    cell = int(values[:, 0].argmax())
-    mesh = solution.problem.mesh.mesh
-    return Extreme(float(values[cell, 0]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
+    values, mesh = solution.principal()[0][:, 0], solution.problem.mesh.mesh
+    cell = int(values.argmax())
+    return Extreme(float(values[cell]), mesh.p[:, mesh.t[:, cell]].mean(axis=1))
 
 
 def largest_mean(solution: CurtainSolution, area: float) -> Extreme:
-    """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh.
-
-    A mean is at most the largest value of the cells it is taken over.
-    """
-    mesh, P = solution.problem.mesh.mesh, solution.recovered(solution.problem.disc.cell_mean(solution.P))
-    near, X = Nearby(mesh.p.T[mesh.t.T], P, area), mesh.p.T[np.unique(mesh.t)]
-    return largest_average(near, X, near.bound(X), lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
-
-
-def largest_average(near: Nearby, X: Array, bound: Array, value: Callable[[Array], Array]) -> Extreme:
-    """The largest value (n,) of averages (n, ...) at X (n, 2), of which `bound` (n,) are upper bounds.
-
-    Places are visited in the order of this bound, until it is no more than the largest value found.
-    """
-    order = np.argsort(-bound, kind="stable")
-    best = Extreme(0.0, X[order[0]])
-    for i in order:
-        if bound[i] <= best.value:
-            break
-        mean = near.mean(X[i])
-        found = float(value(mean[None])[0])
-        best = Extreme(found, X[i], mean) if found > best.value else best
-    return best
+    """The largest singular value of P averaged over the `area` (mm2) nearest to a corner of the mesh."""
+    P = solution.recovered(solution.problem.disc.cell_mean(solution.P))
+    size = np.linalg.norm(P, 2, axis=(1, 2))
+    near = Nearby(solution.problem.mesh.mesh, P, size, area)
+    return near.largest(lambda P: np.asarray(np.linalg.norm(P, 2, axis=(1, 2))))
 
 
 class Nearby:
-    """Averages of P (n, 2, 2), constant in each triangle `corners` (n, 3, 2), over the `area` nearest to a point.
+    """Averages of P (n, ...), constant in each triangle of a mesh, over the `area` (mm2) nearest to a point.
 
-    `size` (n,) is what `bound` takes the largest of, by default the largest singular value of P. With another size P
-    may be any values (n, ...).
+    size (n,): convex in P, such as its largest singular value, so that averages have at most the largest of it.
     """
 
-    def __init__(self, corners: Array, P: Array, area: float, size: Array | None = None) -> None:
-        self.corners, self.P, self.area = corners, P, area
-        self.middle = corners.mean(axis=1)
-        self.size = np.linalg.norm(P, 2, axis=(1, 2)) if size is None else size
-        self.half = np.linalg.norm(corners - self.middle[:, None], axis=-1).max(axis=1)
+    def __init__(self, mesh: skfem.MeshTri, P: Array, size: Array, area: float) -> None:
+        self.points, self.corners = mesh.p.T[np.unique(mesh.t)], mesh.p.T[mesh.t.T]
+        self.P, self.size, self.area = P, size, area
+        self.middle = self.corners.mean(axis=1)
+        self.half = np.linalg.norm(self.corners - self.middle[:, None], axis=-1).max(axis=1)
         self.radius = float(np.sqrt(area / np.pi))
         self.tree = cKDTree(self.middle)
 
-    def bound(self, X: Array) -> Array:
-        """The largest size of any triangle that an average at each of X (n, 2) may take in (n,)."""
-        return np.array([self.size[self._around(x, WIDEST * self.radius)].max() for x in X])
+    @cached_property
+    def bound(self) -> Array:
+        """The largest size of any triangle that an average at each corner of the mesh may take in, (k,)."""
+        return np.array([self.size[self._around(x, WIDEST * self.radius)].max() for x in self.points])
+
+    def largest(self, value: Callable[[Array], Array], most: float = 1.0) -> Extreme:
+        """The largest value (n,) of averages (n, ...) at the corners of the mesh; it is at most `most` times `size`.
+
+        Places are visited in the order of this bound, until it is no more than the largest value found.
+        """
+        bound = most * self.bound
+        order = np.argsort(-bound, kind="stable")
+        best = Extreme(0.0, self.points[order[0]])
+        for i in order:
+            if bound[i] <= best.value:
+                break
+            mean = self.mean(self.points[i])
+            found = float(value(mean[None])[0])
+            best = Extreme(found, self.points[i], mean) if found > best.value else best
+        return best
 
     def mean(self, x: Array) -> Array:
         """P averaged over the area nearest to x (2,); over all triangles if they have less."""
         cells, part, _ = self._nearest(x)
         return np.asarray(np.tensordot(part, self.P[cells], axes=1) / part.sum())
 
-    def radius_at(self, x: Array) -> float:
-        """How far in mm the area nearest to x (2,) reaches."""
-        return self._nearest(x)[2]
+    def chord(self, x: Array, m: Array) -> float:
+        """Longest part in mm of the line from x (2,) along m (2,) that lies in one of the averages centred on it."""
+        steps = STEPS * self._nearest(x)[2]
+        radii = [self._nearest(x + t * m)[2] for t in steps]
+        return max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True))
 
     def _around(self, x: Array, radius: float) -> np.ndarray:
         """The triangles that may have a point within `radius` of x (2,), in the order of their numbers."""

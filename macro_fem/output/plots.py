@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from macro_fem.output import strength
-from macro_fem.output.arrows import LOAD, point_loads
 from macro_fem.output.files import corner_positions
+from macro_fem.output.forces import LOAD, point_loads
 from macro_fem.output.space_view import LONGEST, Titled, line_load_scale, title
 from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError

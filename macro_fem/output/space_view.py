@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from macro_fem.fem.cells import counterclockwise, mean_at_corners, padded
-from macro_fem.output.arrows import FORCES
 from macro_fem.output.files import corner_positions
-from macro_fem.scene.obstacles import Box, Cylinder, Floor, Obstacle, Sphere, Wall, unit
+from macro_fem.output.forces import FORCES
+from macro_fem.problem import placed_obstacles
+from macro_fem.scene.obstacles import Box, Cylinder, Floor, PlacedObstacle, Sphere, Wall, unit
 from macro_fem.scene.sites import edge_line
 from macro_fem.scene.support_kinds import Hooks, Track
 from macro_fem.scene.tables import in_3d
@@ -45,8 +46,7 @@ LIGHT = np.array([0.3, -1.0, -0.45])
 LONGEST, LEAST_ARROW = 0.16, 0.04
 """Length of the largest force's arrow over the size of the scene; forces below this part of it have no arrow."""
 SHRUNK, REACH = 0.003, 0.25
-"""Parts of the size of the curtain by which obstacles are drawn smaller, so that it is seen on them, and at which away
-from it they are cut off."""
+"""Obstacles are drawn smaller by this part of the size of the curtain, to see it on them, and cut off this far away."""
 
 Titled = Sequence[tuple[str, CurtainSolution]]
 """Solutions of a series, each with what its picture is headed by."""
@@ -58,37 +58,39 @@ def line_load_scale(steps: Sequence[CurtainSolution]) -> Scale:
     return Scale.of(values, "line load, N/mm of reference")
 
 
+def box_of(points: Array) -> Array:
+    """The least and the largest coordinates (2, 3) of points (n, 3)."""
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
 @dataclass(frozen=True, eq=False)
 class PictureFrame:
-    """What pictures of a series share: colours, box (2, 3) of the curtain in mm, size of the box in mm, length of
-    arrows in mm/N, largest forces in N of supports, obstacles and loads, y of the lowest tip of an arrow in mm, and box
-    (2, 3) of what stands on the ground beside the curtain in mm."""
+    """What pictures of a series share: colours; boxes (2, 3) of the curtain, and with what stands beside it, mm; size
+    of the former, mm; length of arrows, mm/N; largest forces of supports, obstacles and loads, N; y of the lowest tip
+    of an arrow, mm."""
 
     scale: Scale
     room: Array
+    around: Array
     size: float
     arrow: float
     largest: tuple[float, ...]
     lowest: float
-    around: Array
 
     @classmethod
     def of(cls, steps: Sequence[CurtainSolution]) -> PictureFrame:
         """The frame of one solution, or of all load steps."""
         each = [[forces(step) for step in steps] for _, _, forces in FORCES]
+        largest = tuple(max(np.linalg.norm(one, axis=1).max(initial=0.0) for _, one in kind) for kind in each)
         at, force = (np.concatenate(parts) for parts in zip(*(one for kind in each for one in kind), strict=True))
-        sizes = [np.linalg.norm(np.concatenate([one for _, one in kind]), axis=1) for kind in each]
-        points = np.concatenate([padded(corner_positions(step)) for step in steps])
-        room = np.stack([points.min(axis=0), points.max(axis=0)])
+        room = box_of(np.concatenate([padded(corner_positions(step)) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
-        largest = tuple(float(one.max(initial=0.0)) for one in sizes)
         arrow = LONGEST * size / max(*largest, 1e-300)
         lowest = float((at + arrow * force)[:, 1].min(initial=room[0, 1] - 0.06 * size))
-        frame = cls(line_load_scale(steps), room, size, arrow, largest, lowest, room)
-        bodies = [obstacle_mesh(*one, frame, lowest) for step in steps for one in moved_obstacles(step)]
+        frame = cls(line_load_scale(steps), room, room, size, arrow, largest, lowest)
+        bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in placed_obstacles(step.problem)]
         bounds = [np.reshape(one.bounds, (3, 2)).T for one in bodies if one is not None]
-        both = np.concatenate([room, *bounds])
-        return replace(frame, around=np.stack([both.min(axis=0), both.max(axis=0)]))
+        return replace(frame, around=box_of(np.concatenate([room, *bounds])))
 
 
 def draw_curtain(
@@ -101,13 +103,13 @@ def draw_curtain(
     """
     plotter = new_plotter() if plotter is None else plotter
     frame = PictureFrame.of([solution]) if frame is None else frame
-    obstacles, curtain = moved_obstacles(solution), sheet(solution, frame.scale)
-    floors = [item.height + shift[1] for item, shift in obstacles if isinstance(item, Floor)]
+    placed, curtain = placed_obstacles(solution.problem), sheet(solution, frame.scale)
+    floors = [one.obstacle.height + one.shift[1] for one in placed if isinstance(one.obstacle, Floor)]
     ground = float(max(floors, default=frame.lowest))
     add(plotter, "curtain", curtain, frame.scale)
     _add_supports(plotter, solution, frame.size)
-    for item, shift in obstacles:
-        mesh = obstacle_mesh(item, shift, frame, ground)
+    for one in placed:
+        mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
         if mesh is not None:
             style = {"opacity": 0.35} if isinstance(item, Wall) else {}
             add_body(plotter, item.name, mesh, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
@@ -127,8 +129,7 @@ def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
     for words, solution in steps:
         draw_curtain(solution, plotter, frame)
         if words == steps[0][0]:  # the camera sees what is around the first step, and where the curtain goes
-            seen = np.vstack([frame.room, np.reshape(plotter.renderer.bounds, (3, 2)).T])
-            box = np.stack([seen.min(axis=0), seen.max(axis=0)])
+            box = box_of(np.vstack([frame.room, np.reshape(plotter.renderer.bounds, (3, 2)).T]))
         look(plotter, THREE_QUARTERS, box=box)
         yield words, plotter
         plotter.clear_actors()
@@ -152,21 +153,12 @@ def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     return shown
 
 
-def moved_obstacles(solution: CurtainSolution) -> list[tuple[Obstacle, Array]]:
-    """The obstacles of the scene and how far each is moved (3,) at this load step, mm."""
-    problem = solution.problem
-    as_solved = {body.number: body.obstacle for body in problem.bodies}  # with the rounding of boxes
-    items = [as_solved.get(number, item) for number, item in enumerate(problem.scene.obstacle)]
-    return [(item, problem.factor * np.array(in_3d(item.move))) for item in items]
-
-
-def obstacle_mesh(item: Obstacle, shift: Array, frame: PictureFrame, ground: float) -> PolyData | None:
-    """The part of an obstacle, moved by `shift`, that is near the curtain and above the ground; None for a floor, which
-    is the ground."""
+def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) -> PolyData | None:
+    """The part of an obstacle that is near the curtain and above the ground; None for a floor, which is the ground."""
     import pyvista
 
-    room, less, middle = frame.room, SHRUNK * frame.size, frame.room.mean(axis=0)
-    match item:
+    room, less, middle, shift = frame.room, SHRUNK * frame.size, frame.room.mean(axis=0), placed.shift
+    match item := placed.obstacle:
         case Sphere():
             return ball(max(item.radius - less, 0.9 * item.radius), item.centre + shift)
         case Cylinder():
@@ -196,8 +188,7 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
     """Held edges and tracks as lines, held points, hooks and runners as balls."""
     problem = solution.problem
     mesh, corners, x = problem.mesh.mesh, padded(corner_positions(solution)), padded(solution.x)
-    edges: list[Array] = []
-    held_at: dict[str, list[Array]] = {}
+    edges, held_at = [np.zeros((0, 2, 3))], {name: [np.zeros((0, 3))] for name in ("runners", "hooks", "held points")}
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if isinstance(item, Track):
             curve = item.curve(*edge_line(problem.mesh, "top", "track"), problem.mesh, "track")
@@ -206,9 +197,8 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
             edges.append(corners[mesh.facets[:, held.facets].T])
         if not len(held.facets):
             name = "runners" if isinstance(item, Track) else "hooks" if isinstance(item, Hooks) else "held points"
-            held_at.setdefault(name, []).append(x[held.nodes])
-    if edges:
-        add(plotter, "held edge", lines(np.concatenate(edges)), HELD, line_width=7)
+            held_at[name].append(x[held.nodes])
+    add(plotter, "held edge", lines(np.concatenate(edges)), HELD, line_width=7)
     for name, places in held_at.items():
         add(plotter, name, balls(np.concatenate(places), 0.006 * size), HELD)
 
@@ -224,7 +214,11 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     foot = np.array([box[0, 0], ground, box[1, 2] + 0.05 * size])
     is_large = float((box[1] - box[0]).max()) >= LEAST_FOR_PERSON
     if is_large:
-        add(plotter, "person, 1.75 m", person(foot - [0.4 * PERSON_MM, 0.0, 0.0]), FIGURE)
+        up = PERSON_MM * np.array([0.0, 1.0, 0.0])
+        feet, radius, length = foot - [0.4 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
+        body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
+        head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
+        add(plotter, "person, 1.75 m", body + head, FIGURE)
     else:
         length = rounded_up(0.12 * size)
         ends = foot + np.array([[0.0, 0.006 * size, 0.0], [length, 0.006 * size, 0.0]])
@@ -232,18 +226,7 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
     add(plotter, "_shadow", shadow, SHADOW, **FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
     beside = foot - [[0.5 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]
-    corners = np.concatenate([frame.around, thrown, beside])
-    (x0, _, z0), (x1, _, z1) = corners.min(axis=0), corners.max(axis=0)
+    (x0, _, z0), (x1, _, z1) = box_of(np.concatenate([frame.around, thrown, beside]))
     middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.12 * size
     floor = pyvista.Plane(center=middle, direction=(0.0, 1.0, 0.0), i_size=z1 - z0 + room, j_size=x1 - x0 + room)
     add(plotter, "_ground", floor, GROUND, **FLAT)
-
-
-def person(foot: Array) -> PolyData:
-    """A standing person with the feet at `foot` (3,): a body and a head."""
-    import pyvista
-
-    up = PERSON_MM * np.array([0.0, 1.0, 0.0])
-    radius, length = 0.08 * PERSON_MM, 0.68 * PERSON_MM
-    body = pyvista.Capsule(center=foot + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
-    return body + pyvista.Sphere(radius=0.065 * PERSON_MM, center=foot + 0.93 * up)

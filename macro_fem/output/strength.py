@@ -1,27 +1,16 @@
-"""Whether a curtain holds: the utilisation of its rings, averaged over one cell of the weave, and the load of hooks.
+"""Whether a curtain holds: the utilisation of its rings, averaged over one cell of the weave, and at points.
 
-The strength of a law is a function of S, the second Piola line load, at the strain at which the rings lock under S; so
-it holds for cells far from their reference. S and not P is averaged: S is symmetric, does not change when a cell turns,
-and needs no inverse of F, which does not exist where the mesh is drawn to a line. An even load is its own average. At a
-held or loaded point S grows as P does and so does the pointwise utilisation; the utilisation of the average converges
-(`macro_fem.output.line_load`). Where the mesh is too coarse for the average at such a point, the utilisation is at
-least that of the force there over the width of an average. All are in proportion to the load as long as the shape
-stays.
+Averaged is S, the second Piola line load, at whose locked strain a law states its strength: it is symmetric, stays as
+it is when a cell turns, and needs no inverse of F, which a mesh drawn to a line has not.
 
-At hooks, corners and loaded points the force goes through the ring or the few rings that the hook passes: `hook_rings`.
-Around them, at a force f, the line load grows until it is spread over the rings of one cell of the weave. A mesh whose
-cells are larger spreads f over its own cells: utilisation is then too low in proportion to the side of the cells. But f
-itself, and the direction m (reference) along which the curtain takes it up, hardly depend on the mesh. Balance says
-that S carries f through every section across m,
+A force f at a point grows hardly with the mesh, and the direction m (reference) along which it is taken up neither.
+Where cells there are too large for the average, balance of every section across m gives instead
 
     S = f / (w lambda) m m^T,
 
-with lambda the stretch along m at which rings lock, and w the width of the averages of `macro_fem.output.line_load`:
-their area over the longest chord along the line from the point. If all of f goes along that line this is the largest
-average of the continuous curtain; if f fans out it is more than that, at most by the ratio of this chord to the radius
-of the average at the point itself (1.4 at a square corner, 1 to 2 at an edge). Utilisation is an estimate, no bound:
-rings are weaker along other lines of the fan, up to twofold. At the corners of examples/corner_hung.toml it is 0.76,
-that of averages on cells of 1.5 mm 0.83 (docs/measured/steel.md).
+with lambda the stretch along m at which rings lock, and w the area of an average over the longest chord along the line
+from the point. It is the largest average of the continuous curtain if all of f goes along that line, more if f fans out
+(up to 1.4-fold at a square corner, 2-fold at an edge): an estimate, no bound, as rings are weaker along other lines.
 """
 
 from __future__ import annotations
@@ -35,7 +24,7 @@ import numpy as np
 from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
 from macro_fem.output.forces import PointForce, point_forces
-from macro_fem.output.line_load import FINE, Extreme, Nearby, largest_average
+from macro_fem.output.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.sites import edge_nodes
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
 from macro_fem.solution import CurtainSolution
@@ -47,10 +36,9 @@ EVEN = 1.05
 """Pointwise utilisations this many times the largest average vary over a cell of the weave."""
 RESOLVED = 0.125
 """Sides of mesh cells at a point over that of the averaging area with which the averages themselves are used."""
-STEPS = np.linspace(0.0, 1.5, 7)
-"""Centres of averages along the line of the force, in radii of the average at the point."""
 SHARPEST = np.pi / 6.0
 """Angle of a corner in which averages reach farthest; bounds their chord, so that few points are looked at."""
+NONE = Extreme(0.0, np.full(2, np.nan))
 KEYS = (
     *("utilisation_max", "utilisation_max_at_mm", "utilisation_of_averages_max", "utilisation_of_point_forces_max"),
     *("utilisation_of_hook_rings_max", "ring_at_hook", "utilisation_mesh_too_coarse"),
@@ -69,12 +57,13 @@ MEANING = (
 def summary(solution: CurtainSolution) -> dict[str, Any]:
     """Utilisation, factors, place and material for summary.json; None, with a reason, where they are not known."""
     law = solution.problem.law
-    known, why, cell, used = strength_of_law(law.own), reason(law), law.cell, utilisation(solution)
+    known, cell, used, why = strength_of_law(law.own), law.cell, utilisation(solution), reason(law)
+    largest = None if used is None else float(used.max())
     found: dict[str, Any] = dict.fromkeys(KEYS)
-    if used is not None and known is not None and cell is not None:
-        found, why = _numbers(solution, known, cell, float(used.max())), MEANING
+    if largest is not None and known is not None and cell is not None:
+        found, why = _numbers(solution, known, cell, largest), MEANING
     return found | {
-        "utilisation_pointwise_max": None if used is None else float(used.max()),
+        "utilisation_pointwise_max": largest,
         "ring_material": None if known is None else known.material.name,
         "ring_yield_N_per_mm2": None if known is None else known.material.yield_N_per_mm2,
         "material": None if known is None else asdict(known.material),
@@ -86,10 +75,8 @@ def summary(solution: CurtainSolution) -> dict[str, Any]:
 def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo, pointwise: float) -> dict[str, Any]:
     """The values of `KEYS` where the strength is known, by what first yield and collapse ask of mesh and rings."""
     first, last = _largest_asked(solution, known, cell)
-    hooks = hook_rings(solution, known)
-    mean, points = first
-    most = max(*hooks[:1], mean, points, key=lambda one: one.value)
-    collapse = max(one.value for one in (*hooks[1:], *last))
+    mean, points, hook = first
+    most, collapse = (max(each, key=lambda one: one.value) for each in (first, last))
     mesh, area = solution.problem.mesh.mesh, solution.problem.disc.cell_area
     touching = np.abs(mesh.p[:, mesh.t] - mean.at[:, None, None]).max(axis=0) < 1e-9 * solution.problem.mesh.size
     side = np.sqrt(area[touching.any(axis=0)].max() / (cell.b_x_mm * cell.b_y_mm))
@@ -100,11 +87,11 @@ def _numbers(solution: CurtainSolution, known: Strength, cell: CellInfo, pointwi
         "utilisation_max_at_mm": most.at.tolist(),
         "utilisation_of_averages_max": mean.value,
         "utilisation_of_point_forces_max": points.value,
-        "utilisation_of_hook_rings_max": hooks[0].value if hooks else 0.0,
-        "ring_at_hook": f"ring at {hooks[0].force.place}" if hooks and hooks[0].force else None,
+        "utilisation_of_hook_rings_max": hook.value,
+        "ring_at_hook": f"ring at {hook.force.place}" if hook.force else None,
         "utilisation_mesh_too_coarse": bool(is_coarse),
         "safety_factor": 1.0 / most.value if most.value > 0.0 else None,
-        "collapse_factor": 1.0 / collapse if collapse > 0.0 else None,
+        "collapse_factor": 1.0 / collapse.value if collapse.value > 0.0 else None,
         "first_yield_near": near if most.value > 0.0 else None,
     }
 
@@ -130,12 +117,13 @@ def utilisation(solution: CurtainSolution) -> Array | None:
 
 
 def critical_load(solution: CurtainSolution) -> Array | None:
-    """S (3,) in the frame of the weave, averaged over one cell where the utilisation is largest; None without any."""
+    """S (3,) in the frame of the weave where the utilisation of the mesh is largest; None where it is not known."""
     law = solution.problem.law
     known, cell = strength_of_law(law.own), law.cell
     if known is None or cell is None or reason(law):
         return None
-    return max(_largest_asked(solution, known, cell)[0], key=lambda one: one.value).load
+    mean, points, _ = _largest_asked(solution, known, cell)[0]
+    return max(mean, points, key=lambda one: one.value).load
 
 
 def _loads(solution: CurtainSolution) -> Array:
@@ -143,24 +131,24 @@ def _loads(solution: CurtainSolution) -> Array:
     return solution.recovered(solution.problem.disc.cell_mean(solution.S))
 
 
-def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Extreme, Extreme]]:
-    """Extreme utilisations of the mesh by S averaged over one cell of the weave and by forces at points, both at first
-    yield and at collapse."""
+def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -> list[tuple[Extreme, ...]]:
+    """Extreme utilisations by averages over one cell of the weave, by forces at points, and of the rings there; at
+    first yield, and at collapse."""
     own = _loads(solution)
-    mesh, S = solution.problem.mesh.mesh, solution.problem.law.in_weave(own)
-    low, high = eigenvalues(S)
-    tensile = np.maximum(low, 0.0) + np.maximum(high, 0.0)
-    near = Nearby(mesh.p.T[mesh.t.T], S, cell.b_x_mm * cell.b_y_mm, tensile)
-    X = mesh.p.T[np.unique(mesh.t)]
-    # The tensile trace is convex, so that of an average is at most the largest; times the largest strength it bounds
-    # the utilisation, whose values are weighted means of those strengths.
-    trace = near.bound(X)
+    S = solution.problem.law.in_weave(own)
+    # Utilisation is the tensile trace over a weighted mean of strengths, and the trace is convex in S.
+    trace = np.maximum(eigenvalues(S), 0.0).sum(axis=0)
+    near = Nearby(solution.problem.mesh.mesh, S, trace, cell.b_x_mm * cell.b_y_mm)
+    first, last = hook_rings(solution, known)
 
-    def asked(value: Callable[[Array], Array], strengths: Array) -> tuple[Extreme, Extreme]:
+    def asked(value: Callable[[Array], Array], strengths: Array, ring: Extreme) -> tuple[Extreme, ...]:
         most = float(strengths.max()) / known.yield_stress()
-        return largest_average(near, X, trace * most, value), largest_borne(solution, near, own, value, most)
+        return near.largest(value, most), largest_borne(solution, near, own, value, most), ring
 
-    return [asked(known.utilisation, known.first_yield), asked(known.collapse_utilisation, known.collapse)]
+    return [
+        asked(known.utilisation, known.first_yield, first),
+        asked(known.collapse_utilisation, known.collapse, last),
+    ]
 
 
 def nearest(solution: CurtainSolution, at: Array) -> str:
@@ -180,15 +168,14 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
 
 
 def hook_rings(solution: CurtainSolution, known: Strength) -> list[Extreme]:
-    """The ring that bears most of all at hooks, corners, runners, held and loaded points: its utilisations at first
-    yield and at collapse; [] without any.
+    """Utilisations at first yield and at collapse of the ring that bears most at a held or loaded point; 0 without any.
 
     Each of the rings there is pulled by two opposed forces, its share of the force and that of its neighbours
     (`rve.pulled_ring`). A butted ring turns on its hook, so its joint is where it is worst.
     """
     cell, points = solution.problem.law.cell, [one for one in point_forces(solution) if one.rings]
     if cell is None or not points:
-        return []
+        return [NONE, NONE]
     joint = "welded" if known.joint == "welded" else "butted:worst"
     ring = pulled_ring(cell.r1_mm, cell.r2_mm, known.material, joint)
     most = max(points, key=lambda one: one.force / one.rings)
@@ -204,19 +191,17 @@ def largest_borne(
     `near`: averages of the line loads S (n_cells, 3) of the curtain in its own frame; `value` (n,) of line loads (n, 3)
     in the frame of the weave, at most `most` times their trace.
     """
-    law, best = solution.problem.law, Extreme(0.0, np.full(2, np.nan))
+    law, best = solution.problem.law, NONE
     longest = 2.0 * np.sqrt(2.0 * near.area / SHARPEST)
     for one in sorted(point_forces(solution), key=lambda one: -one.force):
         if one.force * longest / near.area * most <= best.value:
             break
         cells = _cells_at(solution, one)
         side = float(np.sqrt(solution.problem.disc.cell_area[cells].max()))
-        if side <= RESOLVED * max(np.sqrt(near.area), one.spread):
-            continue
         m = _direction(solution, S, cells, one.at)
-        if m is None:
+        if m is None or side <= RESOLVED * max(np.sqrt(near.area), one.spread):
             continue
-        width = max(near.area / _chord(near, one.at, m), one.spread)
+        width = max(near.area / near.chord(one.at, m), one.spread)
         load = law.in_weave(one.force / (width * float(largest_stretch(law, m[None])[0])) * dyad(m[None]))
         found = float(value(load)[0])
         best = Extreme(found, one.at, load[0], one) if found > best.value else best
@@ -241,10 +226,3 @@ def _direction(solution: CurtainSolution, S: Array, cells: np.ndarray, at: Array
     m = np.array([np.cos(angle), np.sin(angle)])
     inwards = area @ mesh.p[:, mesh.t[:, cells]].mean(axis=1).T / area.sum() - at
     return m if inwards @ m >= 0.0 else -m
-
-
-def _chord(near: Nearby, at: Array, m: Array) -> float:
-    """Longest part in mm of the line from `at` (2,) along m (2,) that lies in one of the averages centred on it."""
-    steps = STEPS * near.radius_at(at)
-    radii = [near.radius_at(at + t * m) for t in steps]
-    return max(radius + min(t, radius) for t, radius in zip(steps, radii, strict=True))

@@ -9,6 +9,8 @@ OF_FORCE = (
     "the force at this point over the width of one cell"
 )
 """What is said of a factor that follows from the force at a point."""
+UTILISATIONS = tuple(f"utilisation_of_{what}_max" for what in ("averages", "point_forces", "hook_rings"))
+"""Keys of what is asked of the mesh, by averages and by forces at points, and of the rings at hooks."""
 
 
 class Link(NamedTuple):
@@ -21,18 +23,19 @@ class Link(NamedTuple):
 
 def weakest(summary: dict[str, Any]) -> dict[str, Any]:
     """What gives first, and at how many times the load, for summary.json; None where nothing is known or loaded."""
-    least = min(links(summary), default=None)
+    least = next(iter(links(summary)), None)
     return {"weakest": least.name if least else None, "weakest_factor": least.factor if least else None}
 
 
 def links(summary: dict[str, Any]) -> list[Link]:
-    """The links of a curtain that are loaded and whose strength is known."""
-    averages, points, ring = _utilisations(summary)
+    """The links of a curtain that are loaded and whose strength is known, the weakest first."""
+    averages, points, ring = (summary[key] or 0.0 for key in UTILISATIONS)
     mesh, found = max(averages, points), []
     if mesh > 0.0:
-        near, place = summary.get("first_yield_near"), summary.get("utilisation_max_at_mm")
-        is_told = near is not None and place is not None and mesh >= ring
-        text = f"rings near {near}, at ({place[0]:g}, {place[1]:g}) mm" if is_told and place else "the mesh"
+        text = "the mesh"
+        if mesh >= ring:
+            x, y = summary["utilisation_max_at_mm"]
+            text = f"rings near {summary['first_yield_near']}, at ({x:g}, {y:g}) mm"
         found.append(Link(1.0 / mesh, "mesh", text))
     if ring > 0.0:
         found.append(Link(1.0 / ring, summary["ring_at_hook"], f"the {summary['ring_at_hook']}"))
@@ -44,11 +47,7 @@ def links(summary: dict[str, Any]) -> list[Link]:
             of = f" of support {number}" if len(supports) > 1 else ""
             text = f"{kind}s of support {number} bear up to {force:.4g} N of {capacity:g} N"
             found.append(Link(capacity / force, f"{kind} capacity{of}", text))
-    return found
-
-
-def _utilisations(summary: dict[str, Any]) -> list[float]:
-    return [summary.get(f"utilisation_of_{what}_max") or 0.0 for what in ("averages", "point_forces", "hook_rings")]
+    return sorted(found)
 
 
 def holds_line(summary: dict[str, Any]) -> str:
@@ -57,28 +56,27 @@ def holds_line(summary: dict[str, Any]) -> str:
     >>> hooks = {"support": "hooks", "capacity_N": 50.0, "largest_nodal_force_N": 10.0}
     >>> known = {"utilisation_of_averages_max": 0.2, "utilisation_of_point_forces_max": 0.0, "strength_note": None}
     >>> ring = {"utilisation_of_hook_rings_max": 0.4, "ring_at_hook": "ring at hook 3"}
-    >>> place = {"first_yield_near": "support 1 (hooks)", "utilisation_max_at_mm": [0.0, 80.0]}
-    >>> of = {"ring_material": "steel", "ring_yield_N_per_mm2": 235.0}
-    >>> print(holds_line({"support_forces": [hooks], **known, **ring, **place, **of}).replace("; ", ";\\n"))
+    >>> of = {"ring_material": "steel", "ring_yield_N_per_mm2": 235.0, "utilisation_mesh_too_coarse": False}
+    >>> print(holds_line({"support_forces": [hooks], **known, **ring, **of}).replace("; ", ";\\n"))
     holds with a factor 2.5;
     the ring at hook 3 would yield first (steel, 235 N/mm2);
     hooks of support 1 bear up to 10 N of 50 N;
     the mesh yields at 5 times the load
     """
-    found, is_coarse = sorted(links(summary)), bool(summary.get("utilisation_mesh_too_coarse"))
+    found, is_coarse = links(summary), summary["utilisation_mesh_too_coarse"]
     least = found[0].factor if found else float("inf")
     if least < 1.0:
         parts = [f"does not hold, factor {least:.3g}"]
-    elif summary["strength_note"] is not None and summary.get("utilisation_max_at_mm") is None:
+    elif summary["strength_note"] is not None and summary["utilisation_of_averages_max"] is None:
         parts = [f"strength of the rings not known: {summary['strength_note']}"]
     else:
         parts = [f"holds with a factor {'of at most ' if is_coarse else ''}{least:.3g}" if found else "no load"]
     for number, link in enumerate(found):
-        material = f"({summary.get('ring_material')}, {summary.get('ring_yield_N_per_mm2') or 0.0:g} N/mm2)"
+        material = f"({summary['ring_material']}, {summary['ring_yield_N_per_mm2'] or 0.0:g} N/mm2)"
         verb = "yields" if link.text.startswith("the ") else "yield"
         of_rings = f"would yield first {material}" if not number else f"{verb} at {link.factor:.3g} times the load"
         parts.append(link.text if "capacity" in link.name else f"{link.text} {of_rings}")
-    averages, points, _ = _utilisations(summary)
+    averages, points, _ = (summary[key] or 0.0 for key in UTILISATIONS)
     if is_coarse:
         parts.append("the mesh is too coarse there: the factor of the rings falls with refinement")
     elif points > averages:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import macro_fem
-from macro_fem.output.arrows import pulls
+from macro_fem.output.forces import pulls
 from macro_fem.output.space_view import drawn
 from rve.common.drawing.space import parts
 from rve.common.errors import InputError

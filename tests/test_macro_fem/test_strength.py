@@ -192,7 +192,7 @@ def test_the_largest_average_is_that_of_all_corners_of_the_mesh():
     solution = solve_scene(read_scene(tables), default_law())
     law = solution.problem.law.own
     mesh, S = solution.problem.mesh.mesh, solution.recovered(solution.problem.disc.cell_mean(solution.S))
-    near = Nearby(mesh.p.T[mesh.t.T], S, law.cell.b_x_mm * law.cell.b_y_mm, np.ones(len(S)))
+    near = Nearby(mesh, S, np.ones(len(S)), law.cell.b_x_mm * law.cell.b_y_mm)
     means = np.array([near.mean(x) for x in mesh.p.T])
     told = summary(solution)
     assert told["utilisation_of_averages_max"] == pytest.approx(law.strength.utilisation(means).max(), rel=1e-12)
