@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.frame import table, table_text
 from benchmarks.measure import Row, least_seconds
+from rve.common import Array
 from rve.common.tensor import from_disc
-from rve.common.types import Array
 from rve.geometry.cell import Cell
 from rve.geometry.weave import WEAVES
 from rve.support_function import support

@@ -21,8 +21,8 @@ from latex2mathml.converter import convert
 from numpy.typing import ArrayLike
 from sphinx.util.typing import stringify_annotation
 
+from rve.common import Array
 from rve.common.typed import Typed
-from rve.common.types import Array
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"

@@ -32,7 +32,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, load_scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, FiniteOptions
-from rve.common import InputError, check_out_job, noted_if_stopped, part_of
+from rve.common import Cache, InputError, check_out_job, noted_if_stopped, part_of
 
 Who = MembraneLaw | LawInterval | OnDemand | EveryRing | None
 """Who answers: a law, the interval of laws of a table, a law asked of the rings on the way, or every ring; None for the
@@ -105,7 +105,6 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     """The curtain by a law that is asked of the rings; earlier load steps by the law found at full load."""
     from macro_fem.demand.loop import solve_on_demand
     from macro_fem.demand.ring_strength import with_strength
-    from rve.common.cache import open_cache
 
     check_sizes(scene, who.cell.r1)
     cell = in_material(scene, who.cell)
@@ -115,7 +114,7 @@ def _on_demand(scene: Scene, who: OnDemand) -> MembraneSolution:
     except InputError as error:
         error.add_note("make their table by rve table --rings, fit a law, and give it by --law")
         raise
-    kept = open_cache(who.cache)
+    kept = Cache(who.cache)
     note = "give --cache FOLDER to keep the answers of the rings"
     if kept.folder is not None:
         note = f"answers of the rings are kept in {kept.folder}, and the same command goes on from there"

@@ -7,7 +7,6 @@ limit from inside the tensile cone). The file is a CSV with one header line, its
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,20 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, InputError, Rows, as_html, csv_text, json_text, require
-from rve.common.files import (
-    TABLE_FORMAT,
-    AnyPath,
-    check_belongs,
-    check_out_file,
-    check_writable,
-    is_sidecar,
-    job,
-    sidecar_path,
-    write_text,
-)
-from rve.common.reading import number_column, read_columns, read_json_object
+from rve.common import Array, InputError, Rows, require
+from rve.common.files import TABLE_FORMAT, AnyPath, Inputs, check_belongs, check_out_file, job, sidecar_path, write_text
 from rve.common.rings import check_rings
+from rve.common.texts import as_html, csv_text, json_text, number_column, read_columns, read_json_object
 from rve.geometry.weave import WEAVES
 
 if TYPE_CHECKING:
@@ -148,19 +137,14 @@ class StrainTable:
         return as_html(self, lines=lines)
 
 
-def check_out_table(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
-    """`check_out_file` for a table and its sidecar; a sidecar may only replace that of a table."""
-    target, sidecar = Path(path), sidecar_path(path)
-    if sidecar == target:
-        raise InputError(f"{option} = {target}: is the name of the table's sidecar file; choose a name such as *.csv")
+def check_out_table(path: AnyPath, option: str = "--out", inputs: Inputs = ()) -> None:
+    """`check_out_file` for a table and its sidecar."""
+    sidecar = sidecar_path(path)
+    if sidecar == Path(path):
+        raise InputError(f"{option} = {path}: is the name of the table's sidecar file; choose a name such as *.csv")
     inputs = list(inputs)
-    check_out_file(target, option, inputs)
-    check_writable(sidecar, option, inputs)
-    if sidecar.exists() and not is_sidecar(sidecar):
-        raise InputError(
-            f"{option} = {target}: its sidecar file would overwrite {sidecar}, which is not the sidecar of a table; "
-            "choose another name"
-        )
+    check_out_file(path, option, inputs)
+    check_out_file(sidecar, option, inputs, is_sidecar=True)
 
 
 def write_table(table: StrainTable, path: AnyPath) -> None:

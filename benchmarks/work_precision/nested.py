@@ -27,8 +27,8 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import Scene, read_scene
 from macro_fem.solution import CurtainSolution
 from rve import Cell, solve_table, support
+from rve.common import Array
 from rve.common.tensor import disc, from_disc, trace
-from rve.common.types import Array
 from rve.directions import graded_grid
 
 HEIGHT = 1000.0

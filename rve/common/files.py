@@ -1,4 +1,4 @@
-"""Files: atomic writes, checksums, results of several files, and what an output may not overwrite.
+"""Files: atomic writes, results of several files, what an output may not overwrite, and answers that are kept.
 
     with job("out", "summary.json") as folder:   # a hidden folder inside `out`
         ...                                      # write any files into `folder`, and the record summary.json
@@ -17,8 +17,9 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,11 +27,15 @@ from typing import Any
 from rve.common.errors import InputError
 
 AnyPath = str | os.PathLike[str]
+Inputs = Iterable[AnyPath | None]
+Record = Mapping[str, Any]
 
 TABLE_FORMAT = "ring-mesh strain-load table"
 """The entry `format` of a table's sidecar."""
 HIDDEN = ".part-"
 """Begins the names of temporary files and folders; what a killed process leaves of them may be removed."""
+UNREADABLE = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
+"""What JSON that is missing, damaged or of another kind raises where its entries are used."""
 
 
 @contextmanager
@@ -84,52 +89,42 @@ def sidecar_path(path: AnyPath) -> Path:
     return table.with_suffix(".json") if table.name else table  # "." and "/" have no name to change
 
 
-def beside(path: AnyPath, ending: str) -> Path:
-    """A new name for what belongs to a file or folder: "curtain" and "rings" give "curtain_rings".
+def check_out_file(path: AnyPath, option: str = "--out", inputs: Inputs = (), *, is_sidecar: bool = False) -> None:
+    """InputError for a file that cannot be written, or is read: one of `inputs` or its sidecar, by any name.
 
-    >>> print(beside("curtain", "rings"), beside(".", "rings"))
-    curtain_rings rings
+    The sidecar of a table may be replaced by another one only, which may replace nothing else. Nothing is written.
     """
-    known = Path(path)
-    return known.with_name(f"{known.name}_{ending}") if known.name not in ("", "..") else known / ending
-
-
-def is_sidecar(path: AnyPath) -> bool:
-    """Whether a file is there and is the sidecar of a table."""
-    try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(found, dict) and found.get("format") == TABLE_FORMAT
-
-
-def check_out_file(path: AnyPath, option: str = "--out", inputs: Iterable[AnyPath | None] = ()) -> None:
-    """InputError for a file that cannot be written, is the sidecar of any table, or is read: one of `inputs` or its
-    sidecar, by any name. Nothing is written or made."""
-    check_writable(path, option, inputs)
-    if Path(path).suffix == ".json" and is_sidecar(path):
-        raise InputError(f"{option} = {path}: is the sidecar file of a table; choose another name")
-
-
-def check_writable(path: AnyPath, option: str, inputs: Iterable[AnyPath | None] = ()) -> None:
-    """`check_out_file` for whoever may replace the sidecar of a table."""
     target, folder = Path(path), Path(os.path.realpath(path)).parent
     if not folder.is_dir():
-        raise InputError(f"{option} = {target}: cannot be written: the folder {target.parent} does not exist")
-    if not all(os.access(one, os.W_OK) for one in (folder, target) if _exists(one, option)):
-        raise InputError(f"{option} = {target}: cannot be written: it or its folder is write-protected")
-    _check_replaceable(target, option, inputs)
+        raise InputError(f"{option} = {path}: cannot be written: the folder {target.parent} does not exist")
+    is_there = _check_replaceable(target, option, inputs)
+    if not all(os.access(one, os.W_OK) for one in (folder, target)[: 1 + is_there]):
+        raise InputError(f"{option} = {path}: cannot be written: it or its folder is write-protected")
+    if is_there and target.suffix == ".json" and _is_sidecar(target) != is_sidecar:
+        what = "is not that of a table, which would replace it" if is_sidecar else "is the sidecar file of a table"
+        raise InputError(f"{option} = {path}: {what}; choose another name")
 
 
-def _check_replaceable(target: Path, option: str, inputs: Iterable[AnyPath | None]) -> None:
-    if _exists(target, option) and not target.is_file():
+def _is_sidecar(path: Path) -> bool:
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8"))["format"] == TABLE_FORMAT)
+    except UNREADABLE:
+        return False
+
+
+def _check_replaceable(target: Path, option: str, inputs: Inputs) -> bool:
+    """Whether a file is there; InputError if it is no file, or one that is read."""
+    if not _exists(target, option):
+        return False
+    if not target.is_file():
         raise InputError(f"{option} = {target}: is a folder, device, pipe or socket; give the name of a file")
     for one in inputs:
         read = [] if one is None else [Path(one), sidecar_path(one)]
-        if any(path.exists() and target.exists() and target.samefile(path) for path in read):
+        if any(path.exists() and target.samefile(path) for path in read):
             raise InputError(
                 f"{option} = {target}: would overwrite {one} or its sidecar, which is read; choose another name"
             )
+    return True
 
 
 def _exists(path: Path, option: str) -> bool:
@@ -139,14 +134,17 @@ def _exists(path: Path, option: str) -> bool:
         raise InputError(f"{option} = {path}: cannot be written: {error.strerror}") from error
 
 
-def check_out_folder(path: AnyPath, option: str = "--out") -> None:
-    """InputError for a folder that cannot be made or written. Nothing is made."""
-    folder = Path(path).absolute()
-    there = next(one for one in (folder, *folder.parents) if _exists(one, option))
+def check_out_job(folder: AnyPath, record: str, inputs: Inputs = ()) -> None:
+    """InputError, before any work, for a folder that cannot be made or written, or whose old files are read."""
+    out = Path(folder).absolute()
+    there = next(one for one in (out, *out.parents) if _exists(one, "--out"))
     if not there.is_dir():
-        raise InputError(f"{option} = {path}: cannot be written: {there} is a file, not a folder")
+        raise InputError(f"--out = {folder}: cannot be written: {there} is a file, not a folder")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{option} = {path}: cannot be written: the folder {there} is write-protected")
+        raise InputError(f"--out = {folder}: cannot be written: the folder {there} is write-protected")
+    inputs = list(inputs)
+    for name in (record, *_listed(out, record)):
+        _check_replaceable(Path(folder, name), "--out", inputs)
 
 
 def make_folder(path: AnyPath, option: str = "--out") -> Path:
@@ -158,16 +156,8 @@ def make_folder(path: AnyPath, option: str = "--out") -> Path:
     return Path(path)
 
 
-def check_out_job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = ()) -> None:
-    """InputError, before any work, for a folder for a result that cannot be written or whose old files are read."""
-    check_out_folder(folder)
-    inputs = list(inputs)
-    for name in (record, *_listed(Path(folder), record)):
-        _check_replaceable(Path(folder, name), "--out", inputs)
-
-
 @contextmanager
-def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, clears: bool = True) -> Iterator[Path]:
+def job(folder: AnyPath, record: str, inputs: Inputs = (), *, clears: bool = True) -> Iterator[Path]:
     """A hidden folder for the files of a result; they take their places in `folder` when the block ends well.
 
     `folder` is made if need be. `record` is the name of the JSON file that stands for the result; the block must write
@@ -175,8 +165,7 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
     made or written, or a file would overwrite one of `inputs`.
     """
     out, inputs = Path(folder), list(inputs)
-    check_out_folder(out)
-    made = [one for one in (out, *out.parents) if not one.exists()]
+    made = [one for one in (out, *out.parents) if not _exists(one, "--out")]
     make_folder(out)
     try:
         staged = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=out))
@@ -192,7 +181,7 @@ def job(folder: AnyPath, record: str, inputs: Iterable[AnyPath | None] = (), *, 
                 one.rmdir()
 
 
-def _publish(staged: Path, out: Path, record: str, inputs: Iterable[AnyPath | None], *, clears: bool) -> None:
+def _publish(staged: Path, out: Path, record: str, inputs: Inputs, *, clears: bool) -> None:
     """Remove what the old result alone has, and move the new files to their places, the record last."""
     names = [path.relative_to(staged).as_posix() for path in sorted(staged.rglob("*")) if path.is_file()]
     for name in names:
@@ -215,7 +204,7 @@ def _listed(folder: Path, record: str) -> dict[str, str]:
         sums = json.loads((folder / record).read_text(encoding="utf-8"))["files"]
         inside = folder.resolve()
         return {name: known for name, known in sums.items() if (folder / name).resolve().is_relative_to(inside)}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+    except UNREADABLE:
         return {}
 
 
@@ -230,3 +219,52 @@ def check_belongs(path: AnyPath, record: AnyPath, known: dict[str, Any], remedy:
             f"{path}: does not belong to {record}: its SHA-256 checksum is none of those listed there, so that one of "
             f"the two was changed or comes from another run; {remedy}"
         )
+
+
+@dataclass(frozen=True)
+class Cache:
+    """Answers in a folder, keyed by what they depend on: one file each, safe to share between processes.
+
+    A file holds the question, the answer, the checksums of the files that were read for it, and a checksum of all
+    three. One that is damaged, answers another question, or was made from files that have changed counts as missing.
+    The folder is made, InputError if it cannot be; None keeps nothing.
+    """
+
+    folder: AnyPath | None = None
+
+    def __post_init__(self) -> None:
+        if self.folder is not None:
+            make_folder(self.folder, "--cache")
+
+    def get(self, question: Record) -> dict[str, Any] | None:
+        """The answer to a question that JSON can hold; None if it is not there, or no longer holds."""
+        if self.folder is None:
+            return None
+        try:
+            found: dict[str, Any] = json.loads(Path(self.folder, _file_name(question)).read_bytes())
+            known = found.pop("sha256")
+            is_whole = known == _digest(found) and _digest(found["question"]) == _digest(question)
+            is_current = is_whole and all(checksum(name) == one for name, one in found["files"].items())
+            answer: dict[str, Any] = found["answer"]
+        except UNREADABLE:
+            return None
+        return answer if is_current else None
+
+    def put(self, question: Record, answer: Record, files: Mapping[str, str] | None = None) -> None:
+        """Keep an answer and the checksums of the `files` it was made from; InputError if it cannot be written."""
+        if self.folder is not None:
+            record = {"question": question, "answer": answer, "files": dict(files or {})}
+            whole = record | {"sha256": _digest(record)}
+            write_text(Path(self.folder, _file_name(question)), json.dumps(whole, indent=1) + "\n")
+
+
+NO_CACHE = Cache()
+
+
+def _file_name(question: Record) -> str:
+    return f"{_digest(question)[:40]}.json"
+
+
+def _digest(value: Any) -> str:
+    """SHA-256 of a value that JSON can hold; tuples are lists, and keys have no order."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -12,8 +12,9 @@ import numpy as np
 
 from rve.common.errors import InputError
 from rve.common.files import AnyPath, atomic_path
-from rve.common.reading import MOST_MESH_BYTES, read_bytes
+from rve.common.texts import read_bytes
 
+MOST_MESH_BYTES = 500_000_000
 FORMATS = {".msh": "Gmsh MSH 2.2 and 4.1, ASCII or binary", ".vtu": "VTK XML unstructured grid"}
 
 DISPLACEMENT = "displacement_mm"

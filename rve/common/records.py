@@ -8,6 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+"""Floating-point array; its shape is stated where it is used."""
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 

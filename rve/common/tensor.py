@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common.records import Array
 
 WEIGHT = np.array([1.0, 2.0, 1.0])
 """The shear component counts twice: A:B = sum(WEIGHT * A * B)."""

@@ -1,20 +1,137 @@
-"""Records as JSON, rows as CSV, and what notebooks show: the same text on every machine."""
+"""JSON, TOML and CSV, read with limits and written the same on every machine; HTML for notebooks.
+
+A file that cannot be read is one sentence; what is wrong in a CSV file is told by line and column.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-import math
-from collections.abc import Iterable, Mapping, Sequence
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from hashlib import sha256
 from html import escape
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rve.common.errors import InputError, shown
+from rve.common.files import AnyPath
+
+if TYPE_CHECKING:
+    from rve.common.records import Array
+
+MOST_JSON_BYTES = 32_000_000
+"""Parsing takes up to thirty times the bytes of a JSON file; a law of 5,000 half-spaces has 0.5 MB."""
+MOST_TOML_BYTES = 1_000_000
+MOST_CSV_BYTES = 200_000_000
+
+_reads: ContextVar[dict[str, str] | None] = ContextVar("reads", default=None)
+
+
+@contextmanager
+def recorded_reads() -> Iterator[dict[str, str]]:
+    """The files that are read in the block: absolute path to the SHA-256 of the content."""
+    found: dict[str, str] = {}
+    token = _reads.set(found)
+    try:
+        yield found
+    finally:
+        _reads.reset(token)
+
+
+def read_bytes(path: AnyPath, most: int) -> bytes:
+    """The content of a file of at most `most` bytes; InputError if it is larger or cannot be read."""
+    try:
+        with Path(path).open("rb") as file:
+            size = os.fstat(file.fileno()).st_size or most  # a pipe has no size of its own
+            content = file.read(min(size, most) + 1)
+    except (OSError, ValueError, MemoryError) as error:  # ValueError: a name with a null character
+        raise InputError(f"{str(path)[:200]}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if len(content) > most:
+        raise InputError(f"{path}: is larger than {most:,} bytes, which is the most that is read")
+    found = _reads.get()
+    if found is not None:
+        found[os.path.abspath(path)] = sha256(content).hexdigest()
+    return content
+
+
+def _parse(path: AnyPath, most: int, kind: str, parse: Callable[[str], Any]) -> Any:
+    """What `parse` makes of a UTF-8 file, a byte order mark removed; InputError if it is not of this kind."""
+    content = read_bytes(path, most)
+    try:
+        return parse(content.decode("utf-8-sig"))
+    except (RecursionError, MemoryError) as error:
+        raise InputError(f"{path}: is not {kind} that can be read: it is nested too deeply, or too large") from error
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"{path}: is not {kind}: {error}") from error
+
+
+def read_json_object(path: AnyPath) -> dict[str, Any]:
+    """The object in a JSON file; InputError if it is not JSON, nested too deeply, or something else."""
+    found = _parse(path, MOST_JSON_BYTES, "JSON", json.loads)
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: must hold one JSON object, not a {type(found).__name__}")
+    return found
+
+
+def read_toml(path: AnyPath) -> dict[str, Any]:
+    """The tables of a TOML file; InputError if it is not TOML or nested too deeply."""
+    found: dict[str, Any] = _parse(path, MOST_TOML_BYTES, "TOML", tomllib.loads)
+    return found
+
+
+def read_columns(path: AnyPath, required: tuple[str, ...]) -> dict[str, list[str]]:
+    """Columns of a CSV file as text, by name; blank lines are skipped. InputError for a missing column, and no rows."""
+    rows: list[list[str]] = _parse(
+        path, MOST_CSV_BYTES, "a CSV text file", lambda text: [*filter(None, csv.reader(io.StringIO(text, newline="")))]
+    )
+    header = [" ".join(name.split()) for name in rows[0]] if rows else []
+    for name in (*required, *header):
+        if header.count(name) != 1:
+            wrong = "is missing" if name not in header else "occurs twice"
+            raise InputError(f"{path}: column {name} {wrong}; it has {', '.join(header)[:400] or 'no header line'}")
+    if len(rows) < 2:
+        raise InputError(f"{path}: has no rows")
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(header):
+            raise InputError(f"{path}: line {number} has {len(row)} cells, but the header has {len(header)} columns")
+    return dict(zip(header, map(list, zip(*rows[1:], strict=True)), strict=True))
+
+
+def number_column(
+    path: AnyPath, columns: dict[str, list[str]], name: str, most: float, known: list[bool] | None = None
+) -> Array:
+    """One column as numbers, nan for empty cells and where the column is absent.
+
+    InputError for texts that are no numbers, those above `most` in size, and empty cells of rows that must be `known`.
+    """
+    import numpy as np
+
+    texts = columns.get(name, [""] * len(next(iter(columns.values()))))
+    values = np.full(len(texts), np.nan)
+    for row, text in enumerate(texts):
+        try:
+            values[row] = float(text) if text.strip() else np.nan
+        except ValueError:
+            raise InputError(f"{path}: line {row + 2}, column {name}: {shown(text)} is not a number") from None
+    missing = np.isnan(values) & (np.zeros(len(texts), dtype=bool) if known is None else known)
+    bad = np.flatnonzero(missing | np.isinf(values) | (np.abs(values) > most))
+    if len(bad):
+        wrong = f"must be from {-most:g} to {most:g}" if np.isfinite(values[bad[0]]) else "is not a finite number"
+        raise InputError(f"{path}: line {bad[0] + 2}, column {name}: {shown(texts[bad[0]])} {wrong}")
+    return values
 
 
 def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
     """A record as JSON with a line end: arrays as lists, null for numbers that are not finite.
 
-    >>> print(json_text({"force_N": [1.5, math.nan]}), end="")
+    >>> print(json_text({"force_N": [1.5, float("nan")]}), end="")
     {
       "force_N": [
         1.5,
@@ -22,16 +139,8 @@ def json_text(record: Mapping[str, Any], indent: int = 2) -> str:
       ]
     }
     """
-    return json.dumps(_finite(record), indent=indent, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    value = value.tolist() if hasattr(value, "tolist") else value  # of numpy, which is not imported for this
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    finite = msgspec.json.decode(msgspec.json.encode(record, enc_hook=lambda value: value.tolist()))
+    return json.dumps(finite, indent=indent) + "\n"
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
@@ -52,12 +161,11 @@ def as_html(title: object, values: Mapping[str, Any] | None = None, lines: Itera
     >>> as_html("Ring of 5 < 6 mm", {"r1_mm": 5.0, "path": [1, 2]})
     '<p>Ring of 5 &lt; 6 mm</p><table><tr><th>r1_mm</th><td>5</td></tr></table>'
     """
-    html = f"<p>{escape(str(title))}</p>"
     items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-    single = {key: value for key, value in (values or {}).items() if isinstance(value, str | int | float)}
-    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(_text(one))}</td></tr>" for key, one in single.items())
-    return html + (f"<ul>{items}</ul>" if items else "") + (f"<table>{rows}</table>" if rows else "")
-
-
-def _text(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    rows = ""
+    for key, one in (values or {}).items():
+        if isinstance(one, str | int | float):
+            text = f"{one:.6g}" if isinstance(one, float) else str(one)
+            rows += f"<tr><th>{escape(key)}</th><td>{escape(text)}</td></tr>"
+    html = f"<p>{escape(str(title))}</p>" + (f"<ul>{items}</ul>" if items else "")
+    return html + (f"<table>{rows}</table>" if rows else "")

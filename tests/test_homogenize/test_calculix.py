@@ -11,7 +11,7 @@ import pytest
 import homogenize
 from homogenize.export.umat import umat_source
 from homogenize.laws.polyhedral import polyhedral_law
-from rve.common.types import Array
+from rve.common import Array
 
 from .conftest import disc_grid
 

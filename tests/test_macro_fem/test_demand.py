@@ -29,7 +29,7 @@ from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import least_slack
 from rve import WEAVES, Cell
-from rve.common.cache import NO_CACHE, Cache
+from rve.common import NO_CACHE, Cache
 from rve.common.errors import InputError, NotConverged
 from rve.common.tensor import WEIGHT, disc, from_disc
 

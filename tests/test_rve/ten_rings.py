@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh, null_space, solve_triangular
 from scipy.optimize import nnls
 
-from rve.common.types import Array
+from rve.common import Array
 from rve.geometry.circles import Minima, are_linked, local_minima
 from rve.geometry.distance import distance_gradient, distance_hessian
 from rve.geometry.weave import FOUR_IN_ONE

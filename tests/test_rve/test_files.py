@@ -7,7 +7,7 @@ import stat
 import pytest
 
 from rve.common.errors import InputError
-from rve.common.files import check_belongs, check_out_file, check_out_folder, check_out_job, checksum, job, sidecar_path
+from rve.common.files import check_belongs, check_out_file, check_out_job, checksum, job, sidecar_path
 from rve.geometry.cell import Cell
 from rve.solve import solve_table
 from rve.table import read_table, write_table
@@ -108,7 +108,7 @@ def test_outputs_that_are_no_files_are_refused(tmp_path):
             check_out_file(path)
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(InputError, match="not a folder"):
-            check_out_folder(path)
+            check_out_job(path, "summary.json")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
 
@@ -160,7 +160,7 @@ def test_a_law_does_not_overwrite_the_sidecar_of_any_table(tmp_path, table):
 
 def test_a_table_does_not_overwrite_a_law(tmp_path, table):
     (tmp_path / "law.json").write_text('{"schema": 1}')
-    with pytest.raises(InputError, match="not the sidecar of a table"):
+    with pytest.raises(InputError, match="is not that of a table"):
         write_table(table, tmp_path / "law.csv")
     with pytest.raises(InputError, match="the name of the table's sidecar"):
         write_table(table, tmp_path / "x.json")

@@ -25,13 +25,11 @@ from typing import Any
 
 import click
 
-from rve.common.cache import open_cache
 from rve.common.commands.command_line import answer, options, say
 from rve.common.errors import InputError, NotConverged, noted_if_stopped, require
-from rve.common.files import checksum, versions, write_text
+from rve.common.files import Cache, checksum, make_folder, versions, write_text
 from rve.common.progress import tell
-from rve.common.reading import read_json_object, recorded_reads
-from rve.common.texts import csv_text
+from rve.common.texts import csv_text, read_json_object, recorded_reads
 
 MARKS = ".sweep"
 """Folder of what is known of finished items, inside that of the sweep."""
@@ -97,7 +95,7 @@ def sweep(
     (name, count), *_ = Counter(item.name for item in items).most_common(1)
     if count > 1:
         raise InputError(f"{name}: {count} items of the sweep are called so, and each needs files of its own")
-    cache, ended = open_cache(out / MARKS, "--out"), dict[str, Ended]()
+    cache, ended = Cache(make_folder(out) / MARKS), dict[str, Ended]()
 
     def end(item: SweepItem, how: Ended) -> None:
         ended[item.name] = how

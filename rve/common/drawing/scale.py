@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rve.common.types import Array
+from rve.common.records import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from rve.common.drawing.scale import OVER, Scale
 from rve.common.errors import InputError, require
 from rve.common.files import atomic_path
 from rve.common.progress import tell
-from rve.common.types import Array
+from rve.common.records import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

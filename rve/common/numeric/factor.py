@@ -14,8 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from rve.common.records import Index
-from rve.common.types import Array
+from rve.common.records import Array, Index
 
 METIS_FROM = 300_000
 """Unknowns from which CHOLMOD orders by METIS, which takes longer to find and fills in less."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rve.common.records import Flags
-from rve.common.types import Array
+from rve.common.records import Array, Flags
 
 
 def region(outline: Array, holes: Sequence[Array] = ()) -> Any:
