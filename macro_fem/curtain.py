@@ -19,9 +19,9 @@ from macro_fem.scene.supports import told
 from macro_fem.shape_loop import solve_shape
 from macro_fem.solution import CurtainSolution, InnerForces, slackened
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import Cones, green_strain, take_from
-from macro_fem.solvers.path import COUNTED, PathOptions, PathResult, Terms, unsolved
-from macro_fem.solvers.status import Reach, load_scale
+from macro_fem.solvers.cones import Cones, first_cones, green_strain, take_from
+from macro_fem.solvers.path import COUNTED, PATH, PathOptions, PathResult, Terms
+from macro_fem.solvers.status import Evidence, Reach, load_scale
 from macro_fem.solvers.stretch_limit import reach_of, solve_at_stretch_limit
 from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError
@@ -83,9 +83,9 @@ def solve_convex(
         if reach.excess < line_load * float(np.trace(problem.law.compliance)) / 3.0:
             reach = replace(reach, upper=1.0)
     if reach.is_out:
-        result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)))
+        result = _unsolved(problem, "infeasible")
     elif problem.walls is not None and problem.walls.stuck(problem.fem) > TOUCHED * problem.mesh.size:
-        result = unsolved(problem.fem, problem.law, problem.fem.unknowns(gathered_start(problem)), "blocked")
+        result = _unsolved(problem, "blocked")
     else:
         cones = _first_cones(problem, start, coarse_from)
         x = gathered_start(problem) if start is None else slackened(start, INWARD)
@@ -93,6 +93,14 @@ def solve_convex(
         reach = result.reach if result.stop == "infeasible" else reach
     found = make_solution(problem, result, reach, relaxation)
     return replace(found, wall_s=time.perf_counter() - begin)
+
+
+def _unsolved(problem: CurtainProblem, stop: str) -> PathResult:
+    """What stands for an answer where supports or obstacles leave none: the slack start without stress."""
+    z, n = problem.fem.unknowns(gathered_start(problem)), problem.disc.n_points
+    worst, cones = Evidence(np.inf, np.inf, np.inf), first_cones(problem.law.half_spaces(), n)
+    P = 0.0 * problem.fem.gradient(z)
+    return PathResult(stop, worst, PATH.accuracy, z, np.zeros((n, 3)), np.zeros(n), cones, P, np.nan, np.nan, 0)
 
 
 def _known_reach(problem: CurtainProblem, start: CurtainSolution | None) -> Reach | None:

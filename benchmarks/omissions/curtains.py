@@ -20,7 +20,7 @@ from macro_fem.problem import CurtainProblem, gathered_start, make_problem, stab
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import same_cones
+from macro_fem.solvers.cones import first_cones
 from macro_fem.solvers.path import PATH, PathOptions, PathResult
 
 TOLERANCE = 1e-9
@@ -103,7 +103,7 @@ def all_half_spaces(law: MembraneLaw, cells: int) -> Row:
     """All half-spaces of the law from the start, by the potential."""
     assert isinstance(law, PolyhedralLaw)
     points = problem_of(law, "corners", cells).disc.n_points
-    every = replace(KEEP_IDLE, cones=same_cones(HalfSpaces(law.S, law.h), points))
+    every = replace(KEEP_IDLE, cones=first_cones(HalfSpaces(law.S, law.h), points))
     return by_option(law, "all-half-spaces", cells, PATH, every)
 
 

@@ -23,7 +23,7 @@ from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import CurtainMesh, build_mesh, refine
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
-from macro_fem.solvers.cones import take_from, with_support
+from macro_fem.solvers.cones import take_from
 from rve.common import Array, part_of
 
 BULK = 0.6
@@ -99,7 +99,8 @@ def with_cones_of(problem: CurtainProblem, before: CurtainSolution | None) -> Cu
     if before is None or before.cones is None:
         return problem
     _, nearest = cKDTree(_moved_in(before.problem)).query(_moved_in(problem))
-    return replace(problem, cones=with_support(take_from(before.cones, nearest), problem.law))
+    cones = take_from(before.cones, nearest)
+    return replace(problem, cones=replace(cones, h=problem.law.support(cones.S)))
 
 
 def _moved_in(problem: CurtainProblem) -> Array:

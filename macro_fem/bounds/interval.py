@@ -25,9 +25,8 @@ from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.hung_law import largest_stretch
 from macro_fem.problem import make_problem
 from macro_fem.solution import CurtainSolution, slackened
-from macro_fem.solvers import soc
 from macro_fem.solvers.central_path import solve_path
-from macro_fem.solvers.cones import take_from, with_support
+from macro_fem.solvers.cones import take_from
 from macro_fem.solvers.path import PathOptions, PathResult, Terms
 from rve.common import Array
 
@@ -155,7 +154,7 @@ def linear_part(solution: CurtainSolution, factor: float, outer: MembraneLaw | N
         problem = make_problem(flat, problem.law.own if outer is None else outer, problem.mesh, factor)
         problem = problem if wind is None else with_wind(problem, wind)
     if outer is not None and cones is not None:
-        cones = with_support(cones, problem.law)
+        cones = replace(cones, h=problem.law.support(cones.S))
     return replace(solution, problem=problem, x=solution.x[: problem.disc.n_nodes], cones=cones)
 
 
@@ -201,15 +200,13 @@ def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
 
 
 def error_map(F: Array, dual: DualProblem, result: PathResult) -> Array:
-    """Integral of psi*(P) - P:F over every triangle (n_cells,), psi* from above by sum c |y1|.
+    """Integral of psi*(P) - P:F over every triangle (n_cells,), psi* from above by `result.psi`.
 
     F (3 n_cells, d, 2) is that of the admissible curtain at the corners of triangles. P and F are linear, so that the
     integral of P:F is A/12 (sum P_i:F_i + sum P_i : sum F_i) over the corners i of a triangle of area A.
     """
-    radius = np.sqrt(2.0 * result.cones.size)
-    psi = result.cones.sum(radius * np.sqrt(soc.row_dot(result.y_tail, result.y_tail)))
     n = dual.dual.disc.n_cells
     weight = dual.dual.disc.weight.reshape(3, n)
     P, F = result.P.reshape(3, n, -1), F.reshape(3, n, -1)
     work = 0.25 * ((P * F).sum(axis=(0, 2)) + (P.sum(axis=0) * F.sum(axis=0)).sum(axis=1))
-    return np.asarray((weight * psi.reshape(3, n)).sum(axis=0) - weight[0] * work)
+    return np.asarray((weight * result.psi.reshape(3, n)).sum(axis=0) - weight[0] * work)

@@ -133,10 +133,8 @@ def pushed_points(solution: CurtainSolution, carries: float) -> tuple[sparse.csr
         return sparse.csr_matrix((0, n)), sparse.csr_matrix((n, n))
     which = np.flatnonzero(force > carries * force.max())
     walls, force = walls.take(which), force[which]
-    column, values = walls.entries()
-    values = values / np.linalg.norm(values, axis=1)[:, None]
-    row = np.repeat(np.arange(len(which)), column.shape[1])
-    rows = sparse.csr_matrix((values.ravel(), (row, column.ravel())), shape=(len(which), n))
+    rows = walls.matrix(n // 3)
+    rows = sparse.csr_matrix(sparse.diags(1.0 / sparse.linalg.norm(rows, axis=1)) @ rows)
     turn, at, step = np.zeros((len(which), 3, 3)), walls.at.places(solution.x), TURN * problem.mesh.size
     for one in placed_obstacles(problem):
         own = np.flatnonzero(walls.owner == one.number)

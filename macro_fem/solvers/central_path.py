@@ -34,7 +34,7 @@ PATIENCE = 15
 GOOD = 0.5
 """A step is found anew with the half-spaces in its way if they leave less than this part of it,"""
 ANEW = 2
-"""but not more often than this in a row. More often costs factorisations, less often short steps."""
+"""but no more often than this in a row. More costs factorisations, less short steps."""
 RELEASED = 1e-7
 """Relative gap at which a guiding load is taken away. Earlier, slack parts move from where it has put them; later,
 steps are short, as the path is closer to the boundary."""
@@ -52,7 +52,12 @@ class _Place:
     program: Program
     state: ConeState
     now: Measure
-    interior_margin: float = -np.inf
+    interior_margin: float
+
+    @classmethod
+    def at(cls, program: Program, state: ConeState, interior_margin: float = -np.inf) -> _Place:
+        """The measured place of a state."""
+        return cls(program, state, measure(program, state), interior_margin)
 
     @property
     def primal(self) -> float:
@@ -83,7 +88,7 @@ class _Place:
         """The place measured for the load, without a guide."""
         if self.program.load is load:
             return self
-        return _measure(replace(self.program, load=load), self.state, self.interior_margin)
+        return _Place.at(replace(self.program, load=load), self.state, self.interior_margin)
 
 
 def solve_path(
@@ -97,28 +102,27 @@ def solve_path(
 ) -> PathResult:
     """The curtain under the generalised forces `load` (n,), N, from unknowns `start` (n,); rigid without other `terms`.
 
-    `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. Any start will do; one that
-    is well inside the law keeps the path inside and makes the primal value a bound.
+    `size` (mm) is the extent of the curtain: with the total load it makes the energy scale. A start well inside the law
+    keeps the path inside and makes the primal value a bound.
     """
     loads, inertia = load_scale(load, fem.weight), terms.inertia
-    rows = rows_of(fem, terms.walls, size)
     program = Program(
         fem=fem,
         law=law,
         load=load if terms.guide is None else load + terms.guide,
-        cones=first_cones(law, len(fem.weight)) if options.cones is None else options.cones,
+        cones=first_cones(law.half_spaces(), len(fem.weight)) if options.cones is None else options.cones,
         R=compliance_root(terms.compliance),
         scale=loads * size + (0.0 if inertia is None else inertia.energy_scale),
         total=loads + (0.0 if inertia is None else inertia.force_scale),
-        rows=rows,
+        rows=rows_of(fem, terms.walls, size),
         inertia=inertia,
     )
-    first = _measure(program, find_first_state(program, start, options.first_gap))
-    place, inner, stop, steps = solve_central_path(first, load, options)
+    first = _Place.at(program, find_first_state(program, start, options.first_gap))
+    place, inner, stop, steps = _follow(first, load, options)
     return _make_result(place.under(load), stop, inner, steps, options)
 
 
-def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, int]:
+def _follow(place: _Place, load: Array, options: PathOptions) -> tuple[_Place, _Place, str, int]:
     """Where the path from a place ends, the place near it with the largest margin, why it ends, how many steps."""
     inner, best = replace(place, interior_margin=-place.violation), place
     prunes, steps, waited, held, first = list(options.pruned_at), 0, 0, 0, place.now.gap
@@ -127,14 +131,14 @@ def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tupl
         after = None if waited > PATIENCE else _try_step(place, options, may_wait=held < ANEW)
         if after is None:
             return best, inner, "stalled", steps
-        known, program, state = len(place.program.c), after.program, after.state
-        steps, held = steps + 1, 0 if after.is_moved else held + 1
+        known, (program, state, is_moved, margin) = len(place.program.c), after
+        steps, held = steps + 1, 0 if is_moved else held + 1
         if prunes and place.now.gap < prunes[0]:
             program, state = prune(program, state)
             del prunes[0]
-        if not _is_inside(state):
+        if not state.is_inside:
             return best, inner, "stalled", steps
-        place = _measure(program, state, after.interior_margin)
+        place = _Place.at(program, state, margin)
         if place.interior_margin > inner.interior_margin and inner.interior_margin < INSIDE:
             inner = place
         waited += place.now.error < SETTLED and len(program.c) == known
@@ -146,24 +150,9 @@ def solve_central_path(place: _Place, load: Array, options: PathOptions) -> tupl
     return best if stop == "iterations" else place, inner, stop, steps
 
 
-def _measure(program: Program, state: ConeState, interior_margin: float = -np.inf) -> _Place:
-    return _Place(program, state, measure(program, state), interior_margin)
-
-
-@dataclass(frozen=True)
-class _After:
-    """Program and state after a step, whether the state has moved, and the interior margin of z, -inf if not known."""
-
-    program: Program
-    state: ConeState
-    is_moved: bool
-    interior_margin: float = -np.inf
-
-
-def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> _After | None:
-    """The next step as far as the law lets it go; or no step but the half-spaces in its way, if they spoil it.
-
-    None where rounding leaves no step.
+def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> tuple[Program, ConeState, bool, float] | None:
+    """Program and state after the next step as far as the law lets it go, or no step but the half-spaces in its way, if
+    they spoil it; whether the state has moved, and its interior margin. None where rounding leaves no step.
     """
     program, state, now = place.program, place.state, place.now
     step = find_step(program, state, now, options.least_gap * options.gap)
@@ -175,12 +164,12 @@ def _try_step(place: _Place, options: PathOptions, *, may_wait: bool) -> _After 
     if not len(found.missing):
         after = advance(state, step)
         margin = min(-float(found.violation.max()), float(program.rows.slack(after.z).min(initial=np.inf)))
-        return _After(program, after, step.dual > 0.0, margin)
+        return program, after, step.dual > 0.0, margin
     into = join(program, state, found)
     shorter = widen(step, into)
     if may_wait and shorter.primal < GOOD * step.primal:
-        return _After(into.program, into.state, False)
-    return _After(into.program, advance(into.state, shorter), shorter.dual > 0.0)
+        return into.program, into.state, False, -np.inf
+    return into.program, advance(into.state, shorter), shorter.dual > 0.0, -np.inf
 
 
 def _find_stop(place: _Place, inner: _Place, load: Array, options: PathOptions, steps: int) -> str | None:
@@ -220,14 +209,15 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
     """The record, its numbers those of the answer it holds."""
     answer = place if stop in ("infeasible", "blocked") else _draw_inside(place, inner, options)
     program, y = place.program, place.state.y
+    tail = y.tail[:, program.lead :]
     excess = place.now.dual * program.scale / float((program.w * y.head * program.c).sum())
     return PathResult(
         stop=stop,
         evidence=answer.evidence,
         asked=options.accuracy,
         z=answer.state.z,
-        lam=program.carried(y) / program.c,
-        y_tail=y.tail[:, program.lead :],
+        S=program.cones.stress(program.carried(y) / program.c),
+        psi=program.cones.sum(program.c * np.sqrt(soc.row_dot(tail, tail))),
         cones=program.cones,
         P=-program.pull(y)[0],
         primal=answer.primal,
@@ -236,12 +226,6 @@ def _make_result(place: _Place, stop: str, inner: _Place, steps: int, options: P
         reach=Reach(0.0, 1.0 / (1.0 + excess)) if stop == "infeasible" else FREE,
         wall_forces=program.rows.reactions(place.state.u),
     )
-
-
-def _is_inside(state: ConeState) -> bool:
-    """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
-    is_in_rows = min(state.t.min(initial=np.inf), state.u.min(initial=np.inf)) > 0.0
-    return bool(state.s.margin().min() > 0.0 and state.y.margin().min() > 0.0 and is_in_rows)
 
 
 def _is_certificate(program: Program, now: Measure) -> bool:

@@ -45,10 +45,9 @@ from rve.common import Array
 from rve.common.tensor import WEIGHT
 
 REACH = 4.0
-"""No point of an admissible state is farther than this many sizes from its place in another one: twice the stretch."""
+"""No point of an admissible state is farther than this many sizes from its place in another one."""
 LIFT = 0.1
-"""Least relative distance from the boundary of a cone at which an iteration begins. Larger lifts make larger cone
-residuals at the start, smaller ones short first steps."""
+"""Least relative distance from a cone's boundary at the start. Larger: larger residuals; smaller: short first steps."""
 
 
 @dataclass(frozen=True)
@@ -63,15 +62,18 @@ class ConeState:
     t: Array
     u: Array
 
+    @property
+    def is_inside(self) -> bool:
+        """Whether all cone vectors are inside their cones: rounding may put one on the boundary."""
+        is_in_rows = min(self.t.min(initial=np.inf), self.u.min(initial=np.inf)) > 0.0
+        return bool(self.s.margin().min() > 0.0 and self.y.margin().min() > 0.0 and is_in_rows)
+
 
 @dataclass(frozen=True)
 class Program:
-    """The problem with its cones: the law that knows more of them, load (n,), roots L (nc, 3) of the
-    half-spaces, radii c, the scale in N mm.
-
-    R (3, k) is the root of the compliance, N (nc, k) what the strains eps do to each cone, both without columns for a
-    rigid curtain; N has one more for tau where the cones have `extra`. w (nc,) is the reference area of the point of
-    each cone; `rows` are half-spaces on nodes. Arrays over the cones keep every component contiguous.
+    """The problem with its cones, and the law that knows more of them: load (n,), N; R (3, k), the root of the
+    compliance, without columns for a rigid curtain; scale, N mm, and total, N, of residuals; half-spaces `rows` on
+    points. Arrays over the cones keep every component contiguous.
     """
 
     fem: SupportedFem
@@ -96,7 +98,8 @@ class Program:
 
     @cached_property
     def N(self) -> Array:
-        """R^T W S / c (nc, k), and g / c beside them where rings give by direction."""
+        """What the strains eps do to each cone: R^T W S / c (nc, k), and g / c beside them where rings give by
+        direction."""
         N = (self.cones.S * WEIGHT) @ self.R
         N = N if self.cones.extra is None else np.column_stack([N, self.cones.extra])
         return np.asarray(N / self.c[:, None])
@@ -165,11 +168,11 @@ def compliance_root(compliance: Array) -> Array:
 class Measure:
     """How far a state is from the answer, relative to the energy scale, and the residuals themselves.
 
-    `gap`: sum of w s.y; `unbalanced`: forces, times one size; `outside`: largest cone residual relative to c; `strain`:
-    misfit of the strains; `error`: the largest of these. `lower`: a bound of the potential from below over all states
-    within REACH sizes of this one, `dual` the same without what unbalanced forces could do. `wanted` are the cone
-    vectors that the unknowns ask for; r_x (n,), r_e (nq, k), r_s, r_t (m,): residuals of equilibrium, strains, cones,
-    half-spaces on nodes; r_y (n,): the forces of the dual variables alone.
+    gap: sum of w s.y; unbalanced: forces, times one size; outside: largest cone residual relative to c; strain: misfit
+    of the strains; error: the largest of these. lower: a bound of the potential from below over all states within REACH
+    sizes of this one; dual: the same without what unbalanced forces could do. wanted: the cone vectors that the
+    unknowns ask for. Residuals of equilibrium r_x (n,), strains r_e (nq, k), cones r_s, half-spaces on points r_t (m,);
+    r_y (n,): the forces of the dual variables alone.
     """
 
     gap: float

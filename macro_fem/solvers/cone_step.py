@@ -87,7 +87,7 @@ class _Newton:
         d_wanted = program.map(dF, deps)
         ds = d_wanted - r_s
         scaled = W.undo(ds)
-        dt = rows.change(dz) - r_t
+        dt = rows.A @ dz - r_t
         du = (row_aim - u * dt) / t
         return ConeStep(dz, deps, ds, aimed - W.undo(scaled), d_wanted, dt, du, keep), scaled, both - scaled
 

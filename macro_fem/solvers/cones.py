@@ -9,7 +9,7 @@ is concave in F with gradient -F S. Points carry different numbers of half-space
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -96,12 +96,7 @@ def symmetric_roots(S: Array) -> Array:
     return np.stack([(S[:, 0] + det) / size, S[:, 1] / size, (S[:, 2] + det) / size]).T
 
 
-def first_cones(law: MembraneLaw, n_points: int) -> Cones:
-    """The half-spaces the law starts with, at each of `n_points` points."""
-    return same_cones(law.half_spaces(), n_points)
-
-
-def same_cones(start: HalfSpaces, n_points: int) -> Cones:
+def first_cones(start: HalfSpaces, n_points: int) -> Cones:
     """The same half-spaces at each of `n_points` points."""
     one = Cones(np.zeros(len(start.h), int), start.S, start.h, np.zeros(1, int), start.extra)
     return take_from(one, np.zeros(n_points, int))
@@ -126,11 +121,6 @@ def take_from(cones: Cones, source: np.ndarray) -> Cones:
     point = np.repeat(np.arange(len(source)), count)
     old = np.repeat(cones.first[source] - (np.cumsum(count) - count), count) + np.arange(len(point))
     return cones.pick(old, point, len(source))
-
-
-def with_support(cones: Cones, law: MembraneLaw) -> Cones:
-    """The half-spaces of `law` with the same S as those of `cones`."""
-    return replace(cones, h=law.support(cones.S))
 
 
 def all_cuts(law: MembraneLaw, E: Array) -> Cut:

@@ -8,9 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from homogenize import MembraneLaw
-from macro_fem.fem.supported import SupportedFem
-from macro_fem.solvers.cones import Cones, first_cones
+from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.inertia import Inertia
 from macro_fem.solvers.status import FREE, Evidence, Judged, Reach, Verdict, judged
 from macro_fem.solvers.walls import Walls
@@ -26,9 +24,8 @@ class PathOptions:
     """When to stop. `gap` is relative to the energy scale, total load times size, and holds for unbalanced forces too.
 
     `violation` (relative to h + tr S/2) is what the last step may leave of the law. `cones` are half-spaces to begin
-    with instead of the law's own few, say those of a curtain on the same triangles. `drawn`: whether a rigid answer is
-    drawn back inside the law; without, only its dual value is a bound. `enough` ends the path as soon as it is true of
-    the unknowns z and the dual value.
+    with instead of the law's own few. `drawn`: whether a rigid answer is drawn back inside the law; without, only its
+    dual value is a bound. `enough` ends the path as soon as it is true of the unknowns z and the dual value.
     """
 
     gap: float = 1e-9
@@ -52,16 +49,14 @@ class PathOptions:
 
 
 PATH = PathOptions()
-"""The defaults."""
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
     """What a curtain has beside its law and its load.
 
-    `compliance` (3, 3) is in mm/N and tensor components, such as `law.compliance`. `guide` (n,), N, are small forces
-    that act until the gap is `RELEASED`: they give a shape to what the load leaves without one. `walls`: half-spaces on
-    nodes. `inertia`: a quadratic term in the positions, for a step of motion.
+    compliance (3, 3): mm/N in tensor components. guide (n,), N: small forces that act until the gap is `RELEASED`, and
+    give a shape to what the load leaves without one. walls: half-spaces on points. inertia: of a step of motion.
     """
 
     compliance: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -71,26 +66,25 @@ class Terms:
 
 
 RIGID_TERMS = Terms()
-"""A rigid curtain under its load alone."""
 
 
 @dataclass(frozen=True)
 class PathResult(Judged):
-    """Free unknowns z, stress and multipliers of a curtain, with the numbers from which its status follows.
+    """Free unknowns z and stress of a curtain, with the numbers from which its status follows.
 
     `stop` is why the solver stopped, `evidence` the errors of the answer, `asked` what they must not exceed. `primal`
     is -l.z plus the stored energy, an upper bound of the least potential of this discretisation where the law is
-    obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. P (nq, d, 2) is the equilibrated
-    stress in N per mm of reference length, y_tail (nc, 2 d) its parts, P = -sum of y L. wall_forces (m,), N: the
-    reaction of each half-space on a node.
+    obeyed, `dual` a lower bound of it, N mm, without the constant that supports add. Equilibrated stress in N per mm of
+    reference length: P (nq, d, 2), and tensile S = sum of lam_i S_i (nq, 3), with P = F S at the exact answer; psi
+    (nq,): sum of c |y_FL|, no less than any P:F in the law. wall_forces (m,), N: the reaction of each half-space.
     """
 
     stop: str
     evidence: Evidence
     asked: Evidence
     z: Array
-    lam: Array
-    y_tail: Array
+    S: Array
+    psi: Array
     cones: Cones
     P: Array
     primal: float
@@ -100,11 +94,6 @@ class PathResult(Judged):
     wall_forces: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @cached_property
-    def S(self) -> Array:
-        """The tensile second Piola-Kirchhoff line load sum of lam_i S_i (nq, 3), with P = F S at the exact answer."""
-        return self.cones.stress(self.lam)
-
-    @cached_property
     def verdict(self) -> Verdict:
         return judged(self.stop, self.evidence, self.asked, self.iterations, self.reach)
 
@@ -112,11 +101,3 @@ class PathResult(Judged):
     def converged(self) -> bool:
         """Whether the gap was closed."""
         return self.status == "converged"
-
-
-def unsolved(fem: SupportedFem, law: MembraneLaw, z: Array, stop: str = "infeasible") -> PathResult:
-    """What stands for an answer where supports or obstacles leave none: unknowns z without stress."""
-    cones = first_cones(law, len(fem.weight))
-    P, none, y_tail = 0.0 * fem.gradient(z), np.zeros(len(cones)), np.zeros((len(cones), 2 * fem.d))
-    worst = Evidence(np.inf, np.inf, np.inf)
-    return PathResult(stop, worst, PATH.accuracy, z, none, y_tail, cones, P, np.nan, np.nan, 0)

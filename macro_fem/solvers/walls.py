@@ -47,29 +47,24 @@ class Walls(Rows):
         return len(self.offset)
 
     def gap(self, x: Array) -> Array:
-        """Distance (m,) of the points of nodes x (n_nodes, d) from their planes, mm; negative where they have
-        crossed."""
+        """Distance (m,) of the points of nodes x (n_nodes, d) from their planes, mm; negative where they crossed."""
         return np.asarray((self.normal * self.at.places(x)).sum(axis=1) - self.offset)
+
+    def matrix(self, n_nodes: int) -> sparse.csr_matrix:
+        """normal . x of the points (m, n_nodes d) of all components of nodes: as many entries in every row."""
+        (m, d), nodes = self.normal.shape, self.at.node.shape[1]
+        component = d * self.at.node[:, :, None] + np.arange(d)
+        share = self.at.share[:, :, None] * self.normal[:, None, :]
+        start = nodes * d * np.arange(m + 1)
+        return sparse.csr_matrix((share.ravel(), component.ravel(), start), shape=(m, n_nodes * d))
 
     def nodal(self, force: Array, n_nodes: int) -> Array:
         """Nodal forces (n_nodes, d) of pushes `force` (m,) along the normals, N."""
-        out = np.zeros((n_nodes, self.normal.shape[1]))
-        np.add.at(out, self.at.node, self.at.share[:, :, None] * (force[:, None] * self.normal)[:, None, :])
-        return out
-
-    def entries(self) -> tuple[np.ndarray, Array]:
-        """Flat numbers of the components that each half-space depends on, and how much it does, both (m, k d)."""
-        m, d = self.normal.shape
-        flat = d * self.at.node[:, :, None] + np.arange(d)
-        shape = (m, d * self.at.node.shape[1])
-        return flat.reshape(shape), (self.at.share[:, :, None] * self.normal[:, None, :]).reshape(shape)
+        return np.asarray(self.matrix(n_nodes).T @ force).reshape(n_nodes, -1)
 
     def is_movable(self, fem: SupportedFem) -> np.ndarray:
         """Which half-spaces (m,) some unknown moves a point of along the normal; the others hold or do not."""
-        column, entry = self.entries()
-        row = np.repeat(np.arange(len(self)), column.shape[1])
-        A = sparse.csr_matrix((entry.ravel(), (row, column.ravel())), shape=(len(self), fem.x_held.size))
-        return np.asarray(abs(A @ fem.T).sum(axis=1)).ravel() > 1e-12
+        return np.asarray(abs(self.matrix(len(fem.x_held)) @ fem.T).sum(axis=1)).ravel() > 1e-12
 
     def stuck(self, fem: SupportedFem) -> float:
         """How deep points that no unknown moves along the normal are beyond their half-spaces, mm; 0 if none is."""
@@ -94,6 +89,11 @@ class WallRows:
         return self.walls.take(self.is_movable)
 
     @cached_property
+    def A(self) -> sparse.csr_matrix:
+        """Unknowns to slacks (m, n)."""
+        return (self.rows.matrix(self.fem.disc.n_nodes) @ self.fem.T / self.size).tocsr()
+
+    @cached_property
     def v(self) -> Array:
         """Reference area around the point of each row (m,), mm2; that of a node in the mean where there is none."""
         disc = self.fem.disc
@@ -106,13 +106,9 @@ class WallRows:
         """A z + b0 (m,)."""
         return self.rows.gap(self.fem.positions(z)) / self.size
 
-    def change(self, dz: Array) -> Array:
-        """A dz (m,)."""
-        return np.asarray((self.rows.normal * self.rows.at.places(self.fem.spread(dz))).sum(axis=1) / self.size)
-
     def force(self, u: Array) -> Array:
         """A^T (v u) (n,), N: the forces on the unknowns of dual variables u (m,)."""
-        return self.fem.gather(self.rows.nodal(self.v * u / self.size, self.fem.disc.n_nodes))
+        return np.asarray(self.A.T @ (self.v * u))
 
     def reactions(self, u: Array) -> Array:
         """The pushes of all half-spaces, N, at dual variables u (m,): none of those that are no rows."""
@@ -129,9 +125,10 @@ class WallRows:
     @cached_property
     def _products(self) -> tuple[np.ndarray, np.ndarray, Array]:
         """Place in the lower triangle, row and value (k,) of the products of any two entries of every row."""
-        flat, entry = self.rows.entries()
+        whole, each = self.rows.matrix(self.fem.disc.n_nodes), self.rows.at.node.shape[1] * self.fem.d
+        component, entry = whole.indices.reshape(-1, each), whole.data.reshape(-1, each)
         row, a, b = np.nonzero(entry[:, :, None] * entry[:, None, :])
-        place = self.fem.pattern.place(flat[row, a], flat[row, b])
+        place = self.fem.pattern.place(component[row, a], component[row, b])
         is_stored = place >= 0
         return place[is_stored], row[is_stored], (entry[row, a] * entry[row, b])[is_stored]
 

@@ -57,8 +57,8 @@ def solve_clarabel(
     """
     total = load_scale(load, fem.weight)
     F0, rows = fem.gradient(np.zeros(fem.n)).ravel(), rows_of(fem, walls, size)
-    task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, wall_matrix(rows, fem.n))
-    cones = first_cones(law, len(fem.weight))
+    task = _Task(fem, load, size, total, gradient_matrix(fem), F0, rows, rows.A)
+    cones = first_cones(law.half_spaces(), len(fem.weight))
     tell("clarabel, round 1")
     found = _solve(task, cones)
     for number in count(1):
@@ -82,8 +82,8 @@ def solve_clarabel(
         evidence=Evidence(found.gap, found.unbalanced, -float(room)),
         asked=ATTAINED,
         z=found.z,
-        lam=found.lam,
-        y_tail=np.zeros((len(found.lam), 2 * fem.d)),
+        S=cones.stress(found.lam),
+        psi=cones.sum(2.0 * cones.size * found.lam),
         cones=cones,
         P=found.P,
         primal=-float(load @ found.z),
@@ -142,15 +142,6 @@ def gradient_matrix(fem: SupportedFem) -> sparse.csr_matrix:
             values.append(entry.data)
     shape = (n_points * d * 2, disc.n_nodes * d)
     full = sparse.csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    return (full @ fem.T).tocsr()
-
-
-def wall_matrix(rows: WallRows, n: int) -> sparse.csr_matrix:
-    """A (m, n): free unknowns to the slacks of half-spaces on nodes."""
-    fem, (column, entry) = rows.fem, rows.rows.entries()
-    row = np.repeat(np.arange(len(column)), column.shape[1])
-    shape = (len(column), fem.x_held.size)
-    full = sparse.csr_matrix((entry.ravel() / rows.size, (row, column.ravel())), shape=shape)
     return (full @ fem.T).tocsr()
 
 
