@@ -211,14 +211,14 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
     Exit code 0: converged to a local minimum; 1: files are written, status and message say why not; 2: bad input.
     """
     from macro_fem.job import run_rings
-    from macro_fem.rings.motion_files import run_ring_motion
+    from macro_fem.motion.files import run_motion
     from macro_fem.scene.schema import load_scene
     from macro_fem.told import default_law_lines, every_ring_lines, motion_lines
 
     say(*default_law_lines(law_path))
     plane = () if how["space"] else ("--plane",)
     if load_scene(scene).motion is not None:
-        summary = run_ring_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
+        summary = run_motion(scene, law_path, out, animation=animation, goes_on=goes_on, **how)
         say(*motion_lines(summary, out))
         _answer_or_go_on(summary, "rings", scene, law_path, *plane, "--out", out)
         return

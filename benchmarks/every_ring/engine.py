@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.every_ring.brute import Array, least_gap
-from macro_fem.rings.motion import RingRun
+from macro_fem.motion.rings import RingRun
 
 CAPSULES = 24
 STEPS = (1e-3, 5e-4)

@@ -13,11 +13,10 @@ from benchmarks.frame import Section, table
 from benchmarks.measure import Row
 from homogenize import default_law
 from macro_fem import Mesh, Motion, Point, Rectangle, Scene, Top, Wind
-from macro_fem.motion.files import row
-from macro_fem.motion.run import solve_motion
-from macro_fem.motion.series import COLUMNS, account_error
-from macro_fem.rings.motion import solve_ring_motion
-from macro_fem.rings.motion_files import ring_row
+from macro_fem.motion.curtain import solve_motion
+from macro_fem.motion.files import account_error
+from macro_fem.motion.pace import COLUMNS
+from macro_fem.motion.rings import solve_ring_motion
 
 DURATION, STEP, CELLS = 0.15, 5e-3, 16
 """Seconds, and cells of the disk across."""
@@ -52,8 +51,8 @@ def solved(name: str, k: int) -> Row:
     ring_run = solve_ring_motion(scene)
     seconds = time.process_time() - began
     disk_run = solve_motion(scene, default_law())
-    rings = np.array([ring_row(frame) for frame in ring_run.frames])
-    disk = np.array([row(disk_run, frame) for frame in disk_run.frames])
+    rings = np.array([frame.row for frame in ring_run.frames])
+    disk = np.array([frame.row for frame in disk_run.frames])
     given = float((disk[:, WORK] - disk[:, POTENTIAL]).max() + disk[0, POTENTIAL])
     found = {"scene": name, "rings": len(ring_run.frames[0].rings.centre), "account": account_error(rings)}
     found["lost"] = [float(100.0 * rows[-1, LOST].sum() / given) for rows in (rings, disk)]

@@ -15,7 +15,8 @@ from benchmarks.frame import Diagram, Section, curves, table
 from benchmarks.measure import Row, least_seconds
 from homogenize import default_law
 from macro_fem.curtain import solve_problem
-from macro_fem.motion.run import MotionFrame, MotionRun, motion_frames, solve_motion
+from macro_fem.motion.curtain import MotionFrame, MovingCurtain, solve_motion
+from macro_fem.motion.pace import Run
 from macro_fem.motion.stage import scene_at
 from macro_fem.problem import make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -40,7 +41,7 @@ ERROR, OF_MEAN, SECONDS, MEAN = "error of positions / side", "of the mean place 
 ITERATIONS, REST = "iterations", "s at rest"
 
 
-def run(name: str, cells: int, motion: dict[str, Any]) -> MotionRun:
+def run(name: str, cells: int, motion: dict[str, Any]) -> Run[MotionFrame]:
     """A scene in motion; ValueError if a step is not solved."""
     duration, tables = SCENES[name]
     base = {"curtain": {"width": SIDE, "height": SIDE}, "mesh": {"cells": cells}, "solver": {"space": True}}
@@ -96,7 +97,7 @@ def step_row(name: str, cells: int) -> Row:
     base = {"curtain": {"width": SIDE, "height": SIDE}, "mesh": {"cells": cells}} | plane | SCENES[name][1]
     scene, law = read_scene(base | {"motion": {"duration": 5 * STEP, "step": STEP}}), default_law()
     seconds, frames, began = list[float](), list[MotionFrame](), time.process_time()
-    for frame in motion_frames(scene, law):
+    for frame in MovingCurtain(scene, law).frames():
         frames.append(frame)
         seconds.append(time.process_time() - began)
         began = time.process_time()

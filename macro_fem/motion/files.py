@@ -1,50 +1,44 @@
-"""Files of a curtain in motion: its rows, VTUs and pictures."""
+"""Files of anything in motion: motion.csv, a series for ParaView, summary.json, pictures, and motion.npz, from which it
+goes on."""
 
 from __future__ import annotations
 
+import hashlib
+import shutil
+import subprocess
+import zlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
-from homogenize import default_law, load_law, with_material
-from macro_fem.curtain import is_elastic
-from macro_fem.fem.assembly import internal_force, load_vector
-from macro_fem.fem.cells import padded
+from homogenize import MembraneLaw, default_law, load_law
 from macro_fem.motion.account import Account
-from macro_fem.motion.run import MotionFrame, MotionRun, solve_motion
+from macro_fem.motion.curtain import MovingCurtain
+from macro_fem.motion.pace import COLUMNS, F, Mover, Pace, Run
+from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.scheme import Moment
-from macro_fem.motion.series import (
-    PANELS,
-    Kept,
-    Series,
-    chosen,
-    named,
-    row_of,
-    run_series,
-    summary_of,
-    write_moving,
-)  # fmt: skip
-from macro_fem.motion.stage import Stage, let_go, scene_at
-from macro_fem.output import plots, strength
-from macro_fem.output.files import write_vtu
-from macro_fem.output.pictures import Pictures, figures
-from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, drawn
-from macro_fem.scene.meshing.mesh import build_mesh
-from macro_fem.scene.obstacles import Sphere
+from macro_fem.output.files import collection
+from macro_fem.output.pictures import Pictures
+from macro_fem.rings.every_ring import EveryRing
 from macro_fem.scene.schema import load_scene
-from macro_fem.scene.sites import Support
-from macro_fem.scene.tables import Item
-from macro_fem.solution import CurtainSolution, InnerForces
-from macro_fem.solvers.status import Evidence
-from rve.common import Array
-from rve.common.drawing.plane import save_figure
-from rve.common.drawing.space import THREE_QUARTERS, look, new_plotter, save_picture
+from rve.common import Array, InputError, csv_text, json_text, tell
+from rve.common.drawing.page import write_moments
+from rve.common.drawing.space import save_animation
+from rve.common.files import atomic_path, check_out_job, job, versions, write_text
+from rve.common.meshes import write_mesh_file
 
-FIELDS = ("P", "S", "supports", "relative_gap")
-"""What motion.npz has of each frame beside its moment and account."""
+RECORD, KEPT = "summary.json", "motion.npz"
+MOST_SHOWN, PANELS, IMAGES = 200, 4, 48
+"""Moments at most in the series of VTUs, in motion.png, and in motion.gif and motion.html."""
+IMPULSES = (
+    "rings that lock do so by impulses: forces and line loads are those over each step divided by its length, and grow "
+    'with shorter steps where something is struck; kind = "elastic" under [solver] gives forces'
+)
+FORCES = "at the ends of the steps, by the elasticity of the rings"
 
 
 def run_motion(
@@ -56,101 +50,181 @@ def run_motion(
     animation: bool = False,
     html: bool = False,
     goes_on: bool = False,
+    **each_ring: Any,
 ) -> dict[str, Any]:
-    """Solve the scene of [motion] in a file, write its files into `out` and return the summary; see `run_series`."""
-    scene, wanted = load_scene(scene_path), Pictures(picture, animation, html, stem="motion")
-    wanted.check(scene)
-    law = default_law() if law_path is None else load_law(law_path)
+    """Solve the scene of [motion] in a file, write its files into `out` and return the summary.
 
-    def unpack(kept: Kept, moments: Sequence[Moment], accounts: Sequence[Account]) -> list[MotionFrame]:
-        own = with_material(law, dict(scene.material), f"{scene.source}: [material]")
-        stage = Stage(scene, own, build_mesh(scene_at(scene, 0.0), own.cell))
-        each = zip(moments, accounts, *(kept[name] for name in FIELDS), strict=True)
-        return [
-            MotionFrame(
-                moment=moment, account=account, problem=stage.at(moment.t)[0], **dict(zip(FIELDS, more, strict=True))
-            )
-            for moment, account, *more in each
-        ]
-
-    series = Series(
-        scene,
-        named(law),
-        lambda start: solve_motion(scene, law, start),
-        lambda run, frame: row(run, frame) + peaks(run, frame),
-        summarize_motion,
-        lambda path, run, frame: write_vtu(path, as_solution(run, frame)),
-        lambda folder, run, shown: write_views(folder, run, shown, wanted),
-        lambda frames: {name: np.array([getattr(one, name) for one in frames]) for name in FIELDS},
-        unpack,
-    )
-    return run_series(series, out, [scene_path, law_path, scene.mesh_file], goes_on=goes_on)
-
-
-def row(run: MotionRun, frame: MotionFrame) -> list[float]:
-    """A row of motion.csv."""
-    disc, x = frame.problem.disc, padded(frame.moment.x[: frame.problem.disc.n_nodes])
-    return row_of(frame, x, load_vector(disc, np.array([1.0]))[:, 0], frame.supports, frame.relative_gap)
-
-
-def peaks(run: MotionRun, frame: MotionFrame) -> list[float]:
-    """The largest principal line load of a moment, N/mm, and utilisation of its rings, nan where it is not known."""
-    solution = as_solution(run, frame)
-    used = strength.utilisation(solution)
-    load = float(solution.principal()[0].max(initial=0.0))
-    return [load, np.nan if used is None else float(used.max(initial=0.0))]
-
-
-def summarize_motion(run: MotionRun, rows: Array) -> dict[str, Any]:
-    """The numbers of summary.json from the `row` and the `peaks` of every step (m, 16)."""
-    last, t = run.frames[-1], rows[:, 0]
-    found = summary_of(run, rows, is_rigid=not is_elastic(last.problem.scene))
-    for name, unit, values in (("line_load", "_N_per_mm", rows[:, -2]), ("utilisation", "", rows[:, -1])):
-        if np.isfinite(values).all():
-            found |= {f"peak_{name}{unit}": float(values.max()), f"peak_{name}_at_s": float(t[values.argmax()])}
-    return found | {
-        "cells": last.problem.disc.n_cells,
-        "element": last.problem.disc.element,
-        "law": last.problem.law.name,
-    }
-
-
-def as_solution(run: MotionRun, frame: MotionFrame) -> CurtainSolution:
-    """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
-
-    Its load is what line loads and supports balance: outer forces, pushes, and those of inertia.
+    goes_on: from the end of the run whose files are in `out`, of the same scene but for its duration, and the same law.
+    each_ring: space and start of `EveryRing` for a scene that is solved ring by ring. InputError in one sentence, and
+    nothing written, for what cannot be read or begin.
     """
-    problem, n = frame.problem, frame.problem.disc.n_nodes
-    gone = let_go(run.scene, frame.moment.t)
-    kept: list[Item] = [item for number, item in enumerate(problem.scene.support) if number not in gone]
-    kept += [item for item in problem.scene.items if not isinstance(item, Support)]
-    for ball, place in zip(run.bodies, frame.moment.x[n:], strict=True):
-        kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
-    scene = replace(problem.scene, items=tuple(kept))
-    force = internal_force(problem.disc, frame.P) - frame.supports
-    told = replace(problem, scene=scene, force=force, walls=None, winds=())
-    inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
-    return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, run.wall_s)
+    scene, wanted = load_scene(scene_path), Pictures(picture, animation, html, stem="motion")
+    wanted.check(None if each_ring else scene)
+    law = default_law() if law_path is None else load_law(law_path)
+    inputs = [scene_path, law_path, scene.mesh_file]
+    check_out_job(out, RECORD, inputs=inputs)
+    if not each_ring:
+        return _run(MovingCurtain(scene, law), named(law), out, inputs, wanted, goes_on)
+    who = EveryRing(law, **each_ring)
+    return _run(MovingRings(scene, who), f"{who.space} {named(law)}", out, inputs, wanted, goes_on)
 
 
-def write_views(folder: Path, run: MotionRun, frames: Sequence[MotionFrame], wanted: Pictures) -> None:
-    """Write the wanted pictures into `folder`."""
+def _run(
+    mover: Mover[F, Any], name: str, out: Path, inputs: Sequence[Path | None], wanted: Pictures, goes_on: bool
+) -> dict[str, Any]:
+    of, before, rows = _checksum(mover, name), list[F](), list[Any]()
+    if goes_on:
+        before, rows = read_kept(out / KEPT, mover, of)
+        if before[-1].moment.t >= mover.motion.duration * (1.0 - 1e-9):
+            raise InputError(f"--continue: the run in {out} has come to its end; give a longer duration under [motion]")
+    run = mover.solve(before[-1] if before else None)
+    new = run.frames[1 if before else 0 :]
+    table = np.array([*rows, *([*frame.row, *mover.peaks(frame)] for frame in new)])
+    shown = chosen((*before[:-1], *run.frames), MOST_SHOWN)
+    summary = summarize(mover, run, table) | {"frames": len(shown)}
+    with job(out, RECORD, inputs) as folder:
+        write_text(folder / "motion.csv", csv_text(COLUMNS, table[:, : len(COLUMNS)].tolist()))
+        _write_frames(folder, mover, shown)
+        _write_kept(folder / KEPT, mover, of, shown, table)
+        _write_pictures(folder, mover, shown, wanted)
+        write_text(folder / RECORD, json_text(summary))
+    return summary
 
-    def told(some: Sequence[MotionFrame]) -> Titled:
-        return [(f"{one.moment.t:.3f} s", as_solution(run, one)) for one in some]
 
-    title = run.scene.source.stem
-    write_moving(folder, title, frames, wanted, lambda some: drawn(told(some)), lambda some: figures(told(some)))
-    steps = told(chosen(frames, PANELS))
-    if wanted.picture and run.scene.in_space:
-        view, plotter = PictureFrame.of([one for _, one in steps]), new_plotter(len(steps))
-        for panel, (_, solution) in enumerate(steps):
-            plotter.subplot(0, panel)
-            draw_curtain(solution, plotter, view)
-        ends = np.reshape([one.bounds for one in plotter.renderers], (-1, 3, 2))
-        for panel in range(len(steps)):
-            plotter.subplot(0, panel)
-            look(plotter, THREE_QUARTERS, box=np.stack([ends[:, :, 0].min(axis=0), ends[:, :, 1].max(axis=0)]))
-        save_picture(folder / "motion.png", plotter, "at " + ", ".join(words for words, _ in steps))
-    elif wanted.picture:
-        save_figure(folder / "motion.png", plots.side_by_side(steps))
+def chosen(frames: Sequence[F], most: int) -> list[F]:
+    """At most so many frames, at times as even as the steps are, the first and the last among them."""
+    t = np.array([frame.moment.t for frame in frames])
+    which = np.arange(len(t))
+    if len(t) > most:
+        which = np.unique(np.abs(t[:, None] - np.linspace(t[0], t[-1], most)).argmin(axis=0))
+    return [frames[int(k)] for k in which]
+
+
+def _write_pictures(folder: Path, mover: Mover[F, Any], frames: Sequence[F], wanted: Pictures) -> None:
+    """motion.png, motion.html and motion.gif, as far as they are wanted; motion.mp4 where ffmpeg is installed."""
+    some = chosen(frames, IMAGES)
+    if wanted.picture:
+        mover.draw_panels(folder / "motion.png", chosen(frames, PANELS))
+    if wanted.html:
+        write_moments(folder / "motion.html", mover.drawn(some), mover.scene.source.stem)
+    if wanted.animation:
+        save_animation(folder / "motion.gif", mover.figures(some))
+        if ffmpeg := shutil.which("ffmpeg"):
+            even = "scale=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p"  # what every player shows
+            words = (ffmpeg, "-v", "quiet", "-i", folder / "motion.gif", "-vf", even, folder / "motion.mp4")
+            subprocess.run(words, check=False)
+
+
+def _write_frames(folder: Path, mover: Mover[F, Any], frames: Sequence[F]) -> None:
+    """motion_0000.vtu and so on with motion.pvd, and where bodies are, as points and in bodies.csv."""
+    import meshio
+
+    balls, entries, places = mover.balls, [], []
+    for k, frame in enumerate(frames):
+        tell(f"writing frames, {k} of {len(frames)}", k / len(frames))
+        t = frame.moment.t
+        entries.append((t, 0, f"motion_{k:04d}.vtu"))
+        mover.write_vtu(folder / entries[-1][2], frame)
+        if balls:
+            x, v = (one[-len(balls) :] for one in (frame.moment.x, frame.moment.v))
+            data = {"radius_mm": np.array([ball.radius for ball in balls]), "velocity_mm_per_s": v}
+            entries.append((t, 1, f"bodies_{k:04d}.vtu"))
+            points = meshio.Mesh(x, [("vertex", np.arange(len(x))[:, None])], point_data=data)
+            write_mesh_file(folder / entries[-1][2], points)
+            both = np.hstack([x, v]).tolist()
+            places += [(t, ball.name, *numbers) for ball, numbers in zip(balls, both, strict=True)]
+    write_text(folder / "motion.pvd", collection(entries))
+    if balls:
+        names = ("t_s", "body", "x_mm", "y_mm", "z_mm", "v_x_mm_per_s", "v_y_mm_per_s", "v_z_mm_per_s")
+        write_text(folder / "bodies.csv", csv_text(names, places))
+
+
+def summarize(mover: Mover[F, Any], run: Run[F], rows: Array) -> dict[str, Any]:
+    """The numbers of summary.json from the `row` and the `peaks` of every step (m, 14 or more)."""
+    last, t, force = run.frames[-1], rows[:, 0], rows[:, COLUMNS.index("support_force_N")]
+    first = len(last.moment.x) - len(mover.balls)
+    ends = zip(mover.balls, last.moment.x[first:], last.moment.v[first:], strict=True)
+    found = {
+        "status": str(run.status),
+        "message": run.message,
+        "duration_s": mover.motion.duration,
+        "reached_s": float(t[-1]),
+        "steps": len(rows) - 1,
+        "scheme": mover.motion.scheme,
+        "forces": IMPULSES if mover.is_rigid else FORCES,
+        "peak_support_force_N": float(force.max()),
+        "peak_support_force_at_s": float(t[force.argmax()]),
+        "mean_end_mm": rows[-1, 1:4].tolist(),
+        "lowest_point_mm": float(rows[-1, 4]),
+        **{name: float(value) for name, value in zip(COLUMNS[5:12], rows[-1, 5:12], strict=True)},
+        "account_error": account_error(rows),
+        "relative_gap": float(rows[:, COLUMNS.index("relative_gap")].max()),
+        "wall_s": run.wall_s,
+        "versions": versions("scikit-fem", "scikit-sparse"),
+        "bodies": [
+            {"body": ball.name, "mass_kg": ball.mass, "end_mm": x.tolist(), "velocity_mm_per_s": v.tolist()}
+            for ball, x, v in ends
+        ],
+    }
+    if mover.is_rigid:
+        found["peak_support_impulse_N_s"] = float((force[1:] * np.diff(t)).max(initial=0.0))
+    return found | mover.summary(last, t, rows[:, len(COLUMNS) :])
+
+
+def account_error(rows: Array) -> float:
+    """How far energies plus losses less work are from where they began, over the largest change of a term.
+
+    At rest no term changes: there 1e-6 of the largest term counts.
+    """
+    terms = rows[:, 5:12] - rows[0, 5:12]
+    balance = terms @ np.array([1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0])
+    scale = max(float(np.abs(terms).max()), 1e-6 * float(np.abs(rows[:, 5:12]).max()), 1e-300)
+    return float(np.abs(balance).max()) / scale
+
+
+def _write_kept(path: Path, mover: Mover[F, Any], of: str, frames: Sequence[F], rows: Array) -> None:
+    """Write what a run goes on from: frames, the last one of the run at the end, and the rows of all steps."""
+    pace, moments = frames[-1].pace, [one.moment for one in frames]
+    kept: dict[str, Any] = {"of": np.array(of), "rows": rows, "pace": np.array([pace.h, pace.most, pace.is_euler])}
+    kept |= {name: np.array([getattr(one, name) for one in moments]) for name in ("t", "x", "v")}
+    kept["account"] = np.array([astuple(one.account) for one in frames])
+    if pace.last is not None:
+        kept |= {f"last_{name}": np.array(getattr(pace.last, name)) for name in ("t", "x", "v")}
+    with atomic_path(path) as temporary:
+        np.savez_compressed(temporary, **kept, **mover.pack(frames))
+
+
+def read_kept(path: Path, mover: Mover[F, Any], of: str) -> tuple[list[F], list[Any]]:
+    """Frames and rows of a run of the same scene but for its duration; InputError for any other file."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            kept = dict(file)
+        pace, rows = kept["pace"], kept["rows"]
+        accounts = [Account(*one.tolist()) for one in kept["account"]]
+        moments = [Moment(float(t), x, v) for t, x, v in zip(kept["t"], kept["x"], kept["v"], strict=True)]
+        is_same = str(kept["of"]) == of
+    except FileNotFoundError as error:
+        raise InputError(f"--continue: {path} is missing: there is no run to go on with") from error
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error) as error:
+        raise InputError(f"--continue: {path} is not what a run has kept: run again without it") from error
+    if not is_same:
+        raise InputError(f"--continue: {path} is of another scene or law: only [motion] duration may differ")
+    frames = mover.unpack(kept, moments, accounts)
+    last = Moment(float(kept["last_t"]), kept["last_x"], kept["last_v"]) if "last_t" in kept else None
+    frames[-1] = replace(frames[-1], pace=Pace(float(pace[0]), last, float(pace[1]), bool(pace[2])))
+    return frames, list(rows)
+
+
+def _checksum(mover: Mover[F, Any], name: str) -> str:
+    """A checksum of the scene without its duration and place, and of what answers."""
+    scene = mover.scene
+    told = replace(scene, motion=replace(mover.motion, duration=1e6), source=Path())
+    times = [(getattr(item, "history", ()), getattr(item, "release", None)) for item in scene.items]  # not in a repr
+    mesh = scene.mesh_file.read_bytes() if scene.mesh_file else b""
+    return hashlib.sha256(f"{told!r} {times} {name}".encode() + mesh).hexdigest()
+
+
+def named(law: MembraneLaw) -> str:
+    """The rings of a law and what it answers."""
+    probe = law.support(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.3, 2.0]]))
+    return f"{law.cell!r} {probe.tolist()!r}"

@@ -1,23 +1,35 @@
-"""How a run in motion goes on, whatever moves: its steps, impacts, and how it ends."""
+"""How anything in motion goes on: its frames, one per step, how long steps are, impacts, and how a run ends."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, dataclass, replace
 from enum import StrEnum
-from typing import Generic, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
 from macro_fem.motion.account import Account
 from macro_fem.motion.scheme import Moment, predicted
 from macro_fem.motion.stage import let_go, scene_at
-from macro_fem.scene.moving import Ball, Motion, Thrown
+from macro_fem.scene.moving import Ball, Thrown
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
-from rve.common import InputError, tell
+from rve.common import Array, InputError, tell
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter
+
+COLUMNS = (
+    *("t_s", "mean_x_mm", "mean_y_mm", "mean_z_mm", "lowest_point_mm", "kinetic_N_mm", "potential_N_mm", "stored_N_mm"),
+    *("work_N_mm", "lost_by_scheme_N_mm", "lost_by_locking_N_mm", "lost_by_damping_N_mm", "support_force_N"),
+    "relative_gap",
+)
+"""Columns of motion.csv; support_force_N is the size of the sum of the forces of all supports."""
 FIRST_STEPS = 400
 """Steps of the whole duration with which a run without a step begins."""
 SMALLEST = 1e-4
@@ -40,6 +52,14 @@ class MotionStatus(StrEnum):
     INFEASIBLE = "infeasible"
 
 
+class Failed(Exception):
+    """A step that cannot be solved ends the run; the frames so far are kept."""
+
+    def __init__(self, status: MotionStatus, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
 @dataclass(frozen=True, eq=False)
 class Pace:
     """How a run goes on: the next step `h`, s; the moment before the frame's own, None at the start; `most`, the
@@ -52,7 +72,7 @@ class Pace:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Frame:
+class Frame(ABC):
     """What a run knows of a moment: places and velocities, the energy account, how the run goes on from it, and how
     many iterations the step took."""
 
@@ -61,12 +81,21 @@ class Frame:
     pace: Pace = Pace(0.0)
     iterations: int = 0
 
+    @property
+    @abstractmethod
+    def seen(self) -> tuple[Array, Array, Array, float]:
+        """Places (n, 3) in mm, their shares (n,) of the reference area, forces of supports (k, d) in N, and the gap."""
+
+    @property
+    def row(self) -> list[float]:
+        """The numbers of `COLUMNS`."""
+        x, share, supports, gap = self.seen
+        mean, force = (share @ x / share.sum()).tolist(), float(np.linalg.norm(supports.sum(axis=0)))
+        return [self.moment.t, *mean, float(x[:, 1].min()), *astuple(self.account), force, gap]
+
 
 F = TypeVar("F", bound=Frame)
-Advance = Callable[[F, Moment | None, float], F]
-"""The frame after a step of h s from a frame, with the moment before it, None for a step of Euler's method."""
-HasKink = Callable[[float, float], bool]
-"""Whether what moves supports or obstacles has a kink between two times, s."""
+A = TypeVar("A")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,125 +114,173 @@ class Run(Generic[F]):
         return self.scene.of(Ball)
 
 
-class Failed(Exception):
-    """A step that cannot be solved ends the run; the frames so far are kept."""
+class Mover(ABC, Generic[F, A]):
+    """What moves in a scene, by frames F, and what acts on it, A; `size` in mm and what it is called; is_rigid: whether
+    rings that lock do so by impulses. InputError if nothing moves, or nothing holds what is to hang."""
 
-    def __init__(self, status: MotionStatus, message: str) -> None:
-        super().__init__(message)
-        self.status = status
+    what: str
+    size: float
+    is_rigid = True
 
+    def __init__(self, scene: Scene) -> None:
+        if scene.motion is None:
+            raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
+        if scene.motion.start == "hung" and not scene.support:
+            raise InputError(f"{scene.source}: [motion] start = 'hung': nothing holds the curtain, use 'reference'")
+        self.scene, self.motion, self.balls = scene, scene.motion, scene.of(Ball)
+        self.changes = any(isinstance(item, Timed) and item.history for item in scene.items)
+        self.acting: A | None = None
+        self.released: frozenset[int] = frozenset()
 
-def motion_of(scene: Scene) -> Motion:
-    """What the scene says of its motion; InputError if nothing moves."""
-    if scene.motion is None:
-        raise InputError(f"{scene.source}: [motion]: is missing, so nothing moves; give its duration in s")
-    return scene.motion
+    @abstractmethod
+    def first_frame(self) -> F:
+        """The frame at t = 0; InputError or NotConverged for what cannot begin."""
 
+    @abstractmethod
+    def next_frame(self, frame: F, before: Moment | None, h: float) -> F:
+        """The frame after a step of h s, with the moment before `frame`, None for a step of Euler's method; `Failed`
+        where there is none."""
 
-def collected(scene: Scene, frames: Iterator[F]) -> Run[F]:
-    """The frames until the run ends, a step fails or Ctrl-C stops it."""
-    begin, kept = time.perf_counter(), list[F]()
-    status, message = MotionStatus.CONVERGED, "every step is solved"
-    try:
-        for frame in frames:
-            kept.append(frame)
-    except Failed as failed:
-        status, message = failed.status, str(failed)
-    except KeyboardInterrupt:
-        if not kept:
-            raise
-        status, message = MotionStatus.STOPPED, f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
-    return Run(scene, tuple(kept), status, message, time.perf_counter() - begin)
+    @abstractmethod
+    def act(self, t: float) -> A:
+        """What acts at a time, without the supports `released`."""
 
+    @abstractmethod
+    def peaks(self, frame: F) -> list[float]:
+        """Further numbers of a frame, of which the summary is made."""
 
-def first_step(motion: Motion) -> float:
-    """The step that a run begins with, s."""
-    return motion.step or motion.duration / FIRST_STEPS
+    @abstractmethod
+    def summary(self, last: F, t: Array, peaks: Array) -> dict[str, Any]:
+        """What the summary says of the last frame and the `peaks` (m, k) at the times t (m,)."""
 
+    @abstractmethod
+    def pack(self, frames: Sequence[F]) -> dict[str, Any]:
+        """What a run that goes on needs of frames beside their moments and accounts."""
 
-def stepped(scene: Scene, start: F, advance: Advance[F], size: float, what: str) -> Iterator[F]:
-    """The frames from `start` to the end of the duration; size of what moves in mm; `what` is told to move.
+    @abstractmethod
+    def unpack(self, kept: dict[str, Any], moments: Sequence[Moment], accounts: Sequence[Account]) -> list[F]:
+        """The frames of `pack`."""
 
-    What hangs at rest stays there until something changes. Steps end where a support lets go, after which the first one
-    is Euler's. Steps without a length of their own also end at the times of histories: long ones at rest would pass a
-    gust unseen.
-    """
-    motion, frame = motion_of(scene), start
-    near = 1e-9 * motion.duration
-    releases = {item.release for item in scene.support if item.release is not None}
-    stops = releases | ({t for item in scene.of(Timed) for t, _ in item.history} if motion.step is None else set())
+    @abstractmethod
+    def write_vtu(self, path: Path, frame: F) -> None: ...
 
-    def advanced(frame: F, before: Moment | None, h: float) -> F:
-        if not _is_at_rest(scene, frame, h):
-            return advance(frame, before, h)
-        return replace(frame, moment=replace(frame.moment, t=frame.moment.t + h), iterations=0)
+    @abstractmethod
+    def draw_panels(self, path: Path, frames: Sequence[F]) -> None:
+        """Write frames side by side, PNG."""
 
-    kinks = [t for item in (*scene.support, *scene.obstacle) for t, _ in item.history]
+    @abstractmethod
+    def drawn(self, frames: Sequence[F]) -> Iterable[tuple[str, Plotter]]:
+        """The frames in space, each with its title, on one scale and with one camera."""
 
-    def has_kink(begin: float, end: float) -> bool:
-        return any(begin - near <= t < end - near for t in kinks)
+    @abstractmethod
+    def figures(self, frames: Sequence[F]) -> Iterable[Figure]:
+        """The frames as figures of one size."""
 
-    yield frame
-    while (t := frame.moment.t) < motion.duration - near:
-        tell(f"{what} in motion, {t:.4g} of {motion.duration:.4g} s", t / motion.duration)
-        if any(abs(t - release) <= near for release in releases):
-            frame = replace(frame, pace=replace(frame.pace, is_euler=True))
-        left = min([motion.duration, *(stop for stop in stops if stop > t + near)]) - t
-        frame = accurate_frame(motion, frame, advanced, size, left, has_kink)
+    def at(self, t: float) -> A:
+        """What acts at a time; made anew only where something has changed."""
+        released = let_go(self.scene, t)
+        if self.acting is None or self.changes or released != self.released:
+            self.released = released
+            self.acting = self.act(t)
+        return self.acting
+
+    def solve(self, start: F | None = None) -> Run[F]:
+        """The frames until the run ends, a step fails or Ctrl-C stops it, from the beginning or a frame of a run."""
+        begin, kept = time.perf_counter(), list[F]()
+        status, message = MotionStatus.CONVERGED, "every step is solved"
+        try:
+            for frame in self.frames(start):
+                kept.append(frame)
+        except Failed as failed:
+            status, message = failed.status, str(failed)
+        except KeyboardInterrupt:
+            if not kept:
+                raise
+            status = MotionStatus.STOPPED
+            message = f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
+        return Run(self.scene, tuple(kept), status, message, time.perf_counter() - begin)
+
+    def frames(self, start: F | None = None) -> Iterator[F]:
+        """The frames of `solve`, each as soon as it is known; the first one is that at the start.
+
+        What hangs at rest stays there until something changes. Steps end where a support lets go, after which the first
+        one is Euler's. Steps without a length of their own also end at the times of histories: long ones at rest would
+        pass a gust unseen.
+        """
+        frame = start or replace(self.first_frame(), pace=Pace(self._first_step))
+        end, near = self.motion.duration, self._near
+        releases = {item.release for item in self.scene.support if item.release is not None}
+        timed = self.scene.of(Timed) if self.motion.step is None else ()
+        stops = releases | {t for item in timed for t, _ in item.history}
         yield frame
+        while (t := frame.moment.t) < end - near:
+            tell(f"{self.what} in motion, {t:.4g} of {end:.4g} s", t / end)
+            if any(abs(t - release) <= near for release in releases):
+                frame = replace(frame, pace=replace(frame.pace, is_euler=True))
+            frame = self._accurate(frame, min([end, *(stop for stop in stops if stop > t + near)]) - t)
+            yield frame
 
+    @property
+    def _first_step(self) -> float:
+        return self.motion.step or self.motion.duration / FIRST_STEPS
 
-def accurate_frame(motion: Motion, frame: F, advance: Advance[F], size: float, left: float, has_kink: HasKink) -> F:
-    """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
-    least = SMALLEST * first_step(motion)
-    now, pace = frame.moment, frame.pace
-    h, before = pace.h, None if pace.is_euler else pace.last
-    while True:
-        h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
-        following = advance(frame, before, h)
-        is_impact = _is_impact(frame, following, before, has_kink)
-        if is_impact and before is not None:
-            following = advance(frame, None, h)
-        after = motion.step or h
-        if motion.step is None:
-            guess = predicted(now, pace.last, h)
-            away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / size
-            factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
-            if away > motion.accuracy and h > least:
-                h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
-                continue
-            after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
-        most = max(pace.most, following.account.kinetic)
-        is_euler = is_impact or motion.scheme == "euler"
-        return replace(following, pace=Pace(after, now, most, is_euler))
+    @property
+    def _near(self) -> float:
+        """Times that differ by less are one, s."""
+        return 1e-9 * self.motion.duration
 
+    def _accurate(self, frame: F, left: float) -> F:
+        """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
+        motion, least = self.motion, SMALLEST * self._first_step
+        now, pace = frame.moment, frame.pace
+        h, before = pace.h, None if pace.is_euler else pace.last
+        while True:
+            h = left / max(1, np.ceil(left / h - 1e-9)) if left < 2.0 * h else h
+            following = self._advanced(frame, before, h)
+            is_impact = self._is_impact(frame, following, before)
+            if is_impact and before is not None:
+                following = self._advanced(frame, None, h)
+            after = motion.step or h
+            if motion.step is None:
+                guess = predicted(now, pace.last, h)
+                away = np.sqrt(((following.moment.x - guess) ** 2).sum(axis=1).mean()) / self.size
+                factor = SAFETY * (motion.accuracy / max(away, 1e-300)) ** (1.0 / 3.0)
+                if away > motion.accuracy and h > least:
+                    h = max(least, h * min(0.5, max(LEAST_CHANGE, factor)))
+                    continue
+                after = max(least, h * min(MOST_CHANGE, max(LEAST_CHANGE, factor)))
+            most = max(pace.most, following.account.kinetic)
+            is_euler = is_impact or motion.scheme == "euler"
+            return replace(following, pace=Pace(after, now, most, is_euler))
 
-def _is_at_rest(scene: Scene, frame: Frame, h: float) -> bool:
-    """Whether a step h leaves the answer at rest, because nothing else acts at its end than at its start."""
-    t = frame.moment.t
-    has_moved = frame.pace.most > 0.0 or frame.moment.v.any()
-    if has_moved or motion_of(scene).start != "hung" or scene.of(Thrown):
-        return False
-    before, after = ((scene_at(scene, at).items, let_go(scene, at)) for at in (t, t + h))
-    return before == after
+    def _advanced(self, frame: F, before: Moment | None, h: float) -> F:
+        """The frame after a step h; the same one later if it is at rest and nothing else acts at the end."""
+        t = frame.moment.t
+        has_moved = frame.pace.most > 0.0 or frame.moment.v.any()
+        if not has_moved and self.motion.start == "hung" and not self.scene.of(Thrown):
+            old, new = ((scene_at(self.scene, at).items, let_go(self.scene, at)) for at in (t, t + h))
+            if old == new:
+                return replace(frame, moment=replace(frame.moment, t=t + h), iterations=0)
+        return self.next_frame(frame, before, h)
 
+    def _is_impact(self, start: F, end: F, before: Moment | None) -> bool:
+        """Whether a step takes energy for good, against the largest kinetic energy so far.
 
-def _is_impact(start: Frame, end: Frame, before: Moment | None, has_kink: HasKink) -> bool:
-    """Whether a step takes energy for good, against the largest kinetic energy so far.
-
-    In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to h^3.
-    An impact keeps part of its loss. Differences over it would make rings that lock and nodes that touch rebound, which
-    also shows in a gain. Euler's step then takes its place, and the next step is Euler's as well. What sets off at
-    once while it touches or is taut closes no gap: there the loss of the scheme tells. Of Euler's own steps, which
-    always lose, that counts in which nearly all motion begins.
-    """
-    most, kinetic = start.pace.most, end.account.kinetic
-    locking = end.account.lost_by_locking - start.account.lost_by_locking
-    scheme = end.account.lost_by_scheme - start.account.lost_by_scheme
-    lost = locking + scheme
-    if before is None:
-        begins = max(most, start.account.kinetic) < LEAST_IMPACT * kinetic
-        return begins and locking > LEAST_IMPACT * kinetic and lost > IMPACT * locking
-    is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
-    is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink(before.t, end.moment.t)
-    return is_lost or is_jump or lost < -GAIN * most
+        In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to
+        h^3. An impact keeps part of its loss. Differences over it would make rings that lock and nodes that touch
+        rebound, which also shows in a gain. Euler's step then takes its place, and the next step is Euler's as well.
+        What sets off at once while it touches or is taut closes no gap: there the loss of the scheme tells. Of Euler's
+        own steps, which always lose, that counts in which nearly all motion begins.
+        """
+        most, kinetic = start.pace.most, end.account.kinetic
+        locking = end.account.lost_by_locking - start.account.lost_by_locking
+        scheme = end.account.lost_by_scheme - start.account.lost_by_scheme
+        lost = locking + scheme
+        if before is None:
+            begins = max(most, start.account.kinetic) < LEAST_IMPACT * kinetic
+            return begins and locking > LEAST_IMPACT * kinetic and lost > IMPACT * locking
+        is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
+        kinks = (t for item in (*self.scene.support, *self.scene.obstacle) for t, _ in item.history)
+        has_kink = any(before.t - self._near <= t < end.moment.t - self._near for t in kinks)
+        is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink
+        return is_lost or is_jump or lost < -GAIN * most

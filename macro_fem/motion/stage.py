@@ -1,4 +1,4 @@
-"""What acts on a curtain in motion at a moment: supports, obstacles, masses lumped at the nodes, weights, winds."""
+"""What acts in a scene in motion at a moment: histories, masses lumped at the nodes, weights, winds."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from homogenize import MembraneLaw
-from macro_fem.curtain import is_alike
 from macro_fem.drag import senses, wind_density, with_wind
 from macro_fem.fem.assembly import load_vector
-from macro_fem.fem.supported import SupportedFem, with_loose_nodes
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.step import Forces
-from macro_fem.problem import CurtainProblem, make_problem
+from macro_fem.problem import CurtainProblem
 from macro_fem.scene.loads import PER_MM2, areal_mass, edge_shares, nodal_forces
-from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.moving import Ball, Thrown, at_time
 from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
@@ -40,31 +36,6 @@ def let_go(scene: Scene, t: float) -> frozenset[int]:
     """Numbers of the supports that have let go before the end of a step at t."""
     times = [np.inf if item.release is None else item.release for item in scene.support]
     return frozenset(number for number, release in enumerate(times) if release < t * (1.0 - 1e-9))
-
-
-class Stage:
-    """What acts on the curtain at the times of a run: problems are made anew only where something has changed."""
-
-    def __init__(self, scene: Scene, law: MembraneLaw, mesh: CurtainMesh) -> None:
-        self.scene, self.law, self.mesh = scene, law, mesh
-        self.changes = any(isinstance(item, Timed) and item.history for item in scene.items)
-        self.problem: CurtainProblem | None = None
-        self.fem: SupportedFem | None = None
-        self.released: frozenset[int] = frozenset()
-
-    def at(self, t: float) -> tuple[CurtainProblem, SupportedFem]:
-        """The problem at a time, and its discretisation with the nodes of bodies."""
-        released = let_go(self.scene, t)
-        if self.problem is None or self.fem is None or self.changes or released != self.released:
-            problem = make_problem(scene_at(self.scene, t), self.law, self.mesh, released=released)
-            count = len(self.scene.of(Thrown))
-            if self.problem is not None and self.fem is not None and is_alike(problem.fem, self.problem.fem):
-                x_held = np.vstack([problem.fem.x_held, np.zeros((count, problem.fem.d))])
-                self.fem = self.fem.moved(x_held)
-            else:
-                self.fem = with_loose_nodes(problem.fem, count)
-            self.problem, self.released = problem, released
-        return self.problem, self.fem
 
 
 def nodal_masses(problem: CurtainProblem) -> Array:

@@ -13,7 +13,7 @@ from benchmarks.every_ring.cell import edge_forces
 from benchmarks.every_ring.hooks import peak
 from benchmarks.every_ring.starts import random_start
 from macro_fem import Motion
-from macro_fem.rings.motion import solve_ring_motion
+from macro_fem.motion.rings import solve_ring_motion
 from macro_fem.rings.ring_scene import ring_scene
 from rve import Cell, FiniteMesh, pulled_ring
 from rve.common.materials import STEEL

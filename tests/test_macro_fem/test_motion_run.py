@@ -14,13 +14,13 @@ import macro_fem
 from homogenize import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
-from macro_fem.motion import files, pace, run
+from macro_fem.motion import files, pace
 from macro_fem.motion.account import kinetic_energy
-from macro_fem.motion.files import row
+from macro_fem.motion.curtain import MovingCurtain, solve_motion
+from macro_fem.motion.files import account_error
 from macro_fem.motion.modes import find_modes
-from macro_fem.motion.run import solve_motion
+from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.scheme import Moment
-from macro_fem.motion.series import COLUMNS, account_error
 from macro_fem.motion.stage import masses_of, scene_at
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import read_scene
@@ -44,7 +44,7 @@ def moved(tables):
     """The run of a scene, its rows, and the names of its columns; every step is solved and its account closes."""
     found = solve_motion(read_scene(SHEET | tables), default_law())
     assert found.status == "converged", found.message
-    rows = np.array([row(found, frame) for frame in found.frames])
+    rows = np.array([frame.row for frame in found.frames])
     assert account_error(rows) < 1e-8
     assert rows[:, -1].max() < 1e-6
     largest = np.abs(rows[:, 5:12] - rows[0, 5:12]).max()
@@ -233,9 +233,9 @@ def test_modes_prints_one_object_with_ascending_frequencies(tmp_path):
 def thrown(tables, velocity, duration, step):
     """The run of a scene that begins with these velocities (n_nodes, 3) in mm/s."""
     scene = read_scene(tables | {"motion": tables.get("motion", {}) | {"duration": duration, "step": step}})
-    first = next(run.motion_frames(scene, default_law()))
+    first = MovingCurtain(scene, default_law()).first_frame()
     energy = kinetic_energy(masses_of(first.problem, ()), velocity)
-    first = replace(first, account=replace(first.account, kinetic=energy), pace=run.Pace(step))
+    first = replace(first, account=replace(first.account, kinetic=energy), pace=pace.Pace(step))
     found = solve_motion(scene, default_law(), replace(first, moment=Moment(0.0, first.moment.x, velocity)))
     assert found.status == "converged", found.message
     return found

@@ -10,7 +10,7 @@ from homogenize import default_law, elastic_law
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Points, discretize
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.account import Account, Worked, kinetic_energy, next_account, support_forces
+from macro_fem.motion.account import Account, kinetic_energy, next_account, support_forces
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.step import Forces, Moving, solve_step
 from macro_fem.scene.meshing.mesh import build_mesh
@@ -58,8 +58,9 @@ def advance(moving: Moving, moments: list[Moment], forces: Forces, h: float, acc
         n = len(now.x) - 1
         touched = float(end.result.wall_forces @ (np.linalg.norm(now.x[:n] - now.x[n], axis=1) - end.walls.offset))
     held = support_forces(moving, change, forces, end, internal_force(moving.fem.disc, P))
-    worked = Worked(held, end.pushes, float((w[:, None, None] * P * (F[1] - F[0])).sum()), stored, 0.0, touched)
-    accounts.append(next_account(accounts[-1], moving.mass, change, now, forces, end.x, worked))
+    worked = {"inner": float((w[:, None, None] * P * (F[1] - F[0])).sum()), "stored": stored, "touched": touched}
+    last = accounts[-1]
+    accounts.append(next_account(last, moving.mass, change, now, forces, end.x, held, end.pushes, **worked))
     moments.append(Moment(now.t + h, end.x, change.velocity(end.x)))
     return end
 

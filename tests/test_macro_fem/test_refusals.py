@@ -6,7 +6,7 @@ import pytest
 
 from homogenize import default_law
 from macro_fem import read_scene, solve
-from macro_fem.motion.run import solve_motion
+from macro_fem.motion.curtain import solve_motion
 from rve.common.errors import InputError
 
 BASE = """

@@ -10,13 +10,12 @@ from click.testing import CliRunner
 
 from homogenize import default_law
 from macro_fem.cli import main
+from macro_fem.motion.files import account_error
+from macro_fem.motion.pace import COLUMNS
+from macro_fem.motion.rings import MovingRings, solve_ring_motion
 from macro_fem.motion.scheme import Moment
-from macro_fem.motion.series import COLUMNS, account_error
-from macro_fem.motion.stage import TONNE, scene_at
+from macro_fem.motion.stage import TONNE
 from macro_fem.rings.every_ring import EveryRing
-from macro_fem.rings.motion import RingStage, first_ring_frame, next_ring_frame, solve_ring_motion
-from macro_fem.rings.motion_files import ring_row
-from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import read_scene
 from rve import slack_rings
 from rve.common.drawing.space import parts
@@ -38,7 +37,7 @@ def moved(tables, *, space=True):
     """The run of a scene and its rows by name: every step is solved, the account closes, no link and no gap is lost."""
     found = solve_ring_motion(read_scene(CURTAIN | tables), EveryRing(space=space))
     assert found.status == "converged", found.message
-    rows = np.array([ring_row(frame) for frame in found.frames])
+    rows = np.array([frame.row for frame in found.frames])
     assert account_error(rows) < 1e-8
     for frame in found.frames:
         assert frame.rings.contacts.links_intact
@@ -60,10 +59,9 @@ def test_a_sheet_without_supports_falls_freely():
 def tossed(scheme, steps, duration, speed):
     """Momentum and angular momentum (steps + 1, 3) of a sheet without supports and weight, of random velocities in mm/s
     and turns, and its last frame."""
-    scene = scene_at(read_scene(CURTAIN | FREE | {"load": {"gravity": 0.0}}), 0.0)
-    stage = RingStage(scene, ring_scene(scene))
-    asked = stage.at(duration)
-    frame = first_ring_frame(stage, slack_rings(asked.mesh))
+    moving = MovingRings(read_scene(CURTAIN | FREE | {"load": {"gravity": 0.0}}), EveryRing())
+    asked = moving.at(duration)
+    frame = moving.frame_of(slack_rings(asked.mesh))
     n, rng = len(asked.mass), np.random.default_rng(0)
     spin = np.array([10.0, 20.0, 40.0])
     v = np.cross(np.concatenate([np.tile(spin, (n, 1)), spin + rng.normal(0.0, 20.0, (n, 3))]), frame.moment.x)
@@ -72,7 +70,7 @@ def tossed(scheme, steps, duration, speed):
     mass = TONNE * np.tile(asked.mass, 2)[:, None]
     moments, before = [frame.moment], None
     for _ in range(steps):
-        frame = next_ring_frame(stage, 0.0, frame, before, duration / steps)
+        frame = moving.next_frame(frame, before, duration / steps)
         before = moments[-1] if scheme == "bdf2" else None
         moments.append(frame.moment)
         assert frame.rings.contacts.links_intact
@@ -157,14 +155,14 @@ def test_wind_with_a_speed_acts_by_the_velocity_relative_to_the_rings():
     air, too, resists."""
     wind = {"speed": 20.0, "direction": [0.0, 0.6, -0.8], "history": [[0.0, 1.0], [1.0, 1.0], [2.0, 0.0]]}
     scene = read_scene(CURTAIN | FREE | {"load": {"gravity": 0.0, "wind": wind}})
-    stage = RingStage(scene, ring_scene(scene_at(scene, 0.0)))
-    asked, h = stage.at(1e-3), 1e-3
-    start = first_ring_frame(stage, slack_rings(asked.mesh))
+    moving, h = MovingRings(scene, EveryRing()), 1e-3
+    asked = moving.at(1e-3)
+    start = moving.frame_of(slack_rings(asked.mesh))
     n, v = len(asked.mass), np.zeros_like(start.moment.v)
     along = np.array([0.0, 0.6, -0.8])
     for t, share, left in ((0.0, 0.25, 0.75**2), (0.0, 1.5, -(0.5**2)), (2.0, 0.5, -(0.5**2))):
         v[:n] = share * 20e3 * along
-        end = next_ring_frame(stage, 0.0, replace(start, moment=Moment(t, start.moment.x, v)), None, h)
+        end = moving.next_frame(replace(start, moment=Moment(t, start.moment.x, v)), None, h)
         gained = (TONNE * asked.mass[:, None] * (end.moment.v - v)[:n]).sum(axis=0)
         assert gained == pytest.approx(left * h * np.linalg.norm(asked.force.sum(axis=0)) * along, rel=1e-7, abs=1e-12)
 

@@ -1,0 +1,256 @@
+"""A curtain in motion, step by step: the step, its account, its record, and what is written and drawn of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from homogenize import MembraneLaw, with_material
+from macro_fem.curtain import is_alike, is_elastic, solve_problem
+from macro_fem.fem.assembly import gradient, internal_force, load_vector
+from macro_fem.fem.cells import in_space_of, padded
+from macro_fem.fem.supported import SupportedFem, with_loose_nodes
+from macro_fem.motion.account import Account, kinetic_energy, next_account, support_forces
+from macro_fem.motion.contact import Contacts
+from macro_fem.motion.pace import Failed, Frame, MotionStatus, Mover, Run
+from macro_fem.motion.scheme import Moment, difference
+from macro_fem.motion.stage import forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
+from macro_fem.motion.step import Moving, Stepped, solve_step
+from macro_fem.output import plots, strength
+from macro_fem.output.files import write_vtu
+from macro_fem.output.pictures import figures
+from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, drawn
+from macro_fem.problem import CurtainProblem, make_problem
+from macro_fem.scene.meshing.mesh import build_mesh
+from macro_fem.scene.obstacles import Sphere
+from macro_fem.scene.schema import Scene
+from macro_fem.scene.sites import Support
+from macro_fem.scene.tables import Item
+from macro_fem.solution import CurtainSolution, InnerForces
+from macro_fem.solvers.cones import Cones
+from macro_fem.solvers.status import ROUNDING, Evidence
+from rve.common import Array, InputError, NotConverged
+from rve.common.drawing.plane import save_figure
+from rve.common.drawing.space import THREE_QUARTERS, look, new_plotter, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter
+
+REST = 10.0
+"""mm that nodes at rest may go in a step before balls are looked at again."""
+FIELDS = ("P", "S", "supports", "relative_gap")
+"""What motion.npz has of each frame beside its moment and account."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MotionFrame(Frame):
+    """A curtain of nodes and bodies: line loads P (nq, d, 2) and S (nq, 3) in N/mm, forces of the supports on it
+    (n_nodes, d) in N, and the relative gap and half-spaces of the step."""
+
+    P: Array
+    S: Array
+    supports: Array
+    relative_gap: float = 0.0
+    problem: CurtainProblem
+    cones: Cones | None = None
+
+    @property
+    def seen(self) -> tuple[Array, Array, Array, float]:
+        disc = self.problem.disc
+        x, share = padded(self.moment.x[: disc.n_nodes]), load_vector(disc, np.array([1.0]))[:, 0]
+        return x, share, self.supports, self.relative_gap
+
+
+def solve_motion(scene: Scene, law: MembraneLaw, start: MotionFrame | None = None) -> Run[MotionFrame]:
+    """The scene of [motion] over its duration, from its beginning or from a frame of a run before.
+
+    InputError for what cannot begin, NotConverged if the curtain at rest that it begins with is none. A step that fails
+    ends the run with a status; the frames so far are kept, as they are when Ctrl-C stops it.
+    """
+    return MovingCurtain(scene, law).solve(start)
+
+
+class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
+    """The curtain of a scene by a law, and its balls, whose nodes are the last ones; what acts on it is a problem, and
+    its discretisation with the nodes of balls."""
+
+    def __init__(self, scene: Scene, law: MembraneLaw) -> None:
+        super().__init__(scene)
+        self.law = with_material(law, dict(scene.material), f"{scene.source}: [material]")
+        self.mesh = build_mesh(scene_at(scene, 0.0), self.law.cell)
+        self.what, self.size = f"{self.mesh.mesh.t.shape[1]} cells", self.mesh.size
+        self.is_rigid = not is_elastic(scene)
+
+    def act(self, t: float) -> tuple[CurtainProblem, SupportedFem]:
+        problem = make_problem(scene_at(self.scene, t), self.law, self.mesh, released=self.released)
+        if self.acting is None or not is_alike(problem.fem, self.acting[0].fem):
+            return problem, with_loose_nodes(problem.fem, len(self.balls))
+        x_held = np.vstack([problem.fem.x_held, np.zeros((len(self.balls), problem.fem.d))])
+        return problem, self.acting[1].moved(x_held)
+
+    def first_frame(self) -> MotionFrame:
+        """The curtain at rest at t = 0, hung or in its reference state, and the bodies."""
+        scene, balls = self.scene, self.balls
+        problem, _ = self.at(0.0)
+        if self.motion.start == "hung":
+            hung = solve_problem(make_problem(scene_at(scene, 0.0), self.law, self.mesh))
+            if hung.status != "converged":
+                raise NotConverged(f"{scene.source}: the curtain at rest at t = 0 is {hung.status}: {hung.message}")
+            x, P, S, cones, forces = hung.x, hung.P, hung.S, hung.cones, hung.reactions
+        else:
+            x = in_space_of(problem.disc.nodes, problem.fem.d)
+            away = np.where(problem.supports.mask, problem.supports.positions - x, 0.0)
+            if np.abs(away).max(initial=0.0) > 1e-6 * self.size:
+                raise InputError(
+                    f"{scene.source}: [motion] start = 'reference': supports hold points up to "
+                    f"{np.abs(away).max():.4g} mm from where they are there; use 'hung', or a history that begins there"
+                )
+            P = np.zeros((problem.disc.n_points, problem.fem.d, 2))
+            S, cones, forces = np.zeros((len(P), 3)), None, np.zeros_like(x)
+        place = np.vstack([x, *[np.array([ball.at]) for ball in balls]])
+        Contacts(problem, balls).check_start(place)
+        v = np.vstack([np.zeros_like(x), *[np.array([ball.velocity]) for ball in balls]])
+        account = Account(
+            kinetic=kinetic_energy(masses_of(problem, balls), v),
+            potential=-float((weights_of(problem, balls) * place).sum()),
+            stored=0.0 if self.is_rigid else stored_energy(problem, gradient(problem.disc, x)),
+        )
+        moment = Moment(0.0, place, v)
+        return MotionFrame(moment=moment, account=account, P=P, S=S, supports=forces, problem=problem, cones=cones)
+
+    def next_frame(self, frame: MotionFrame, before: Moment | None, h: float) -> MotionFrame:
+        now, balls = frame.moment, self.balls
+        problem, fem = self.at(now.t + h)
+        law = problem.law if self.is_rigid else problem.elastic_law
+        compliance = np.zeros((3, 3)) if self.is_rigid else problem.elastic_law.compliance
+        moving = Moving(fem, law, masses_of(problem, balls), compliance, self.size)
+        change = difference(now, before, h)
+        forces = forces_at(problem, balls, now, self.motion.damping)
+        n = problem.disc.n_nodes
+        way = h * sum(float(np.linalg.norm(v, axis=1).max(initial=0.0)) for v in (now.v[:n], now.v[n:]))
+        for reach in (way + REST, np.inf):
+            contacts = Contacts(problem, balls, frame.problem, reach)
+            end = solve_step(moving, change, forces, now.x, frame.cones, contacts.tangents)
+            _check(end, now.t + h)
+            if not contacts.misses(end.x):
+                break
+        F = [gradient(fem.disc, x) for x in (now.x, end.x)]
+        P = end.result.P
+        held = support_forces(moving, change, forces, end, internal_force(fem.disc, P))
+        moved, touched = contacts.work(end, now.x)
+        account = next_account(
+            frame.account,
+            moving.mass,
+            change,
+            now,
+            forces,
+            end.x,
+            held,
+            end.pushes,
+            inner=float((fem.weight[:, None, None] * P * (F[1] - F[0])).sum()),
+            stored=None if self.is_rigid else stored_energy(problem, F[1]) - stored_energy(problem, F[0]),
+            moved=moved,
+            touched=touched,
+        )
+        return MotionFrame(
+            moment=Moment(now.t + h, end.x, change.velocity(end.x)),
+            account=account,
+            iterations=end.result.iterations,
+            P=P,
+            S=end.result.S,
+            supports=held[:n],
+            relative_gap=end.result.evidence.gap,
+            problem=problem,
+            cones=end.result.cones,
+        )
+
+    def peaks(self, frame: MotionFrame) -> list[float]:
+        """The largest principal line load, N/mm, and utilisation of its rings, nan where it is not known."""
+        solution = self.as_solution(frame)
+        used = strength.utilisation(solution)
+        load = float(solution.principal()[0].max(initial=0.0))
+        return [load, np.nan if used is None else float(used.max(initial=0.0))]
+
+    def summary(self, last: MotionFrame, t: Array, peaks: Array) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, unit, values in (("line_load", "_N_per_mm", peaks[:, 0]), ("utilisation", "", peaks[:, 1])):
+            if np.isfinite(values).all():
+                found |= {f"peak_{name}{unit}": float(values.max()), f"peak_{name}_at_s": float(t[values.argmax()])}
+        disc = last.problem.disc
+        return found | {"cells": disc.n_cells, "element": disc.element, "law": last.problem.law.name}
+
+    def pack(self, frames: Sequence[MotionFrame]) -> dict[str, Any]:
+        return {name: np.array([getattr(one, name) for one in frames]) for name in FIELDS}
+
+    def unpack(self, kept: dict[str, Any], moments: Sequence[Moment], accounts: Sequence[Account]) -> list[MotionFrame]:
+        return [
+            MotionFrame(
+                moment=moment, account=account, problem=self.at(moment.t)[0], **dict(zip(FIELDS, more, strict=True))
+            )
+            for moment, account, *more in zip(moments, accounts, *(kept[name] for name in FIELDS), strict=True)
+        ]
+
+    def as_solution(self, frame: MotionFrame) -> CurtainSolution:
+        """The curtain at a frame, with balls as obstacles of the scene and without supports that have let go.
+
+        Its load is what line loads and supports balance: outer forces, pushes, and those of inertia.
+        """
+        problem, n = frame.problem, frame.problem.disc.n_nodes
+        gone = let_go(self.scene, frame.moment.t)
+        kept: list[Item] = [item for number, item in enumerate(problem.scene.support) if number not in gone]
+        kept += [item for item in problem.scene.items if not isinstance(item, Support)]
+        for ball, place in zip(self.balls, frame.moment.x[n:], strict=True):
+            kept.append(Sphere(tuple(place), ball.radius, name=ball.name))
+        scene = replace(problem.scene, items=tuple(kept))
+        force = internal_force(problem.disc, frame.P) - frame.supports
+        told = replace(problem, scene=scene, force=force, walls=None, winds=())
+        inner, asked = InnerForces(frame.P, frame.S, 0.0, np.zeros(0)), Evidence(1.0, 1.0, 1.0)
+        return CurtainSolution(told, "converged", asked, frame.moment.x[:n], inner, 0.0, 0.0, frame.iterations, 0.0)
+
+    def _titled(self, frames: Sequence[MotionFrame]) -> Titled:
+        return [(f"{one.moment.t:.3f} s", self.as_solution(one)) for one in frames]
+
+    def write_vtu(self, path: Path, frame: MotionFrame) -> None:
+        write_vtu(path, self.as_solution(frame))
+
+    def drawn(self, frames: Sequence[MotionFrame]) -> Iterable[tuple[str, Plotter]]:
+        return drawn(self._titled(frames))
+
+    def figures(self, frames: Sequence[MotionFrame]) -> Iterable[Figure]:
+        return figures(self._titled(frames))
+
+    def draw_panels(self, path: Path, frames: Sequence[MotionFrame]) -> None:
+        steps = self._titled(frames)
+        if not self.scene.in_space:
+            save_figure(path, plots.side_by_side(steps))
+            return
+        view, plotter = PictureFrame.of([one for _, one in steps]), new_plotter(len(steps))
+        for panel, (_, solution) in enumerate(steps):
+            plotter.subplot(0, panel)
+            draw_curtain(solution, plotter, view)
+        ends = np.reshape([one.bounds for one in plotter.renderers], (-1, 3, 2))
+        for panel in range(len(steps)):
+            plotter.subplot(0, panel)
+            look(plotter, THREE_QUARTERS, box=np.stack([ends[:, :, 0].min(axis=0), ends[:, :, 1].max(axis=0)]))
+        save_picture(path, plotter, "at " + ", ".join(words for words, _ in steps))
+
+
+def _check(end: Stepped, t: float) -> None:
+    """Raise for a step that is not solved."""
+    found = end.result
+    if found.converged or (found.evidence.is_finite and found.evidence.error <= ROUNDING):
+        return
+    if found.stop in ("infeasible", "blocked"):
+        raise Failed(
+            MotionStatus.INFEASIBLE,
+            f"at {t:.6g} s supports and obstacles leave the curtain no place: move them less far apart",
+        )
+    raise Failed(
+        MotionStatus.STALLED,
+        f"the step to {t:.6g} s stopped at an error of {found.evidence.error:.1e} ({found.stop}): use another step",
+    )

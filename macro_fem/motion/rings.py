@@ -1,0 +1,265 @@
+"""Every ring in motion: steps by `rve.step_rings`, with the differences, account and pace of a curtain.
+
+Places x (2 n + b, 3) of a moment are those of `rve.ring_places`: n centres, n points of the same masses on the axes, b
+centres of balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from macro_fem.motion.account import Account, kinetic_energy, next_account
+from macro_fem.motion.pace import Failed, Frame, MotionStatus, Mover, Run
+from macro_fem.motion.scheme import Moment, difference
+from macro_fem.motion.stage import TONNE, relative_wind, scene_at
+from macro_fem.motion.step import Forces
+from macro_fem.rings.every_ring import EveryRing
+from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
+from macro_fem.scene.loads import PER_MM2, areal_mass
+from macro_fem.scene.schema import Scene
+from rve import (
+    FiniteOptions,
+    FiniteSolution,
+    RingContacts,
+    RoundBody,
+    ring_places,
+    slack_rings,
+    step_rings,
+    with_bodies,
+)
+from rve.common import Array, InputError, NotConverged
+from rve.common.drawing.plane import new_figure, save_figure
+from rve.common.drawing.space import compose, new_plotter
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pyvista import Plotter
+
+HALVINGS = 6
+"""How often a step that is not solved is taken in two halves."""
+JUST_AFTER = 1e-9
+"""Part of the duration after which supports count as those of the slack weave at the start."""
+NEAR = 1e-6
+"""Rings within this part of r1 of where supports hold them are there."""
+CONTACTS = ("pairs", "normal", "force", "gap")
+"""What motion.npz has of the contacts of all frames, one after the other."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RingFrame(Frame):
+    """Rings, at places and with velocities (2 n + b, 3), with their contacts, and what was asked of them."""
+
+    rings: FiniteSolution
+    asked: RingScene
+
+    @property
+    def seen(self) -> tuple[Array, Array, Array, float]:
+        rings = self.rings
+        return rings.centre, rings.mesh.area, rings.reaction, rings.kkt_residual
+
+
+RingRun = Run[RingFrame]
+
+
+def solve_ring_motion(scene: Scene, who: EveryRing | None = None, start: RingFrame | None = None) -> RingRun:
+    """Every ring of the scene over the duration of [motion], from rest or from a frame of a run before.
+
+    start = "hung": the rings in equilibrium under loads and moves at t = 0; "reference": the slack weave. InputError
+    for what cannot begin, NotConverged where there is no such equilibrium. A step that fails ends the run with a
+    status; the frames so far are kept, as they are when Ctrl-C stops it.
+    """
+    return MovingRings(scene, who or EveryRing()).solve(start)
+
+
+class MovingRings(Mover[RingFrame, RingScene]):
+    """Every ring of a scene, and its balls; what acts on it is what rings are asked for."""
+
+    def __init__(self, scene: Scene, who: EveryRing) -> None:
+        super().__init__(scene)
+        self.who, self.first = who, ring_scene(scene_at(scene, 0.0), who.rings)
+        self.what, self.size = f"{len(self.first.mesh.X)} rings", float(np.hypot(*np.ptp(self.first.mesh.X, axis=0)))
+        g = np.array(self.first.scene.load.acceleration)
+        weights = [tuple((ball.mass * g).tolist()) for ball in self.balls]
+        pairs = zip(self.balls, weights, strict=True)
+        self.bodies = tuple(RoundBody(ball.at, ball.radius, weight, ball.name) for ball, weight in pairs)
+
+    def act(self, t: float) -> RingScene:
+        assert self.first.info is not None
+        return with_loads(scene_at(self.scene, t), self.first.info, self.first.mesh, self.released)
+
+    def masses(self, asked: RingScene) -> Array:
+        """Masses (2 n + b,) of what `ring_places` are the places of, N s2/mm: bars move with rings and do not turn."""
+        own = areal_mass(asked.scene, asked.info)[0] * PER_MM2 * asked.mesh.area
+        return TONNE * np.concatenate([asked.mass, own, [ball.mass for ball in self.balls]])
+
+    def weights(self, asked: RingScene) -> Array:
+        """Weights (2 n + b, 3) of what `ring_places` are the places of, N."""
+        own = asked.mass[:, None] * np.array(asked.scene.load.acceleration)
+        return np.concatenate([own, np.zeros_like(own), np.array([one.load for one in self.bodies]).reshape(-1, 3)])
+
+    def first_frame(self) -> RingFrame:
+        if self.motion.start == "reference":
+            return self.frame_of(self._slack())
+        if self.who.start == "disk":
+            raise InputError(
+                f"{self.scene.source}: --start disk: is for rings at rest; a motion starts from the slack weave"
+            )
+        by_motion = FiniteOptions(by_motion=self.who.start == "motion")
+        found = self.first.solve(space=self.who.space, options=by_motion)
+        if found.status != "converged":
+            raise NotConverged(f"{self.scene.source}: the rings at rest at t = 0 are {found.status}: {found.message}")
+        return self.frame_of(found)
+
+    def _slack(self) -> FiniteSolution:
+        """The slack weave at rest; InputError where supports hold its rings elsewhere, or walls cut it.
+
+        Supports that let go at t = 0 hold nothing then.
+        """
+        asked, scene = self.at(JUST_AFTER * self.motion.duration), self.scene
+        where = f"{scene.source}: [motion] start = 'reference'"
+        if asked.scene.in_space and not self.who.space:
+            raise InputError(f"{scene.source}: {asked.scene.space_reason}: centres cannot stay there")
+        rings = slack_rings(asked.mesh, space=self.who.space, walls=asked.walls)
+        away = float(np.abs(np.where(asked.held, asked.at - rings.centre, 0.0)).max(initial=0.0))
+        if away > NEAR * asked.mesh.cell.r1:
+            raise InputError(
+                f"{where}: supports hold rings up to {away:.4g} mm from where they are in the slack weave; use 'hung'"
+            )
+        if rings.contacts.min_gap_mm <= 0.0:
+            raise InputError(f"{where}: a floor or wall cuts the slack weave; move it away")
+        return rings
+
+    def frame_of(self, rings: FiniteSolution) -> RingFrame:
+        """Rings at rest at t = 0, and the balls as they are thrown; InputError for a ball that a ring is inside of."""
+        asked, gap = self.at(0.0), rings.contacts.min_gap_mm
+        rings = with_bodies(rings, self.bodies)
+        if rings.contacts.min_gap_mm < min(gap, 0.0):
+            raise InputError(
+                f"{self.scene.source}: [[body]]: rings are inside a body at the start; put it farther away"
+            )
+        places, n = ring_places(rings), 2 * len(asked.mass)
+        v = np.concatenate([np.zeros((n, 3)), np.array([ball.velocity for ball in self.balls]).reshape(-1, 3)])
+        potential = -float((self.weights(asked) * places).sum())
+        account = Account(kinetic_energy(self.masses(asked), v), potential)
+        return RingFrame(moment=Moment(0.0, places, v), account=account, rings=rings, asked=asked)
+
+    def next_frame(self, frame: RingFrame, before: Moment | None, h: float, halvings: int = HALVINGS) -> RingFrame:
+        """The frame after a step h, or after its two halves where it is not solved; Failed where these are not."""
+        now, asked = frame.moment, self.at(frame.moment.t + h)
+        change = difference(now, before, h)
+        mass, n = self.masses(asked), len(asked.mass)
+        resist = np.where(np.arange(len(mass)) < 2 * n, self.motion.damping, 0.0)  # not of balls
+        damped = change.beta_h * resist[:, None]
+        weight = mass * (1.0 + damped[:, 0]) / change.beta_h**2
+        aim = (change.x_hat + damped * change.X) / (1.0 + damped)
+        force = asked.force.copy()
+        for wind, blown in asked.winds:
+            own, block = relative_wind(wind, blown, now.v[:n])
+            force += own - (block @ now.v[:n, :, None])[:, :, 0] - (0.0 if wind.speed == 0.0 else blown)
+        end = step_rings(frame.rings, weight, aim, force, asked.held, asked.at, walls=(*asked.walls, *self.bodies))
+        rings = end.rings
+        if rings.status != "converged":
+            if not halvings:
+                raise Failed(
+                    MotionStatus.INFEASIBLE if rings.way_left_mm > 0.0 else MotionStatus.STALLED,
+                    f"the step to {now.t + h:.6g} s ended {rings.status} at a residual of {rings.kkt_residual:.1e}: "
+                    f"use another step",
+                )
+            half = self.next_frame(frame, before, 0.5 * h, halvings - 1)
+            return self.next_frame(half, now, 0.5 * h, halvings - 1)
+        none, dead = np.zeros((len(mass) - n, 3)), self.weights(asked)
+        forces = Forces(dead, np.concatenate([force - dead[:n], none]), None, resist)
+        way = [new.offset - old.offset for new, old in zip(asked.walls, frame.asked.walls, strict=True)]
+        pushed = zip(rings.wall_force, asked.walls, way, strict=False)
+        x = ring_places(rings)
+        moved = sum(float(push @ wall.unit) * d for push, wall, d in pushed)
+        account = next_account(
+            frame.account,
+            mass,
+            change,
+            now,
+            forces,
+            x,
+            np.concatenate([rings.reaction, none]),
+            end.pushes,
+            moved=moved,
+            touched=end.touched,
+        )
+        moment = Moment(now.t + h, x, change.velocity(x))
+        return RingFrame(moment=moment, account=account, iterations=rings.iterations, rings=rings, asked=asked)
+
+    def peaks(self, frame: RingFrame) -> list[float]:
+        """The largest contact force in N, the least gap in mm, whether links are intact, iterations."""
+        contacts = frame.rings.contacts
+        return [float(contacts.force.max(initial=0.0)), contacts.min_gap_mm, contacts.links_intact, frame.iterations]
+
+    def summary(self, last: RingFrame, t: Array, peaks: Array) -> dict[str, Any]:
+        force, gap, intact, iterations = peaks.T
+        return {
+            "peak_contact_force_N": float(force.max()),
+            "peak_contact_force_at_s": float(t[force.argmax()]),
+            "ring_count": len(last.rings.centre),
+            "centres": "space" if last.rings.is_space else "plane",
+            "min_gap_mm": float(gap.min()),
+            "links_intact": bool(intact.all()),
+            "iterations": int(iterations.sum()),
+        }
+
+    def pack(self, frames: Sequence[RingFrame]) -> dict[str, Any]:
+        rings = [one.rings for one in frames]
+        told = [(one.contacts.min_gap_mm, one.contacts.links_intact, one.kkt_residual) for one in rings]
+        return {name: np.concatenate([getattr(one.contacts, name) for one in rings]) for name in CONTACTS} | {
+            "count": np.array([len(one.contacts.force) for one in rings]),
+            "forces": np.array([np.concatenate([one.reaction, one.wall_force]) for one in rings]),
+            "told": np.array(told, float),
+        }
+
+    def unpack(self, kept: dict[str, Any], moments: Sequence[Moment], accounts: Sequence[Account]) -> list[RingFrame]:
+        mesh, n, frames = self.first.mesh, len(self.first.mesh.X), []
+        slack = with_bodies(slack_rings(mesh, space=self.who.space, walls=self.first.walls), self.bodies)
+        ends = np.cumsum(kept["count"])[:-1]
+        contacts = zip(*(np.split(kept[name], ends) for name in CONTACTS), strict=True)
+        for moment, account, (pairs, normal, force, gaps), forces, (least, intact, residual) in zip(
+            moments, accounts, contacts, kept["forces"], kept["told"], strict=True
+        ):
+            asked, axes = self.at(moment.t), moment.x[n : 2 * n]
+            bodies = [body.moved(place) for body, place in zip(self.bodies, moment.x[2 * n :], strict=True)]
+            rings = replace(
+                slack,
+                centre=moment.x[:n],
+                normal=axes / np.linalg.norm(axes, axis=1)[:, None],
+                load=asked.force,
+                reaction=forces[:n],
+                contacts=RingContacts(pairs, normal, force, gaps, float(least), bool(intact)),
+                walls=(*asked.walls, *bodies),
+                wall_force=forces[n:],
+                kkt_residual=float(residual),
+            )
+            frames.append(RingFrame(moment=moment, account=account, rings=rings, asked=asked))
+        return frames
+
+    def write_vtu(self, path: Path, frame: RingFrame) -> None:
+        frame.rings.write_vtu(path)
+
+    def draw_panels(self, path: Path, frames: Sequence[RingFrame]) -> None:
+        figure = new_figure(5.2 * len(frames), 6.0)
+        axes = figure.subplots(1, len(frames), squeeze=False, sharex=True, sharey=True)[0]
+        rings = [frame.rings.drawn for frame in frames]
+        for ax, frame, one in zip(axes, frames, rings, strict=True):
+            one.plot(ax, series=rings).set_title(f"{frame.moment.t:.3f} s", fontsize=11)
+        save_figure(path, figure)
+
+    def drawn(self, frames: Sequence[RingFrame]) -> Iterator[tuple[str, Plotter]]:
+        rings, plotter = [frame.rings.drawn for frame in frames], new_plotter()
+        for frame, one in zip(frames, rings, strict=True):
+            yield f"{frame.moment.t:.3f} s", one.draw(plotter, rings)
+            plotter.clear_actors()
+        plotter.close()
+
+    def figures(self, frames: Sequence[RingFrame]) -> Iterable[Figure]:
+        return (compose(one, words) for words, one in self.drawn(frames))
