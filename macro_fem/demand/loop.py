@@ -31,21 +31,14 @@ from rve import Cell
 from rve.common import NO_CACHE, Array, Cache, InputError, part_of
 from rve.common.tensor import disc
 
-LAW_SHARE = 0.15
-"""The law may widen the interval by this part of what is asked, or of what the mesh does now. More saves ring solves
-and costs triangles."""
-FALL = 0.6
-"""What a refinement leaves of the mesh's part: 0.55 to 0.65 on the corner-hung square."""
-FIRST_GAP = 0.01
-"""The mesh's part over total load times height, before it is known."""
-AGAIN = 2.0
-"""The curtain is solved again on its mesh if the law that it was solved with makes more than this times the share."""
-QUESTIONS = 8
-"""Ring problems between two looks at the law."""
-LOOKS = 6
-"""Looks at the law within one turn."""
-LOST = 4
-"""How often directions are asked because no curtain hangs on the inner law yet."""
+LAW_SHARE, AGAIN = 0.15, 2.0
+"""The law may widen the interval by this part of what is asked, or of what the mesh does now: more saves ring solves
+and costs triangles. With more than the second times that the curtain is solved again on its mesh."""
+FIRST_GAP, FALL = 0.01, 0.6
+"""The mesh's part over total load times height before it is known, and what a refinement leaves of it."""
+QUESTIONS, LOOKS, LOST = 8, 6, 4
+"""Ring problems between two looks at the law; looks within one turn; how often directions are asked because no curtain
+hangs on the inner law yet."""
 SENTENCES = {
     "converged": "the interval of rings and continuous curtain is as narrow as asked",
     "mesh_limit": "the mesh would need more than {cells} triangles; ask for less accuracy, or start with fewer cells",

@@ -1,7 +1,4 @@
-"""The energy account of a step: what it stores, what work is done on it, and what the scheme, locking and damping lose.
-
-With dx = x+ - x_n and a+ the acceleration of the scheme, M a+ = f + supports + pushes - B^T (w P+) - damping M v+.
-Multiplied by dx, and with the stored energy Psi,
+"""The energy account of a step, from M a+ = f + supports + pushes - B^T (w P+) - damping M v+ times dx = x+ - x_n.
 
     kinetic + potential + stored  changes by  work - lost_by_scheme - lost_by_locking - lost_by_damping,
 

@@ -1,24 +1,14 @@
 """Natural frequencies of small motions about a curtain at rest.
 
-With the line loads P = F S of the static answer a small motion w has the energy sum w_q S:(grad w^T grad w) / 2, for
-the locked state itself stores nothing, and the kinetic energy of the masses:
+    K w = omega^2 M w,   K the geometric stiffness of the line loads S,   M the masses of mesh and bars.
 
-    K w = omega^2 M w,   K the geometric stiffness of S,   M the masses of mesh and bars.
+The locked state itself stores nothing. A curtain in its plane is asked for motions across it, one component per node.
+In space w has three components and keeps to the tangent of the locked surface, S:(F^T grad w) = 0 at every point that
+carries load; what an obstacle pushes stays on it, whose curvature takes from K.
 
-A curtain in its plane is asked for motions across it, one component per node. In space w has three components and keeps
-to the tangent of the locked surface, S:(F^T grad w) = 0 at every point that carries load; what an obstacle pushes
-stays on it, whose curvature takes from K. Eigenpairs next to a shift
-below zero by Lanczos' method (scipy's `eigsh`).
-
-Meshes make frequencies too large; of smooth shapes that is known and taken off (`SMOOTH`).
-
-Columns that hang beside each other are not coupled where there is no line load across: their modes share one frequency
-and are counted once, with their number. A shape that alternates from node to node is none of the curtain but of its
-mesh, which shows in lumped and consistent masses that disagree (`RESOLVED`). Where the curtain is slack nothing but
-inertia resists, and modes that live there have frequencies near zero (`SLACK_HZ`). Both are left out, and so is motion
-in the plane of a plane curtain.
-
-Files: modes.json, the shapes in modes.vtu and as modes.png.
+Columns that hang beside each other are coupled only by line loads across: modes that share one frequency are counted
+once, with their number. Left out are shapes that alternate from node to node, which are the mesh's own (`RESOLVED`),
+and those of slack parts, which nothing but inertia resists (`SLACK_HZ`).
 """
 
 from __future__ import annotations

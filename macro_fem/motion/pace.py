@@ -30,10 +30,8 @@ COLUMNS = (
     "relative_gap",
 )
 """Columns of motion.csv; support_force_N is the size of the sum of the forces of all supports."""
-FIRST_STEPS = 400
-"""Steps of the whole duration with which a run without a step begins."""
-SMALLEST = 1e-4
-"""Least step of such a run over the first one. Impacts are met by smaller steps, down to this one."""
+FIRST_STEPS, SMALLEST = 400, 1e-4
+"""Of a run without a step: the duration over its first step, and its least step, which impacts are met by, over it."""
 IMPACT, LEAST_IMPACT = 0.3, 1e-2
 """Part of the loss by locking that a step must lose for good to count as an impact, and that loss over the largest
 kinetic energy. Smaller ones are steps after one of Euler's, whose first-order error fades, and small rebounds."""
@@ -53,7 +51,7 @@ class MotionStatus(StrEnum):
 
 
 class Failed(Exception):
-    """A step that cannot be solved ends the run; the frames so far are kept."""
+    """A step cannot be solved."""
 
     def __init__(self, status: MotionStatus, message: str) -> None:
         super().__init__(message)
@@ -128,18 +126,19 @@ class Mover(ABC, Generic[F, A]):
         if scene.motion.start == "hung" and not scene.support:
             raise InputError(f"{scene.source}: [motion] start = 'hung': nothing holds the curtain, use 'reference'")
         self.scene, self.motion, self.balls = scene, scene.motion, scene.of(Ball)
+        self.first_step = self.motion.step or self.motion.duration / FIRST_STEPS
+        self.near = 1e-9 * self.motion.duration  # times that differ by less are one, s
         self.changes = any(isinstance(item, Timed) and item.history for item in scene.items)
         self.acting: A | None = None
         self.released: frozenset[int] = frozenset()
 
     @abstractmethod
     def first_frame(self) -> F:
-        """The frame at t = 0; InputError or NotConverged for what cannot begin."""
+        """At t = 0; InputError or NotConverged for what cannot begin."""
 
     @abstractmethod
     def next_frame(self, frame: F, before: Moment | None, h: float) -> F:
-        """The frame after a step of h s, with the moment before `frame`, None for a step of Euler's method; `Failed`
-        where there is none."""
+        """After a step of h s, with the moment before `frame`, None for Euler's method; `Failed` if there is none."""
 
     @abstractmethod
     def act(self, t: float) -> A:
@@ -207,8 +206,8 @@ class Mover(ABC, Generic[F, A]):
         one is Euler's. Steps without a length of their own also end at the times of histories: long ones at rest would
         pass a gust unseen.
         """
-        frame = start or replace(self.first_frame(), pace=Pace(self._first_step))
-        end, near = self.motion.duration, self._near
+        frame = start or replace(self.first_frame(), pace=Pace(self.first_step))
+        end, near = self.motion.duration, self.near
         releases = {item.release for item in self.scene.support if item.release is not None}
         timed = self.scene.of(Timed) if self.motion.step is None else ()
         stops = releases | {t for item in timed for t, _ in item.history}
@@ -220,18 +219,9 @@ class Mover(ABC, Generic[F, A]):
             frame = self._accurate(frame, min([end, *(stop for stop in stops if stop > t + near)]) - t)
             yield frame
 
-    @property
-    def _first_step(self) -> float:
-        return self.motion.step or self.motion.duration / FIRST_STEPS
-
-    @property
-    def _near(self) -> float:
-        """Times that differ by less are one, s."""
-        return 1e-9 * self.motion.duration
-
     def _accurate(self, frame: F, left: float) -> F:
         """The next frame, by a step that is as accurate as asked for and no longer than `left`, s, to the next stop."""
-        motion, least = self.motion, SMALLEST * self._first_step
+        motion, least = self.motion, SMALLEST * self.first_step
         now, pace = frame.moment, frame.pace
         h, before = pace.h, None if pace.is_euler else pace.last
         while True:
@@ -267,10 +257,10 @@ class Mover(ABC, Generic[F, A]):
         """Whether a step takes energy for good, against the largest kinetic energy so far.
 
         In smooth motion on the locked surface the loss by locking, of order h^2, and the gain of the scheme cancel to
-        h^3. An impact keeps part of its loss. Differences over it would make rings that lock and nodes that touch
-        rebound, which also shows in a gain. Euler's step then takes its place, and the next step is Euler's as well.
-        What sets off at once while it touches or is taut closes no gap: there the loss of the scheme tells. Of Euler's
-        own steps, which always lose, that counts in which nearly all motion begins.
+        h^3. An impact keeps part of its loss, and differences over it would make what locks or touches rebound, which
+        shows in a gain: Euler's step takes its place, and the next step is Euler's as well. What sets off at once while
+        it touches or is taut closes no gap: there the loss of the scheme tells. Of Euler's own steps, which always
+        lose, that counts in which nearly all motion begins.
         """
         most, kinetic = start.pace.most, end.account.kinetic
         locking = end.account.lost_by_locking - start.account.lost_by_locking
@@ -281,6 +271,6 @@ class Mover(ABC, Generic[F, A]):
             return begins and locking > LEAST_IMPACT * kinetic and lost > IMPACT * locking
         is_lost = locking > LEAST_IMPACT * most and lost > IMPACT * locking
         kinks = (t for item in (*self.scene.support, *self.scene.obstacle) for t, _ in item.history)
-        has_kink = any(before.t - self._near <= t < end.moment.t - self._near for t in kinks)
+        has_kink = any(before.t - self.near <= t < end.moment.t - self.near for t in kinks)
         is_jump = scheme > LEAST_IMPACT * max(most, kinetic) and has_kink
         return is_lost or is_jump or lost < -GAIN * most

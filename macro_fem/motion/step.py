@@ -41,26 +41,21 @@ class Forces:
 @dataclass(frozen=True, eq=False)
 class Moving:
     """The discrete curtain that moves: masses (n,) in N s2/mm of all nodes, the law, its compliance (3, 3), its size in
-    mm, and the relative gap that a step is solved to."""
+    mm."""
 
     fem: SupportedFem
     law: MembraneLaw
     mass: Array
     compliance: Array
     size: float
-    gap: float = 1e-10
 
 
 Tangents = Callable[[Array], Walls | None]
 """Half-spaces of obstacles and bodies that touch them where they are closest to nodes at x (n, d)."""
-
-
-ROUNDS = 8
-"""How often tangent half-spaces are found anew."""
-SETTLED = 1e-4
-"""Reactions that may still turn, over all forces."""
-FIRST_GAP = 1.0
-"""Gap of the first state of a step in energy scales."""
+ROUNDS, SETTLED = 8, 1e-4
+"""How often tangent half-spaces are found anew at most, and reactions that may still turn, over all forces."""
+GAP, FIRST_GAP = 1e-10, 1.0
+"""Relative gap that a step is solved to, and that of its first state in energy scales."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +80,7 @@ def solve_step(
     """The end of a step from positions x (n, d), by the half-spaces `cones` of the step before."""
     fem, inertia = moving.fem, inertia_of(moving, change, forces)
     load = fem.gather(forces.dead + forces.live)
-    path = PathOptions(gap=moving.gap, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
+    path = PathOptions(gap=GAP, violation=1e-9, cones=cones, drawn=False, first_gap=FIRST_GAP)
     place, walls = x, None if tangents is None else tangents(x)
     for rounds in range(1, ROUNDS + 1):
         terms = Terms(moving.compliance, walls=walls, inertia=inertia)

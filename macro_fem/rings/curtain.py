@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from macro_fem.fem.cells import padded, recovered, triangle_areas
+from macro_fem.fem.cells import recovered, triangle_areas
 from rve import Cell, cell_of_sides
 from rve.common import Array, InputError, Typed, check_belongs, read_json_object, read_typed
 from rve.common.meshes import DISPLACEMENT, LINE_LOAD_1, STATE, STRAIN, STRESS, read_mesh_file
@@ -84,11 +84,6 @@ class Curtain:
     state: NDArray[np.intp]
     told: Told = Told(0.0, None)
     source: str = "a curtain in memory"
-
-    @property
-    def x_in_space(self) -> Array:
-        """Corners after deformation with three coordinates (p, 3), mm."""
-        return padded(self.x)
 
 
 def curtain_of(mesh: Any, told: Told, source: str) -> Curtain:

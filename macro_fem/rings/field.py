@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from macro_fem.fem.cells import padded
-from macro_fem.output.pictures import Pictures
 from macro_fem.rings.curtain import Curtain
-from macro_fem.rings.places import RingPlaces
+from macro_fem.rings.places import Sites
 from rve import NEAR, POSE_MEANINGS, Cell, CellForces, DrawnRings, Fit, NearestPoses
 from rve.common import Array, as_html, check_out_job, csv_text, job, json_text, require, versions, write_text
 from rve.common.drawing.page import check_page, write_page
@@ -31,7 +30,8 @@ def check_outputs(folder: str | Path, inputs: Iterable[str | Path | None], *, pi
     """InputError if files cannot be written, or would overwrite `inputs`, or what a picture needs is missing."""
     if picture:
         check_render("rings.png")
-    Pictures(picture=False, html=html, stem="rings").check()
+    if html:
+        check_page("rings.html", "leave out --html")
     check_out_job(folder, RECORD, inputs=inputs)
 
 
@@ -58,14 +58,17 @@ class WorstCell:
 class RingField:
     """Every ring of a curtain, n rings in m cells of its mesh.
 
-    rings: places in mm and unit normals; states: poses of the m cells, and row (n,) the cell of each ring in it; fit:
-    gaps and links of the rings as placed; contact_force_N (n,): largest contact force on each ring; worst: the cell
-    with the largest principal line load; wall_s: seconds it took.
+    sites: where in the reference; centre_mm, normal (n, 3): centres and unit normals in the axes of the curtain;
+    states: poses of the m cells, and row (n,) the cell of each ring in it; fit: gaps and links of the rings as placed;
+    contact_force_N (n,): largest contact force on each ring; worst: the cell with the largest principal line load;
+    wall_s: seconds it took.
     """
 
     curtain: Curtain
     cell: Cell
-    rings: RingPlaces
+    sites: Sites
+    centre_mm: Array
+    normal: Array
     states: NearestPoses
     row: NDArray[np.intp]
     fit: Fit
@@ -75,16 +78,6 @@ class RingField:
 
     def __len__(self) -> int:
         return len(self.row)
-
-    @property
-    def centre_mm(self) -> Array:
-        """Centres (n, 3) in the axes of the curtain."""
-        return self.rings.centre
-
-    @property
-    def normal(self) -> Array:
-        """Unit normals (n, 3) in the axes of the curtain."""
-        return self.rings.normal
 
     @property
     def status(self) -> NDArray[np.str_]:
@@ -149,7 +142,7 @@ class RingField:
     def data(self) -> dict[str, Array]:
         """Numbers per ring, (n,) or (n, w), by their names in rings.vtu; gaps are at most NEAR r1, as far as is
         searched."""
-        sites, states, row = self.rings.sites, self.states, self.row
+        sites, states, row = self.sites, self.states, self.row
         names = list(POSE_MEANINGS)
         code = np.array([names.index(str(status)) for status in states.status])
         return {

@@ -30,11 +30,10 @@ from rve.common import Array, InputError, Typed, shown, tell
 
 @dataclass(frozen=True)
 class LocalizeOptions(Typed):
-    """Which rings of a curtain are wanted.
+    """Which rings of a curtain are wanted: those in the window x0, y0, x1, y1 (mm, before deformation), all if None.
 
-    window: only rings in x0, y0, x1, y1 (mm, before deformation); all if None. max_rings: more rings are refused,
-    because their files grow by 0.5 kB each. poses: options of the pose solver. InputError for values that make no
-    sense.
+    max_rings: more are refused, because their files grow by 0.5 kB each. poses: options of the pose solver. InputError
+    for values that make no sense.
     """
 
     window: tuple[float, float, float, float] | None = None
@@ -95,7 +94,7 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     used, row = np.unique(sites.triangle, return_inverse=True)
     states, loads = solved(used)
     tell(f"{len(sites.X)} rings in their places")
-    rings = place_rings(curtain, sites, states, row, cell, axes)
+    centre, normal = place_rings(curtain, sites, states, row, cell, axes)
     tell(f"contact forces of {len(used)} cells")
     force = largest_forces(loads, cell, how.direct)[row, sites.index[:, 0]]
     among = np.arange(len(curtain.line_load)) if options.window is None else used
@@ -103,20 +102,16 @@ def localize(curtain: Curtain | str | Path, options: LocalizeOptions | None = No
     pose, load = solved(np.array([number]))
     turn = turns(curtain, np.array([number]), pose.E, axes)[0]
     worst = WorstCell(number, str(pose.status[0]), cell_forces(load[0], cell, how.direct), turn)
-    fit = fit_rings(sites.index, rings.centre, rings.normal, cell)
-    return RingField(curtain, cell, rings, states, row, fit, force, worst, round(time.perf_counter() - began, 3))
+    fit = fit_rings(sites.index, centre, normal, cell)
+    wall_s = round(time.perf_counter() - began, 3)
+    return RingField(curtain, cell, sites, centre, normal, states, row, fit, force, worst, wall_s)
 
 
 def run_localize(
     path: Path, out: Path, options: LocalizeOptions, *, picture: bool = True, html: bool = False, **vtu: bool
 ) -> dict[str, Any]:
-    """Rings of the curtain at `path`: rings.vtu, worst_cell.csv, localize.json and rings.png in `out`; the summary.
-
-    `vtu`: `tubes` and `stl` as of `RingField.save`.
-
-    Errors as in `localize` and `RingField.save`. What the picture needs and what `out` would overwrite is checked
-    before anything is solved.
-    """
+    """`localize` and `RingField.save` into `out`, `vtu`: its `tubes` and `stl`; the summary. What the picture needs and
+    what `out` would overwrite is checked before anything is solved."""
     inputs = [curtain_file(path)]
     check_outputs(out, inputs, picture=picture, html=html)
     return localize(path, options).save(out, picture=picture, html=html, inputs=inputs, **vtu)

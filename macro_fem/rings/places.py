@@ -1,12 +1,10 @@
 """Every ring of a curtain: which lattice points lie in it, where its rings go, and how they fit their neighbours.
 
 The weave's lattice has its origin at the middle of the curtain, so that a symmetric curtain gets symmetric rings. A
-ring goes to the deformed place x(X) of its lattice point, so that neighbouring cells meet, and tilts as in the
-localized pose of the cell that it lies in, turned with the curtain.
-
-The turn is that of the polar decomposition F = R U of the deformation gradient with the stretch U. F is 2 x 2 in a
-plane curtain, where R is the nearest rotation, which never turns a cell over. In space F is 3 x 2, the columns of R are
-the images of the sheet's own axes, orthogonal, and their cross product is the normal of the sheet.
+ring goes to the deformed place x(X) of its lattice point and tilts as in the localized pose of the cell that it lies
+in, turned with the curtain: by R of the polar decomposition F = R U of the deformation gradient. In the plane R is the
+nearest rotation, which never turns a cell over. In space F is 3 x 2, the columns of R are the images of the sheet's own
+axes, orthogonal, and their cross product is the normal of the sheet.
 """
 
 from __future__ import annotations
@@ -14,36 +12,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from macro_fem.fem.cells import cross, mean_at_corners, signed_areas
+from macro_fem.fem.cells import cross, mean_at_corners, padded, signed_areas
 from macro_fem.rings.curtain import Curtain
 from rve import Cell, NearestPoses, deformation_gradient, offsets, reference_shares
-from rve.common import Array
-from rve.common.records import Rows as Records
+from rve.common import Array, Index, Rows
 
-Index = NDArray[np.intp]
 NARROW = 1e-3
 """A triangle drawn together to less than this part of its length takes its normal from its neighbours."""
 
 
 @dataclass(frozen=True)
-class Sites(Records):
+class Sites(Rows):
     """Where rings belong: index (n, 3) = class, i, j; X (n, 2) in mm before; triangle (n,) around them."""
 
     index: Index
     X: Array
     triangle: Index
-
-
-@dataclass(frozen=True)
-class RingPlaces:
-    """Rings in space: centre (n, 3) in mm and unit normal (n, 3), in the axes of the curtain."""
-
-    sites: Sites
-    centre: Array
-    normal: Array
 
 
 def find_sites(
@@ -92,13 +78,14 @@ def _barycentric(corners: Array, point: Array) -> Array:
 
 def place_rings(
     curtain: Curtain, sites: Sites, states: NearestPoses, row: Index, cell: Cell, axes: Array
-) -> RingPlaces:
-    """The rings of the sites; row (n,) is the pose of each in `states`, in weave axes."""
+) -> tuple[Array, Array]:
+    """Centres (n, 3) in mm and unit normals (n, 3) of the rings of the sites, in the axes of the curtain; row (n,) is
+    the pose of each in `states`, in weave axes."""
     turn, ring = turns(curtain, sites.triangle, states.E[row], axes), sites.index[:, 0]
     corners = curtain.triangles[sites.triangle]
-    centre = np.einsum("nk,nkx->nx", _barycentric(curtain.X[corners], sites.X), curtain.x_in_space[corners])
+    centre = np.einsum("nk,nkx->nx", _barycentric(curtain.X[corners], sites.X), padded(curtain.x)[corners])
     centre = centre + np.einsum("nxy,ny->nx", turn[:, :, :2], offsets(states.pose, cell)[row, ring])
-    return RingPlaces(sites, centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring]))
+    return centre, np.einsum("nxy,ny->nx", turn, states.pose.normals[row, ring])
 
 
 def turns(curtain: Curtain, triangle: Index, E: Array, axes: Array) -> Array:

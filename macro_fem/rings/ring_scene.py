@@ -1,8 +1,7 @@
 """A scene as a finite mesh of rings: its outline, loads and supports.
 
-Supports and live loads are those of a finite-element mesh with one cell per reference cell of the weave: what it holds
-or loads at a node goes to the nearest ring. A rectangle of whole cells has a ring at every such node. The weight of a
-ring is that of its share of the reference area.
+What a finite-element mesh with one cell per reference cell of the weave holds or loads at a node goes to the nearest
+ring; a rectangle of whole cells has one there. The weight of a ring is that of its share of the reference area.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from rve.common.materials import material_of
 SLIDES = 1e-6
 """Part of the loads up to which the force of a pin counts as none: walls push a little where nothing touches."""
 MOST_CELLS = 400_000
-"""Reference cells of a scene; more are refused, two rings each."""
+"""Reference cells of a scene at most, of two rings each."""
 WHOLE, NEARLY_WHOLE = 1e-7, 0.02
 """A side of a rectangle within these parts of a cell of whole cells is left as it is, or made whole with a note."""
 
@@ -129,8 +128,7 @@ def ring_scene(scene: Scene, rings: Cell | MembraneLaw | None = None) -> RingSce
     if round_:
         raise InputError(f"{scene.source}: [obstacle] {round_[0]}: rings stay out of floors and walls, of nothing else")
     check_sizes(scene, info.r1_mm)
-    whole, notes = _in_whole_cells(scene, info)
-    return replace(with_loads(scene, info, _finite_mesh(whole, info)), notes=notes)
+    return with_loads(scene, info, _finite_mesh(_in_whole_cells(scene, info)[0], info))
 
 
 def _in_whole_cells(scene: Scene, info: CellInfo) -> tuple[Scene, tuple[str, ...]]:
@@ -173,7 +171,7 @@ def _finite_mesh(scene: Scene, info: CellInfo) -> FiniteMesh:
 
 def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozenset[int] | None = None) -> RingScene:
     """The rings of a mesh under the loads and supports of a scene; released: as of `make_problem`."""
-    scene = _in_whole_cells(scene, info)[0]
+    scene, notes = _in_whole_cells(scene, info)
     side = info.b_y_mm if scene.curtain.weave_angle % 180.0 == 90.0 else info.b_x_mm
     width = float(np.ptp(scene.curtain.corners(scene.mesh.cells)[:, 0]))
     one_per_cell = replace(scene.mesh, cells=max(1, round(width / side)), element="P1", pattern="aligned")
@@ -223,4 +221,4 @@ def with_loads(scene: Scene, info: CellInfo, mesh: FiniteMesh, released: frozens
         walls.append(HalfSpace((float(m[0, 0]), float(m[0, 1]), float(m[0, 2])), offset, item.name))
     pins = Sliding(ring[supports.pins.nodes], in_space_of(supports.pins.direction, 3))
     mesh = replace(mesh, bars=tuple(bars))
-    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), tuple(winds), info=info)
+    return RingScene(scene, mesh, force, held, at, tuple(groups), pins, mass, tuple(walls), tuple(winds), notes, info)

@@ -64,11 +64,10 @@ def cell_forces(s: Array, cell: Cell, options: DirectOptions | None = None) -> C
     works = (force > 1e-9) & (status == "converged")
     minima = con.minima.take(works)
     a, b, i, j = weave.pairs[minima.pair].T
-    zero = np.zeros_like(a)
     start, branch = np.pad(pose.centres[0, a], ((0, 0), (0, 1))), pair_geometry(pose, weave)[0][0, minima.pair]
     a1, a2 = pose.a1[0], pose.a2[0]
     return CellForces(
-        np.stack([a, zero, zero], axis=1),
+        np.stack([a, 0 * a, 0 * a], axis=1),
         np.stack([b, i, j], axis=1),
         cell.r1 * (start + 0.5 * (minima.rho_a + minima.rho_b) + 0.5 * branch),
         minima.normal,

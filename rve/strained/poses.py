@@ -1,15 +1,12 @@
 """The admissible pose of the cell at a given strain that is nearest to the locked poses.
 
-The strain E* of a curtain leaves offset and tilts of the rings open. They are chosen as near as contacts allow to an
-arrangement q*(E*) that is interpolated between locked states (Shepard, weights 1/distance^4 in strain, so that a locked
-strain gives its own locked state). Springs replace the line load in the equations. With lengths in r1 and D = E - E*
-their potential is
+Offset and tilts of the rings are as near as contacts allow to an arrangement q*(E*) that is interpolated between locked
+states (Shepard, weights 1/distance^4 in strain). Springs replace the line load in the equations of `equilibrium`, with
+the potential (lengths in r1, D = E - E* = D+ - D-, both positive semidefinite)
 
-    W = 1/2 |D+|^2 fold + 1/2 |D-|^2 + 1/2 weak (sum |c_k - c_k*|^2 + sum |n_k - n_k*|^2),
+    W = 1/2 |D+|^2 fold + 1/2 |D-|^2 + 1/2 weak (sum |c_k - c_k*|^2 + sum |n_k - n_k*|^2).
 
-D+, D-: excess and deficit relative to the target strain, D = D+ - D-, both positive semidefinite. The interior-point
-method of `equilibrium` finds the pose of least W: nearest in strain first, because `weak` is small. Gaps stay positive
-and links intact in every iterate, so that every pose is admissible, converged or not.
+Gaps stay positive and links intact in every iterate, so that every pose is admissible, converged or not.
 
 The rings cannot always have the strain E*. It may lie outside what rings reach in tension, because the law has an error
 or is elastic: `short`. And a curtain may be drawn together further than rings can be in a plane. There it hangs in
@@ -23,20 +20,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rve.common import Array, NotConverged, Rows, part_of
+from rve.common import Array, Flags, NotConverged, Rows, part_of
 from rve.common.tensor import WEIGHT, eigenvalues
 from rve.equilibrium.interior_point import DirectOptions, follow
 from rve.equilibrium.system import Equations, add_lattice_curvature
 from rve.geometry.cell import Cell
 from rve.geometry.circles import cross, dot, tangent_frame
-from rve.geometry.contacts import CellContacts, find_contacts
+from rve.geometry.contacts import find_contacts
 from rve.geometry.kinematics import lattice_strain
 from rve.geometry.pose import Pose, mirrored
 from rve.solve import locked_block, reference_sides, weave_sides
 from rve.strained.placed import shares
 
-_BLOCK = 1024
-"""Cells solved together: larger blocks need more memory, smaller ones more time."""
+_BLOCK, _MERGE = 1024, 1e-6
+"""Strains solved together: larger blocks need more memory, smaller ones more time; and differences that are none."""
 POSE_MEANINGS = {
     "met": "the rings have the strain of the curtain, within the tolerance",
     "beyond": "the curtain is stretched further than rigid rings reach; the nearest pose is drawn",
@@ -53,8 +50,6 @@ _LADDER = (
 )
 """Stages, each started from the one before: the weights of a fold and of the arrangement against strain that rings fall
 short of, and the first and last complementarity. Stiff springs come first: with weak ones some cells lock."""
-_MERGE = 1e-6
-"""Strains that agree to this are one solve."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,8 @@ class LockedArrangements:
     sides: tuple[float, float]
 
     def arrangement(self, E: Array) -> Array:
-        """Rows (n, 3 + 2 (K - 1) + 3 K) of the springs that pull to strains E (n, 3) and the arrangement there."""
+        """Rows (n, 3 + 2 (K - 1) + 3 K) of the springs that pull to strains E (n, 3) and the arrangement there: E*, of
+        every class but the first the shares (i, j) of the lattice vectors, and the normal of every class."""
         square = (self.E[None] - E[:, None]) ** 2 @ WEIGHT
         weight = 1.0 / (square + 1e-16) ** 2
         weight /= weight.sum(axis=1, keepdims=True)
@@ -144,9 +140,8 @@ def nearest_poses(
     for i in range(0, len(targets), _BLOCK):
         with part_of(f"rings in {len(targets)} strains", i / len(targets), min(1.0, (i + _BLOCK) / len(targets))):
             blocks.append(_settled(targets[i : i + _BLOCK], cell, options, states))
-    pose = blocks[0][0].join([one for one, _, _ in blocks[1:]])
-    gap = np.concatenate([contacts.min_gap for _, contacts, _ in blocks])
-    known = np.concatenate([settled for _, _, settled in blocks])
+    poses, gaps, settled = zip(*blocks, strict=True)
+    pose, gap, known = poses[0].join(poses[1:]), np.concatenate(gaps), np.concatenate(settled)
     rings = lattice_strain(pose.lattice, states.sides)[0]
     low, high = eigenvalues(rings - targets)
     short, fold = np.maximum(-low, 0.0), np.maximum(high, 0.0)
@@ -158,13 +153,9 @@ def nearest_poses(
     return replace(found, pose=found.pose.put(rows, mirrored(found.pose.take(rows))))
 
 
-def _settled(
-    E: Array, cell: Cell, options: PoseOptions, states: LockedArrangements
-) -> tuple[Pose, CellContacts, NDArray[np.bool_]]:
-    """Poses, their contacts, and whether one of the last three stages of the ladder has converged; a block of strains.
-
-    At the edge of what rings reach, the end of the path may be degenerate (contacts without force). A stage that stalls
-    keeps the pose of the stage before; its error of the strain is in the result.
+def _settled(E: Array, cell: Cell, options: PoseOptions, states: LockedArrangements) -> tuple[Pose, Array, Flags]:
+    """Poses of a block of strains, their smallest gaps, and whether one of the last three stages has converged: at the
+    edge of what rings reach the end of the path may be degenerate. A stage that stalls keeps the pose before it.
     """
     rows = states.arrangement(E)
     start, good = None, np.zeros(len(E), dtype=bool)
@@ -178,17 +169,13 @@ def _settled(
         start = found.pose
         if stage >= len(_LADDER) - 3:
             good |= found.status == "converged"
-    contacts = find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach)
-    return found.pose, contacts, good
+    return found.pose, find_contacts(found.pose, cell.weave, cell.wire, options.direct.reach).min_gap, good
 
 
 @dataclass(frozen=True)
 class Spring:
-    """Springs of a weave with reference sides b_x, b_y (in r1); `fold` and `weak` as in the header of the module.
-
-    Rows of its load hold the strain E* (3), then for every class but the first the shares (i, j) of the lattice vectors
-    in its centre, then the normal of every class (3 each).
-    """
+    """Springs of a weave with reference sides b_x, b_y (in r1); `fold` and `weak` as in the header of the module. Rows
+    of its load are those of `LockedArrangements.arrangement`."""
 
     sides: tuple[float, float]
     fold: float = 1.0
@@ -196,7 +183,7 @@ class Spring:
     is_relative: bool = False
 
     def force(self, pose: Pose, T: Array, s: Array) -> tuple[Array, Array]:
-        """See rve.equilibrium.system.CellLoad."""
+        """See `rve.equilibrium.system.CellLoad`."""
         n, k = pose.normals.shape[:2]
         f, J = np.zeros((n, T.shape[2])), np.zeros((n, T.shape[2], T.shape[2]))
         E, dE, ddE = lattice_strain(pose.lattice, self.sides)
