@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from homogenize import LockedRows, Strength, strength_of_table
+from macro_fem.demand.directions import rounded
 from macro_fem.demand.loop import Demand
-from macro_fem.demand.rings import Rings
 from macro_fem.output.strength import critical_load
 from rve import Cell, cauchy_of, solve_table, with_rings
 from rve.common import InputError, tell
 from rve.common.tensor import disc, eigenvalues, trace
 
-LOOKS = 4
-"""How often the rings are asked at the load that comes nearest to yield: the place may move with every answer."""
-NEAR = 0.01
-"""Directions of the unit disc nearer than this to a known one are not asked for."""
+LOOKS, NEAR = 4, 0.01
+"""How often the rings are asked at the load that comes nearest to yield, whose place may move with every answer; not
+where a direction is known that is nearer than this in the unit disc."""
 
 
 def with_strength(found: Demand) -> Demand:
@@ -41,13 +40,10 @@ def with_strength(found: Demand) -> Demand:
         images = known * [1.0, -1.0] if rows.is_mirrored else known
         if np.hypot(*(np.vstack([known, images]) - x).T).min() < NEAR:
             break
-        asked = Rings(cell, found.rings.cache)
-        asked.ask(x)
-        found.rings.solves += asked.solves
-        found.rings.hits += asked.hits
-        if asked.rows is None:
+        row = found.rings.answer(rounded(x)[0])
+        if row is None:
             break
-        rows, strength = rows.join([asked.rows]), strength.join([strength_of_rows(asked.rows, cell)])
+        rows, strength = rows.join([row]), strength.join([strength_of_rows(row, cell)])
     return told
 
 

@@ -14,12 +14,11 @@ from macro_fem.curtain import is_alike, is_elastic, solve_problem
 from macro_fem.fem.assembly import gradient, internal_force, load_vector
 from macro_fem.fem.cells import in_space_of, padded
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.account import Account, kinetic_energy, next_account, support_forces
 from macro_fem.motion.contact import Contacts
-from macro_fem.motion.pace import Failed, Frame, MotionStatus, Mover, Run
+from macro_fem.motion.pace import Failed, Frame, Mover, Run
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
-from macro_fem.motion.step import Moving, Stepped, solve_step
+from macro_fem.motion.step import Account, Moving, Stepped, kinetic_energy, next_account, solve_step, support_forces
 from macro_fem.output import plots, strength
 from macro_fem.output.files import write_vtu
 from macro_fem.output.pictures import figures
@@ -246,11 +245,7 @@ def _check(end: Stepped, t: float) -> None:
     if found.converged or (found.evidence.is_finite and found.evidence.error <= ROUNDING):
         return
     if found.stop in ("infeasible", "blocked"):
-        raise Failed(
-            MotionStatus.INFEASIBLE,
-            f"at {t:.6g} s supports and obstacles leave the curtain no place: move them less far apart",
-        )
-    raise Failed(
-        MotionStatus.STALLED,
-        f"the step to {t:.6g} s stopped at an error of {found.evidence.error:.1e} ({found.stop}): use another step",
-    )
+        words = "supports and obstacles leave the curtain no place: move them less far apart"
+        raise Failed("infeasible", f"at {t:.6g} s {words}")
+    why = f"an error of {found.evidence.error:.1e} ({found.stop})"
+    raise Failed("stalled", f"the step to {t:.6g} s stopped at {why}: use another step")

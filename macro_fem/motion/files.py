@@ -16,11 +16,11 @@ from zipfile import BadZipFile
 import numpy as np
 
 from homogenize import MembraneLaw, default_law, load_law
-from macro_fem.motion.account import Account
 from macro_fem.motion.curtain import MovingCurtain
 from macro_fem.motion.pace import COLUMNS, F, Mover, Pace, Run
 from macro_fem.motion.rings import MovingRings
 from macro_fem.motion.scheme import Moment
+from macro_fem.motion.step import Account
 from macro_fem.output.files import collection
 from macro_fem.output.pictures import Pictures
 from macro_fem.rings.every_ring import EveryRing
@@ -145,7 +145,7 @@ def summarize(mover: Mover[F, Any], run: Run[F], rows: Array) -> dict[str, Any]:
     first = len(last.moment.x) - len(mover.balls)
     ends = zip(mover.balls, last.moment.x[first:], last.moment.v[first:], strict=True)
     found = {
-        "status": str(run.status),
+        "status": run.status,
         "message": run.message,
         "duration_s": mover.motion.duration,
         "reached_s": float(t[-1]),

@@ -6,15 +6,14 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from macro_fem.motion.account import Account
 from macro_fem.motion.scheme import Moment, predicted
 from macro_fem.motion.stage import let_go, scene_at
+from macro_fem.motion.step import Account
 from macro_fem.scene.moving import Ball, Thrown
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.tables import Timed
@@ -41,19 +40,14 @@ SAFETY, LEAST_CHANGE, MOST_CHANGE = 0.9, 0.3, 1.5
 """A step follows the cube root of its error; changes beyond 1 + sqrt(2) would make BDF2 unstable."""
 
 
-class MotionStatus(StrEnum):
-    """How a run ended."""
-
-    CONVERGED = "converged"
-    STOPPED = "stopped"
-    STALLED = "stalled"
-    INFEASIBLE = "infeasible"
+End = Literal["converged", "stopped", "stalled", "infeasible"]
+"""How a run ended."""
 
 
 class Failed(Exception):
     """A step cannot be solved."""
 
-    def __init__(self, status: MotionStatus, message: str) -> None:
+    def __init__(self, status: End, message: str) -> None:
         super().__init__(message)
         self.status = status
 
@@ -102,7 +96,7 @@ class Run(Generic[F]):
 
     scene: Scene
     frames: tuple[F, ...]
-    status: MotionStatus
+    status: End
     message: str
     wall_s: float
 
@@ -186,7 +180,8 @@ class Mover(ABC, Generic[F, A]):
     def solve(self, start: F | None = None) -> Run[F]:
         """The frames until the run ends, a step fails or Ctrl-C stops it, from the beginning or a frame of a run."""
         begin, kept = time.perf_counter(), list[F]()
-        status, message = MotionStatus.CONVERGED, "every step is solved"
+        status: End = "converged"
+        message = "every step is solved"
         try:
             for frame in self.frames(start):
                 kept.append(frame)
@@ -195,8 +190,7 @@ class Mover(ABC, Generic[F, A]):
         except KeyboardInterrupt:
             if not kept:
                 raise
-            status = MotionStatus.STOPPED
-            message = f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
+            status, message = "stopped", f"stopped after {kept[-1].moment.t:.6g} s; the steps so far are kept"
         return Run(self.scene, tuple(kept), status, message, time.perf_counter() - begin)
 
     def frames(self, start: F | None = None) -> Iterator[F]:

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from macro_fem.motion.account import Account, kinetic_energy, next_account
-from macro_fem.motion.pace import Failed, Frame, MotionStatus, Mover, Run
+from macro_fem.motion.pace import Failed, Frame, Mover, Run
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import TONNE, relative_wind, scene_at
-from macro_fem.motion.step import Forces
+from macro_fem.motion.step import Account, Forces, kinetic_energy, next_account
 from macro_fem.rings.every_ring import EveryRing
 from macro_fem.rings.ring_scene import RingScene, ring_scene, with_loads
 from macro_fem.scene.loads import PER_MM2, areal_mass
@@ -166,7 +165,7 @@ class MovingRings(Mover[RingFrame, RingScene]):
         if rings.status != "converged":
             if not halvings:
                 raise Failed(
-                    MotionStatus.INFEASIBLE if rings.way_left_mm > 0.0 else MotionStatus.STALLED,
+                    "infeasible" if rings.way_left_mm > 0.0 else "stalled",
                     f"the step to {now.t + h:.6g} s ended {rings.status} at a residual of {rings.kkt_residual:.1e}: "
                     f"use another step",
                 )

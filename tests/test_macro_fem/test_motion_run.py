@@ -15,13 +15,13 @@ from homogenize import default_law
 from macro_fem.cli import main
 from macro_fem.curtain import solve_scene
 from macro_fem.motion import files, pace
-from macro_fem.motion.account import kinetic_energy
 from macro_fem.motion.curtain import MovingCurtain, solve_motion
 from macro_fem.motion.files import account_error
 from macro_fem.motion.modes import find_modes
 from macro_fem.motion.pace import COLUMNS
 from macro_fem.motion.scheme import Moment
 from macro_fem.motion.stage import masses_of, scene_at
+from macro_fem.motion.step import kinetic_energy
 from macro_fem.rings.ring_scene import ring_scene
 from macro_fem.scene.schema import read_scene
 from macro_fem.scene.wind import wind_pressure

@@ -10,9 +10,8 @@ from homogenize import default_law, elastic_law
 from macro_fem.fem.assembly import internal_force, load_vector
 from macro_fem.fem.discretization import Points, discretize
 from macro_fem.fem.supported import SupportedFem, with_loose_nodes
-from macro_fem.motion.account import Account, kinetic_energy, next_account, support_forces
 from macro_fem.motion.scheme import Moment, difference
-from macro_fem.motion.step import Forces, Moving, solve_step
+from macro_fem.motion.step import Account, Forces, Moving, kinetic_energy, next_account, solve_step, support_forces
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.schema import read_scene
 from macro_fem.solvers.cones import green_strain
