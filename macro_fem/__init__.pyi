@@ -3,8 +3,6 @@ from .demand.options import OnDemand as OnDemand
 from .job import compare as compare
 from .job import run_scene as run_scene
 from .job import solve as solve
-from .many.size import Size as Size
-from .many.size import largest_that_holds as largest_that_holds
 from .rings.curtain import Curtain as Curtain
 from .rings.curtain import read_curtain as read_curtain
 from .rings.every_ring import EveryRing as EveryRing
@@ -42,5 +40,7 @@ from .scene.tables import PatchLoad as PatchLoad
 from .scene.tables import PointLoad as PointLoad
 from .scene.tables import Solver as Solver
 from .scene.tables import Wind as Wind
+from .size import Size as Size
+from .size import largest_that_holds as largest_that_holds
 from .solution import CurtainSolution as CurtainSolution
 from .solvers.status import Status as Status

@@ -43,22 +43,16 @@ class Solution(ABC):
         one VTU per step and, as `animation`, curtain.gif of them, with `html` curtain.html, which turns in a browser.
         Ring by ring: rings.vtu, support_forces.csv, rings.png, with `html` rings.html.
 
-        All files appear together, and what they replace is gone (`rve.common.files`). InputError where they cannot be
-        written, or would overwrite `inputs`, or if what a picture needs is missing.
+        All files appear together, and what they replace is gone. InputError where they cannot be written, or would
+        overwrite `inputs`, or if what a picture needs is missing.
         """
-        wanted = Pictures(picture, animation, html)
-        self._check(wanted)
         check_out_job(folder, RECORD, inputs=inputs)
         with job(folder, RECORD, inputs) as staged:
-            return self._write(staged, wanted)
-
-    @abstractmethod
-    def _check(self, wanted: Pictures) -> None:
-        """InputError for pictures that make no sense, or that need what is missing."""
+            return self._write(staged, Pictures(picture, animation, html))
 
     @abstractmethod
     def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
-        """Write all files into a new folder; the summary."""
+        """Write all files into a new folder; the summary. InputError for pictures that make no sense."""
 
     @abstractmethod
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -90,9 +84,7 @@ class Solution(ABC):
 
     def support_forces(self) -> DataFrame:
         """The force of each held point on the curtain as a pandas DataFrame with the columns of support_forces.csv:
-        number and name of the support, x and y in the reference state in mm, components in N.
-
-        InputError if pandas is not installed.
+        number and name of the support, x and y in the reference state in mm, components in N (needs pandas).
         """
         require("pandas", "notebook", "support_forces()", "read support_forces.csv in another way")
         from pandas import DataFrame

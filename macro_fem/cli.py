@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -10,16 +11,20 @@ import click
 
 from rve.common import InputError, json_text, read_json_object
 from rve.common.commands.command_line import Group, answer, no_picture, options, say, say_next
-from rve.common.commands.sweeps import run_sweep, sweep_options
+from rve.common.commands.sweeps import SweepItem, absolute, run_sweep, sweep_options
 
 MOST_RINGS = 90_000
 """From this many on `localize` is told that they are wanted: its own limit is a little above."""
-
+NUMBERS = ("mean_height_mm", "lowest_point_mm", "max_principal_line_load_N_per_mm", "mass_kg", "utilisation_max")
+COLUMNS = ("status", *NUMBERS, "safety_factor", "cells")
+"""What sweep.csv takes from summary.json; no times, so that the same sweep gives the same file."""
+PATH = click.Path(path_type=Path)
 
 _scene_and_law = options(
-    click.argument("scene", type=click.Path(path_type=Path)),
-    click.option("--law", "law_path", type=click.Path(path_type=Path), help="Law file; without it r1/r2 = 10."),
+    click.argument("scene", type=PATH),
+    click.option("--law", "law_path", type=PATH, help="Law file; without it r1/r2 = 10."),
 )
+_out = click.option("--out", type=PATH, required=True, help="Folder for summary, VTU and picture.")
 
 
 @click.group(cls=Group)
@@ -36,23 +41,21 @@ _goes_on = click.option(
 
 @main.command(epilog="Example: macro_fem run scene.toml --law law.json --out curtain")
 @_scene_and_law
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
+@_out
 @click.option("--picture/--no-picture", default=True, help="Draw curtain.png (needs matplotlib; in space pyvista).")
 @click.option("--animation", is_flag=True, help="Draw the load steps as curtain.gif.")
 @click.option("--html", is_flag=True, help="Write curtain.html, which turns in a browser (needs plotly).")
-@click.option(
-    "--table", type=click.Path(path_type=Path), help="Table, CSV, to begin with instead of a law; with --rings."
-)
+@click.option("--table", type=PATH, help="Table, CSV, to begin with instead of a law; with --rings.")
 @click.option("--rings", metavar="R1,R2", help="Ask these rings for the law, radii in mm, where the curtain needs it.")
 @click.option("--weave", type=click.Choice(["4-in-1", "6-in-1"]), help="With --rings: weave.  [default: 4-in-1]")
 @click.option(
     "--grain", type=click.Choice(["y", "x"]), help="With --rings: axis along which rings interlace.  [default: y]"
 )
 @click.option("--accuracy", type=float, help="With --rings: width of the interval over the height.  [default: 5e-3]")
-@click.option("--cache", type=click.Path(path_type=Path), help="Folder where answers of the rings are kept.")
+@click.option("--cache", type=PATH, help="Folder where answers of the rings are kept.")
 @click.option("--no-cache", is_flag=True, help="Keep no answers of the rings, and read none.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a report of two pages, PDF.")
-@click.option("--dxf", type=click.Path(path_type=Path), help="Write the outline of the flat sheet (needs ezdxf).")
+@click.option("--report", type=PATH, help="Write a report of two pages, PDF.")
+@click.option("--dxf", type=PATH, help="Write the outline of the flat sheet (needs ezdxf).")
 @click.option("--explain", is_flag=True, help="Say what was used and left out, and why.")
 @_goes_on
 def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: bool, **more: Any) -> None:
@@ -66,28 +69,27 @@ def run(scene: Path, law_path: Path | None, out: Path, explain: bool, goes_on: b
     from macro_fem.scene.schema import load_scene
     from macro_fem.told import curtain_lines, default_law_lines, motion_lines
 
-    drawn = {name: more.pop(name) for name in ("picture", "animation", "html")}
-    report, dxf = (more.pop(name) for name in ("report", "dxf"))
+    files = {name: more.pop(name) for name in ("picture", "animation", "html", "report", "dxf")}
     asked = ring_options(law=law_path, **more)
     if load_scene(scene).motion is None:
         if goes_on:
             raise InputError(AT_REST)
         law = law_path if asked is None else None
-        summary = run_scene(scene, law, out, on_demand=asked, report=report, dxf=dxf, **drawn)
+        summary = run_scene(scene, law, out, on_demand=asked, **files)
         say(*([] if asked else default_law_lines(law_path)), *curtain_lines(summary, out, explain=explain))
     else:
         from macro_fem.motion.files import run_motion
 
         if asked is not None:
             raise InputError("--table and --rings: a curtain in motion takes a law, by --law")
-        if report is not None or dxf is not None:
+        if any([files.pop("report"), files.pop("dxf")]):
             raise InputError("--report and --dxf: are for a curtain at rest; leave them out for a scene with [motion]")
         say(*default_law_lines(law_path))
-        summary = run_motion(scene, law_path, out, goes_on=goes_on, **drawn)
+        summary = run_motion(scene, law_path, out, goes_on=goes_on, **files)
         say(*motion_lines(summary, out))
     _answer_or_go_on(summary, "run", scene, law_path, "--out", out)
     if "order" in summary:
-        _say_next_of_curtain(out, summary)
+        _say_next_of_curtain(out, summary["order"]["rings"])
 
 
 def _answer_or_go_on(summary: dict[str, Any], command: str, scene: Path, law_path: Path | None, *more: Any) -> None:
@@ -112,7 +114,7 @@ def _fail_unless(converged: bool) -> None:
 @click.option("--from", "low", type=float, required=True, help="Smallest value: mm, kg or m/s.")
 @click.option("--to", "high", type=float, required=True, help="Largest value.")
 @click.option("--factor", type=float, required=True, help="Factor with which the curtain is to hold.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for size.json, size.csv and size.png.")
+@click.option("--out", type=PATH, help="Folder for size.json, size.csv and size.png.")
 @click.option("--picture/--no-picture", default=True, help="Draw size.png (needs matplotlib).")
 def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None, picture: bool, **asked: Any) -> None:
     """The largest pitch, bar, wind or wire of SCENE with which it holds: prints one JSON object.
@@ -121,8 +123,8 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
     """
     from homogenize import interval_or_law
     from macro_fem.demand.options import ring_options
-    from macro_fem.many.size import largest_that_holds
     from macro_fem.scene.schema import load_scene
+    from macro_fem.size import largest_that_holds
     from rve.common.errors import require
     from rve.common.files import check_out_job
 
@@ -143,7 +145,7 @@ def size(scene: Path, law_path: Path | None, rings: str | None, out: Path | None
 @main.command(epilog="Example: macro_fem modes scene.toml --law law.json --number 6 --out modes")
 @_scene_and_law
 @click.option("--number", type=int, default=6, show_default=True, help="How many frequencies.")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for modes.json, VTU and picture.")
+@_out
 @click.option("--picture/--no-picture", default=True, help="Draw modes.png (needs matplotlib and pyvista).")
 def modes(scene: Path, law_path: Path | None, number: int, out: Path, picture: bool) -> None:
     """Natural frequencies of the curtain of SCENE at rest: prints one JSON object, and writes modes.vtu and modes.png.
@@ -166,18 +168,28 @@ def sweep(out: Path, arguments: tuple[str, ...], jobs: int, cluster: str | None)
 
     The same command again runs only what is not finished. Exit code 1 if a scene failed: sweep.csv says why.
     """
-    from macro_fem.many.sweep import scene_columns, scene_items
+    scenes = [Path(one) for one in takewhile(lambda one: not one.startswith("-"), arguments)]
+    further = absolute(arguments[len(scenes) :])
+    (name, count), *_ = Counter(scene.stem for scene in scenes).most_common(1) or [("", 0)]
+    if count > 1:
+        raise InputError(f"scenes: two are called {name}, and each needs a folder of its own; rename one")
+    if any(one.split("=")[0] == "--out" for one in further):
+        raise InputError("--out: is given by the sweep")
+    items = []
+    for scene in scenes:
+        folder = out.resolve() / scene.stem
+        words = ("run", str(scene.resolve()), "--out", str(folder), *further)
+        items.append(SweepItem(scene.stem, "macro_fem", words, folder / "summary.json"))
 
-    scenes = list(takewhile(lambda one: not one.startswith("-"), arguments))
-    items = scene_items([Path(one) for one in scenes], out, arguments[len(scenes) :])
-    finished = run_sweep(items, out, scene_columns, jobs=jobs, cluster=cluster)
-    first = out / finished[0]["name"]
-    _say_next_of_curtain(first, read_json_object(first / "summary.json"))
+    def columns(record: dict[str, Any]) -> dict[str, Any]:
+        return {name: record.get(name, "") for name in COLUMNS}
+
+    first = out / run_sweep(items, out, columns, jobs=jobs, cluster=cluster)[0]["name"]
+    _say_next_of_curtain(first, read_json_object(first / "summary.json")["order"]["rings"])
 
 
-def _say_next_of_curtain(out: Path, summary: dict[str, Any]) -> None:
+def _say_next_of_curtain(out: Path, count: int | None) -> None:
     """How to see every ring of the curtain in a folder, if its law has rings."""
-    count = summary["order"]["rings"]
     if count is None:
         return
     words: list[Any] = ["--max-rings", round(1.05 * count)] if count > MOST_RINGS else []
@@ -200,7 +212,7 @@ _ring_options = options(
 
 @main.command(epilog="Example: macro_fem rings scene.toml --law law.json --out each")
 @_ring_options
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for summary, VTU and picture.")
+@_out
 @click.option("--picture/--no-picture", default=True, help="Draw rings.png (needs matplotlib).")
 @click.option("--html", is_flag=True, help="Write rings.html, which turns in a browser (needs plotly).")
 @click.option("--animation", is_flag=True, help="Draw rings in motion as motion.gif.")
@@ -234,7 +246,7 @@ def rings(scene: Path, law_path: Path | None, out: Path, goes_on: bool, animatio
 
 @main.command(epilog="Example: macro_fem compare scene.toml --law law.json --out both.json")
 @_ring_options
-@click.option("--out", type=click.Path(path_type=Path), help="File for the numbers, JSON.")
+@click.option("--out", type=PATH, help="File for the numbers, JSON.")
 def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Path | None) -> None:
     """Solve SCENE as a membrane and ring by ring, and print both side by side.
 
@@ -258,7 +270,7 @@ def compare(scene: Path, law_path: Path | None, space: bool, start: str, out: Pa
 
 
 @main.command(epilog="Example: macro_fem localize curtain --out rings --window 0,0,100,100 --tubes")
-@click.argument("curtain", type=click.Path(path_type=Path))
+@click.argument("curtain", type=PATH)
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder to write into.")
 @click.option("--window", help="Only the rings in x0,y0,x1,y1 (mm, before deformation).")
 @click.option("--tubes/--lines", default=False, show_default=True, help="Write tori, or centre lines.")

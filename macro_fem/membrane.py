@@ -17,7 +17,7 @@ from macro_fem.combinations import envelope
 from macro_fem.elastic_forces import with_forces
 from macro_fem.output import files
 from macro_fem.output.forces import obstacle_summary
-from macro_fem.output.pictures import Pictures, write_curtain_page, write_pictures
+from macro_fem.output.pictures import Pictures, plot_line_loads, plot_utilisation, write_curtain_page, write_pictures
 from macro_fem.rings.curtain import curtain_of, read_told
 from macro_fem.rings.localize import localize
 from macro_fem.scene.meshing.mesh_files import write_outline
@@ -70,10 +70,8 @@ class MembraneSolution(Solution):
     def summary(self) -> dict[str, Any]:
         return self._summary(picture=False)
 
-    def _check(self, wanted: Pictures) -> None:
-        wanted.check(self.scene)
-
     def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
+        wanted.check(self.scene)
         summary = self._summary(picture=wanted.picture)
         area = self.solution.problem.disc.cell_area
         error = {"error_N_mm_per_mm2": self.levels[-1].bounds.error / area} if self.levels else {}
@@ -108,8 +106,6 @@ class MembraneSolution(Solution):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Line loads of the deformed curtain with their directions, on `ax` or axes of their own (matplotlib)."""
         require("matplotlib", "plots", "plot()", "read curtain.vtu in another program")
-        from macro_fem.output.plots import plot_line_loads
-
         return plot_line_loads(self.loaded, ax)
 
     def plot_utilisation(self, ax: Axes | None = None) -> Axes:
@@ -118,8 +114,6 @@ class MembraneSolution(Solution):
         Beside held and loaded points that of a cell grows with every refinement: judge by `utilisation_max`.
         """
         require("matplotlib", "plots", "plot_utilisation()", "read curtain.vtu in another program")
-        from macro_fem.output.plots import plot_utilisation
-
         return plot_utilisation(self.loaded, ax)
 
     def rings(self, options: LocalizeOptions | None = None) -> RingField:

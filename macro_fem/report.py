@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from macro_fem.output.plots import plot_line_loads
+from macro_fem.output.forces import spot_loads
+from macro_fem.output.pictures import plot_line_loads
 from macro_fem.output.weakest import links
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
+from macro_fem.scene.tables import Bar, EdgeLoad, Wind
 from macro_fem.solution import CurtainSolution
 from macro_fem.told import combination_lines, order_lines, verdict
 from rve.common import atomic_path, checksum
@@ -24,9 +26,7 @@ if TYPE_CHECKING:
 A4 = (8.27, 11.69)
 WIDTH = 105
 """Characters of a line."""
-SPAN = {"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
-"""The arrow of a dimension."""
-MOST_ROWS = 22
+MOST_ROWS = 44
 """Most points in the table of forces: those with the largest ones."""
 LIMITS = (
     "Rings are tori in contact without friction. Where the mesh is locked it gives no more, or as much as its rings "
@@ -49,8 +49,8 @@ def write_report(
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
-    name = Path(solution.problem.scene.source).stem
-    first = _page(name, 1)
+    title = f"Curtain of ring mesh: {Path(solution.problem.scene.source).stem}"
+    first, second, y = _page(title, 1), _page(title, 2), 0.93
     _draw_scene(solution, first.add_axes((0.1, 0.57, 0.8, 0.31)))
     shape = first.add_axes((0.14, 0.23, 0.74, 0.3))
     plot_line_loads(solution, shape).legend().remove()
@@ -58,22 +58,21 @@ def write_report(
     shape.set_title("As it hangs: largest principal line load, and its direction", fontsize=8, loc="left")
     words, holds = verdict(summary)
     _section(first, 0.945, words, [], BLUE if holds else VERMILION)
-    height = f"mean height {summary['mean_height_mm']:.1f} mm"
-    _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), f"  {height}"])
-    second, y = _page(name, 2), 0.93
-    for title, lines, is_table in _sections(summary, [one for one in inputs if one is not None]):
-        y = _section(second, y, title, lines, is_table=is_table)
-    told = {"Title": f"Curtain of ring mesh: {name}", "Creator": "macro_fem", "CreationDate": None}
+    height = f"  mean height {summary['mean_height_mm']:.1f} mm"
+    _section(first, 0.16, "What to order, and what it covers", [*order_lines(summary["order"]), height])
+    for head, lines, is_table in _sections(summary, filter(None, inputs)):
+        y = _section(second, y, head, lines, is_table=is_table)
+    told = {"Title": title, "Creator": "macro_fem", "CreationDate": None}
     with atomic_path(path) as temporary, PdfPages(temporary, metadata=told) as file:
         file.savefig(first)
         file.savefig(second)
 
 
-def _page(name: str, number: int) -> Figure:
+def _page(title: str, number: int) -> Figure:
     """A page with its head and foot."""
     figure = new_figure(*A4)
     figure.set_layout_engine("none")
-    figure.text(0.08, 0.955, f"Curtain of ring mesh: {name}", size=15, weight="bold")
+    figure.text(0.08, 0.955, title, size=15, weight="bold")
     figure.text(0.92, 0.03, f"page {number} of 2", size=8, ha="right")
     return figure
 
@@ -92,16 +91,13 @@ def _section(
     return y - 0.0128 * len(text) - 0.01
 
 
-def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
+def _sections(summary: dict[str, Any], inputs: Iterable[Path]) -> Iterable[tuple[str, Iterable[str], bool]]:
     """Titles and lines of the second page, and whether the lines are a table."""
     stress = summary["ring_yield_N_per_mm2"]
     told = "not known" if stress is None else f"{stress:g} N/mm2"
     material = f"material of the rings: {summary['ring_material'] or 'not known'}, yield stress {told}"
-    yield (
-        "What gives first",
-        [*(f"{one.name}: {one.factor:.3g} times the load" for one in links(summary)), material],
-        False,
-    )
+    factors = [f"{one.name}: {one.factor:.3g} times the load" for one in links(summary)]
+    yield "What gives first", [*factors, material], False
     if "combinations" in summary:
         yield "Load combinations", combination_lines(summary), False
     points = [
@@ -109,15 +105,13 @@ def _sections(summary: dict[str, Any], inputs: list[Path]) -> Iterable[tuple[str
         for one in summary["support_forces"]
         for point in one["points"]
     ]
-    largest = sorted(points, key=lambda row: -row[0])[: 2 * MOST_ROWS]
-    shown = sorted(largest, key=lambda row: (row[1], row[2], -row[3]))
+    shown = sorted(sorted(points, key=lambda row: -row[0])[:MOST_ROWS], key=lambda row: (row[1], row[2], -row[3]))
     rows = [
         f"{name:<8}{x:>6.0f}{h:>6.0f}{size:>8.3g}  ({', '.join(f'{part:.3g}' for part in force)})"
         for size, name, x, h, force in shown
     ]
-    half = (len(rows) + 1) // 2
-    wide = max(map(len, rows), default=0) + 3
-    columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip(rows[:half], [*rows[half:], ""], strict=False)]
+    half, wide = (len(rows) + 1) // 2, max(map(len, rows), default=0) + 3
+    columns = [f"{left:<{wide}}{right}".rstrip() for left, right in zip_longest(rows[:half], rows[half:], fillvalue="")]
     head = "Forces of supports" + ("" if len(shown) == len(points) else f", the {len(shown)} largest of {len(points)}")
     yield f"{head}: x and y in the flat sheet, mm; size and components, N", columns, True
     notes = [summary["support_forces_note"], summary["line_load_warning"]]
@@ -133,27 +127,25 @@ def _vector(parts: Iterable[float]) -> str:
 def _draw_scene(solution: CurtainSolution, ax: Axes) -> None:
     """The flat sheet with its outline, dimensions, held points and edges, and loads."""
     scene, mesh = solution.problem.scene, solution.problem.mesh.mesh
-    ends = mesh.p[:, mesh.facets[:, mesh.boundary_facets()]]
-    ax.plot(*ends, color="#555555", lw=1.0)
+    ax.plot(*mesh.p[:, mesh.facets[:, mesh.boundary_facets()]], color="#555555", lw=1.0)
     for held in solution.problem.supports.held:
-        marker, size = ("s", 2) if len(held.facets) else ("v", 5)
-        ax.plot(*solution.problem.disc.nodes[held.nodes].T, marker, color="#111111", ms=size)
+        marker, dot = ("s", 2) if len(held.facets) else ("v", 5)
+        ax.plot(*solution.problem.disc.nodes[held.nodes].T, marker, color="#111111", ms=dot)
     (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
     size = max(x1 - x0, y1 - y0)
     off = 0.06 * size
-    spans = (
-        ((x0, y0 - off), (x1, y0 - off), f"{x1 - x0:g} mm", 0),
-        ((x1 + off, y0), (x1 + off, y1), f"{y1 - y0:g} mm", 90),
-    )
-    for start, end, told, turn in spans:
-        ax.annotate("", start, end, arrowprops=SPAN)
-        x, y = 0.5 * np.add(start, end)
-        ax.text(x, y, told, ha="center", va="center", rotation=turn, size=8, backgroundcolor="white")
+
+    def span(start: Any, end: Any, at: Any, told: str, **style: Any) -> None:
+        ax.annotate("", start, end, arrowprops={"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0})
+        ax.text(at[0], at[1], told, va="center", size=8, **style)
+
+    middle: dict[str, Any] = {"ha": "center", "backgroundcolor": "white"}
+    span((x0, y0 - off), (x1, y0 - off), (0.5 * (x0 + x1), y0 - off), f"{x1 - x0:g} mm", **middle)
+    span((x1 + off, y0), (x1 + off, y1), (x1 + off, 0.5 * (y0 + y1)), f"{y1 - y0:g} mm", rotation=90, **middle)
     for row in solution.problem.mesh.hooks.values():
         first, (x, y) = np.add(mesh.p[:, row.nodes[:2]].T, [0.0, 0.6 * off])
-        ax.annotate("", first, (x, y), arrowprops=SPAN)
-        ax.text(x + 0.2 * off, y, f"{len(row.nodes)} points, {row.pitch:g} mm apart", va="center", size=8)
-    forces: tuple[PointLoad | PatchLoad, ...] = (*scene.of(PointLoad), *scene.of(PatchLoad))
+        span(first, (x, y), (x + 0.2 * off, y), f"{len(row.nodes)} points, {row.pitch:g} mm apart")
+    forces = [load for _, load in spot_loads(scene)]
     for one in forces:
         way = np.array(one.force[:2]) / (np.linalg.norm(one.force) or 1.0) * 0.1 * size
         ax.annotate("", np.add(one.at, way), one.at, arrowprops={"arrowstyle": "->", "color": VERMILION, "lw": 1.5})

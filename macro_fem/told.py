@@ -26,14 +26,10 @@ def default_law_lines(given: Path | None) -> list[str]:
 def curtain_lines(summary: dict[str, Any], out: Path, *, explain: bool) -> Iterator[str]:
     """How a curtain ended, its numbers, what to order, and whether it holds; `explain`: what was used and left out."""
     yield f"{summary['status']}: {summary['message']}"
-    yield (
-        f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm, "
-        f"largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
-    )
-    yield (
-        f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations, "
-        f"{summary['wall_s']:.2f} s; written to {out}"
-    )
+    heights = f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm"
+    yield f"{heights}, largest line load {summary['max_principal_line_load_N_per_mm']:.4g} N/mm"
+    sizes = f"{summary['cells']} cells, {summary['dofs']} unknowns, {summary['iterations']} iterations"
+    yield f"{sizes}, {summary['wall_s']:.2f} s; written to {out}"
     yield from hooks_lines(summary)
     yield from order_lines(summary["order"])
     if summary["status"] == "converged":
@@ -62,14 +58,14 @@ def every_ring_lines(summary: dict[str, Any], out: Path) -> list[str]:
     if summary["status"] != "out-of-reach":
         largest, residual = summary["largest_contact_force_N"], summary["kkt_residual"]
         left = f"largest contact force {largest:.4g} N, residual {residual:.1e}"
+    heights = f"mean height {summary['mean_height_mm']:.3f} mm, lowest point {summary['lowest_point_mm']:.3f} mm"
+    gap = f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations"
     return [
         f"{summary['status']}: {summary['message']}",
         *summary["notes"],
-        f"{summary['ring_count']} rings, mean height {summary['mean_height_mm']:.3f} mm, lowest point "
-        f"{summary['lowest_point_mm']:.3f} mm",
+        f"{summary['ring_count']} rings, {heights}",
         left,
-        f"smallest gap {summary['min_gap_mm']:.1e} mm, {summary['iterations']} iterations, "
-        f"{summary['wall_s']:.2f} s; written to {out}",
+        f"{gap}, {summary['wall_s']:.2f} s; written to {out}",
     ]
 
 
@@ -81,10 +77,8 @@ def ring_field_lines(found: dict[str, Any], out: Path) -> Iterator[str]:
     if found["curtain_status"] not in ("converged", "unknown"):
         yield f"the curtain is not solved: its status is {found['curtain_status']} (summary.json)"
     worst = found["worst_cell"]
-    yield (
-        f"forces between rings away from supports: at most {worst['largest_force_N']:.4g} N, of {worst['contacts']} "
-        f"contacts in cell {worst['cell']}, which has the largest line load"
-    )
+    where = f"of {worst['contacts']} contacts in cell {worst['cell']}, which has the largest line load"
+    yield f"forces between rings away from supports: at most {worst['largest_force_N']:.4g} N, {where}"
     if held := found["ring_at_support"]:
         yield f"the ring at {held['support']} that takes most is pulled by {held['force_N']:.4g} N"
     yield from (f"{name}: {text}" for name, text in found["meanings"].items() if name != "met")
@@ -109,19 +103,15 @@ def hooks_lines(summary: dict[str, Any]) -> list[str]:
 
 def order_lines(record: dict[str, Any]) -> list[str]:
     """The order sheet in lines."""
-    rings = "" if record["rings"] is None else f"{record['rings']} rings in {record['cells']} cells of the weave, "
-    pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
-    kind = []
+    mesh = f"mesh of {record['mesh_width_mm']:g} x {record['mesh_height_mm']:g} mm"
+    lines, rings = [f"order: {mesh}, width by height, pulled along its grain"], ""
     if record["weave"] is not None:
         across, wire, metal = 2.0 * record["r1_mm"], 2.0 * record["r2_mm"], record["material"] or "material not known"
-        kind = [f"  {record['weave']}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
-    return [
-        f"order: mesh of {record['mesh_width_mm']:g} x {record['mesh_height_mm']:g} mm, width by height, pulled along "
-        "its grain",
-        *kind,
-        f"  {rings}{record['mass_kg']:.4g} kg; {record['hooks']} single points to hang by{pitch}",
-        f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm",
-    ]
+        lines += [f"  {record['weave']}, rings of {metal}, {across:g} mm across to the middle of a wire of {wire:g} mm"]
+        rings = f"{record['rings']} rings in {record['cells']} cells of the weave, "
+    pitch = "" if record["hook_pitch_mm"] is None else f", {record['hook_pitch_mm']:g} mm apart along the mesh"
+    lines += [f"  {rings}{record['mass_kg']:.4g} kg; {record['hooks']} single points to hang by{pitch}"]
+    return [*lines, f"  covers {record['covers_width_mm']:.1f} mm, lowest point at {record['lowest_point_mm']:.1f} mm"]
 
 
 def combination_lines(summary: Mapping[str, Any]) -> list[str]:
@@ -130,10 +120,8 @@ def combination_lines(summary: Mapping[str, Any]) -> list[str]:
     for row in summary.get("combinations", ()):
         named = ", ".join(f"{value:g} {name}" for name, value in row["factors"].items() if value != 1.0)
         holds = "" if row["weakest_factor"] is None else f", factor {row['weakest_factor']:.3g} ({row['weakest']})"
-        lines.append(
-            f"combination {row['name']} ({named or 'all loads as they are'}): {row['status']}, "
-            f"largest force {row['largest_force_N']:.4g} N{holds}"
-        )
+        ended = f"{row['status']}, largest force {row['largest_force_N']:.4g} N{holds}"
+        lines.append(f"combination {row['name']} ({named or 'all loads as they are'}): {ended}")
     return [*lines, governing_line(summary)] if lines else []
 
 
@@ -170,10 +158,8 @@ def interval_line(summary: dict[str, Any]) -> str:
     low, high = summary[f"{what}_interval_{unit}"]
     law, mesh = summary[f"law_part_{unit}"], summary[f"mesh_part_{unit}"]
     name, shown = what.replace("_", " "), unit.replace("_", " ")
-    return (
-        f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; "
-        f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
-    )
+    asked = f"{summary['ring_solves']} ring problems solved, {summary['cache_hits']} read from the cache"
+    return f"{name} of the rings in [{low:.6g}, {high:.6g}] {shown}: law {law:.3g}, mesh {mesh:.3g} {shown}; {asked}"
 
 
 def side_by_side(summary: dict[str, Any]) -> list[str]:

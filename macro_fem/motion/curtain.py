@@ -19,10 +19,10 @@ from macro_fem.motion.pace import Failed, Frame, Mover, Run
 from macro_fem.motion.scheme import Moment, difference
 from macro_fem.motion.stage import forces_at, let_go, masses_of, scene_at, stored_energy, weights_of
 from macro_fem.motion.step import Account, Moving, Stepped, kinetic_energy, next_account, solve_step, support_forces
-from macro_fem.output import plots, strength
+from macro_fem.output import strength
 from macro_fem.output.files import write_vtu
-from macro_fem.output.pictures import figures
-from macro_fem.output.space_view import PictureFrame, Titled, draw_curtain, drawn
+from macro_fem.output.pictures import figures, side_by_side
+from macro_fem.output.space_view import Titled, drawn, save_panels
 from macro_fem.problem import CurtainProblem, make_problem
 from macro_fem.scene.meshing.mesh import build_mesh
 from macro_fem.scene.obstacles import Sphere
@@ -34,7 +34,7 @@ from macro_fem.solvers.cones import Cones
 from macro_fem.solvers.status import ROUNDING, Evidence
 from rve.common import Array, InputError, NotConverged
 from rve.common.drawing.plane import save_figure
-from rve.common.drawing.space import THREE_QUARTERS, look, new_plotter, save_picture
+from rve.common.drawing.space import THREE_QUARTERS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -226,17 +226,10 @@ class MovingCurtain(Mover[MotionFrame, tuple[CurtainProblem, SupportedFem]]):
     def draw_panels(self, path: Path, frames: Sequence[MotionFrame]) -> None:
         steps = self._titled(frames)
         if not self.scene.in_space:
-            save_figure(path, plots.side_by_side(steps))
+            save_figure(path, side_by_side(steps))
             return
-        view, plotter = PictureFrame.of([one for _, one in steps]), new_plotter(len(steps))
-        for panel, (_, solution) in enumerate(steps):
-            plotter.subplot(0, panel)
-            draw_curtain(solution, plotter, view)
-        ends = np.reshape([one.bounds for one in plotter.renderers], (-1, 3, 2))
-        for panel in range(len(steps)):
-            plotter.subplot(0, panel)
-            look(plotter, THREE_QUARTERS, box=np.stack([ends[:, :, 0].min(axis=0), ends[:, :, 1].max(axis=0)]))
-        save_picture(path, plotter, "at " + ", ".join(words for words, _ in steps))
+        views = [(solution, THREE_QUARTERS) for _, solution in steps]
+        save_panels(path, views, "at " + ", ".join(words for words, _ in steps))
 
 
 def _check(end: Stepped, t: float) -> None:

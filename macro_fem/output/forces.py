@@ -10,6 +10,7 @@ import numpy as np
 
 from macro_fem.fem.cells import padded
 from macro_fem.problem import CurtainProblem
+from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import PatchLoad, PointLoad, in_3d
 from macro_fem.solution import CurtainSolution
@@ -24,10 +25,8 @@ MOST_ARROWS = 14
 
 @dataclass(frozen=True)
 class PointForce:
-    """A force in N at a point `at` (2,) of the reference state, and the diameter over which it is spread, mm.
-
-    `rings` share the force at the point `place`, such as "hook 3"; none of a patch, whose rings are many.
-    """
+    """A force in N at a point `at` (2,) of the reference state, and the diameter over which it is spread, mm; `rings`
+    share it at the point `place`, such as "hook 3", none of a patch, whose rings are many."""
 
     name: str
     at: Array
@@ -47,12 +46,15 @@ def point_forces(solution: CurtainSolution) -> Iterator[PointForce]:
         for count, node in enumerate(held.nodes if not len(held.facets) else (), 1):
             name, rings = f"support {number} ({held.name})", getattr(item, "rings_per_hook", 1)
             yield PointForce(name, nodes[node], float(size[node]), 0.0, rings, f"{item.one} {count}{of}")
-    for number, point in enumerate(scene.of(PointLoad), 1):
-        force, name = factor * float(np.linalg.norm(point.force)), f"load.point {number}"
-        yield PointForce(name, np.array(point.at), force, 0.0, point.rings_per_hook, name)
-    for number, patch in enumerate(scene.of(PatchLoad), 1):
-        force = factor * float(np.linalg.norm(patch.force))
-        yield PointForce(f"load.patch {number}", np.array(patch.at), force, 2.0 * patch.radius)
+    for name, load in spot_loads(scene):
+        force, spread = factor * float(np.linalg.norm(load.force)), 2.0 * getattr(load, "radius", 0.0)
+        yield PointForce(name, np.array(load.at), force, spread, getattr(load, "rings_per_hook", 0), name)
+
+
+def spot_loads(scene: Scene) -> list[tuple[str, PointLoad | PatchLoad]]:
+    """Loads at points and on patches with their names, such as "load.point 1"."""
+    kinds: tuple[type[PointLoad | PatchLoad], ...] = (PointLoad, PatchLoad)
+    return [(f"load.{kind.kind} {number}", one) for kind in kinds for number, one in enumerate(scene.of(kind), 1)]
 
 
 def support_forces(solution: CurtainSolution) -> list[dict[str, Any]]:
@@ -96,8 +98,8 @@ def held_length(problem: CurtainProblem, facets: list[np.ndarray]) -> float:
 
 
 def support_rows(supports: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Columns and rows of the forces of supports point by point: number and name of the support, reference position,
-    force; in space the third component of the force follows, and where the point is held.
+    """Columns and rows of support_forces.csv: each point with number and name of its support, reference position and
+    force; in space also with the third component, and where it is held.
 
     >>> support_rows([{"support": "top", "points": [{"at_mm": [0.0, 9.0], "force_N": [0.5, 2.0]}]}])[1]
     [(1, 'top', 0.0, 9.0, 0.5, 2.0)]
@@ -169,7 +171,7 @@ def pushes(solution: CurtainSolution) -> tuple[Array, Array]:
 def point_loads(solution: CurtainSolution) -> tuple[Array, Array]:
     """Places (k, 3) and forces (k, 3) of the loads at points and on patches."""
     problem = solution.problem
-    loads: tuple[PointLoad | PatchLoad, ...] = (*problem.scene.of(PointLoad), *problem.scene.of(PatchLoad))
+    loads = [load for _, load in spot_loads(problem.scene)]
     nodes = [int(point_node(one.at, problem.disc)[0]) for one in loads]
     forces = np.reshape([in_3d(one.force) for one in loads], (-1, 3))
     return padded(solution.x)[nodes], problem.factor * forces

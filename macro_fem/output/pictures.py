@@ -1,25 +1,35 @@
-"""Pictures of solved curtains: NAME.png, NAME.gif and NAME.html, in the plane or in space, of load steps or moments."""
+"""Pictures of solved curtains; plot functions take a solution and axes, and return the axes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from macro_fem.output import plots
-from macro_fem.output.space_view import Titled, draw_curtain, drawn, title
+import numpy as np
+
+from macro_fem.output import strength
+from macro_fem.output.files import corner_positions
+from macro_fem.output.forces import LOAD, point_loads
+from macro_fem.output.space_view import LONGEST, Titled, draw_curtain, drawn, line_load_scale, save_panels, title
 from macro_fem.scene.schema import Scene
 from macro_fem.solution import CurtainSolution
-from rve.common import InputError, check_out_file, require
+from rve.common import Array, InputError, check_out_file, require
 from rve.common.drawing import space
 from rve.common.drawing.page import check_page, write_page
-from rve.common.drawing.plane import save_figure
+from rve.common.drawing.plane import new_axes, new_figure, save_figure
+from rve.common.drawing.scale import Scale
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 NO_GIF = "leave out --animation"
+ARROWS = 700
+"""Approximate number of principal directions in a picture. Larger: denser strokes."""
+STATES = {"slack": "#dfe3e8", "drawn in one direction": "#56b4e9", "taut in both": "#004c75"}
+HELD = "#111111"
 
 
 @dataclass(frozen=True)
@@ -37,10 +47,8 @@ class Pictures:
     def check(self, scene: Scene | None = None, inputs: Sequence[Path | None] = ()) -> None:
         """InputError, before anything is solved, for a package that is missing, a file that cannot be written or would
         overwrite one of `inputs`, and what makes no sense in this scene."""
-        for is_asked, ending, instead in (
-            (self.picture, "png", "ask for --no-picture"),
-            (self.animation, "gif", NO_GIF),
-        ):
+        png, gif = (self.picture, "png", "ask for --no-picture"), (self.animation, "gif", NO_GIF)
+        for is_asked, ending, instead in (png, gif):
             if is_asked:
                 require("matplotlib", "plots", f"{self.stem}.{ending}", instead)
                 if scene is not None and scene.in_space:
@@ -48,19 +56,16 @@ class Pictures:
         if self.html:
             check_page(f"{self.stem}.html", "leave out --html")
         if self.animation and scene is not None and scene.load.steps < 2 and scene.motion is None:
-            raise InputError(
-                f"{scene.source}: [load] steps = 1: there is nothing to animate; set steps = 10 or {NO_GIF}"
-            )
-        for option, path, ending, package, extra in (
-            ("--report", self.report, ".pdf", "matplotlib", "plots"),
-            ("--dxf", self.dxf, ".dxf", "ezdxf", "cad"),
-        ):
-            if path is None:
-                continue
-            require(package, extra, option, "leave it out")
-            check_out_file(path, option, inputs)
-            if path.suffix.lower() != ending:
-                raise InputError(f"{option} = {path}: give a name that ends in {ending}")
+            nothing = f"there is nothing to animate; set steps = 10 or {NO_GIF}"
+            raise InputError(f"{scene.source}: [load] steps = 1: {nothing}")
+        report, dxf = ("report", ".pdf", "matplotlib", "plots"), ("dxf", ".dxf", "ezdxf", "cad")
+        for name, ending, package, extra in (report, dxf):
+            path: Path | None = getattr(self, name)
+            if path is not None:
+                require(package, extra, f"--{name}", "leave it out")
+                check_out_file(path, f"--{name}", inputs)
+                if path.suffix.lower() != ending:
+                    raise InputError(f"--{name} = {path}: give a name that ends in {ending}")
 
 
 def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictures) -> None:
@@ -70,13 +75,9 @@ def write_pictures(folder: Path, steps: Sequence[CurtainSolution], wanted: Pictu
     if wanted.html:
         write_curtain_page(folder / f"{wanted.stem}.html", last)
     if wanted.picture and last.problem.scene.in_space:
-        plotter = space.new_plotter(2)
-        for panel, direction in enumerate((space.FRONT, space.THREE_QUARTERS)):
-            plotter.subplot(0, panel)
-            draw_curtain(last, plotter, direction=direction)
-        space.save_picture(picture, plotter, title(last))
+        save_panels(picture, [(last, space.FRONT), (last, space.THREE_QUARTERS)], title(last))
     elif wanted.picture:
-        save_figure(picture, plots.panels(last))
+        save_figure(picture, panels(last))
     if wanted.animation:
         shares = [f"{100.0 * step.problem.factor:.0f} % of live loads and moves\n{title(step)}" for step in steps]
         space.save_animation(folder / f"{wanted.stem}.gif", figures(list(zip(shares, steps, strict=True))))
@@ -89,7 +90,151 @@ def write_curtain_page(path: str | Path, solution: CurtainSolution) -> None:
 
 
 def figures(steps: Titled) -> Iterator[Figure]:
-    """The curtain at each step as a figure, with one scale of colours and one camera."""
-    if not steps[0][1].problem.scene.in_space:
-        return plots.frames(steps)
-    return (space.compose(one, words) for words, one in drawn(steps))
+    """The curtain at each step as a figure, with one scale of colours, and one frame or camera."""
+    solutions = [one for _, one in steps]
+    if solutions[0].problem.scene.in_space:
+        for words, plotter in drawn(steps):
+            yield space.compose(plotter, words)
+        return
+    scale = line_load_scale(solutions)
+    points = np.concatenate([*(one.x for one in solutions), solutions[0].problem.disc.nodes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.04 * float((high - low).max())
+    for words, solution in steps:
+        figure = new_figure(7.0, 6.2)
+        ax = plot_line_loads(solution, figure.subplots(), scale=scale)
+        ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
+        ax.set_title(words, fontsize=11)
+        yield figure
+
+
+def plot_line_loads(solution: CurtainSolution, ax: Axes | None = None, *, scale: Scale | None = None) -> Axes:
+    """The deformed curtain coloured by its largest principal line load, with principal directions and supports.
+
+    scale: the colours of a series of pictures; by default those of this solution.
+    """
+    values, direction = solution.principal()
+    scale = line_load_scale([solution]) if scale is None else scale
+    ax = _plot_field(solution, values[:, 0], scale, ax)
+    _directions(solution, (values, direction), scale, ax)
+    _loads(solution, ax)
+    _legend(ax)
+    ax.set_title(title(solution).replace(", ", ",\n", 1), fontsize=11)
+    return ax
+
+
+def plot_utilisation(solution: CurtainSolution, ax: Axes | None = None) -> Axes:
+    """The deformed curtain coloured by the utilisation of its rings, 1 where they yield; InputError if not known."""
+    used = strength.utilisation(solution)
+    if used is None:
+        raise InputError(f"utilisation: {strength.reason(solution.problem.law)}")
+    ax = _plot_field(solution, used, Scale.of(used, "utilisation of the rings (1: first yield)"), ax)
+    _legend(ax)
+    return ax
+
+
+def panels(solution: CurtainSolution) -> Figure:
+    """Line loads with directions, and the states: slack, drawn in one direction (it would wrinkle), taut in both."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    extent = np.ptp(np.vstack([solution.x[:, :2], solution.problem.disc.nodes]), axis=0)
+    figure = new_figure(10.4, float(np.clip(4.2 * extent[1] / extent[0], 2.6, 8.0)) + 1.4)
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    plot_line_loads(solution, axes[0])
+    _colour(solution, solution.state(), axes[1], cmap=ListedColormap(list(STATES.values())), vmin=0.0, vmax=2.0)
+    _legend(axes[1], [Patch(color=colour, label=name) for name, colour in STATES.items()])
+    return figure
+
+
+def side_by_side(steps: Titled) -> Figure:
+    """Line loads of several solutions on one scale."""
+    scale, figure = line_load_scale([one for _, one in steps]), new_figure(5.2 * len(steps), 6.0)
+    for ax, (words, solution) in zip(figure.subplots(1, len(steps), squeeze=False)[0], steps, strict=True):
+        plot_line_loads(solution, ax, scale=scale).set_title(words, fontsize=11)
+    return figure
+
+
+def _plot_field(solution: CurtainSolution, values: Array, scale: Scale, ax: Axes | None) -> Axes:
+    """The deformed curtain coloured by a cell field (n_cells,), over the outline of its reference state."""
+    ax = new_axes() if ax is None else ax
+    _colour(solution, np.maximum(values, scale.low), ax, cmap=scale.colour_map(), norm=scale.norm())
+    scale.add_bar(ax, shrink=0.75, pad=0.02)
+    return ax
+
+
+def _colour(solution: CurtainSolution, values: Array, ax: Axes, **style: Any) -> None:
+    """Triangles in the colours of cell values (n_cells,), outline of the reference, what is held."""
+    from matplotlib.collections import LineCollection
+
+    mesh, supports, corners = solution.problem.mesh.mesh, solution.problem.supports, corner_positions(solution)[:, :2]
+    ax.tripcolor(corners[:, 0], corners[:, 1], mesh.t.T, facecolors=values, edgecolors="face", lw=0.3, **style)
+    outline = mesh.p.T[mesh.facets[:, mesh.boundary_facets()].T]
+    dashes: Any = (0, (4, 3))
+    ax.add_collection(LineCollection(list(outline), colors="0.45", lw=0.8, ls=dashes, label="before deformation"))
+    facets = np.unique(np.concatenate([held.facets for held in supports.held]))
+    if len(facets):
+        lines = list(corners[mesh.facets[:, facets].T])
+        ax.add_collection(LineCollection(lines, colors=HELD, linewidths=2.5, label="held edge"))
+    count = supports.mask.sum(axis=1)
+    both = count == supports.mask.shape[1]
+    size = 45.0 if np.count_nonzero(count) < 40 else 14.0
+    fixed, sliding = (both, "v", HELD, "held in x and y"), ((count > 0) & ~both, "o", "white", "held in x or y")
+    for nodes, marker, face, label in (fixed, sliding):
+        if nodes.any():
+            x, y = solution.x[nodes, :2].T
+            ax.scatter(x, y, marker=marker, s=size, color=face, edgecolors=HELD, zorder=5, label=label)
+    ax.autoscale_view()
+    ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _directions(solution: CurtainSolution, principal: tuple[Array, Array], scale: Scale, ax: Axes) -> None:
+    """Short strokes along the larger principal line load in the deformed state, longer where it is larger."""
+    from matplotlib.collections import LineCollection
+
+    values, direction = principal
+    mesh = solution.problem.mesh.mesh
+    middle = mesh.p.T[mesh.t.T].mean(axis=1)
+    cells = one_per_square(middle, np.flatnonzero(values[:, 0] > 0.02 * scale.top), ARROWS)
+    F = solution.problem.disc.cell_mean(solution.F)[cells]
+    along = np.einsum("cij,cj->ci", F, direction[cells])[:, :2]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+    share = np.sqrt(np.minimum(values[cells, 0] / scale.top, 1.0))
+    centre = corner_positions(solution)[:, :2][mesh.t.T[cells]].mean(axis=1)
+    half = 0.01 * solution.problem.mesh.size * along * share[:, None]
+    tones = np.where(share > 0.55, "black", "white").tolist()  # black on bright colours, white on dark ones
+    ax.add_collection(LineCollection(list(np.stack([centre - half, centre + half], axis=1)), colors=tones, lw=0.8))
+    ax.plot([], [], color="black", lw=1.2, label="direction of this load")
+
+
+def _loads(solution: CurtainSolution, ax: Axes) -> None:
+    """Loads at points as arrows, the longest a part of the size of the mesh."""
+    at, force = (part[:, :2] for part in point_loads(solution))
+    longest = float(np.linalg.norm(force, axis=1).max(initial=0.0))
+    if longest > 0.0:
+        size = LONGEST * solution.problem.mesh.size
+        ax.update_datalim(at + size * force / longest)
+        ends: Any = {"angles": "xy", "scale_units": "xy", "scale": longest / size, "width": 0.009}
+        told = f"load at a point, up to {longest:.3g} N"
+        ax.quiver(*at.T, *force.T, color=LOAD, ec="white", lw=0.5, zorder=6, label=told, **ends)
+        ax.autoscale_view()
+
+
+def one_per_square(points: Array, chosen: np.ndarray, number: int) -> np.ndarray:
+    """Of the chosen points (n, 2), the one in the middle of each of about `number` squares around all points.
+
+    >>> one_per_square(np.array([[0.0, 0.0], [0.9, 0.9], [3.1, 3.0], [4.0, 4.0]]), np.array([0, 1, 2]), 4).tolist()
+    [1, 2]
+    """
+    low = points.min(axis=0)
+    side = np.sqrt(max(float(np.prod(np.ptp(points, axis=0))), 1e-300) / number)
+    place = (points[chosen] - low) / side
+    order = np.linalg.norm(place % 1.0 - 0.5, axis=1).argsort(kind="stable")
+    return np.sort(chosen[order[np.unique(np.floor(place[order]), axis=0, return_index=True)[1]]])
+
+
+def _legend(ax: Axes, more: Sequence[Any] = ()) -> None:
+    """What lines and markers mean, and the handles `more`, below the axes."""
+    handles = [*more, *ax.get_legend_handles_labels()[0]]
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize=9)

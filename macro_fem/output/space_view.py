@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,7 @@ from rve.common.drawing.space import (
     lines,
     look,
     new_plotter,
+    save_picture,
     surface,
 )
 
@@ -65,9 +67,9 @@ def box_of(points: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PictureFrame:
-    """What pictures of a series share: colours; boxes (2, 3) of the curtain, and with what stands beside it, mm; size
-    of the former, mm; length of arrows, mm/N; largest forces of supports, obstacles and loads, N; y of the lowest tip
-    of an arrow, mm."""
+    """What pictures of a series share: colours; boxes (2, 3) of the curtain, and with arrows and obstacles, mm; size of
+    the former, mm; length of arrows, mm/N; largest forces of supports, obstacles and loads, N; y of the ground where no
+    floor is, mm."""
 
     scale: Scale
     room: Array
@@ -86,11 +88,12 @@ class PictureFrame:
         room = box_of(np.concatenate([padded(corner_positions(step)) for step in steps]))
         size = float(np.linalg.norm(room[1] - room[0]))
         arrow = LONGEST * size / max(*largest, 1e-300)
-        lowest = float((at + arrow * force)[:, 1].min(initial=room[0, 1] - 0.06 * size))
-        frame = cls(line_load_scale(steps), room, room, size, arrow, largest, lowest)
+        around = box_of(np.concatenate([room, at + arrow * force]))
+        lowest = float(min(around[0, 1], room[0, 1] - 0.06 * size))
+        frame = cls(line_load_scale(steps), room, around, size, arrow, largest, lowest)
         bodies = [obstacle_mesh(one, frame, lowest) for step in steps for one in placed_obstacles(step.problem)]
         bounds = [np.reshape(one.bounds, (3, 2)).T for one in bodies if one is not None]
-        return replace(frame, around=box_of(np.concatenate([room, *bounds])))
+        return replace(frame, around=box_of(np.concatenate([around, *bounds])))
 
 
 def draw_curtain(
@@ -118,22 +121,26 @@ def draw_curtain(
         shown = arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
         add(plotter, f"{name}, longest {largest:.3g} N", shown, colour)
     _add_surroundings(plotter, curtain, frame, ground)
-    look(plotter, direction)
+    look(plotter, direction, box=box_of(np.vstack([frame.around, np.reshape(plotter.renderer.bounds, (3, 2)).T])))
     return plotter
 
 
 def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
     """A plotter, the same one, with the curtain at each step on one scale and with one camera."""
     frame, plotter = PictureFrame.of([one for _, one in steps]), new_plotter()
-    box = frame.room
     for words, solution in steps:
-        draw_curtain(solution, plotter, frame)
-        if words == steps[0][0]:  # the camera sees what is around the first step, and where the curtain goes
-            box = box_of(np.vstack([frame.room, np.reshape(plotter.renderer.bounds, (3, 2)).T]))
-        look(plotter, THREE_QUARTERS, box=box)
-        yield words, plotter
+        yield words, draw_curtain(solution, plotter, frame)
         plotter.clear_actors()
     plotter.close()
+
+
+def save_panels(path: Path, views: Sequence[tuple[CurtainSolution, tuple[float, float, float]]], words: str) -> None:
+    """Write solutions side by side on one scale, each seen along a direction, beneath `words` as PNG."""
+    frame, plotter = PictureFrame.of([one for one, _ in views]), new_plotter(len(views))
+    for panel, (solution, direction) in enumerate(views):
+        plotter.subplot(0, panel)
+        draw_curtain(solution, plotter, frame, direction)
+    save_picture(path, plotter, words)
 
 
 def title(solution: CurtainSolution) -> str:

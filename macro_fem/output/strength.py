@@ -23,10 +23,10 @@ import numpy as np
 
 from homogenize import CellInfo, Strength, strength_of_law
 from macro_fem.fem.hung_law import HungLaw, largest_stretch
-from macro_fem.output.forces import PointForce, point_forces
+from macro_fem.output.forces import PointForce, point_forces, spot_loads
 from macro_fem.output.line_load import FINE, Extreme, Nearby
 from macro_fem.scene.sites import edge_nodes
-from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad
+from macro_fem.scene.tables import Bar, EdgeLoad
 from macro_fem.solution import CurtainSolution
 from rve import pulled_ring
 from rve.common import Array
@@ -156,10 +156,8 @@ def nearest(solution: CurtainSolution, at: Array) -> str:
     problem = solution.problem
     nodes, scene = problem.disc.nodes, problem.scene
     places = {f"support {n} ({held.name})": nodes[held.nodes] for n, held in enumerate(problem.supports.held, 1)}
-    spots: tuple[type[PointLoad | PatchLoad], ...] = (PointLoad, PatchLoad)
+    places |= {name: np.array([load.at]) for name, load in spot_loads(scene)}
     edges: tuple[type[EdgeLoad | Bar], ...] = (EdgeLoad, Bar)
-    for spot in spots:
-        places |= {f"load.{spot.kind} {n}": np.array([one.at]) for n, one in enumerate(scene.of(spot), 1)}
     for along in edges:
         for n, one in enumerate(scene.of(along), 1):
             on_edge = edge_nodes(problem.mesh, problem.disc, one.edge, f"{scene.source}: {one.where} edge")

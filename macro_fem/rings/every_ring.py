@@ -107,11 +107,9 @@ class EveryRingSolution(Solution):
             "start": self.start,
         }
 
-    def _check(self, wanted: Pictures) -> None:
+    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
         if wanted.animation:
             raise InputError("animation: every ring is solved in one step, there is nothing to animate")
-
-    def _write(self, staged: Path, wanted: Pictures) -> dict[str, Any]:
         self.found.write_vtu(staged / "rings.vtu")
         if wanted.picture:
             save_figure(staged / "rings.png", self.plot(new_axes(8.0, 8.0)).figure, dpi=200)

@@ -14,7 +14,7 @@ import macro_fem
 from homogenize import fit
 from macro_fem import Bar, Combination, Corners, EdgeLoad, Hooks, Mesh, Rectangle, Scene, Wind, solve
 from macro_fem.cli import main
-from macro_fem.many.size import search
+from macro_fem.size import search
 from macro_fem.told import governing_line
 from rve import Cell, grid, solve_table, with_rings
 from rve.common.errors import InputError

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from homogenize import LawInterval, MembraneLaw, fit
-from macro_fem.answer import Solution
 from macro_fem.demand.options import OnDemand
 from macro_fem.job import solve
 from macro_fem.scene.schema import Scene
@@ -20,8 +19,13 @@ from rve import solve_table, with_rings
 from rve.common import InputError, csv_text, job, json_text, part_of, shown, write_text
 from rve.common.drawing.plane import new_axes, save_figure
 
-UNITS = {"pitch": "mm", "mass": "kg", "speed": "m/s", "r2": "mm"}
-"""What may be varied: the distance of hooks or runners, the mass of bars, the speed of the wind, the wire of rings."""
+VARIED: dict[str, tuple[str, str, Callable[[Item], bool]]] = {
+    "pitch": ("mm", "hooks or runners", lambda item: bool(getattr(item, "has_hooks", False))),
+    "mass": ("kg", "bar", lambda item: isinstance(item, Bar)),
+    "speed": ("m/s", "wind with a speed", lambda item: isinstance(item, Wind) and item.speed is not None),
+    "r2": ("mm", "wire of rings", lambda item: False),
+}
+"""What may be varied: its unit, and what of a scene has it."""
 COARSE, MOST = 5, 12
 """Values of the first round, and most values between the last one of them that holds and the next."""
 CLOSE = 2e-3
@@ -30,15 +34,12 @@ RINGS_NOT_JUDGED = (
     "the law does not tell the strength of rings, so that the factor is that of hooks or runners alone: make the table "
     "with rve table --rings, in Python rve.with_rings(table, cell), and fit it again"
 )
-"""What is said where only hooks have been judged."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One value that was tried: factors of the curtain, what gives first, and how the solver ended.
-
-    `factor` is the least of all links, rings and hooks; `safety_factor` that of the rings alone.
-    """
+    """One value that was tried, and how the solver ended; `factor` is the least of all links, rings and hooks,
+    `safety_factor` that of the rings alone."""
 
     value: float
     factor: float | None
@@ -50,7 +51,7 @@ class Row:
 @dataclass(frozen=True)
 class Size:
     """The largest `value` of what is varied at which the factor is at least the one asked for, and the `curve` of all
-    values that were tried, in order."""
+    values that were tried, in order; `note`: why the rings are not judged, None where they are."""
 
     vary: str
     value: float
@@ -60,7 +61,6 @@ class Size:
     factor_asked: float
     curve: tuple[Row, ...]
     note: str | None = None
-    """Why the rings are not judged: `factor` is then that of hooks and runners alone. None where they are."""
 
     @property
     def record(self) -> dict[str, Any]:
@@ -69,7 +69,7 @@ class Size:
     def save(self, folder: str | Path, *, picture: bool = True) -> dict[str, Any]:
         """Write size.json, size.csv and size.png into `folder`; the record."""
         with job(folder, "size.json") as staged:
-            rows = [asdict(row) for row in self.curve]
+            rows = self.record["curve"]
             write_text(staged / "size.csv", csv_text(list(rows[0]), (row.values() for row in rows)))
             if picture:
                 _draw(staged / "size.png", self)
@@ -84,8 +84,8 @@ def largest_that_holds(
 
     A pitch has only values that divide the edge. The factor is taken to cross `factor` once between two values of the
     first round, which are spread evenly. A value without an answer does not hold. For r2 `who` is an `OnDemand`, of
-    whose rings a table is made with each wire: it takes a fifth of the time of asking on demand. InputError for a
-    quantity that the scene has not, ends out of order, and where no value holds.
+    whose rings a table is made with each wire. InputError for a quantity that the scene has not, ends out of order, and
+    where no value holds.
     """
     low, high = ends
     if not 0.0 < low < high < np.inf:
@@ -97,7 +97,7 @@ def largest_that_holds(
     rows: dict[float, Row] = {}
 
     def use(value: float) -> float:
-        """Asked over found factor: at most 1 where the curtain holds, infinite where there is no answer."""
+        """Asked over found factor: at most 1 where the curtain holds, huge where there is no answer."""
         if value not in rows:
             share = min(len(rows) / (COARSE + MOST), 0.95)
             with part_of(f"{vary} = {value:.6g}", share, share):
@@ -158,7 +158,6 @@ def _pitches(scene: Scene, who: Any, low: float, high: float) -> list[float]:
 
 
 def _row(scene: Scene, who: Any, vary: str, value: float) -> Row:
-    """What the curtain bears at one value."""
     try:
         told = _summary(scene, who, vary, value)
     except InputError as error:
@@ -177,22 +176,15 @@ def _summary(scene: Scene, who: Any, vary: str, value: float) -> dict[str, Any]:
         who = fit(with_rings(solve_table(cell), cell)).law
     else:
         scene = _changed(scene, vary, value)
-    answer: Solution = solve(scene, who)
-    return answer.summary
+    return solve(scene, who).summary
 
 
 def _changed(scene: Scene, vary: str, value: float) -> Scene:
     """The scene with the value in every part that has it."""
-
-    def has(item: Item) -> bool:
-        if vary == "pitch":
-            return bool(getattr(item, "has_hooks", False))
-        return isinstance(item, Bar) if vary == "mass" else isinstance(item, Wind) and item.speed is not None
-
-    if vary not in UNITS:
-        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(UNITS)}")
+    if vary not in VARIED:
+        raise InputError(f"--vary = {shown(vary)}: is not one of {', '.join(VARIED)}")
+    _, what, has = VARIED[vary]
     if not any(map(has, scene.items)):
-        what = {"pitch": "hooks or runners", "mass": "bar", "speed": "wind with a speed"}[vary]
         raise InputError(f"{scene.source}: --vary {vary}: the scene has no {what}")
     changes: Any = {vary: value} | ({"count": None} if vary == "pitch" else {})
     items: list[Any] = list(scene.items)
@@ -204,12 +196,12 @@ def _changed(scene: Scene, vary: str, value: float) -> Scene:
 
 def _draw(path: Path, size: Size) -> None:
     """The factor over the value."""
-    known = [row for row in size.curve if row.factor is not None]
-    ax, unit = new_axes(6.4, 4.0), UNITS[size.vary]
-    ax.plot([row.value for row in known], [row.factor or 0.0 for row in known], "o-", color="#1f3a5f", ms=4)
+    ax, (unit, *_) = new_axes(6.4, 4.0), VARIED[size.vary]
+    known = [(row.value, row.factor) for row in size.curve if row.factor is not None]
+    ax.plot(*np.transpose(known), "o-", color="#1f3a5f", ms=4)
     ax.axhline(size.factor_asked, color="#bd1f01", lw=1.0, label=f"factor {size.factor_asked:g}")
     ax.axvline(size.value, color="#717581", lw=1.0, ls="--", label=f"{size.vary} = {size.value:.6g} {unit}")
-    top = 1.1 * max(size.factor_asked, *(row.factor or 0.0 for row in known))
+    top = 1.1 * max(size.factor_asked, *(factor for _, factor in known))
     ax.set(xlabel=f"{size.vary} ({unit})", ylabel="factor until the first link gives", ylim=(0.0, top))
     ax.legend(frameon=False)
     ax.grid(alpha=0.3)
