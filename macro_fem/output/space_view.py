@@ -19,21 +19,8 @@ from macro_fem.scene.support_kinds import Hooks, Track
 from macro_fem.scene.tables import in_3d
 from macro_fem.solution import CurtainSolution
 from rve.common import Array
+from rve.common.drawing import space
 from rve.common.drawing.scale import Scale, rounded_up
-from rve.common.drawing.space import (
-    FLAT,
-    THREE_QUARTERS,
-    add,
-    add_body,
-    arrows,
-    ball,
-    balls,
-    lines,
-    look,
-    new_plotter,
-    save_picture,
-    surface,
-)
 
 if TYPE_CHECKING:
     from pyvista import Plotter, PolyData
@@ -98,36 +85,36 @@ class PictureFrame:
 
 def draw_curtain(
     solution: CurtainSolution, plotter: Plotter | None = None, frame: PictureFrame | None = None,
-    direction: tuple[float, float, float] = THREE_QUARTERS,
+    direction: tuple[float, float, float] = space.THREE_QUARTERS,
 ) -> Plotter:  # fmt: skip
     """Draw the curtain with all around it into the active panel of a plotter, by default a new one; the plotter.
 
     frame: that of a series, by default its own; direction: that the camera looks along.
     """
-    plotter = new_plotter() if plotter is None else plotter
+    plotter = space.new_plotter() if plotter is None else plotter
     frame = PictureFrame.of([solution]) if frame is None else frame
     placed, curtain = placed_obstacles(solution.problem), sheet(solution, frame.scale)
     floors = [one.obstacle.height + one.shift[1] for one in placed if isinstance(one.obstacle, Floor)]
     ground = float(max(floors, default=frame.lowest))
-    add(plotter, "curtain", curtain, frame.scale)
+    space.add(plotter, "curtain", curtain, frame.scale)
     _add_supports(plotter, solution, frame.size)
     for one in placed:
         mesh, item = obstacle_mesh(one, frame, ground), one.obstacle
         if mesh is not None:
             style = {"opacity": 0.35} if isinstance(item, Wall) else {}
-            add_body(plotter, item.name, mesh, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
+            space.add_body(plotter, item.name, mesh, smooth_shading=isinstance(item, Sphere | Cylinder), **style)
     for (name, colour, forces), largest in zip(FORCES, frame.largest, strict=True):
         at, force = forces(solution)
-        shown = arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
-        add(plotter, f"{name}, longest {largest:.3g} N", shown, colour)
+        shown = space.arrows(at, frame.arrow * force, LEAST_ARROW * LONGEST * frame.size)
+        space.add(plotter, f"{name}, longest {largest:.3g} N", shown, colour)
     _add_surroundings(plotter, curtain, frame, ground)
-    look(plotter, direction, box=box_of(np.vstack([frame.around, np.reshape(plotter.renderer.bounds, (3, 2)).T])))
+    space.look(plotter, direction, box=box_of(np.vstack([frame.around, np.reshape(plotter.renderer.bounds, (3, 2)).T])))
     return plotter
 
 
 def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
     """A plotter, the same one, with the curtain at each step on one scale and with one camera."""
-    frame, plotter = PictureFrame.of([one for _, one in steps]), new_plotter()
+    frame, plotter = PictureFrame.of([one for _, one in steps]), space.new_plotter()
     for words, solution in steps:
         yield words, draw_curtain(solution, plotter, frame)
         plotter.clear_actors()
@@ -136,11 +123,11 @@ def drawn(steps: Titled) -> Iterator[tuple[str, Plotter]]:
 
 def save_panels(path: Path, views: Sequence[tuple[CurtainSolution, tuple[float, float, float]]], words: str) -> None:
     """Write solutions side by side on one scale, each seen along a direction, beneath `words` as PNG."""
-    frame, plotter = PictureFrame.of([one for one, _ in views]), new_plotter(len(views))
+    frame, plotter = PictureFrame.of([one for one, _ in views]), space.new_plotter(len(views))
     for panel, (solution, direction) in enumerate(views):
         plotter.subplot(0, panel)
         draw_curtain(solution, plotter, frame, direction)
-    save_picture(path, plotter, words)
+    space.save_picture(path, plotter, words)
 
 
 def title(solution: CurtainSolution) -> str:
@@ -155,7 +142,7 @@ def sheet(solution: CurtainSolution, scale: Scale) -> PolyData:
     mesh = solution.problem.mesh.mesh
     cells, values = counterclockwise(mesh.p.T, mesh.t.T), solution.principal()[0][:, 0]
     each = np.repeat(values[:, None], cells.shape[1], axis=1)
-    shown = surface(padded(corner_positions(solution)), cells)
+    shown = space.surface(padded(corner_positions(solution)), cells)
     shown[scale.label] = mean_at_corners(cells, each, solution.problem.disc.cell_area)
     return shown
 
@@ -167,7 +154,7 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
     room, less, middle, shift = frame.room, SHRUNK * frame.size, frame.room.mean(axis=0), placed.shift
     match item := placed.obstacle:
         case Sphere():
-            return ball(max(item.radius - less, 0.9 * item.radius), item.centre + shift)
+            return space.ball(max(item.radius - less, 0.9 * item.radius), item.centre + shift)
         case Cylinder():
             axis, point = unit(item.axis), np.array(in_3d(item.point)) + shift
             height = 1.08 * float((room[1] - room[0]) @ np.abs(axis))
@@ -180,7 +167,7 @@ def obstacle_mesh(placed: PlacedObstacle, frame: PictureFrame, ground: float) ->
         case Box():  # a ball whose eight parts are moved to the corners, cut off far from the curtain
             low, high = item.corner + shift + less, item.corner + shift + np.array(item.size) - less
             radius = min(item.rounding or 0.0, 0.499 * float((high - low).min()))
-            mesh = ball(1.0, np.zeros(3))
+            mesh = space.ball(1.0, np.zeros(3))
             way = np.sign(np.round(mesh.points, 6)) * (0.5 * (high - low) - radius) + radius * mesh.points
             least, most = room[0] - REACH * frame.size, room[1] + REACH * frame.size
             least[1] = max(least[1], ground)
@@ -199,15 +186,16 @@ def _add_supports(plotter: Plotter, solution: CurtainSolution, size: float) -> N
     for item, held in zip(problem.scene.support, problem.supports.held, strict=True):
         if isinstance(item, Track):
             curve = item.curve(*edge_line(problem.mesh, "top", "track"), problem.mesh, "track")
-            add(plotter, "track", lines(curve.at(np.linspace(0.0, curve.length, 200))[None]), TRACK, line_width=7)
+            line = space.lines(curve.at(np.linspace(0.0, curve.length, 200))[None])
+            space.add(plotter, "track", line, TRACK, line_width=7)
         elif len(held.facets):
             edges.append(corners[mesh.facets[:, held.facets].T])
         if not len(held.facets):
             name = "runners" if isinstance(item, Track) else "hooks" if isinstance(item, Hooks) else "held points"
             held_at[name].append(x[held.nodes])
-    add(plotter, "held edge", lines(np.concatenate(edges)), HELD, line_width=7)
+    space.add(plotter, "held edge", space.lines(np.concatenate(edges)), HELD, line_width=7)
     for name, places in held_at.items():
-        add(plotter, name, balls(np.concatenate(places), 0.006 * size), HELD)
+        space.add(plotter, name, space.balls(np.concatenate(places), 0.006 * size), HELD)
 
 
 def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, ground: float) -> None:
@@ -225,15 +213,15 @@ def _add_surroundings(plotter: Plotter, curtain: PolyData, frame: PictureFrame, 
         feet, radius, length = foot - [0.4 * PERSON_MM, 0.0, 0.0], 0.08 * PERSON_MM, 0.68 * PERSON_MM
         body = pyvista.Capsule(center=feet + 0.42 * up, direction=up, radius=radius, cylinder_length=length)
         head = pyvista.Sphere(radius=0.065 * PERSON_MM, center=feet + 0.93 * up)
-        add(plotter, "person, 1.75 m", body + head, FIGURE)
+        space.add(plotter, "person, 1.75 m", body + head, FIGURE)
     else:
         length = rounded_up(0.12 * size)
         ends = foot + np.array([[0.0, 0.006 * size, 0.0], [length, 0.006 * size, 0.0]])
-        add(plotter, f"bar of {length:g} mm", lines(ends[None]), FIGURE, line_width=9)
-    add(plotter, "_shadow", shadow, SHADOW, **FLAT)
+        space.add(plotter, f"bar of {length:g} mm", space.lines(ends[None]), FIGURE, line_width=9)
+    space.add(plotter, "_shadow", shadow, SHADOW, **space.FLAT)
     thrown = box + max(box[1, 1] - ground, 0.0) * LIGHT  # the patch is as large in all pictures of a series
     beside = foot - [[0.5 * PERSON_MM if is_large else 0.0, 0.0, 0.0]]
     (x0, _, z0), (x1, _, z1) = box_of(np.concatenate([frame.around, thrown, beside]))
     middle, room = (0.5 * (x0 + x1), ground - 1e-3 * size, 0.5 * (z0 + z1)), 0.12 * size
     floor = pyvista.Plane(center=middle, direction=(0.0, 1.0, 0.0), i_size=z1 - z0 + room, j_size=x1 - x0 + room)
-    add(plotter, "_ground", floor, GROUND, **FLAT)
+    space.add(plotter, "_ground", floor, GROUND, **space.FLAT)

@@ -145,10 +145,7 @@ def _largest_asked(solution: CurtainSolution, known: Strength, cell: CellInfo) -
         most = float(strengths.max()) / known.yield_stress()
         return near.largest(value, most), largest_borne(solution, near, own, value, most), ring
 
-    return [
-        asked(known.utilisation, known.first_yield, first),
-        asked(known.collapse_utilisation, known.collapse, last),
-    ]
+    return [asked(known.utilisation, known.first_yield, first), asked(known.collapse_utilisation, known.collapse, last)]
 
 
 def nearest(solution: CurtainSolution, at: Array) -> str:
