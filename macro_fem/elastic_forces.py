@@ -1,10 +1,10 @@
 """Forces that rigid rings leave open, decided by the elasticity of the rings: a second step after the rigid shape.
 
 Forces of supports are unique if balance alone decides them: no forces of the held components are in balance by
-themselves. Or if they act at two points: then balance leaves one pull along their line, the slope of the least
-potential over their distance, which is convex and so has a slope at all but countably many distances. With more points
-the supports of practice, level and as far apart as the mesh is wide, are just where the potential has a kink: columns
-of rings lock side by side and may share the load in many ways. Elastic rings have one answer.
+themselves. Or if they act at two points: balance then leaves one pull along their line, the slope of the least
+potential over their distance, which is convex and has a slope at all but countably many distances. Level supports at
+more points, as far apart as the mesh is wide, are where the potential has a kink: columns of rings lock side by side
+and may share the load in many ways. Elastic rings have one answer.
 """
 
 from __future__ import annotations
@@ -31,9 +31,7 @@ RANK = 1e-9
 
 def self_balanced(problem: CurtainProblem, x: Array) -> int:
     """How many independent sets of support forces at positions x (n_nodes, d) balance without any load; 0 if the forces
-    are unique, as they are of pieces that are held at two points or so that balance decides them.
-
-    A component that slides on a sloping line counts as held.
+    are unique. A component that slides on a sloping line counts as held.
     """
     number, label = components(problem.disc.cell_dofs, problem.disc.n_nodes)
     found = 0
@@ -57,8 +55,7 @@ def _balance(x: Array, axes: np.ndarray) -> Array:
 def with_forces(found: CurtainSolution) -> CurtainSolution:
     """The curtain with line loads and forces of elastic rings where rigid ones leave them open, its shape unchanged.
 
-    For `kind = "auto"`; what was done is `second_step`. Where elastic rings give no answer the rigid forces
-    stay, and the reason is told.
+    For `kind = "auto"`; `second_step` says what was done, or why elastic rings give no answer and rigid forces stay.
     """
     problem = found.problem
     if problem.scene.solver.kind != "auto" or found.status != "converged":

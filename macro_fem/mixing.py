@@ -1,10 +1,9 @@
-"""Fixed points of forces by Anderson's mixing, with a way back.
+"""Fixed points of forces by Anderson's mixing, with a way back (D. G. Anderson, J. ACM 12, 1965).
 
-D. G. Anderson, J. ACM 12 (1965). Forces f are looked for that a map G leaves: the change G(f) - f vanishes. The next
-forces are those at which the changes seen so far, if they were linear, would cancel, plus a part of what then remains.
-Where a change is far larger than the least one, the forces of that one are tried again with half the part, and all but
-the newest few are forgotten: wind that follows a curtain has a slope of G far below -1, so that rounds swing between a
-curtain that flies and one that hangs.
+Forces f are looked for that a map G leaves: G(f) - f = 0. The next ones are those at which the changes seen so far, if
+they were linear, would cancel, plus a part of what then remains. Where a change is far larger than the least one, the
+forces of that one are tried again with half the part, and all but the newest few are forgotten: wind that follows a
+curtain has a slope of G far below -1, so that rounds swing between a curtain that flies and one that hangs.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class Mixer:
         return self._mixed(force, change)
 
     def _back(self) -> Array:
-        """The best forces and a smaller part of their change. What is found there may be somewhat farther off."""
+        """The best forces and a smaller part of their change."""
         assert self.best is not None
         self.part = max(0.5 * self.part, LEAST_PART)
         self.far *= FAR

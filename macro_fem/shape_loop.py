@@ -1,13 +1,12 @@
 """Curtains whose problem depends on their own shape: bodies to stay outside of, wind on the present shape.
 
-Neither is convex. At a shape x each body is replaced by tangent half-spaces, at its points closest to the nodes and to
-the middles of sides and cells, and the wind by dead forces (`macro_fem.drag`); that is a convex problem
-(`macro_fem.curtain`), whose answer is the next shape. The half-spaces of a convex body exclude the body, and x
-satisfies those found at x: without such wind every round is admissible and lowers the potential. The rounds end when
-neither half-spaces nor forces turn any more; the record tells by how much they still do.
+At a shape x each body is replaced by tangent half-spaces, at its points closest to the nodes and to the middles of
+sides and cells, and the wind by dead forces (`macro_fem.drag`); the answer to that convex problem (`macro_fem.curtain`)
+is the next shape. The half-spaces of a convex body exclude it, and x satisfies those found at x: without such wind
+every round is admissible and lowers the potential. Rounds end when neither half-spaces nor forces turn any more.
 
-Which side of a body a node is on is decided once, before the first round: by the last load step, or by where the sheet
-starts ([start], or the curtain without bodies), pushed along by the bodies as they move into place.
+Which side of a body a node is on is decided before the first round: by the last load step, or by where the sheet starts
+([start], or the curtain without bodies), pushed along by the bodies as they move into place.
 """
 
 from __future__ import annotations
@@ -52,12 +51,11 @@ SHORTEST = 1.0 / 32
 """Least part of the way of supports and bodies that is tried at once before the curtain counts as blocked."""
 STEEP_PART = 0.1
 """First part of a change that is taken of wind that follows with a speed, whose force falls much faster than the sheet
-turns out of it: by 13 times at 37 m/s. Larger parts begin with more detours."""
+turns out of it. Larger parts begin with more detours."""
 STEEP_SETTLED, STEEP_TOLERANCE = 1e-3, 1e-12
-"""What such wind may still turn, over the loads, and the gap of its convex solves, where less is asked for: positions
-are known to the square root of the gap, and forces on a sheet at 8 degrees to the wind to thirteen times that. With
-a gap of 1e-9 changes of 1e-3 are noise: of strips in 12 winds of 8 to 45 m/s two had no rest in 60 rounds, the others
-took up to 38. With this all have, in 6 to 24."""
+"""What such wind may still turn, over the loads, and the largest gap of its convex solves: positions are known to the
+square root of the gap, and forces on a sheet at 8 degrees to the wind to thirteen times that. With 1e-9 some strips
+find no rest."""
 
 Solve = Callable[[CurtainProblem, CurtainSolution | None], CurtainSolution]
 """The solver of a convex problem, from a curtain before."""
@@ -122,10 +120,8 @@ def _approach(
     solve: Solve,
     watch: _Watch,
 ) -> tuple[list[Array], CurtainSolution]:
-    """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place.
-
-    In as large strides as the half-spaces leave room for: those found at one shape may exclude every state of a curtain
-    whose supports are elsewhere. After `SHORTEST` the last curtain says that it is blocked.
+    """The first tangent half-spaces and the curtain in them, after supports and bodies have moved into place: in as
+    large strides as leave a state in the half-spaces found before. After `SHORTEST` the curtain says it is blocked.
     """
     held = np.where(problem.fem.held, first.x, 0.0)
     before = 0.0 if start is None else start.problem.factor
@@ -163,9 +159,9 @@ def _stride(problem: CurtainProblem, before: float) -> float:
 
 
 class _Watch:
-    """How deep points of the mesh, at its nodes and between them, have been inside a body, over half its least width.
+    """How deep points of the mesh, a third of half a body's least width apart, have been inside it, over that half.
 
-    They lie a third of that apart. Cells at held nodes are left out, as supports take these along.
+    Cells at held nodes are left out, as supports take these along.
     """
 
     def __init__(self, problem: CurtainProblem, deepest: float) -> None:
@@ -198,10 +194,7 @@ def _pose(problem: CurtainProblem, normals: list[Array], wind: Array) -> Curtain
 
 
 def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
-    """Where nodes are before bodies move: the sheet at its start, or the curtain without bodies, in dead wind.
-
-    InputError for a point of the mesh inside a body.
-    """
+    """The sheet at its start, or the curtain without bodies in dead wind; InputError for a point inside a body."""
     scene, disc = problem.scene, problem.disc
     dead = problem
     if problem.winds:
@@ -224,10 +217,7 @@ def _first(problem: CurtainProblem, solve: Solve) -> CurtainSolution:
 
 
 def _push_out(problem: CurtainProblem, x: Array, before: float, after: float, watch: _Watch) -> Array:
-    """Places (n_nodes, d) after the bodies have gone from one share of their moves to another.
-
-    Nodes that a body meets are pushed to its surface.
-    """
+    """Places (n_nodes, d) after bodies, from one share of their moves to another, have pushed the nodes they meet."""
     for factor in np.linspace(before, after, STRIDES + 1)[1:]:
         for body in problem.bodies:
             if any(body.obstacle.move):

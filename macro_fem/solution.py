@@ -1,4 +1,4 @@
-"""From a scene to a curtain: mesh, supports, loads, solver; the record that pictures and files are made of."""
+"""A solved curtain: the record that status, pictures and files are made of."""
 
 from __future__ import annotations
 
@@ -23,10 +23,8 @@ WRINKLED = 0.05
 
 @dataclass(frozen=True, eq=False)
 class InnerForces:
-    """Line loads at the points, P = F S (nq, d, 2) and S (nq, 3), in N per mm of reference length. wall_forces (m,), N:
-    the push of each half-space of `walls` along its normal.
-
-    `tension` is the even tension in N/mm that P balances besides the load.
+    """Line loads at the points, P = F S (nq, d, 2) and S (nq, 3), in N per mm of reference length; the even tension in
+    N/mm that P balances besides the load; wall_forces (m,), N: the push of each half-space along its normal.
     """
 
     P: Array
@@ -39,14 +37,12 @@ class InnerForces:
 class CurtainSolution(Judged):
     """The curtain at one load step.
 
-    x (n_nodes, d) positions, mm; primal and dual values of the potential -sum force . (x - X), N mm; reactions
-    (n_nodes, d), N; `inner`: line loads, and pushes of half-spaces.
-
-    Status and message are not given but follow from the rest: `stop` is why the solver stopped, `asked` what the
-    numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `relaxation` by how
-    much the law was relaxed, whose bounds primal and dual then are; None for the law as it is. `second_step`: whether
-    forces are those of elastic rings by a second step, and why; None where that is no question.
-    settling: how far the rounds of `macro_fem.shape_loop` have come, None where the problem is convex.
+    x (n_nodes, d) positions, mm; primal and dual values of the potential -sum force . (x - X), N mm; `inner`: line
+    loads, and pushes of half-spaces. Status and message follow from the rest: `stop` is why the solver stopped, `asked`
+    what the numbers of an answer must not exceed, `reach` how much farther apart the supports could be, `relaxation` by
+    how much the law was relaxed, whose bounds primal and dual then are; None for the law as it is. `second_step`:
+    whether forces are those of elastic rings by a second step, and why; None where that is no question. `settling`: how
+    far the rounds of `macro_fem.shape_loop` have come, None where the problem is convex.
     """
 
     problem: CurtainProblem
@@ -81,7 +77,7 @@ class CurtainSolution(Judged):
 
     @cached_property
     def evidence(self) -> Evidence:
-        """The errors of this answer, from its own numbers: nothing that a solver reports enters but the dual value."""
+        """The errors of this answer, from its own numbers and the solver's dual value."""
         return Evidence(self.relative_gap, self.residual, self._violation())
 
     @cached_property
@@ -97,16 +93,13 @@ class CurtainSolution(Judged):
     @cached_property
     def residual(self) -> float:
         """Sum of the forces on free unknowns that do not balance, over the sum of the loads."""
-        fem = self.problem.fem
-        own = self.P - self.tension * unit_tensors(self.problem)
-        return float(np.abs(fem.gather(self.problem.force + self.pushes) - fem.force(own)).sum()) / self._total
+        return float(np.abs(self.problem.fem.gather(self.unbalanced)).sum()) / self._total
 
     @cached_property
     def pushes(self) -> Array:
         """Forces of floors, walls and bodies on the nodes (n_nodes, d), N."""
-        walls = self.problem.walls
-        n_nodes = self.problem.disc.n_nodes
-        return np.zeros_like(self.problem.force) if walls is None else walls.nodal(self.wall_forces, n_nodes)
+        force, walls = self.problem.force, self.problem.walls
+        return np.zeros_like(force) if walls is None else walls.nodal(self.wall_forces, len(force))
 
     @property
     def _total(self) -> float:
@@ -141,7 +134,7 @@ class CurtainSolution(Judged):
         """Forces of the supports on the curtain (n_nodes, d), N."""
         return self.problem.supports.carried(self.unbalanced)
 
-    @property
+    @cached_property
     def unbalanced(self) -> Array:
         """Inner forces less loads and pushes of obstacles at all nodes (n_nodes, d), N."""
         own = self.P - self.tension * unit_tensors(self.problem)
@@ -160,8 +153,8 @@ class CurtainSolution(Judged):
 
     def mean_place(self) -> Array:
         """Mean position over the reference area (d,), mm."""
-        shares = load_vector(discretize(self.problem.mesh.mesh, self.problem.disc.element), np.array([1.0]))[:, 0]
-        return np.average(self.x, axis=0, weights=shares)
+        disc = discretize(self.problem.mesh.mesh, self.problem.disc.element)
+        return np.average(self.x, axis=0, weights=load_vector(disc, np.array([1.0]))[:, 0])
 
     def mean_height(self) -> float:
         """Mean of y over the reference area, mm."""
@@ -183,14 +176,14 @@ class CurtainSolution(Judged):
     def principal(self) -> tuple[Array, Array]:
         """Principal line loads (n_cells, 2), larger first, and the reference direction of the larger (n_cells, 2).
 
-        These are the singular values of P, forces per reference length: what the rings of a pitch carry, finite even
-        where the mesh is drawn together to a line. P is averaged over neighbours first (see `recovered`).
+        These are the singular values of P, averaged over neighbours first: forces per reference length, which the
+        rings of a pitch carry, finite even where the mesh is drawn together to a line.
         """
         _, values, Vt = np.linalg.svd(self.recovered(self.problem.disc.cell_mean(self.P)))
         return values, Vt[:, 0, :]
 
     def recovered(self, values: Array) -> Array:
-        """Cell values (n_cells, ...) averaged over neighbours, see `macro_fem.fem.cells.recovered`."""
+        """Cell values (n_cells, ...) averaged over neighbours: `macro_fem.fem.cells.recovered`."""
         return recovered(self.problem.mesh.mesh.t.T, values, self.problem.disc.cell_area)
 
     def state(self) -> np.ndarray:

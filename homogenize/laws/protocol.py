@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rve.common import Array, InputError, Typed
+from rve.common import Array, InputError, Rows, Typed
 from rve.common.rings import ArealMass, Length
 
 
@@ -49,7 +49,7 @@ class HalfSpaces:
 
 
 @dataclass(frozen=True)
-class Cut:
+class Cut(Rows):
     """For each strain the half-space that it violates most: S (n, 3) of unit trace, h (n,), violation S:E - h (n,).
 
     extra (n,): see `HalfSpaces`.

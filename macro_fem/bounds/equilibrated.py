@@ -33,10 +33,10 @@ from macro_fem.fem.supported import SupportedFem
 from macro_fem.scene.loads import disk_areas, weight_per_area, wind_per_area
 from macro_fem.scene.meshing.mesh import CurtainMesh
 from macro_fem.scene.schema import Scene
-from macro_fem.scene.sites import Held, Sliding, sliding_nodes
+from macro_fem.scene.sites import Sliding, sliding_nodes
 from macro_fem.scene.supports import Supports, pin_sliding, straight_ties
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
-from macro_fem.solution import CurtainSolution, slackened
+from macro_fem.solution import CurtainSolution
 from macro_fem.solvers.walls import Walls
 from rve.common import Array
 
@@ -67,6 +67,16 @@ class DualMesh:
         """Length of every edge (n_facets,), mm."""
         return np.hypot(*self.edges.T)
 
+    def ends(self, facets: np.ndarray) -> np.ndarray:
+        """The nodes at the first, then the second ends of edges."""
+        return np.concatenate([2 * facets, 2 * facets + 1])
+
+
+def at_dual_nodes(x: Array, mesh: CurtainMesh) -> Array:
+    """Nodal positions x (n, d) of P1 at the nodes of the hybrid element."""
+    ends, middle = x[mesh.mesh.facets.T], x[mesh.mesh.t].mean(axis=0)
+    return np.concatenate([ends.reshape(-1, x.shape[1]), middle])
+
 
 def dual_mesh(mesh: CurtainMesh) -> DualMesh:
     """The hybrid element on a mesh of triangles."""
@@ -79,12 +89,10 @@ def dual_mesh(mesh: CurtainMesh) -> DualMesh:
         for column, corner in ((2 * local, a), (2 * local + 1, b)):
             dofs[:, column] = 2 * facet + (sk.facets[1, facet] == sk.t[corner])
     dofs[:, 6] = 2 * n_facets + np.arange(n_cells)
-    ends = sk.p[:, sk.facets]  # (2, end, facet)
-    nodes = np.concatenate([ends.transpose(2, 1, 0).reshape(-1, 2), sk.p[:, sk.t].mean(axis=1).T])
     disc = replace(
         flat,
         element="equilibrium",
-        nodes=nodes,
+        nodes=at_dual_nodes(sk.p.T, mesh),
         cell_dofs=dofs,
         shape_values=np.tile(np.array([0.0] * 6 + [1.0]), (3, 1)),
         shape_gradients=_reference_gradients(flat.shape_gradients[0]),
@@ -106,43 +114,58 @@ def _reference_gradients(corner_gradients: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Tethers:
-    """Edges that stand for a point: reaction or load is spread over them instead of acting at corner `corner`.
-
-    facet (k,), near (k,): which end of the facet the point is at; centre (k, d): where the point is held (nan for
-    loads).
-    """
-
-    facet: np.ndarray
-    near: np.ndarray
-    centre: Array
-
-
-@dataclass(frozen=True, eq=False)
 class DualProblem:
-    """The hybrid problem: supported element, nodal forces, tethers of points, what spread loads may cost, and walls."""
+    """The hybrid problem: supported element, nodal forces, what spread loads may cost (N mm), and walls.
+
+    Edges `facet` (k,) bear the reactions of single held points, which are at their ends `near` (k,) and held at
+    `centre` (k, d), nan in components that are not.
+    """
 
     dual: DualMesh
     fem: SupportedFem
     force: Array
-    tethers: Tethers
     point_load_cost: float
+    facet: np.ndarray
+    near: np.ndarray
+    centre: Array
     walls: Walls | None = None
 
 
-def traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
-    """Nodal forces (n_nodes, d) of an even traction (d,) in N/mm on edges: half of each edge's force at each end."""
-    force = np.zeros((dual.disc.n_nodes, len(traction)))
-    half = 0.5 * dual.edge_lengths[facets][:, None] * traction
-    np.add.at(force, 2 * facets, half)
-    np.add.at(force, 2 * facets + 1, half)
-    return force
+def dual_problem(solution: CurtainSolution, factor: float, near_slack: Array) -> DualProblem:
+    """The hybrid problem that belongs to a P1 solution; edges at single held points are held at `near_slack`
+    (n_nodes, d), positions of its nodes.
+    """
+    problem, d = solution.problem, solution.problem.fem.d
+    scene, given, dual = problem.scene, problem.supports, dual_mesh(problem.mesh)
+    force, cost = dead_and_live(scene, dual, problem.law, factor, problem.wind)
+    mask, positions = np.zeros(near_slack.shape, bool), in_space_of(dual.disc.nodes, d)
 
+    single = [held for held in given.held if not len(held.facets)]
+    corner = np.concatenate([np.zeros(0, int), *(held.nodes for held in single)])
+    which, near, facet = np.nonzero(dual.facets == corner[:, None, None])
+    component = np.concatenate([np.zeros((0, d), bool), *(held.mask for held in single)])[which]
+    centre = np.concatenate([np.zeros((0, d)), *(held.positions for held in single)])[which]
+    nodes = dual.ends(facet)
+    np.logical_or.at(mask, nodes, np.tile(component, (2, 1)))
+    positions[nodes] = near_slack[nodes]
 
-def edges_at_corner(dual: DualMesh, corner: int) -> tuple[np.ndarray, np.ndarray]:
-    """The edges that meet at a corner of the mesh and which of their ends it is."""
-    near, facet = np.nonzero(dual.facets == corner)
-    return facet, near
+    whole, lines = np.asarray(mask.all(axis=1)), list[tuple[np.ndarray, Array]]()
+    number = np.zeros(problem.mesh.mesh.p.shape[1], int)
+    for held in given.held:
+        nodes = dual.ends(held.facets)
+        number[held.nodes] = np.arange(len(held.nodes))
+        which = number[dual.facets[:, held.facets].ravel()]
+        positions[nodes] = np.where(held.mask[which], held.positions[which], positions[nodes])
+        mask[nodes] |= held.mask[which]
+        if held.slide is None:
+            whole[nodes] = mask[nodes].all(axis=1)
+        elif len(nodes):
+            lines.append((nodes, held.slide))
+    sliding, no_pins = sliding_nodes(lines, whole, d), Sliding.none(d)
+    supports = Supports(given.held, mask, positions, sliding, no_pins, _bars(scene, dual))
+    fem = pin_sliding(supports, dual.disc, force, scene.source).fem(dual.disc)
+    centre = np.where(component, centre, np.nan)
+    return DualProblem(dual, fem, force, cost, facet, near, centre, _walls(problem.walls, dual))
 
 
 def dead_and_live(
@@ -157,18 +180,21 @@ def dead_and_live(
     for bar in scene.of(Bar):
         facets = mesh.edge(bar.edge, "[load.bar] edge")
         weight = bar.mass * np.array(scene.load.acceleration[: scene.d])
-        force += traction_forces(dual, facets, weight / dual.edge_lengths[facets].sum())
+        force += _traction_forces(dual, facets, weight / dual.edge_lengths[facets].sum())
     for wind in scene.of(Wind):
         force += 0.0 if wind.is_shaped else load_vector(disc, factor * wind_per_area(wind, scene, law.cell))
     if shaped is not None:
         force += load_vector(disc, np.tile(shaped, (3, 1)))
     for edge in scene.of(EdgeLoad):
-        force += traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
+        force += _traction_forces(dual, mesh.edge(edge.edge, "[load.edge] edge"), factor * scene.vector(edge.force))
     cost = 0.0
-    for point in scene.of(PointLoad):
-        part, extra = _spread_point(dual, law, np.array(point.at), factor * scene.vector(point.force))
-        force += part
-        cost += extra
+    for point in scene.of(PointLoad):  # even over the edges at the nearest corner; costs |f| times the mean distance
+        load, corners = factor * scene.vector(point.force), mesh.mesh.p.T
+        facets = np.nonzero(dual.facets == np.linalg.norm(corners - point.at, axis=1).argmin())[1]
+        lengths = dual.edge_lengths[facets]
+        moved = (largest_stretch(law, dual.edges[facets]) * lengths**2).sum() / (2.0 * lengths.sum())
+        force += _traction_forces(dual, facets, load / lengths.sum())
+        cost += float(np.linalg.norm(load) * moved)
     for patch in scene.of(PatchLoad):  # as in P1: even within each triangle, by the area in the disk
         shares = disk_areas(mesh.mesh.p.T[mesh.mesh.t.T], np.array(patch.at), patch.radius)
         even = shares[:, None] / shares.sum() * (factor * scene.vector(patch.force))
@@ -176,72 +202,17 @@ def dead_and_live(
     return force, cost
 
 
-def _spread_point(dual: DualMesh, law: MembraneLaw, at: Array, load: Array) -> tuple[Array, float]:
-    """A point load spread evenly over the edges at the nearest corner, and its cost: |f| times the mean distance."""
-    corner = int(np.argmin(np.linalg.norm(dual.mesh.mesh.p.T - at, axis=1)))
-    facets, _ = edges_at_corner(dual, corner)
-    lengths = dual.edge_lengths[facets]
-    stretch = largest_stretch(law, dual.edges[facets])
-    moved = float((stretch * lengths**2).sum() / (2.0 * lengths.sum()))
-    return traction_forces(dual, facets, load / lengths.sum()), float(np.linalg.norm(load)) * moved
-
-
-def dual_problem(solution: CurtainSolution, factor: float, inward: float) -> DualProblem:
-    """The hybrid problem that belongs to a P1 solution.
-
-    Edges at held points are held where the curtain is, drawn the share `inward` towards its slack start.
-    """
-    problem = solution.problem
-    scene, mesh, given = problem.scene, problem.mesh, problem.supports
-    dual = dual_mesh(mesh)
-    force, cost = dead_and_live(scene, dual, problem.law, factor, problem.wind)
-    d = problem.fem.d
-    mask = np.zeros((dual.disc.n_nodes, d), bool)
-    positions = in_space_of(dual.disc.nodes, d)
-    near_point = slackened(solution, inward)
-    tethers = [(np.zeros(0, int), np.zeros(0, int), np.zeros((0, d)))]
-    for held in given.held:
-        if len(held.facets):
-            continue
-        for node, component, centre in zip(held.nodes, held.mask, held.positions, strict=True):
-            facet, near = edges_at_corner(dual, int(node))
-            for end in range(2):
-                mask[2 * facet + end] |= component
-                positions[2 * facet + end] = near_point[dual.facets[end, facet]]
-            tethers.append((facet, near, np.tile(np.where(component, centre, np.nan), (len(facet), 1))))
-    whole: np.ndarray = np.asarray(mask.all(axis=1))
-    lines: list[tuple[np.ndarray, Array]] = []
-    for held in given.held:
-        if len(held.facets):
-            _hold_edge(dual, held, mask, positions)
-            nodes = np.concatenate([2 * held.facets, 2 * held.facets + 1])
-            if held.slide is None:
-                whole[nodes] = mask[nodes].all(axis=1)
-            else:
-                lines.append((nodes, held.slide))
-    sliding = sliding_nodes(lines, whole, d)
-    supports = Supports(given.held, mask, positions, sliding, Sliding.none(d), _bars(solution, dual))
-    supports = pin_sliding(supports, dual.disc, force, scene.source)
-    parts = Tethers(*(np.concatenate(part) for part in zip(*tethers, strict=True)))
-    return DualProblem(dual, supports.fem(dual.disc), force, parts, cost, _walls(problem.walls, dual))
-
-
-def _hold_edge(dual: DualMesh, held: Held, mask: np.ndarray, positions: Array) -> None:
-    """Holds both ends of every facet of an edge support where the primal support holds the corners; in place."""
-    number = np.full(dual.mesh.mesh.p.shape[1], -1)
-    number[held.nodes] = np.arange(len(held.nodes))
-    for end in range(2):
-        which = number[dual.facets[end, held.facets]]
-        node = 2 * held.facets + end
-        positions[node] = np.where(held.mask[which], held.positions[which], positions[node])
-        mask[node] |= held.mask[which]
+def _traction_forces(dual: DualMesh, facets: np.ndarray, traction: Array) -> Array:
+    """Nodal forces (n_nodes, d) of an even traction (d,) in N/mm on edges: half of each edge's force at each end."""
+    force = np.zeros((dual.disc.n_nodes, len(traction)))
+    force[dual.ends(facets)] = np.tile(0.5 * dual.edge_lengths[facets][:, None] * traction, (2, 1))
+    return force
 
 
 def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
     """The planes that the nodes of the primal problem stay inside of, for the mean of every triangle.
 
-    Their pushes are even in every triangle. The law of the continuous curtain has them at all points, so that any such
-    pushes give a lower bound.
+    The law of the continuous curtain has them at all points, so that any pushes, even in every triangle, give a bound.
     """
     if walls is None or not len(walls):
         return None
@@ -252,21 +223,12 @@ def _walls(walls: Walls | None, dual: DualMesh) -> Walls | None:
     return Walls(middles, even[:, :-1], even[:, -1], np.zeros(len(even), int))
 
 
-def _bars(solution: CurtainSolution, dual: DualMesh) -> sparse.csc_matrix | None:
+def _bars(scene: Scene, dual: DualMesh) -> sparse.csc_matrix | None:
     """The straight bars' edges, kept on a line in the dual as they are in the primal problem."""
-    lines = []
-    X = dual.disc.nodes
-    for bar in solution.problem.scene.of(Bar):
+    lines, X = [], dual.disc.nodes
+    for bar in scene.of(Bar):
         if bar.straight:
-            facets = dual.mesh.edge(bar.edge, "[load.bar] edge")
-            nodes = np.concatenate([2 * facets, 2 * facets + 1])
+            nodes = dual.ends(dual.mesh.edge(bar.edge, "[load.bar] edge"))
             along = X[nodes] @ np.ptp(X[nodes], axis=0)
             lines.append(nodes[np.argsort(along, kind="stable")])
     return straight_ties(lines, X) if lines else None
-
-
-def at_dual_nodes(x: Array, dual: DualMesh) -> Array:
-    """Nodal positions x of P1 at the unknowns of the dual (n_nodes, d)."""
-    corners = x[dual.facets]  # (2, n_facets, d)
-    middle = x[dual.mesh.mesh.t].mean(axis=0)
-    return np.concatenate([corners.transpose(1, 0, 2).reshape(-1, x.shape[1]), middle])

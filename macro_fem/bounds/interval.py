@@ -133,10 +133,10 @@ def _solve(
     Edges around points are held where the P1 curtain is, drawn `inward`. The P1 part of a P2 curtain may leave the law
     by more than that where points are close, so that these places are out of reach; those of the slack start are not.
     """
-    problem, dual = solution.problem, dual_problem(solution, factor, inward)
-    start = dual.fem.unknowns(at_dual_nodes(slackened(solution, inward), dual.dual))
+    problem, x = solution.problem, at_dual_nodes(slackened(solution, inward), solution.problem.mesh)
+    dual = dual_problem(solution, factor, x)
     path = replace(path, max_iterations=problem.scene.solver.max_iterations, cones=solution.cones)
-    load, terms = dual.fem.gather(dual.force), Terms(walls=dual.walls)
+    load, start, terms = dual.fem.gather(dual.force), dual.fem.unknowns(x), Terms(walls=dual.walls)
     return dual, solve_path(dual.fem, problem.law, load, start, problem.mesh.size, path, terms)
 
 
@@ -163,7 +163,7 @@ def _near_points(dual: DualProblem, moment: Array, points: float) -> Array:
     share = np.zeros(dual.dual.disc.n_cells)
     if not moment.sum() > 0.0:
         return share
-    for side in dual.dual.mesh.mesh.f2t[:, dual.tethers.facet]:
+    for side in dual.dual.mesh.mesh.f2t[:, dual.facet]:
         there = side >= 0
         np.add.at(share, side[there], moment[there])
     return points * share / share.sum()
@@ -176,13 +176,12 @@ def _tether_cost(dual: DualProblem, law: MembraneLaw, result: PathResult, held: 
     integral of kappa |r| s. With end values r_a (at the point) and r_b of r, linear on the edge, |r| is at most their
     interpolation, whose moment is length^2 (|r_a| / 6 + |r_b| / 3).
     """
-    tethers, mesh = dual.tethers, dual.dual
+    mesh, facet, near = dual.dual, dual.facet, dual.near
     balance = internal_force(mesh.disc, result.P) - dual.force
-    facet, near = tethers.facet, tethers.near
     node = np.stack([2 * facet + near, 2 * facet + 1 - near])
-    is_held = np.isfinite(tethers.centre)
+    is_held = np.isfinite(dual.centre)
     R = np.where(is_held, balance[node], 0.0)  # (2, k, d): nodal reactions at the near and the far end
-    moved = (R * np.where(is_held, held[node] - tethers.centre, 0.0)).sum()
+    moved = (R * np.where(is_held, held[node] - dual.centre, 0.0)).sum()
     length = mesh.edge_lengths[facet]
     r = (4.0 * R - 2.0 * R[::-1]) / length[:, None]
     size = np.linalg.norm(r, axis=-1)
@@ -195,7 +194,7 @@ def contact_error(x: Array, dual: DualProblem, result: PathResult) -> Array:
     n_cells = dual.dual.disc.n_cells
     if dual.walls is None:
         return np.zeros(n_cells)
-    work = result.wall_forces * dual.walls.gap(at_dual_nodes(x, dual.dual))
+    work = result.wall_forces * dual.walls.gap(at_dual_nodes(x, dual.dual.mesh))
     return np.asarray(work.reshape(-1, n_cells).sum(axis=0))
 
 

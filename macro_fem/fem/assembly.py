@@ -1,8 +1,7 @@
 """Gradients, nodal forces and stiffness matrices of a membrane, and where the entries of these go: no loop over cells.
 
-The gradients are taken in the coordinates of the reference element, where they are the same numbers for every cell, so
-that the sums over quadrature points and nodes are small dense matrix products. Entries reach their place in the matrix
-by one `bincount`.
+Gradients in the coordinates of the reference element are the same numbers for every cell, so that the sums over
+quadrature points and nodes are small dense matrix products. Entries reach their place in the matrix by one `bincount`.
 
 Shapes: points are the leading axis, in the order of `macro_fem.fem.discretization`. The unknown u (n_nodes, d) has
 d = 2 components (plane) or d = 3 (space); its flat number is node * d + component. The gradient F is (n_points, d, 2):
@@ -113,28 +112,18 @@ def component_pairs(d: int) -> list[tuple[int, int]]:
 
 def gradient(disc: Discretization, v: Array) -> Array:
     """The gradient dv_i/dx_j of the nodal field v (n_nodes, d) at the points, (n_points, d, 2)."""
-    d = v.shape[1]
+    d, iJ = v.shape[1], disc.inverse_jacobian
     local = np.ascontiguousarray(v.T)[:, disc.cell_dofs.T]
     G = np.matmul(disc.shape_gradients.reshape(-1, local.shape[1]), local)
-    G = G.reshape(d, disc.n_quad, 2, disc.n_cells)
-    iJ = disc.inverse_jacobian
-    out = np.empty((d, 2, disc.n_quad, disc.n_cells))
-    for i, j in np.ndindex(d, 2):
-        np.multiply(G[i, :, 0], iJ[0, j], out=out[i, j])
-        out[i, j] += G[i, :, 1] * iJ[1, j]
-    return np.moveaxis(out.reshape(d, 2, -1), -1, 0)
+    G = G.reshape(d, 1, disc.n_quad, 2, disc.n_cells)
+    return np.moveaxis((G[..., 0, :] * iJ[0] + G[..., 1, :] * iJ[1]).reshape(d, 2, -1), -1, 0)
 
 
 def internal_force(disc: Discretization, P: Array) -> Array:
     """Nodal forces f_ai = sum_p w_p P_pij dphi_a/dx_j (n_nodes, d) of the stress P = dpsi/dF (n_points, d, 2), N."""
-    d = P.shape[1]
-    shape = (disc.n_quad, disc.n_cells)
-    w = disc.weight.reshape(shape)
-    wJ = disc.inverse_jacobian * w
-    pulled = np.empty((d, disc.n_quad, 2, disc.n_cells))
-    for i, J in np.ndindex(d, 2):
-        np.multiply(P[:, i, 0].reshape(shape), wJ[J, 0], out=pulled[i, :, J])
-        pulled[i, :, J] += P[:, i, 1].reshape(shape) * wJ[J, 1]
+    d, wJ = P.shape[1], disc.inverse_jacobian * disc.weight.reshape(disc.n_quad, -1)
+    P = np.ascontiguousarray(np.moveaxis(P, 0, -1)).reshape(d, 2, disc.n_quad, -1)
+    pulled = np.stack([P[:, 0] * wJ[J, 0] + P[:, 1] * wJ[J, 1] for J in range(2)], axis=2)
     local = np.matmul(disc.shape_gradients.reshape(-1, disc.cell_dofs.shape[1]).T, pulled.reshape(d, -1, disc.n_cells))
     return _sum_to_nodes(disc, local)
 
@@ -151,21 +140,14 @@ def stiffness(disc: Discretization, pattern: SparsityPattern, A: Array) -> Array
 
     A (n_points, d, 2, d, 2) is d2psi/dF2 with its major symmetry; only the blocks A[:, i, :, k, :], i >= k, are read.
     """
-    shape = (disc.n_quad, disc.n_cells)
-    iJ, w, g = disc.inverse_jacobian, disc.weight.reshape(shape), disc.shape_gradients
+    iJ, w, g = disc.inverse_jacobian, disc.weight.reshape(disc.n_quad, -1), disc.shape_gradients
     products = np.einsum("qJa,qNb->abqJN", g, g).reshape(-1, 4 * disc.n_quad)
-    pulled = np.empty((disc.n_quad, 2, 2, disc.n_cells))
     packed = np.empty(pattern.slot.shape).reshape(-1, len(products), disc.n_cells)
     for (i, k), block in zip(component_pairs(pattern.d), packed, strict=True):
-        for J in range(2):
-            half = [
-                (iJ[J, 0] * A[:, i, 0, k, l].reshape(shape) + iJ[J, 1] * A[:, i, 1, k, l].reshape(shape)) * w
-                for l in range(2)
-            ]
-            for N in range(2):
-                np.multiply(half[0], iJ[N, 0], out=pulled[:, J, N])
-                pulled[:, J, N] += half[1] * iJ[N, 1]
-        np.matmul(products, pulled.reshape(-1, disc.n_cells), out=block)
+        own = np.ascontiguousarray(np.moveaxis(A[:, i, :, k], 0, -1)).reshape(2, 2, disc.n_quad, -1)  # j, l, q, cell
+        half = (iJ[:, 0, None] * own[0] + iJ[:, 1, None] * own[1]) * w  # J, l, q, cell
+        pulled = half[:, None, 0] * iJ[:, 0] + half[:, None, 1] * iJ[:, 1]  # J, N, q, cell
+        np.matmul(products, np.moveaxis(pulled, 2, 0).reshape(-1, disc.n_cells), out=block)
     return pattern.scatter(packed)
 
 

@@ -1,6 +1,6 @@
 """A mesh of triangles and an element as arrays: nodes, cells, quadrature points, shape functions and areas.
 
-Shapes: the point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d).
+The point p is the leading axis, p = q * n_cells + cell for quadrature point q. Nodal fields are (n_nodes, d).
 
 Example:
     >>> disc = discretize(skfem.MeshTri.init_tensor(np.linspace(0, 2, 5), np.linspace(0, 1, 3)), "P2")
@@ -29,6 +29,10 @@ MEETS = np.array([[0.0, 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 3.0], [0.0, 0.0, 1.0, 0.0
 """Corners, middles of sides and middle of the reference triangle, where a cell meets bodies."""
 FINE = 4
 """Parts of a side of the points at which a cell is looked at between those."""
+CONTROL = np.block(
+    [[np.eye(3), np.zeros((3, 3))], [-0.5 * (np.eye(3) + np.roll(np.eye(3), 1, axis=1)), 2.0 * np.eye(3)]]
+)
+"""Control points of P2 (6, 6) as sums of its nodes: corners, then middles of sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +126,8 @@ class Discretization:
 
     @cached_property
     def hull(self) -> Points:
-        """Points whose convex hull holds all cells: nodes of P1, control points of P2, its coefficients of Bernstein
-        polynomials.
-        """
-        if self.element == "P1":
-            return self.at_nodes
-        return self._points_of(np.asarray(np.linalg.inv(_bernstein(skfem.ElementTriP2().doflocs.T))))
+        """Points whose convex hull holds all cells: nodes of P1, Bernstein coefficients of P2."""
+        return self.at_nodes if self.element == "P1" else self._points_of(CONTROL)
 
     @cached_property
     def meeting(self) -> Points:
@@ -170,12 +170,6 @@ class Discretization:
         stacked = values.reshape(self.n_quad, self.n_cells, -1)
         mean = np.einsum("qc,qcx->cx", w / self.cell_area, stacked)
         return mean.reshape((self.n_cells, *values.shape[1:]))
-
-
-def _bernstein(X: Array) -> Array:
-    """Quadratic Bernstein polynomials (n, 6) at places X (2, n) of the reference triangle."""
-    a, b, c = 1.0 - X[0] - X[1], X[0], X[1]
-    return np.stack([a * a, b * b, c * c, 2.0 * a * b, 2.0 * b * c, 2.0 * c * a], axis=-1)
 
 
 def reference_shapes(element: Any, X: Array, n_local: int) -> tuple[Array, Array]:

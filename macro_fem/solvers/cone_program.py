@@ -37,7 +37,7 @@ import numpy as np
 from homogenize import MembraneLaw
 from macro_fem.fem.supported import SupportedFem
 from macro_fem.solvers import soc
-from macro_fem.solvers.cones import Cones, green_strain, root_row, symmetric_roots, times_root
+from macro_fem.solvers.cones import Cones, green_strain, symmetric_roots, times_root
 from macro_fem.solvers.inertia import Inertia
 from macro_fem.solvers.soc import Vectors
 from macro_fem.solvers.walls import WallRows
@@ -126,13 +126,9 @@ class Program:
 
     def map(self, F: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
         """(n, n, F L) of every cone, or of some: what the unknowns F (nq, d, 2), eps (nq, k) do to it."""
-        point, L, lead = self.cones.point[which], self.L[which], self.lead
-        out = np.empty((lead + 2 * F.shape[1], len(point)))
-        for a in range(F.shape[1]):
-            root_row(F[:, a, 0].take(point), F[:, a, 1].take(point), L, out[lead + 2 * a : lead + 2 * a + 2])
-        head = soc.row_dot(self.N[which], eps[point])
-        out[:lead] = head
-        return Vectors(head, out.T)
+        point = self.cones.point[which]
+        head, FL = soc.row_dot(self.N[which], eps[point]), times_root(F, self.L[which], point)
+        return Vectors(head, np.concatenate([head[None].repeat(self.lead, axis=0), FL.T]).T)
 
     def slack(self, z: Array, eps: Array, which: np.ndarray | slice = slice(None)) -> Vectors:
         """(c + n, n, F L): the primal cone vectors that the unknowns ask for."""

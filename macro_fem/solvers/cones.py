@@ -23,10 +23,8 @@ LAW_CHUNK = 20_000
 
 @dataclass(frozen=True)
 class Cones:
-    """Half-spaces of all points: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where each point begins.
-
-    Every point has at least one half-space. extra (nc,): by how much each is widened per unit of tau where rings give
-    by direction (`homogenize.GivingLaw`), else None.
+    """Half-spaces of all points, one or more of each: `point` (nc,) ascending, S (nc, 3), h (nc,), `first` (nq,) where
+    each point begins; extra (nc,): by how much each is widened per unit of tau (`homogenize.GivingLaw`), or None.
     """
 
     point: np.ndarray
@@ -73,20 +71,10 @@ def green_strain(F: Array) -> Array:
     return 0.5 * (np.stack([(a * a).sum(1), (a * b).sum(1), (b * b).sum(1)], axis=-1) - IDENTITY)
 
 
-def times_root(F: Array, L: Array) -> Array:
-    """F L of each cone, flat (n, 2 d), for F (n, d, 2) and symmetric L (n, 3) as triples."""
-    out = np.empty((2 * F.shape[1], len(F)))
-    for a in range(F.shape[1]):
-        root_row(F[:, a, 0], F[:, a, 1], L, out[2 * a : 2 * a + 2])
-    return out.T
-
-
-def root_row(x: Array, y: Array, L: Array, out: Array) -> None:
-    """(x, y) L of each cone into out (2, n)."""
-    np.multiply(x, L[:, 0], out=out[0])
-    out[0] += y * L[:, 1]
-    np.multiply(x, L[:, 1], out=out[1])
-    out[1] += y * L[:, 2]
+def times_root(F: Array, L: Array, which: np.ndarray | slice = slice(None)) -> Array:
+    """F L of each cone, flat (n, 2 d), for F (nq, d, 2) at the points `which` (n,) and symmetric triples L (n, 3)."""
+    x, y = F[:, :, 0].T[:, which], F[:, :, 1].T[:, which]
+    return np.stack([x * L[:, 0] + y * L[:, 1], x * L[:, 1] + y * L[:, 2]], axis=1).reshape(-1, len(L)).T
 
 
 def symmetric_roots(S: Array) -> Array:
@@ -103,10 +91,7 @@ def first_cones(start: HalfSpaces, n_points: int) -> Cones:
 
 
 def with_cuts(cones: Cones, point: np.ndarray, cut: Cut) -> tuple[Cones, np.ndarray]:
-    """`cones` and a half-space of `cut` at each `point` (k,); and where the old and new ones (nc + k,) come from.
-
-    The second array orders per-half-space data of old ones followed by new ones.
-    """
+    """`cones` and a half-space of `cut` at each `point` (k,); the order (nc + k,) of old ones followed by new ones."""
     n = len(cones)
     order = np.insert(np.arange(n), np.searchsorted(cones.point, point, side="right"), n + np.arange(len(point)))
     extra = None if cones.extra is None or cut.extra is None else np.concatenate([cones.extra, cut.extra])
@@ -125,10 +110,8 @@ def take_from(cones: Cones, source: np.ndarray) -> Cones:
 
 def all_cuts(law: MembraneLaw, E: Array) -> Cut:
     """The half-space of the law nearest to (or most violated by) each E (n, 3), or (n, 4) with tau."""
-    parts = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
-    S, h, violation = (np.concatenate([getattr(part, name) for part in parts]) for name in ("S", "h", "violation"))
-    extra = [part.extra for part in parts if part.extra is not None]
-    return Cut(S, h, violation, np.concatenate(extra) if extra else None)
+    first, *others = [law.cut(E[i : i + LAW_CHUNK]) for i in range(0, len(E), LAW_CHUNK)]
+    return first.join(others)
 
 
 def least_slack(law: MembraneLaw, E: Array) -> float:

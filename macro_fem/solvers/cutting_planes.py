@@ -1,8 +1,8 @@
 """The half-spaces of a law that a program does not know yet: found where they matter, joined without leaving the path.
 
-A law has thousands of half-spaces, a point needs a handful. Were all of them known, an interior-point iteration would
-stay inside all; so a step that would leave the law is shortened, and the half-spaces in its way are taken in where the
-iteration still is inside them, with the dual vectors that the central path would have given them. Nothing starts anew.
+A law has thousands of half-spaces, a point needs a handful. A step that would leave the law is shortened, and the
+half-spaces in its way are taken in where the iteration still is inside them, with the dual vectors that the central
+path would have given them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rve.common.tensor import trace
 
 NEAR = 0.9
 """A missing half-space joins when it is nearer than this part of the distance to the nearest known one. Larger parts
-add more half-spaces, smaller ones add them late, so that steps are cut short."""
+add more, smaller ones late, so that steps are cut short."""
 SHARE = 0.3
 """A violated half-space enters with at most this part of the load of its point. Larger shares unbalance more."""
 ROUNDED = 1e-13
@@ -50,9 +50,8 @@ class Nearest:
 
 
 def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> Nearest:
-    """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`.
-
-    Nothing is missing at points whose own cones are still far from their place: first those are to be met, or refuted.
+    """What the law knows better than the program at locked strains E (nq, 3), where the cones ask for `wanted`: nothing
+    at points whose own cones are still far from their place.
     """
     cones, cut = program.cones, all_cuts(program.law, E)
     size = trace(cut.S)
@@ -69,8 +68,8 @@ def find_nearest(program: Program, now: Measure, E: Array, wanted: Vectors) -> N
 
 @dataclass(frozen=True)
 class Joined:
-    """A program with half-spaces added and its state; order (nc + k,): where each cone was, k new ones at the end;
-    fresh (k,): places of these."""
+    """A program with half-spaces added, and its state. order (nc + k,): where each cone was, new ones at the end; fresh
+    (k,): places of these."""
 
     program: Program
     state: ConeState
@@ -82,12 +81,11 @@ def join(program: Program, state: ConeState, found: Nearest) -> Joined:
     """The program with all missing half-spaces, at the same unknowns.
 
     Dual vectors are those of the central path for the distance at hand. Where that is small or negative the cone vector
-    is lifted, so that the half-space does not take more than `SHARE` of what its point carries; all dual
-    vectors of the point are then lowered together until it carries what it did, which unbalances forces least.
+    is lifted, so that the half-space takes no more than `SHARE` of what its point carries; all dual vectors of the
+    point are then lowered together until it carries what it did, which unbalances forces least.
     """
-    new, cut = found.missing, found.cut
-    extra = None if cut.extra is None else cut.extra[new]
-    cones, order = with_cuts(program.cones, new, Cut(cut.S[new], cut.h[new], cut.violation[new], extra))
+    new = found.missing
+    cones, order = with_cuts(program.cones, new, found.cut.take(new))
     wider = replace(program, cones=cones)
     fresh = np.flatnonzero(order >= len(program.c))
     mu = mean_product(program, state)

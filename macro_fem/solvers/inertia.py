@@ -32,17 +32,13 @@ class Inertia:
     force_scale: float = 0.0
     energy_scale: float = 0.0
 
-    def away(self, z: Array) -> Array:
-        """x - x_hat (n_nodes, d), mm."""
-        return self.fem.positions(z) - self.x_hat
-
     def force(self, z: Array) -> Array:
         """T^T W (x_hat - x) (n,), N."""
-        return -self.fem.gather(times(self.W, self.away(z)))
+        return -self.fem.gather(times(self.W, self.fem.positions(z) - self.x_hat))
 
     def energy(self, z: Array) -> float:
         """(x - x_hat).W (x - x_hat) / 2, N mm."""
-        away = self.away(z)
+        away = self.fem.positions(z) - self.x_hat
         return 0.5 * float((away * times(self.W, away)).sum())
 
     def deficit(self, r: Array) -> float:

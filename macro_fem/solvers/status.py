@@ -1,12 +1,9 @@
-"""The status of an answer: decided here and only here, from the numbers that are reported with it.
-
-A solver says why it stopped. Whether its answer is one follows from the gap between its bounds, the forces that do not
-balance and the violation of the law, all recomputed from the answer itself, and from how far apart the supports are.
+"""The status of an answer, from the numbers that are reported with it: the gap between its bounds, the forces that do
+not balance, the violation of the law, how far apart the supports are, and why the solver stopped.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -15,7 +12,7 @@ import numpy as np
 from rve.common import Array
 
 ROUNDING = 1e-6
-"""Errors up to this much above what was asked are accepted once rounding stops a solver; the message gives them."""
+"""Errors this much above what was asked are accepted once rounding stops a solver; the message gives them."""
 AT_LIMIT = 1e-4
 """Relative stretch within which supports count as being at the mesh's largest stretch: `Reach`."""
 NO_LOAD = 1e-6
@@ -59,9 +56,8 @@ class Evidence:
 class Reach:
     """Bounds of the factor by which the supports could be moved apart before no admissible state is left.
 
-    A factor above 1 is equivalent to a state in which every half-space is slack (Slater's condition). Then the total of
-    the multipliers is at most of the order of the load over (factor - 1). At factor 1 the supports hold the mesh at its
-    largest stretch: stresses that balance no load may be added, and the load does not bound line loads.
+    Above 1 some state leaves every half-space slack (Slater's condition), and multipliers are of the order of the load
+    over (factor - 1). At 1 stresses that balance no load may be added, and the load does not bound line loads.
     """
 
     lower: float
@@ -93,10 +89,7 @@ FREE = Reach(np.inf, np.inf)
 
 
 class Status(StrEnum):
-    """How an answer ended: `CONVERGED` if it is as accurate as asked; its message says what the others mean.
-
-    Those of a curtain come first, then those of rings on demand, then that of every ring.
-    """
+    """How an answer ended; its message says what that means. Of curtains, then of rings on demand, of every ring."""
 
     CONVERGED = "converged"
     TAUT = "taut"
@@ -125,34 +118,26 @@ class Verdict:
     message: str
 
 
-class Judged(ABC):
+class Judged:
     """An answer whose status and message are those of its verdict."""
 
     @property
-    @abstractmethod
     def verdict(self) -> Verdict:
         """Status and message, from the numbers of the answer."""
+        raise NotImplementedError
 
-    @property
-    def status(self) -> Status:
-        """One word for how it ended."""
-        return self.verdict.status
-
-    @property
-    def message(self) -> str:
-        """The sentence of the status."""
-        return self.verdict.message
+    status = property(lambda self: self.verdict.status)
+    message = property(lambda self: self.verdict.message)
 
 
 @dataclass(frozen=True)
 class Settling:
     """How far the rounds of a curtain that depends on its own shape have come, relative to the loads.
 
-    misfit: forces that turned in the last round, reactions of bodies and following pressure; complementarity: reactions
-    times the distance of their nodes from the body, over load times size; asked: what both must not exceed;
-    between_nodes_mm: how deep bodies are inside the mesh between its nodes, which only a finer mesh makes less;
-    depth: the same over half the least width of the body; crossed: how deep the mesh has been on its way there;
-    is_wind: whether nothing but wind depends on the shape.
+    misfit: forces that turned in the last round; complementarity: reactions times the distance of their nodes from the
+    body, over load times size; asked: what both must not exceed; between_nodes_mm: how deep bodies are inside the mesh
+    between its nodes; depth: the same over half the least width of the body; crossed: how deep the mesh has been on its
+    way there; is_wind: whether nothing but wind depends on the shape.
     """
 
     rounds: int
@@ -226,7 +211,7 @@ NUMBERS = (
 def judged(
     stop: str, evidence: Evidence, asked: Evidence, n: int, reach: Reach = FREE, relaxation: float | None = None
 ) -> Verdict:
-    """The status of an answer after `n` iterations: "converged", "taut", "infeasible", or why it is none.
+    """The status of an answer after `n` iterations.
 
     stop: why the solver stopped, "infeasible" by the supports, "blocked" by obstacles, or a key of `WHY`; relaxation:
     by how much the law was relaxed, None where rings are elastic.

@@ -10,10 +10,9 @@ multipliers are bounded by the load over t* - 1. t* < 1: the supports are out of
 t* = 1: the supports hold the mesh at its largest stretch, and any multiple of the self-stress may be added to the
 multipliers.
 
-In the last case the dual problem has no solution, or no bounded set of them, and an interior point that must keep away
-from the law's boundary has no place to be. So the law is relaxed by a relative stretch g:
-it is met by
-F / (1 + g), that is, the curtain x / (1 + g) hangs from supports which are drawn together by as much.
+In the last case the dual problem has no solution, or no bounded set of them, and no interior point exists. So the law
+is relaxed by a relative stretch g: F / (1 + g) meets it, the curtain x / (1 + g) hangs from supports drawn together by
+as much.
 """
 
 from __future__ import annotations
@@ -34,10 +33,9 @@ from macro_fem.solvers.walls import Walls
 from rve.common import Array
 
 RELAXATIONS = (AT_LIMIT, 1e-3)
-"""Relative stretches by which the law is relaxed, tried in turn: the answer is off by its square root, multipliers are
-its inverse."""
+"""Relative stretches tried in turn: the answer is off by its square root, multipliers are its inverse."""
 LEAST_GAP = 1e-7
-"""Least gap asked for there: double precision leaves no less beside multipliers that are so large."""
+"""Least gap asked for there: double precision leaves no less beside so large multipliers."""
 REACH_GAP = 1e-6
 """Accuracy of the factor. It must stay below AT_LIMIT; smaller values cost steps and decide nothing."""
 SURE = 2.0
@@ -48,9 +46,8 @@ Solve = Callable[[SupportedFem, Array, PathOptions, Walls | None], PathResult]
 
 
 def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> Reach:
-    """How much farther apart the supports could be; cheap where the unknowns `start` already are slack everywhere.
-
-    `size` (mm) is the extent of the curtain.
+    """How much farther apart the supports of a curtain of extent `size` (mm) could be; cheap where the unknowns `start`
+    are slack everywhere.
     """
     margin = least_slack(law, green_strain(fem.gradient(start)))
     if margin > SURE * 2.0 * AT_LIMIT:
@@ -74,17 +71,13 @@ def reach_of(fem: SupportedFem, law: MembraneLaw, start: Array, size: float) -> 
 
 
 def _stretchable(factor: float, margin: float) -> float:
-    """How far a state at `factor` may be scaled: |F L|^2 = (1 - margin) c^2 at the fullest half-space.
-
-    A state drawn together to a point, margin = 1, may be scaled without limit.
-    """
+    """How far a state at `factor` may be scaled: |F L|^2 = (1 - margin) c^2 at the fullest half-space."""
     return factor / float(np.sqrt(1.0 - min(margin, 1.0 - 1e-9))) if factor > 0.0 else 0.0
 
 
 def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
-    """The discretisation with one more unknown, `size` mm times the factor on all held positions.
-
-    These count from their mean, which moves nothing. None if nothing is held apart.
+    """The discretisation with one more unknown, `size` mm times the factor on held positions, which count from their
+    mean; None if nothing is held apart.
     """
     held = ~fem.free.reshape(fem.x_held.shape)
     centre = np.where(held, fem.x_held, 0.0).sum(axis=0) / np.maximum(held.sum(axis=0), 1)
@@ -98,9 +91,8 @@ def movable(fem: SupportedFem, size: float) -> SupportedFem | None:
 def solve_at_stretch_limit(
     solve: Solve, fem: SupportedFem, start: Array, options: PathOptions, reach: Reach, walls: Walls | None = None
 ) -> tuple[PathResult, float]:
-    """The answer for a relaxed law, with its own bounds, and the relaxation; the last one tried if none converges.
-
-    The law is relaxed by as much as the supports are out of reach, and a little more.
+    """The answer for a law relaxed by a little more than the supports are out of reach, with its own bounds, and the
+    relaxation; the last one tried if none converges.
     """
     loose = replace(options, gap=max(LEAST_GAP, options.gap))
     for more in RELAXATIONS:

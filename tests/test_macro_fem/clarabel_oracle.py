@@ -16,7 +16,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from homogenize import Cut, MembraneLaw
+from homogenize import MembraneLaw
 from macro_fem.curtain import make_solution
 from macro_fem.fem.assembly import internal_force
 from macro_fem.fem.supported import SupportedFem
@@ -73,7 +73,7 @@ def solve_clarabel(
         if number == ROUNDS:
             stop = "iterations"
             break
-        cones, _ = with_cuts(cones, new, Cut(cut.S[new], cut.h[new], cut.violation[new]))
+        cones, _ = with_cuts(cones, new, cut.take(new))
         tell(f"clarabel, round {number + 1}")
         found = _solve(task, cones)
     room = min(least_slack(law, green_strain(fem.gradient(found.z))), rows.slack(found.z).min(initial=np.inf))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from macro_fem.bounds import interval as bounds
-from macro_fem.bounds.equilibrated import dual_problem
-from macro_fem.bounds.interval import INWARD, bound
+from macro_fem.bounds.equilibrated import at_dual_nodes, dual_problem
+from macro_fem.bounds.interval import bound
 from macro_fem.curtain import solve_problem, solve_scene
 from macro_fem.problem import gathered_start
 from macro_fem.scene.schema import read_scene
@@ -105,8 +105,9 @@ def test_a_point_load_costs_what_its_spreading_may_move(ring_like, scene_tables,
     """The force acts along the edges at its corner instead of at it: what that may change is left out of the bound."""
     solution = solve_scene(read_scene(corner_load(scene_tables)), sheared(ring_like))
     cost = spread_cost(solution, (0.03, -0.04))
-    assert dual_problem(solution, 1.0, INWARD).point_load_cost == pytest.approx(cost, rel=1e-9)
-    assert dual_problem(solution, 0.5, INWARD).point_load_cost == pytest.approx(0.5 * cost, rel=1e-9)
+    x = at_dual_nodes(solution.x, solution.problem.mesh)
+    assert dual_problem(solution, 1.0, x).point_load_cost == pytest.approx(cost, rel=1e-9)
+    assert dual_problem(solution, 0.5, x).point_load_cost == pytest.approx(0.5 * cost, rel=1e-9)
     with_cost = bound(solution)
     monkeypatch.setattr(bounds, "dual_problem", lambda *given: replace(dual_problem(*given), point_load_cost=0.0))
     assert bound(solution).lower - with_cost.lower == pytest.approx(cost, rel=1e-9)
