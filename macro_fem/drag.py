@@ -1,13 +1,11 @@
 """Wind on the present shape: drag of layers on their front, pressure normal to the surface.
 
-A cell whose vector area is a = F_1 x F_2 per reference area shows the front v = |a . w| to a wind along w: it is 1/v
-layers there. Where other cells are before or behind its middle, their layers are added. n layers of solidity s have the
-solidity 1 - (1 - s)^n, from which C_D follows (`macro_fem.scene.wind`); every layer takes 1/n of q C_D per area of the
-front, where q = rho v^2 / 2. The sum is never more than the drag of a plate on the front, and that of one flat layer
-square to the wind is q C_D(s).
+A cell of the vector area a = F_1 x F_2 per reference area shows the front v = |a . w| to a wind along w, so that it is
+1/v layers there; cells before and behind its middle add theirs. Each of n layers takes 1/n of q C_D per area of the
+front, with C_D of n layers (`macro_fem.scene.wind`) and q = rho v^2 / 2.
 
-Wind that follows presses along a. A pressure is as it is, per present area. That of a speed is of its component along
-the normal, q C_D (a . w / |a|)^2, and counts 1/|a| layers.
+Wind that follows presses along a: a pressure per present area, a speed by its component along the normal,
+q C_D (a . w / |a|)^2, on 1/|a| layers.
 """
 
 from __future__ import annotations
@@ -30,8 +28,7 @@ from macro_fem.solution import CurtainSolution
 from rve.common import Array, InputError
 
 EDGE = 0.3
-"""Share of a cell's height on both sides of its edges over which its shade fades in. The rounds need not settle with a
-jump, and hardly do with 0.05."""
+"""Share of a cell's height on both sides of its edges over which its shade fades in; rounds hardly settle with 0.05."""
 LEAST_FRONT = 1e-9
 """Front per reference area below which it is none."""
 
@@ -79,9 +76,8 @@ def _drag(problem: CurtainProblem, wind: Wind, x: Array, a: Array) -> Array:
 
 
 def vector_areas(problem: CurtainProblem, F: Array) -> Array:
-    """Vector areas (n_cells, 3) per reference area, of gradients F (n_points, 3, 2), averaged over neighbours.
-
-    Slack cells fold in many ways, of which none is the answer; the average hardly depends on them.
+    """Vector areas (n_cells, 3) per reference area, of gradients F (n_points, 3, 2), averaged over neighbours, since
+    slack cells fold in many ways.
     """
     disc = problem.disc
     return recovered(problem.mesh.mesh.t.T, disc.cell_mean(np.cross(F[:, :, 0], F[:, :, 1])), disc.cell_area)
@@ -113,8 +109,7 @@ def _shade(problem: CurtainProblem, x: Array, along: Array, layers: Array) -> Ar
     is_far = np.asarray((touch[near.row].multiply(touch[near.col])).sum(axis=1)).ravel() == 0.0
     point, cell = near.row[is_far], near.col[is_far]
     share = np.clip((_inside(middle[point], corners[cell]) + EDGE) / (2.0 * EDGE), 0.0, 1.0)
-    shade = np.bincount(point, share * layers[cell], minlength=disc.n_cells)
-    return np.asarray(shade, dtype=float)
+    return np.bincount(point, share * layers[cell], minlength=disc.n_cells).astype(float)
 
 
 def _inside(p: Array, corners: Array) -> Array:
@@ -151,14 +146,14 @@ def wind_summary(solution: CurtainSolution) -> dict[str, list[dict[str, float]]]
 
     `layers` and `front_solidity` are means over the front.
     """
-    told = [_told(solution, wind) for wind in solution.problem.scene.of(Wind) if wind.speed is not None]
-    return {"wind": told} if told else {}
+    lines = [_line(solution, wind) for wind in solution.problem.scene.of(Wind) if wind.speed is not None]
+    return {"wind": lines} if lines else {}
 
 
-def _told(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
+def _line(solution: CurtainSolution, wind: Wind) -> dict[str, float]:
     problem = solution.problem
     cell = problem.law.cell
-    assert cell is not None  # see `macro_fem.scene.wind.check_drag`
+    assert cell is not None  # see `macro_fem.scene.loads.nodal_forces`
     alone = ring_solidity(cell)
     told = {
         "speed_m_per_s": float(wind.speed or 0.0),

@@ -22,8 +22,7 @@ from macro_fem.solvers.walls import TOUCHED, Walls
 from rve.common import Array, InputError
 
 THINNEST = 0.2
-"""Half the least width of a body over the longest side of a cell. Thinner bodies pass between the points that meet
-them."""
+"""Half the least width of a body over the longest side of a cell; thinner ones pass between the points of a mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +100,14 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
     """The problem with floors, walls and bodies; InputError for a support inside an obstacle."""
     scene, fem = problem.scene, problem.fem
     obstacles = placed_obstacles(problem)
+    side = problem.mesh.longest_side
     for one in obstacles:
-        _check_is_met(one.obstacle, scene, problem.mesh)
+        if one.obstacle.breadth < THINNEST * side:
+            raise InputError(
+                f"{scene.source}: [obstacle] {one.obstacle.name}: half its least width, {one.obstacle.breadth:.4g} mm, "
+                f"is less than a fifth of the sides of cells, up to {side:.4g} mm, between which it would pass: use "
+                "more cells"
+            )
         _check_outside(one, problem)
     points = problem.disc.hull.places(fem.reference)
     flat = [tangent_walls(one, fem, one.normal(points)) for one in obstacles if is_flat(one.obstacle)]
@@ -113,8 +118,10 @@ def _with_obstacles(problem: CurtainProblem) -> CurtainProblem:
 def placed_obstacles(problem: CurtainProblem) -> list[PlacedObstacle]:
     """The obstacles of the scene of a problem, as its mesh meets them."""
     cell = float(np.sqrt(2.0 * problem.disc.cell_area.mean()))
-    met = [with_rounding(item, cell) for item in problem.scene.obstacle]
-    return [PlacedObstacle(number, item, problem.factor, problem.fem.d) for number, item in enumerate(met)]
+    return [
+        PlacedObstacle(number, with_rounding(item, cell), problem.factor, problem.fem.d)
+        for number, item in enumerate(problem.scene.obstacle)
+    ]
 
 
 def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
@@ -136,19 +143,9 @@ def _check_outside(one: PlacedObstacle, problem: CurtainProblem) -> None:
     )
 
 
-def _check_is_met(obstacle: Obstacle, scene: Scene, mesh: CurtainMesh) -> None:
-    """InputError for a body that is so thin that it would pass between the points of a cell."""
-    half, side = obstacle.breadth, mesh.longest_side
-    if half < THINNEST * side:
-        raise InputError(
-            f"{scene.source}: [obstacle] {obstacle.name}: half its least width, {half:.4g} mm, is less than a fifth of "
-            f"the sides of cells, up to {side:.4g} mm, between which it would pass: use more cells"
-        )
-
-
 def meeting_points(obstacle: Obstacle, disc: Discretization) -> Points:
-    """The points of a mesh that stay outside of an obstacle: those whose hull holds the mesh for a half-space, nodes
-    for a body, and for most bodies middles of sides and cells."""
+    """The points of a mesh that stay outside of an obstacle: those whose hull holds the mesh for a half-space, else
+    nodes, with middles of sides and cells where the obstacle clears cells."""
     if is_flat(obstacle):
         return disc.hull
     return disc.meeting if getattr(obstacle, "clear", "nodes") == "cells" else disc.at_nodes
@@ -190,8 +187,7 @@ def gathered_start(problem: CurtainProblem) -> Array:
 
 
 def supported_map(problem: CurtainProblem) -> tuple[Array, Array]:
-    """The affine map X -> b + A X, b (d,) and A (d, 2), nearest to where the supports hold their points; A = 0 along
-    directions of which they say nothing."""
+    """The affine map X -> b + A X, b and A (d, 2), nearest to where the supports hold their points; 0 where free."""
     X, mask, held = problem.disc.nodes, problem.supports.mask, problem.supports.positions
     d = held.shape[1]
     b, A = np.zeros(d), np.zeros((d, 2))

@@ -14,7 +14,7 @@ from macro_fem.scene.obstacles import unit
 from macro_fem.scene.schema import Scene
 from macro_fem.scene.sites import point_node
 from macro_fem.scene.tables import Bar, EdgeLoad, PatchLoad, PointLoad, Wind
-from macro_fem.scene.wind import check_drag, wind_pressure
+from macro_fem.scene.wind import wind_pressure
 from rve.common import Array, InputError
 
 PER_MM2 = 1e-6
@@ -36,10 +36,7 @@ def weight_per_area(scene: Scene, cell: CellInfo | None) -> Array:
 
 
 def wind_per_area(wind: Wind, scene: Scene, cell: CellInfo | None) -> Array:
-    """The force of a wind on the flat sheet square to it (d,), N/mm2.
-
-    Wind with a speed along a sheet in the plane meets no front: it is zero.
-    """
+    """The force of a wind on the flat sheet square to it (d,), N/mm2; 0 of a speed in the plane: no front."""
     if scene.d == 2 and wind.speed is not None:
         return np.zeros(2)
     return np.asarray(wind_pressure(wind, cell) * unit(wind.direction)[: scene.d])
@@ -65,7 +62,9 @@ def nodal_forces(
     for patch in scene.of(PatchLoad):
         live += patch_load(patch, scene, mesh, disc)
     for wind in scene.of(Wind):
-        check_drag(wind, cell, f"{scene.source}: [load.wind]")
+        if wind.speed is not None and cell is None:
+            what = f"speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure"
+            raise InputError(f"{scene.source}: [load.wind] {what}")
         live += 0.0 if wind.follows else load_vector(disc, wind_per_area(wind, scene, cell))
     return dead + factor * live
 
@@ -89,9 +88,7 @@ def patch_load(load: PatchLoad, scene: Scene, mesh: CurtainMesh, disc: Discretiz
 
 
 def disk_areas(corners: Array, centre: Array, radius: float) -> Array:
-    """The area (n,) that each of the polygons with these corners (n, k, 2) shares with a disk.
-
-    Every side adds the part of the disk between it and the centre: a triangle where it is inside, sectors elsewhere.
+    """The area (n,) that each of the polygons with these corners (n, k, 2) shares with a disk: triangles, sectors.
 
     >>> square = np.array([[[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]])
     >>> bool(np.allclose(disk_areas(square, np.zeros(2), 2.0), np.pi))

@@ -1,7 +1,7 @@
 """Obstacles of a scene: half-spaces and convex bodies that the curtain stays outside of, and where the sheet starts.
 
-Every obstacle answers with tangent half-spaces normal . x >= offset: the normal for a place is that at the point of
-the obstacle closest to it, and the offset is the largest normal . y of the obstacle's points y, its support function.
+Every obstacle answers with tangent half-spaces normal . x >= offset: the normal is that at its point closest to a
+place, the offset its support function, the largest normal . y of its points y.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from macro_fem.scene.tables import NO_MOVE, Coordinate, Length, Name, Point3, Timed, Vector, Way, in_3d, leaves_plane
+from macro_fem.fem.cells import padded
+from macro_fem.scene import tables
+from macro_fem.scene.tables import NO_MOVE, Timed, Vector, Way, check_directions, in_3d, leaves_plane
 from rve.common import Array, Typed
 
 HALVINGS = 40
 """Steps of the search for the least distance along a way; each leaves two thirds of the bracket."""
-
 RIGHT_ANGLE = 1e-3
 """Largest cosine of the angle between the two axes along which a sheet starts."""
 
@@ -40,9 +41,7 @@ class Obstacle(Timed):
     move: Vector
 
     def check(self) -> None:
-        for key in ("facing", "axis"):
-            if not any(getattr(self, key, (1.0,))):
-                self.refuse(f"{key} = {list(getattr(self, key))}: has no direction: one component must not be 0")
+        check_directions(self, "facing", "axis")
 
     @property
     def space_reason(self) -> str:
@@ -78,9 +77,9 @@ class Body(Obstacle):
 class Floor(Obstacle, kind="floor"):
     """Everything below `height`, mm."""
 
-    height: Coordinate = 0.0
+    height: tables.Coordinate = 0.0
     move: Way = NO_MOVE
-    name: Name = "floor"
+    name: tables.Name = "floor"
 
     def normal(self, x: Array) -> Array:
         return np.tile([0.0, 1.0, 0.0], (len(x), 1))
@@ -96,7 +95,7 @@ class Wall(Obstacle, kind="wall"):
     facing: Way
     point: Way = (0.0, 0.0)
     move: Way = NO_MOVE
-    name: Name = "wall"
+    name: tables.Name = "wall"
 
     def normal(self, x: Array) -> Array:
         return np.tile(unit(self.facing), (len(x), 1))
@@ -109,10 +108,10 @@ class Wall(Obstacle, kind="wall"):
 class Sphere(Body, kind="sphere"):
     """A ball of `radius` around `centre`."""
 
-    centre: Point3
-    radius: Length
+    centre: tables.Point3
+    radius: tables.Length
     move: Way = NO_MOVE
-    name: Name = "sphere"
+    name: tables.Name = "sphere"
     clear: Literal["cells", "nodes"] = "cells"
 
     def normal(self, x: Array) -> Array:
@@ -127,10 +126,10 @@ class Cylinder(Body, kind="cylinder"):
     """A round cylinder of `radius` about the endless line through `point` along `axis`."""
 
     axis: Way
-    radius: Length
-    point: Point3 = (0.0, 0.0, 0.0)
+    radius: tables.Length
+    point: tables.Point3 = (0.0, 0.0, 0.0)
     move: Way = NO_MOVE
-    name: Name = "cylinder"
+    name: tables.Name = "cylinder"
     clear: Literal["cells", "nodes"] = "cells"
 
     def normal(self, x: Array) -> Array:
@@ -144,17 +143,15 @@ class Cylinder(Body, kind="cylinder"):
 
 @dataclass(frozen=True)
 class Box(Body, kind="box"):
-    """A box with sides along x, y and z: its `corner` of least coordinates and its `size`.
-
-    Its edges are rounded by the radius `rounding`, by default the length of a cell: a mesh follows no sharper edge, and
-    forces of nodes on either side of one would be those of a plane that cuts it off.
+    """A box with sides along x, y and z: its `corner` of least coordinates and its `size`. Its edges are rounded by the
+    radius `rounding`, by default the length of a cell, since a mesh follows no sharper edge.
     """
 
-    corner: Point3
-    size: tuple[Length, Length, Length]
-    rounding: Length | None = None
+    corner: tables.Point3
+    size: tuple[tables.Length, tables.Length, tables.Length]
+    rounding: tables.Length | None = None
     move: Way = NO_MOVE
-    name: Name = "box"
+    name: tables.Name = "box"
     clear: Literal["cells", "nodes"] = "cells"
 
     def check(self) -> None:
@@ -163,8 +160,9 @@ class Box(Body, kind="box"):
 
     def normal(self, x: Array) -> Array:
         """Normals (n, 3) for places x (n, 3); that of the nearest face deep inside."""
-        away = x - self._centre
-        out = np.abs(away) - self._core
+        centre, core, _ = self._parts
+        away = x - centre
+        out = np.abs(away) - core
         normal = np.sign(away) * np.maximum(out, 0.0)
         inside = np.flatnonzero(np.abs(normal).max(axis=1) <= 1e-9 * min(self.size))
         face = out[inside].argmax(axis=1)
@@ -173,23 +171,18 @@ class Box(Body, kind="box"):
         return _directions(normal)
 
     def support(self, normal: Array) -> Array:
-        return np.asarray(normal @ self._centre + np.abs(normal) @ self._core + self._radius)
+        centre, core, radius = self._parts
+        return np.asarray(normal @ centre + np.abs(normal) @ core + radius)
 
     @property
     def breadth(self) -> float:
         return 0.5 * min(self.size)
 
     @property
-    def _radius(self) -> float:
-        return min(self.rounding or 0.0, self.breadth)
-
-    @property
-    def _core(self) -> Array:
-        return 0.5 * np.array(self.size) - self._radius
-
-    @property
-    def _centre(self) -> Array:
-        return np.array(self.corner) + 0.5 * np.array(self.size)
+    def _parts(self) -> tuple[Array, Array, float]:
+        """Its centre (3,), half the sizes (3,) of the box around which the radius goes, and this radius."""
+        half, radius = 0.5 * np.array(self.size), min(self.rounding or 0.0, self.breadth)
+        return np.array(self.corner) + half, half - radius, radius
 
 
 def _directions(away: Array) -> Array:
@@ -202,14 +195,12 @@ def _directions(away: Array) -> Array:
 class Start(Typed):
     """Where the flat sheet lies before it is let go: the material point X is at origin + X_1 x_axis + X_2 y_axis."""
 
-    origin: Point3
+    origin: tables.Point3
     x_axis: Way = (1.0, 0.0, 0.0)
     y_axis: Way = (0.0, 1.0, 0.0)
 
     def check(self) -> None:
-        for key in ("x_axis", "y_axis"):
-            if not any(getattr(self, key)):
-                self.refuse(f"{key} = {list(getattr(self, key))}: has no direction: one component must not be 0")
+        check_directions(self, "x_axis", "y_axis")
         if abs(float(unit(self.x_axis) @ unit(self.y_axis))) > RIGHT_ANGLE:
             self.refuse(f"y_axis = {list(self.y_axis)}: is not at a right angle to x_axis")
 
@@ -220,9 +211,9 @@ class Start(Typed):
 
 def with_rounding(obstacle: Obstacle, cell: float) -> Obstacle:
     """The obstacle as a mesh with cells of this length (mm) meets it: a box has round edges."""
-    if not isinstance(obstacle, Box) or obstacle.rounding is not None:
-        return obstacle
-    return replace(obstacle, rounding=min(cell, obstacle.breadth))
+    if isinstance(obstacle, Box) and obstacle.rounding is None:
+        return replace(obstacle, rounding=min(cell, obstacle.breadth))
+    return obstacle
 
 
 def is_flat(obstacle: Obstacle) -> bool:
@@ -246,12 +237,11 @@ class PlacedObstacle:
 
     def normal(self, x: Array) -> Array:
         """Normals (n, d) of the tangent half-spaces for places x (n, d)."""
-        places = np.column_stack([x, np.zeros((len(x), 3 - self.d))]) - self.shift
-        return np.asarray(self.obstacle.normal(places)[:, : self.d])
+        return np.asarray(self.obstacle.normal(padded(x) - self.shift)[:, : self.d])
 
     def offset(self, normal: Array) -> Array:
         """Offsets (n,) of the tangent half-spaces of normals (n, d)."""
-        whole = np.column_stack([normal, np.zeros((len(normal), 3 - self.d))])
+        whole = padded(normal)
         return np.asarray(self.obstacle.support(whole) + whole @ self.shift)
 
     def gap(self, x: Array) -> Array:
@@ -262,7 +252,7 @@ class PlacedObstacle:
     def least_gap(self, start: Array, end: Array) -> Array:
         """Least distance (n,) of the obstacle from straight ways between places (n, d), mm; negative inside.
 
-        The distance from a convex body is convex along a line, so that its least value can be bracketed.
+        The distance from a convex body is convex along a line, which brackets it.
         """
         low, high = np.zeros(len(start)), np.ones(len(start))
         for _ in range(HALVINGS):

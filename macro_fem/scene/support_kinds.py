@@ -9,37 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from macro_fem.scene.sites import (
-    Hanging,
-    Held,
-    Site,
-    Support,
-    edge_line,
-    placed_along,
-    point_node,
-    sloping,
-    unit_direction,
-)
-from macro_fem.scene.tables import (
-    LEAST_MM,
-    MAX_CORNERS,
-    NO_MOVE,
-    Capacity,
-    Coordinate,
-    Count,
-    Degrees,
-    Factor,
-    HeldAxes,
-    Length,
-    Name,
-    Place,
-    RingsPerHook,
-    Share,
-    Vector,
-    Way,
-    in_3d,
-    leaves_plane,
-)
+from macro_fem.scene import sites, tables
+from macro_fem.scene.sites import Hanging, Held, Site, Support
+from macro_fem.scene.tables import LEAST_MM, NO_MOVE, Vector, Way, in_3d, leaves_plane
 from macro_fem.scene.tracks import Curve, track_curve
 from rve.common import Array
 
@@ -53,9 +25,9 @@ class Corners(Support, kind="corners"):
 
     one = "corner"
 
-    gather: Factor = 1.0
+    gather: tables.Factor = 1.0
     move: Way = NO_MOVE
-    rings_per_hook: RingsPerHook = 1
+    rings_per_hook: tables.RingsPerHook = 1
 
     def hold(self, site: Site) -> Held:
         nodes = self._edge(site)[0][[0, -1]]
@@ -66,7 +38,7 @@ class Corners(Support, kind="corners"):
 class Top(Support, kind="top"):
     """The whole top edge held; `gather` narrows it."""
 
-    gather: Factor = 1.0
+    gather: tables.Factor = 1.0
     move: Way = NO_MOVE
 
     def hold(self, site: Site) -> Held:
@@ -93,12 +65,12 @@ class Hooks(Hanging, kind="hooks"):
 
     one = "hook"
 
-    pitch: Length | None = None
-    count: Count | None = None
-    gather: Factor = 1.0
+    pitch: tables.Length | None = None
+    count: tables.Count | None = None
+    gather: tables.Factor = 1.0
     sliding: bool = False
-    capacity: Capacity | None = None
-    rings_per_hook: RingsPerHook = 1
+    capacity: tables.Capacity | None = None
+    rings_per_hook: tables.RingsPerHook = 1
 
     def check(self) -> None:
         if self.pitch is None and self.count is None:
@@ -118,9 +90,9 @@ class Edge(Support, kind="edge"):
     such as a cable; with `sliding` the edge slides on that line, which has no end.
     """
 
-    edge: Name
-    held: HeldAxes = "both"
-    gather: Factor = 1.0
+    edge: tables.Name
+    held: tables.HeldAxes = "both"
+    gather: tables.Factor = 1.0
     move: Way = NO_MOVE
     along: tuple[Way, Way] | None = None
     sliding: bool = False
@@ -155,15 +127,15 @@ class Edge(Support, kind="edge"):
 
     def _on_line(self, site: Site, along: tuple[Vector, Vector], facets: np.ndarray) -> Held:
         """The edge evenly between two points of a straight line in space, held or free to slide."""
-        line, s = edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
+        line, s = sites.edge_line(site.mesh, self.edge, f"{site.scene.source}: {self.where} edge")
         first, last = map(site.scene.vector, along)
-        nodes, places = placed_along(site, line, first + (s / s[-1])[:, None] * (last - first))
+        nodes, places = sites.placed_along(site, line, first + (s / s[-1])[:, None] * (last - first))
         places += site.factor * site.scene.vector(self.move)
-        e = unit_direction(last - first)
+        e = sites.unit_direction(last - first)
         mask = np.ones(places.shape, bool)
-        if self.sliding and not sloping(e):
+        if self.sliding and not sites.sloping(e):
             mask[:, e != 0.0] = False
-        slide = e if self.sliding and sloping(e) else None
+        slide = e if self.sliding and sites.sloping(e) else None
         return Held(f"edge {self.edge}", nodes, mask, places, facets, slide)
 
 
@@ -171,17 +143,17 @@ class Edge(Support, kind="edge"):
 class Point(Support, kind="point"):
     """The material point `at` held and moved by `move` mm; `rings_per_hook` as for hooks."""
 
-    at: Place
-    held: HeldAxes = "both"
+    at: tables.Place
+    held: tables.HeldAxes = "both"
     move: Way = NO_MOVE
-    rings_per_hook: RingsPerHook = 1
+    rings_per_hook: tables.RingsPerHook = 1
 
     @property
     def points(self) -> tuple[Vector, ...]:
         return (self.at,)
 
     def hold(self, site: Site) -> Held:
-        nodes = point_node(self.at, site.disc)
+        nodes = sites.point_node(self.at, site.disc)
         name = f"point ({self.at[0]:g}, {self.at[1]:g})"
         return self._held(site, name, nodes, site.disc.nodes[nodes], self.held)
 
@@ -201,17 +173,17 @@ class Track(Hanging, kind="track"):
 
     one = "runner"
 
-    path: Annotated[tuple[Place, ...], Meta(min_length=2, max_length=MAX_CORNERS)] | None = None
-    radius: Length | None = None
-    angle: Degrees | None = None
-    height: Coordinate | None = None
-    fullness: Factor | None = None
-    pitch: Length | None = None
-    count: Count | None = None
-    drawn: Share = 1.0
+    path: Annotated[tuple[tables.Place, ...], Meta(min_length=2, max_length=tables.MAX_CORNERS)] | None = None
+    radius: tables.Length | None = None
+    angle: tables.Degrees | None = None
+    height: tables.Coordinate | None = None
+    fullness: tables.Factor | None = None
+    pitch: tables.Length | None = None
+    count: tables.Count | None = None
+    drawn: tables.Share = 1.0
     side: Literal["start", "end"] = "start"
-    capacity: Capacity | None = None
-    rings_per_hook: RingsPerHook = 1
+    capacity: tables.Capacity | None = None
+    rings_per_hook: tables.RingsPerHook = 1
 
     def check(self) -> None:
         if self.path is not None:
@@ -244,13 +216,13 @@ class Track(Hanging, kind="track"):
 
     def hold(self, site: Site) -> Held:
         where = f"{site.scene.source}: {self.where}"
-        line, s = edge_line(site.mesh, "top", f"{where} needs edge")
+        line, s = sites.edge_line(site.mesh, "top", f"{where} needs edge")
         curve = self.curve(line, s, site.mesh, where)
         if self.has_hooks:
             nodes = self.hooks(site)
             places = self.places(curve, np.linspace(0.0, s[-1], len(nodes)), s[-1])
             return Held("track", nodes, np.ones(places.shape, bool), places)
-        nodes, places = placed_along(site, line, self.places(curve, s, s[-1]))
+        nodes, places = sites.placed_along(site, line, self.places(curve, s, s[-1]))
         return Held("track", nodes, np.ones(places.shape, bool), places, site.mesh.edges["top"])
 
     def places(self, curve: Curve, s: Array, edge_length: float) -> Array:

@@ -57,6 +57,13 @@ def in_3d(v: Vector) -> tuple[float, float, float]:
     return x, y, z[0] if z else 0.0
 
 
+def check_directions(record: Typed, *keys: str) -> None:
+    """Refuse vectors of a record, of those keys that it has, whose components are all 0."""
+    for key in keys:
+        if not any(getattr(record, key, (1.0,))):
+            record.refuse(f"{key} = {list(getattr(record, key))}: has no direction: one component must not be 0")
+
+
 def leaves_plane(v: Vector) -> bool:
     """Whether a vector has a third component that is not 0."""
     return in_3d(v)[2] != 0.0
@@ -176,8 +183,7 @@ class Wind(LiveLoad, kind="wind"):
     follows: bool = False
 
     def check(self) -> None:
-        if not any(self.direction):
-            self.refuse(f"direction = {list(self.direction)}: has no direction: one component must not be 0")
+        check_directions(self, "direction")
         if self.pressure is None and self.speed is None:
             self.refuse("pressure: is missing; give it in N/m2, or speed in m/s")
         for key in ("speed", "air_density") if self.pressure is not None else ():

@@ -1,19 +1,12 @@
 """Wind as a pressure: that of a speed, by the drag of a screen with the solidity of the rings.
 
-p = C_D rho v^2 / 2 per area of the front, along the direction of the wind. C_D is that of a free-standing porous plate
-that the air flows through and around (K. Steiros, M. Hultmark, Drag on flat plates of arbitrary porosity, J. Fluid
-Mech. 853 (2018) R3, doi 10.1017/jfm.2018.621, equations 2.12 and 2.15). With the open share beta = 1 - solidity,
-the resistance k = 1/beta^2 - 1 (G. I. Taylor, R. M. Davies, The aerodynamics of porous sheets, ARC R&M 2237, 1944) and
-the speed u of the air in the plane of the plate over that of the wind, both of
+p = C_D rho v^2 / 2 per area of the front, with C_D of a free-standing porous plate (K. Steiros, M. Hultmark, J. Fluid
+Mech. 853 (2018) R3, equations 2.12 and 2.15). With the open share beta = 1 - solidity, the resistance k = 1/beta^2 - 1
+and the speed u of the air in the plane of the plate over that of the wind,
 
-    C_D = 4/3 (1 - u)(2 + u)/(2 - u),        C_D = k u^2 - 4/3 (1 - u)^3/(2 - u)^2
+    C_D = 4/3 (1 - u)(2 + u)/(2 - u) = k u^2 - 4/3 (1 - u)^3/(2 - u)^2.
 
-hold. It is 4/3 of a solid plate, and was compared with measurements down to beta = 0.23; k is that of sharp-edged
-holes, which round wires stay below. Where the mesh closes an opening, the air cannot flow around it: give its
-pressure.
-
-Layers behind each other shade each other: n layers of solidity s are one screen of solidity 1 - (1 - s)^n on the front
-that they share. `macro_fem.drag` counts them on the present shape.
+n layers of solidity s behind each other are one screen of solidity 1 - (1 - s)^n on the front that they share.
 """
 
 from __future__ import annotations
@@ -27,7 +20,7 @@ from homogenize import CellInfo
 from macro_fem.scene.tables import Wind
 from rve import cell_of_sides
 from rve import solidity as solidity_of
-from rve.common import Array, InputError
+from rve.common import Array
 
 AIR_DENSITY = 1.25
 """kg/m3, the recommended value of EN 1991-1-4:2005, 4.5 (1), note 2."""
@@ -58,12 +51,6 @@ def wind_pressure(wind: Wind, cell: CellInfo | None) -> float:
     return dynamic_pressure(wind) * float(layered_drag(cell, np.ones(1))[0])
 
 
-def check_drag(wind: Wind, cell: CellInfo | None, where: str) -> None:
-    """InputError, which begins with `where`, if the law has no rings to tell the drag of a speed."""
-    if wind.speed is not None and cell is None:
-        raise InputError(f"{where} speed = {wind.speed:g}: the law has no rings to tell the drag; give the pressure")
-
-
 def layered_solidity(solidity: float, layers: Array) -> Array:
     """Solidity (k,) of `layers` (k,), not necessarily whole, of one solidity behind each other."""
     return np.asarray(1.0 - (1.0 - solidity) ** layers)
@@ -71,7 +58,7 @@ def layered_solidity(solidity: float, layers: Array) -> Array:
 
 def layered_drag(cell: CellInfo | None, layers: Array) -> Array:
     """C_D (k,) per area of a front of `layers` (k,) of the rings of a law."""
-    assert cell is not None  # see `check_drag`
+    assert cell is not None  # see `nodal_forces`
     return drag_coefficient(layered_solidity(ring_solidity(cell), layers))
 
 

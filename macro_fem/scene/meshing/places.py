@@ -1,15 +1,14 @@
 """Nodes where a scene needs them: at hooks, at held and loaded points, at the centres of patches smaller than cells.
 
-A mesh is cut where a node is missing: the cell or side around the place is divided there, so that every other side
-stays as it is, along the weave where it was, and whatever the old mesh could do the new one can. Where that would make
-a sliver a side is bent through the place, or a node next to it is moved, inside the mesh or along the boundary. What
-would need cells with corners of less than some 3 degrees is refused.
+The cell or side around a place without a node is cut there, so that every other side stays as it is, along the weave
+where it was. Where that would make a sliver a side is bent through the place, or a node next to it is moved, inside the
+mesh or along the boundary.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,16 +44,37 @@ class _Change:
     """A node at `place` (a new one, or an old one moved) with cells `removed` (k,) and `added` (j, 3) for it.
 
     `edge`: the side that is cut. `turns`: whether old sides get another direction, as a side does that is bent and all
-    sides at a node that moves. `sine`: the least one of the corners of the added cells.
+    sides at a node that moves.
     """
 
     node: int
     place: Array
     removed: np.ndarray
     added: np.ndarray
-    edge: tuple[int, int] | None
-    turns: bool
-    sine: float
+    edge: tuple[int, int] | None = None
+    turns: bool = False
+
+    def sine(self, sheet: _Sheet) -> float:
+        """The least sine of the corners of the added cells."""
+        old = sheet.points[np.minimum(self.added, len(sheet.points) - 1)]
+        corners = np.where((self.added == self.node)[..., None], self.place, old)
+        return float(least_sine(corners).min(initial=1.0))
+
+    def applied(self, sheet: _Sheet) -> _Sheet:
+        """The sheet after the change."""
+        points = np.resize(sheet.points, (max(len(sheet.points), self.node + 1), 2))
+        points[self.node] = self.place
+        cells = np.concatenate([np.delete(sheet.cells, self.removed, axis=0), self.added])
+        lines = {name: self._cut(pairs) for name, pairs in sheet.lines.items()}
+        return _Sheet(points, cells, self._cut(sheet.rim), lines)
+
+    def _cut(self, pairs: np.ndarray) -> np.ndarray:
+        """Pairs of nodes (k, 2) with the pair `edge` replaced by its two halves."""
+        if self.edge is None:
+            return pairs
+        is_edge = (np.sort(pairs, axis=1) == sorted(self.edge)).all(axis=1)
+        halves = [np.where(pairs[is_edge] == end, self.node, pairs[is_edge]) for end in self.edge]
+        return np.concatenate([pairs[~is_edge], *halves])
 
 
 def with_nodes_at(
@@ -66,31 +86,29 @@ def with_nodes_at(
     """
     tiny = SAME * float(np.hypot(*np.ptp(mesh.p, axis=1)))
     points, rim = mesh.p.T, mesh.facets[:, mesh.boundary_facets()].T
-    lines = {name: mesh.facets[:, facets].T for name, facets in edges.items()}
-    sheet = _Sheet(points, counterclockwise(points, mesh.t.T), rim, lines)
     distance, node = cKDTree(points).query(places)
     if distance.max(initial=0.0) < tiny:
         return mesh, edges, node
+    lines = {name: mesh.facets[:, facets].T for name, facets in edges.items()}
+    sheet = _Sheet(points, counterclockwise(points, mesh.t.T), rim, lines)
     kept = set(node[distance < tiny].tolist()) | _ends_of_lines(sheet)
     for k in np.flatnonzero(distance >= tiny):
         away = np.linalg.norm(sheet.points - places[k], axis=1)
-        nearest = int(np.argmin(away))
-        if away[nearest] >= tiny:
+        node[k] = np.argmin(away)
+        if away[node[k]] >= tiny:
             change = _best_change(sheet, places[k], kept, f"{wheres[k]}: ", tiny)
-            sheet, nearest = _applied(sheet, change), change.node
-        kept.add(nearest)
-        node[k] = nearest
+            sheet, node[k] = change.applied(sheet), change.node
+        kept.add(int(node[k]))
     cut = type(mesh)(sheet.points.T.copy(), sheet.cells.T.copy())
     return cut, {name: facets_between(cut, pairs) for name, pairs in sheet.lines.items()}, node
 
 
 def _ends_of_lines(sheet: _Sheet) -> set[int]:
     """Nodes of named lines that must not move: their ends, and all that lie inside the mesh."""
-    rim = np.unique(sheet.rim)
     kept: set[int] = set()
     for pairs in sheet.lines.values():
         nodes, counts = np.unique(pairs, return_counts=True)
-        kept |= set(nodes[(counts != 2) | ~np.isin(nodes, rim)].tolist())
+        kept |= set(nodes[(counts != 2) | ~np.isin(nodes, sheet.rim)].tolist())
     return kept
 
 
@@ -100,37 +118,36 @@ def _best_change(sheet: _Sheet, place: Array, kept: set[int], where: str, tiny: 
     On the boundary: a cut of the facet, and moves of its ends along it. Inside: moves of the cell's corners, a cut of
     the cell, and cuts of its sides, bent where the place is not quite on them.
     """
+    points = sheet.points
     facet, is_on = _nearest_facet(sheet, place)
     cell = -1 if is_on else _cell_around(sheet, place, tiny)
-    node = int(np.argmin(np.linalg.norm(sheet.points - place, axis=1)))
-    x, y = sheet.points[node]
-    away = float(np.linalg.norm(sheet.points[node] - place))
-    changes = []
+    node = int(np.argmin(np.linalg.norm(points - place, axis=1)))
+    (x, y), away = points[node], float(np.linalg.norm(points[node] - place))
     if is_on:
         ends = sheet.rim[facet].tolist()
-        length = np.linalg.norm(np.diff(sheet.points[ends], axis=0))
+        length = np.linalg.norm(np.diff(points[ends], axis=0))
         moves = [end for end in ends if end not in kept and _may_move(sheet, end, place, length)]
         changes = [_cut_side(sheet, place, ends, False), *(_moved(sheet, place, end) for end in moves)]
     elif cell >= 0:
-        corners, new = sheet.cells[cell].tolist(), len(sheet.points)
+        corners, new = sheet.cells[cell].tolist(), len(points)
         on_rim = set(np.unique(sheet.rim).tolist())
         changes = [_moved(sheet, place, corner) for corner in corners if corner not in kept | on_rim]
         sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
-        changes.append(_change(sheet, place, new, np.array([cell]), np.array([[*side, new] for side in sides])))
+        changes.append(_Change(new, place, np.array([cell]), np.array([[*side, new] for side in sides])))
         in_lines = {frozenset(pair) for pairs in sheet.lines.values() for pair in pairs.tolist()}
         for a, b in (side for side in sides if frozenset(side) not in in_lines):
-            along = sheet.points[b] - sheet.points[a]
-            off = abs(cross(along, place - sheet.points[a])) / np.linalg.norm(along)
+            along = points[b] - points[a]
+            off = abs(cross(along, place - points[a])) / np.linalg.norm(along)
             changes.append(_cut_side(sheet, place, [a, b], bool(off > tiny)))
     else:
         raise InputError(f"{where}is {away:g} mm away from the curtain, whose nearest node is at ({x:g}, {y:g})")
-    sound = [change for change in changes if change.sine >= LEAST_SINE]
-    if not sound:
+    best = max(changes, key=lambda one: (one.sine(sheet) >= LEAST_SINE, not one.turns, one.sine(sheet)))
+    if best.sine(sheet) < LEAST_SINE:
         raise InputError(
             f"{where}gets no node without a flat cell, the nearest one is {away:g} mm away at [{x:.12g}, {y:.12g}]; "
             f"ask for that place, or use another number of cells"
         )
-    return max(sound, key=lambda change: (not change.turns, change.sine))
+    return best
 
 
 def _nearest_facet(sheet: _Sheet, place: Array) -> tuple[int, bool]:
@@ -171,7 +188,7 @@ def _cell_around(sheet: _Sheet, place: Array, tiny: float) -> int:
 
 def _moved(sheet: _Sheet, place: Array, node: int) -> _Change:
     star = np.flatnonzero((sheet.cells == node).any(axis=1))
-    return _change(sheet, place, node, star, sheet.cells[star], turns=True)
+    return _Change(node, place, star, sheet.cells[star], turns=True)
 
 
 def _cut_side(sheet: _Sheet, place: Array, ends: list[int], turns: bool) -> _Change:
@@ -180,20 +197,7 @@ def _cut_side(sheet: _Sheet, place: Array, ends: list[int], turns: bool) -> _Cha
     beside = np.flatnonzero(np.isin(sheet.cells, ends).sum(axis=1) == 2)
     new = len(sheet.points)
     added = np.concatenate([np.where(sheet.cells[beside] == old, new, sheet.cells[beside]) for old in ends])
-    return _change(sheet, place, new, beside, added, (a, b), turns)
-
-
-def _change(
-    sheet: _Sheet,
-    place: Array,
-    node: int,
-    removed: np.ndarray,
-    added: np.ndarray,
-    edge: tuple[int, int] | None = None,
-    turns: bool = False,
-) -> _Change:
-    corners = np.where((added == node)[..., None], place, sheet.points[np.minimum(added, len(sheet.points) - 1)])
-    return _Change(node, place, removed, added, edge, turns, float(least_sine(corners).min(initial=1.0)))
+    return _Change(new, place, beside, added, (a, b), turns)
 
 
 def least_sine(corners: Array) -> Array:
@@ -202,22 +206,3 @@ def least_sine(corners: Array) -> Array:
     back = np.roll(ahead, 1, axis=1)
     lengths = np.linalg.norm(ahead, axis=-1) * np.linalg.norm(back, axis=-1)
     return np.asarray((cross(back, ahead) / np.maximum(lengths, 1e-300)).min(axis=1))
-
-
-def _applied(sheet: _Sheet, change: _Change) -> _Sheet:
-    """The sheet after a change."""
-    is_new = change.node == len(sheet.points)
-    points = np.concatenate([sheet.points, change.place[None]]) if is_new else sheet.points.copy()
-    points[change.node] = change.place
-    cells = np.concatenate([np.delete(sheet.cells, change.removed, axis=0), change.added])
-    if change.edge is None:
-        return replace(sheet, points=points, cells=cells)
-    lines = {name: _with_cut(pairs, change.edge, change.node) for name, pairs in sheet.lines.items()}
-    return _Sheet(points, cells, _with_cut(sheet.rim, change.edge, change.node), lines)
-
-
-def _with_cut(pairs: np.ndarray, edge: tuple[int, int], node: int) -> np.ndarray:
-    """Pairs of nodes (k, 2) with the pair `edge` replaced by its two halves."""
-    is_edge = (np.sort(pairs, axis=1) == sorted(edge)).all(axis=1)
-    halves = [np.where(pairs[is_edge] == end, node, pairs[is_edge]) for end in edge]
-    return np.concatenate([pairs[~is_edge], *halves])
